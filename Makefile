@@ -1,0 +1,39 @@
+# The two commands are `make demo` and `make test`; `make help` lists all.
+SHELL := /bin/bash
+export CARGO_TARGET_DIR ?= $(CURDIR)/target
+bin := $(CARGO_TARGET_DIR)/release
+
+.PHONY: help demo test test-kernels check bench fuzz router
+
+help: ## This list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+demo: ## Two simulated Wombats talk over Bluetooth Low Energy (about half a minute after the build)
+	@scripts/setup demo
+	@cargo build --release -p rect -p rect-router
+	@PATH="$(bin):$$PATH" .venv/bin/python examples/demo/two_wombats.py
+
+test: ## Every test, the Bluetooth VM included
+	@scripts/setup test
+	@scripts/test
+
+test-kernels: ## The Bluetooth tests on the kernels of Debian 11, 12 and 13
+	@scripts/setup test
+	@scripts/test-vm 11 12 13
+
+check: ## Formatters and linters of every language
+	@scripts/setup test
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets -- -D warnings
+	.venv/bin/ruff check . && .venv/bin/ruff format --check .
+	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
+
+bench: ## Comparisons with raw Bluetooth and stock Zenoh; tables in benches/results/
+	@scripts/setup test
+	@scripts/bench
+
+fuzz: ## The fuzz targets, SECONDS=300 each (needs the nightly toolchain and cargo-fuzz)
+	@scripts/fuzz $(or $(SECONDS_EACH),300)
+
+router: ## Just the router and the rect tool, in release form
+	cargo build --release -p rect -p rect-router

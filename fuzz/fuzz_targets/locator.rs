@@ -1,0 +1,17 @@
+//! Whatever a user, a file or a gossiping peer gives as a locator.
+#![no_main]
+use libfuzzer_sys::fuzz_target;
+use zenoh_link_ble::locator::{ConnectLocator, ListenLocator};
+use zenoh_protocol::core::EndPoint;
+
+fuzz_target!(|text: &str| {
+    let Ok(endpoint) = format!("ble/{text}").parse::<EndPoint>() else {
+        return;
+    };
+    if let Ok(locator) = ConnectLocator::parse(&endpoint) {
+        assert!(locator.mtu >= 128);
+    }
+    if let Ok(locator) = ListenLocator::parse(&endpoint) {
+        assert!(locator.max_links >= 1 && !locator.name().is_empty());
+    }
+});

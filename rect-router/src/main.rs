@@ -1,0 +1,34 @@
+//! `rect-router`: a router that takes zenohd's flags and configuration files and speaks Bluetooth LE.
+//!
+//! Here is the order of things only: flags become a configuration (`config.rs`), the configuration a running router
+//! (`router.rs`), and a signal the end of it (`signals.rs`). Whatever is wrong is said once, on stderr.
+
+use std::process::ExitCode;
+
+mod args;
+mod config;
+mod logging;
+mod message;
+mod router;
+mod signals;
+mod version;
+
+fn main() -> ExitCode {
+    let args = args::parse();
+    match run(&args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("rect-router: {}", message::with_causes(error.as_ref()));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error>> {
+    logging::start()?;
+    tracing::info!("rect-router {}", version::long());
+    let config = config::from_args(args)?;
+    tracing::info!("Initial conf: {}", config::without_secrets(&config));
+    router::run(config)?;
+    Ok(())
+}

@@ -1,0 +1,70 @@
+//! A router at work and its end: `cargo test -p rect-router --test running`
+
+mod support;
+
+use std::time::Duration;
+
+use nix::sys::signal::Signal;
+use support::{arrives, client, Router};
+use zenoh::Wait;
+
+const ARGS: [&str; 3] = ["-l", "tcp/127.0.0.1:0", "--no-multicast-scouting"];
+
+#[test]
+fn a_put_reaches_a_subscriber_and_a_get_its_queryable() {
+    let mut router = Router::start(&ARGS);
+    let endpoint = router.listener();
+    let (here, there) = (client(&endpoint), client(&endpoint));
+    assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
+
+    let _service = there
+        .declare_queryable("rect/wombat-2/sum")
+        .callback(|query| {
+            let _ = query.reply("rect/wombat-2/sum", "42").wait();
+        })
+        .wait()
+        .expect("a queryable");
+    let deadline = std::time::Instant::now() + support::DEADLINE;
+    loop {
+        assert!(std::time::Instant::now() < deadline, "no reply");
+        let replies = here.get("rect/wombat-2/sum").timeout(Duration::from_secs(2)).wait().expect("a query");
+        if let Ok(reply) = replies.recv() {
+            assert_eq!(reply.result().expect("a sample").payload().to_bytes().as_ref(), b"42");
+            break;
+        }
+    }
+}
+
+fn stops_with_status_0_at(signal: Signal) {
+    let mut router = Router::start(&ARGS);
+    let endpoint = router.listener();
+    let (here, there) = (client(&endpoint), client(&endpoint));
+    assert!(arrives(&here, &there, "rect/a/b"));
+    router.up().signal(signal);
+    let status = router.exit();
+    assert_eq!(status.code(), Some(0), "{}", router.full_log());
+    let log = router.full_log();
+    assert!(log.contains(&format!("{signal}: closing")) && log.contains("closed"), "{log}");
+}
+
+#[test]
+fn sigterm_ends_it_with_status_0_while_clients_are_connected() {
+    stops_with_status_0_at(Signal::SIGTERM);
+}
+
+#[test]
+fn sigint_ends_it_with_status_0_while_clients_are_connected() {
+    stops_with_status_0_at(Signal::SIGINT);
+}
+
+#[test]
+fn a_signal_is_heard_while_the_router_still_waits_for_a_peer() {
+    // A connection that must be there, tried without end.
+    let mut router = Router::start(&[
+        "-l", "tcp/127.0.0.1:0", "--no-multicast-scouting", "-e", "tcp/127.0.0.1:1",
+        "--cfg", "connect/exit_on_failure:true", "--cfg", "connect/timeout_ms:-1",
+    ]);
+    router.wait_for("Unable to connect");
+    router.signal(Signal::SIGTERM);
+    assert_eq!(router.exit().code(), Some(0));
+}

@@ -1,0 +1,191 @@
+//! A router as a child process, and the waiting for it: by its log and with a deadline, never by sleeping.
+#![allow(dead_code)] // each test file uses its part
+
+use std::{
+    io::{BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{self, Receiver, RecvTimeoutError},
+    thread,
+    time::{Duration, Instant},
+};
+
+use nix::{
+    sys::signal::{kill, Signal},
+    unistd::Pid,
+};
+use zenoh::{Config, Session, Wait};
+
+/// No step of any test takes this long, not even on a busy machine.
+pub const DEADLINE: Duration = Duration::from_secs(30);
+
+/// A running router, killed at the end of the test.
+pub struct Router {
+    child: Child,
+    log: Receiver<String>,
+    seen: Vec<String>,
+}
+
+impl Router {
+    /// Starts rect-router with these arguments.
+    pub fn start(args: &[&str]) -> Self {
+        Self::start_program(Path::new(env!("CARGO_BIN_EXE_rect-router")), args)
+    }
+
+    /// Starts any router that logs as zenohd does.
+    pub fn start_program(program: &Path, args: &[&str]) -> Self {
+        let mut child = Command::new(program)
+            .args(args)
+            .env("NO_COLOR", "1")
+            .env("RUST_LOG", "z=info,rect=info,zenoh::net::runtime::orchestrator=debug")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap_or_else(|error| panic!("{} does not start: {error}", program.display()));
+        let (lines, log) = mpsc::channel();
+        let streams: [Box<dyn Read + Send>; 2] =
+            [Box::new(child.stdout.take().expect("piped")), Box::new(child.stderr.take().expect("piped"))];
+        for stream in streams {
+            let lines = lines.clone();
+            thread::spawn(move || {
+                for line in BufReader::new(stream).lines().map_while(Result::ok) {
+                    if lines.send(line).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        Self { child, log, seen: Vec::new() }
+    }
+
+    /// The rest of the first line, from now on, that has `text` in it.
+    pub fn wait_for(&mut self, text: &str) -> String {
+        let deadline = Instant::now() + DEADLINE;
+        loop {
+            match self.log.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(line) => {
+                    let rest = line.split_once(text).map(|(_, rest)| rest.trim().to_owned());
+                    self.seen.push(line);
+                    if let Some(rest) = rest {
+                        return rest;
+                    }
+                }
+                Err(end) => {
+                    let how = match end {
+                        RecvTimeoutError::Timeout => "in time",
+                        RecvTimeoutError::Disconnected => "before the router ended",
+                    };
+                    panic!("no `{text}` in the log {how}; it was:\n{}", self.seen.join("\n"));
+                }
+            }
+        }
+    }
+
+    /// The endpoint of the next listener in the log (listen on port 0 to get a free one).
+    pub fn listener(&mut self) -> String {
+        self.wait_for("Listener added: ")
+    }
+
+    /// The configuration in use, as the log shows it.
+    pub fn configuration(&mut self) -> serde_json::Value {
+        let text = self.wait_for("Initial conf: ");
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
+    }
+
+    /// Waits until the router serves.
+    pub fn up(&mut self) -> &mut Self {
+        self.wait_for("rect-router is up");
+        self
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).expect("the router runs");
+    }
+
+    /// The router's end.
+    pub fn exit(&mut self) -> ExitStatus {
+        let deadline = Instant::now() + DEADLINE;
+        loop {
+            if let Some(status) = self.child.try_wait().expect("our child") {
+                return status;
+            }
+            assert!(Instant::now() < deadline, "the router does not end; its log:\n{}", self.drained().join("\n"));
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// All that was logged so far.
+    pub fn drained(&mut self) -> &[String] {
+        self.seen.extend(self.log.try_iter());
+        &self.seen
+    }
+
+    /// All that was logged until the end.
+    pub fn full_log(&mut self) -> String {
+        self.exit();
+        self.seen.extend(self.log.iter());
+        self.seen.join("\n")
+    }
+
+    /// Resident memory, in kB.
+    pub fn resident_kb(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("linux");
+        let line = status.lines().find(|l| l.starts_with("VmRSS:")).expect("a process has memory");
+        line.split_whitespace().nth(1).expect("a number").parse().expect("a number")
+    }
+}
+
+impl Drop for Router {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A client of the router at `endpoint`, with further settings.
+pub fn client_with(endpoint: &str, settings: &[(&str, &str)]) -> zenoh::Result<Session> {
+    let mut config = Config::default();
+    let endpoints = format!("[\"{endpoint}\"]");
+    let base = [
+        ("mode", "\"client\""),
+        ("connect/endpoints", endpoints.as_str()),
+        ("scouting/multicast/enabled", "false"),
+    ];
+    for (key, value) in base.iter().chain(settings) {
+        config.insert_json5(key, value)?;
+    }
+    zenoh::open(config).wait()
+}
+
+/// A client of the router at `endpoint`.
+pub fn client(endpoint: &str) -> Session {
+    client_with(endpoint, &[]).unwrap_or_else(|error| panic!("no session with {endpoint}: {error}"))
+}
+
+/// Publishes until it arrives: a subscription takes a moment to reach the publisher's side.
+pub fn arrives(from: &Session, to: &Session, key: &str) -> bool {
+    let subscriber = to.declare_subscriber(key).wait().expect("a subscription");
+    let deadline = Instant::now() + Duration::from_secs(10);
+    while Instant::now() < deadline {
+        from.put(key, "hello").wait().expect("a put");
+        if let Ok(Some(sample)) = subscriber.recv_timeout(Duration::from_millis(100)) {
+            assert_eq!(sample.payload().to_bytes().as_ref(), b"hello");
+            return true;
+        }
+    }
+    false
+}
+
+/// The repository.
+pub fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a member of the workspace").to_owned()
+}
+
+/// Where big things that outlive a build are kept.
+pub fn cache() -> PathBuf {
+    match std::env::var_os("RECT_CACHE") {
+        Some(cache) => cache.into(),
+        None => PathBuf::from(std::env::var_os("HOME").expect("a home")).join(".cache/rect"),
+    }
+}

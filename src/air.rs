@@ -1,0 +1,285 @@
+//! Owns `rect air`: serving the simulated air to the programs of this machine, and talking to one that runs.
+use std::{fmt::Write as _, io, path::PathBuf, str::FromStr, time::Duration};
+
+use clap::{Args, Subcommand, ValueEnum};
+use tokio::signal::unix::{signal, SignalKind};
+use zenoh_link_ble::radio::sim::{
+    self, AirOptions, AirServer, AirStatus, Condition, Control, ControlError, LlPayload, Phy,
+    ServeError,
+};
+
+const EXAMPLE: &str = "\
+Example: two robots on one machine, without any Bluetooth
+  rect air --condition room &                    # the air; programs find it by themselves
+  rect-router -l ble/sim-1#name=wombat-1 &       # an adapter called sim... is on it
+  rect-router -l ble/sim-2#name=wombat-2 -e ble/wombat-1#adapter=sim-2 &
+  rect air status                                # who is there, who is linked, bytes on the air
+  rect air cut; sleep 5; rect air restore        # out of range and back
+  rect air condition edge-of-range               # desk, room, wall, edge-of-range, crowded-hall";
+
+/// Simulated Bluetooth LE: serves the air (the default), or talks to one that runs.
+///
+/// Every program of this user on this machine that names an adapter `sim...` shares the air: airtime, range, loss and
+/// timing are those of Bluetooth LE.
+#[derive(Args)]
+#[command(after_help = EXAMPLE, args_conflicts_with_subcommands = true)]
+pub struct AirArguments {
+    #[command(subcommand)]
+    command: Option<AirCommand>,
+    #[command(flatten)]
+    serve: ServeArguments,
+}
+
+#[derive(Subcommand)]
+enum AirCommand {
+    /// Serve the air in the foreground, until Ctrl-C.
+    Serve(ServeArguments),
+    /// Put every adapter out of every other's range.
+    Cut(SocketArgument),
+    /// Bring them back into range.
+    Restore(SocketArgument),
+    /// Change how good the air is: desk, room, wall, edge-of-range or crowded-hall.
+    Condition {
+        /// The condition.
+        condition: Condition,
+        #[command(flatten)]
+        socket: SocketArgument,
+    },
+    /// Switch one adapter on or off.
+    Power {
+        /// The adapter's name, such as sim-1.
+        adapter: String,
+        /// On or off.
+        switch: Switch,
+        #[command(flatten)]
+        socket: SocketArgument,
+    },
+    /// Show who is on the air, who is linked, and what was sent.
+    Status {
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+        #[command(flatten)]
+        socket: SocketArgument,
+    },
+}
+
+#[derive(Args)]
+struct ServeArguments {
+    /// How good the air is: desk, room, wall, edge-of-range or crowded-hall.
+    #[arg(long, default_value_t = Condition::Room)]
+    condition: Condition,
+    /// The connection interval, 7.5ms to 4s.
+    #[arg(long, default_value = "30ms")]
+    interval: Span,
+    /// The physical layer: 1m, 2m, coded-s2 or coded-s8.
+    #[arg(long, default_value_t = Phy::Le1M)]
+    phy: Phy,
+    /// The link-layer payload in bytes: 27 (such as a Raspberry Pi 3B) or 251.
+    #[arg(long, default_value_t = LlPayload::Bytes251)]
+    pdu: LlPayload,
+    /// A link on which nothing was heard for so long is down.
+    #[arg(long, default_value = "2s")]
+    supervision: Span,
+    /// Where chance begins: the same seed gives the same losses.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    socket: SocketArgument,
+}
+
+#[derive(Args)]
+struct SocketArgument {
+    /// The air's socket [default: $RECT_AIR, else rect-air.sock in $XDG_RUNTIME_DIR, else /tmp/rect-air-<uid>.sock].
+    #[arg(long, value_name = "PATH")]
+    socket: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
+/// A duration on the command line: a number and `us`, `ms` or `s`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Span(Duration);
+
+/// The text is no duration.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error("{0:?} is no duration: write 7.5ms, 30ms or 2s")]
+struct SpanError(String);
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error)]
+pub enum AirError {
+    /// The air cannot be served.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// The running air did not do it.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// The system said no.
+    #[error("cannot start: {0}")]
+    System(#[from] io::Error),
+    /// The status has no JSON.
+    #[error("cannot write the status: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+/// Does what the arguments say.
+pub fn run(arguments: AirArguments) -> Result<(), AirError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let command = arguments
+        .command
+        .unwrap_or(AirCommand::Serve(arguments.serve));
+    runtime.block_on(async {
+        match command {
+            AirCommand::Serve(arguments) => serve(arguments).await,
+            AirCommand::Cut(socket) => tell(socket, Control::Cut).await,
+            AirCommand::Restore(socket) => tell(socket, Control::Restore).await,
+            AirCommand::Condition { condition, socket } => {
+                tell(socket, Control::Condition(condition)).await
+            }
+            AirCommand::Power {
+                adapter,
+                switch,
+                socket,
+            } => {
+                let on = matches!(switch, Switch::On);
+                tell(socket, Control::Power { adapter, on }).await
+            }
+            AirCommand::Status { json, socket } => status(socket, json).await,
+        }
+    })
+}
+
+async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
+    let options = AirOptions {
+        seed: arguments.seed,
+        condition: arguments.condition,
+        phy: arguments.phy,
+        pdu: arguments.pdu,
+        interval: arguments.interval.0,
+        supervision_timeout: arguments.supervision.0,
+        ..AirOptions::default()
+    };
+    let condition = options.condition;
+    // Before the socket, so that no signal can leave it behind.
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    let server = AirServer::bind(&arguments.socket.path(), options)?;
+    println!(
+        "simulated air ({condition}) at {}: listen on ble/sim-1, or see `rect air --help`",
+        server.path().display()
+    );
+    // Whichever ends, the server is dropped, and its socket with it.
+    tokio::select! {
+        () = server.serve() => {}
+        _ = interrupt.recv() => {}
+        _ = terminate.recv() => {}
+    }
+    Ok(())
+}
+
+async fn tell(socket: SocketArgument, control: Control) -> Result<(), AirError> {
+    sim::control(&socket.path(), control).await?;
+    Ok(())
+}
+
+async fn status(socket: SocketArgument, json: bool) -> Result<(), AirError> {
+    let Some(status) = sim::control(&socket.path(), Control::Status).await? else {
+        return Ok(());
+    };
+    if json {
+        println!("{}", serde_json::to_string_pretty(&status)?);
+    } else {
+        print!("{}", table(&status));
+    }
+    Ok(())
+}
+
+fn table(status: &AirStatus) -> String {
+    let cut = if status.is_cut { ", cut" } else { "" };
+    let mut text = format!("{}{cut}, {} phy\n\n", status.condition, status.phy);
+    // Writing to a string cannot fail.
+    let _ = writeln!(
+        text,
+        "{:<20} {:<17} {:<8} {:<6} {:<7} {:>12} {:>9} {:>8} {:>8}",
+        "ADAPTER", "ADDRESS", "STATE", "SCANS", "LISTENS", "BYTES", "PACKETS", "REPEATS", "BUSY"
+    );
+    for adapter in &status.adapters {
+        let listens: Vec<_> = adapter.listens.iter().map(u16::to_string).collect();
+        let listens = listens.join(",");
+        let scans = if adapter.scans { "yes" } else { "-" };
+        let stats = &adapter.stats;
+        let _ = writeln!(
+            text,
+            "{:<20} {} {:<8} {:<6} {:<7} {:>12} {:>9} {:>8} {:>7.1}s",
+            adapter.name,
+            adapter.address,
+            adapter.state,
+            scans,
+            if listens.is_empty() { "-" } else { &listens },
+            stats.bytes_on_air,
+            stats.pdus,
+            stats.repeats,
+            stats.busy.as_secs_f64()
+        );
+    }
+    text.push('\n');
+    if status.links.is_empty() {
+        text.push_str("no links\n");
+    }
+    for link in &status.links {
+        let _ = writeln!(
+            text,
+            "{} -> {}: {} channel(s), {} and {} bytes waiting",
+            link.central, link.peripheral, link.channels, link.queued_bytes[0], link.queued_bytes[1]
+        );
+    }
+    text
+}
+
+impl SocketArgument {
+    fn path(self) -> PathBuf {
+        self.socket.unwrap_or_else(sim::socket_path)
+    }
+}
+
+impl FromStr for Span {
+    type Err = SpanError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let wrong = || SpanError(text.to_owned());
+        let at = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(wrong)?;
+        let (number, unit) = text.split_at(at);
+        let seconds = match unit {
+            "us" => 1e-6,
+            "ms" => 1e-3,
+            "s" => 1.0,
+            _ => return Err(wrong()),
+        };
+        let number: f64 = number.parse().map_err(|_| wrong())?;
+        Duration::try_from_secs_f64(number * seconds)
+            .map(Self)
+            .map_err(|_| wrong())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_have_a_unit() {
+        for (text, micros) in [("30ms", 30_000), ("7.5ms", 7500), ("2s", 2_000_000), ("50us", 50)] {
+            assert_eq!(text.parse(), Ok(Span(Duration::from_micros(micros))), "{text}");
+        }
+        for text in ["", "30", "ms", "-1s", "1m", "nans", "infs"] {
+            assert!(text.parse::<Span>().is_err(), "{text}");
+        }
+    }
+}

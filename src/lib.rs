@@ -1,0 +1,1 @@
+//! RECT, the Robot Extensible Communication Toolkit.

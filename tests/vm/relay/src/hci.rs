@@ -1,0 +1,209 @@
+//! HCI packets in H4 framing, as far as the relay must understand them. Everything read here is checked for length.
+
+use thiserror::Error;
+
+/// H4 packet types.
+pub const COMMAND: u8 = 0x01;
+pub const ACL: u8 = 0x02;
+pub const EVENT: u8 = 0x04;
+/// vhci's own type: creates a device and tells its index.
+pub const VENDOR: u8 = 0xff;
+
+/// An ACL packet's H4 type and header.
+pub const ACL_HEADER_BYTES: usize = 5;
+/// No emulated controller sends more than this in one packet.
+const MAX_PACKET_BYTES: usize = 2048;
+
+const DISCONNECT: u16 = 0x0406;
+const READ_BD_ADDR: u16 = 0x1009;
+const LE_SET_RANDOM_ADDRESS: u16 = 0x2005;
+const LE_READ_BUFFER_SIZE: u16 = 0x2002;
+const LE_READ_BUFFER_SIZE_V2: u16 = 0x2060;
+
+const DISCONNECTION_COMPLETE: u8 = 0x05;
+const COMMAND_COMPLETE: u8 = 0x0e;
+const COMMAND_STATUS: u8 = 0x0f;
+const NUMBER_OF_COMPLETED_PACKETS: u8 = 0x13;
+const LE_META: u8 = 0x3e;
+
+/// Why a link ended: nothing was heard for the supervision timeout.
+pub const CONNECTION_TIMEOUT: u8 = 0x08;
+
+/// HCI Reset, and its answer.
+pub const RESET: [u8; 4] = [COMMAND, 0x03, 0x0c, 0];
+pub const RESET_COMPLETE: [u8; 7] = [EVENT, COMMAND_COMPLETE, 4, 1, 0x03, 0x0c, 0];
+
+pub type Address = [u8; 6];
+pub type Handle = u16;
+
+/// What the peer of a socket sent is not HCI.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum HciError {
+    #[error("unknown packet type {0:#04x}")]
+    Type(u8),
+    #[error("a packet of {0} bytes is larger than any controller sends")]
+    TooLong(usize),
+}
+
+/// Length of the packet that `bytes` begins with, once its header is there.
+pub fn packet_bytes(bytes: &[u8]) -> Result<Option<usize>, HciError> {
+    let total = match *bytes {
+        [] => return Ok(None),
+        [EVENT, _, n, ..] => 3 + usize::from(n),
+        [COMMAND, _, _, n, ..] => 4 + usize::from(n),
+        [ACL, _, _, low, high, ..] => ACL_HEADER_BYTES + usize::from(u16::from_le_bytes([low, high])),
+        [EVENT | COMMAND | ACL, ..] => return Ok(None),
+        [other, ..] => return Err(HciError::Type(other)),
+    };
+    if total > MAX_PACKET_BYTES {
+        return Err(HciError::TooLong(total));
+    }
+    Ok(Some(total))
+}
+
+/// What the relay wants to know of a command that the kernel sends.
+#[derive(Debug, PartialEq, Eq)]
+pub enum HostCommand {
+    Disconnect,
+    SetRandomAddress(Address),
+    Other,
+}
+
+pub fn host_command(packet: &[u8]) -> HostCommand {
+    let [COMMAND, low, high, _, parameters @ ..] = packet else { return HostCommand::Other };
+    match (u16::from_le_bytes([*low, *high]), parameters) {
+        (DISCONNECT, _) => HostCommand::Disconnect,
+        (LE_SET_RANDOM_ADDRESS, [a, b, c, d, e, f]) => HostCommand::SetRandomAddress([*a, *b, *c, *d, *e, *f]),
+        _ => HostCommand::Other,
+    }
+}
+
+/// What the relay wants to know of an event that the emulated controller sends.
+#[derive(Debug, PartialEq, Eq)]
+pub enum ControllerEvent {
+    OwnAddress(Address),
+    /// The answer to LE Read Buffer Size, both versions; the figures are at fixed places.
+    BufferSize,
+    DisconnectStatus,
+    Connected { handle: Handle, peer: Address },
+    Disconnected { handle: Handle },
+    /// Somebody advertises; the address of the first report (btvirt sends one per event).
+    AdvertisingReport { from: Address },
+    Other,
+}
+
+pub fn controller_event(packet: &[u8]) -> ControllerEvent {
+    let [EVENT, code, _, parameters @ ..] = packet else { return ControllerEvent::Other };
+    match (*code, parameters) {
+        (COMMAND_COMPLETE, [_, low, high, 0, rest @ ..]) => match (u16::from_le_bytes([*low, *high]), rest) {
+            (READ_BD_ADDR, [a, b, c, d, e, f]) => ControllerEvent::OwnAddress([*a, *b, *c, *d, *e, *f]),
+            (LE_READ_BUFFER_SIZE | LE_READ_BUFFER_SIZE_V2, [_, _, _, ..]) => ControllerEvent::BufferSize,
+            _ => ControllerEvent::Other,
+        },
+        (COMMAND_STATUS, [_, _, low, high]) if u16::from_le_bytes([*low, *high]) == DISCONNECT => {
+            ControllerEvent::DisconnectStatus
+        }
+        (DISCONNECTION_COMPLETE, [0, low, high, _]) => {
+            ControllerEvent::Disconnected { handle: u16::from_le_bytes([*low, *high]) }
+        }
+        // LE Connection Complete and its enhanced form begin alike: status, handle, role, peer's address type, address.
+        (LE_META, [0x01 | 0x0a, 0, low, high, _, _, a, b, c, d, e, f, ..]) => {
+            ControllerEvent::Connected { handle: u16::from_le_bytes([*low, *high]), peer: [*a, *b, *c, *d, *e, *f] }
+        }
+        (LE_META, [0x02, _, _, _, a, b, c, d, e, f, ..]) => {
+            ControllerEvent::AdvertisingReport { from: [*a, *b, *c, *d, *e, *f] }
+        }
+        // Extended report: subevent, count, event type (2), address type, address.
+        (LE_META, [0x0d, _, _, _, _, a, b, c, d, e, f, ..]) => {
+            ControllerEvent::AdvertisingReport { from: [*a, *b, *c, *d, *e, *f] }
+        }
+        _ => ControllerEvent::Other,
+    }
+}
+
+/// Puts other figures into the answer to LE Read Buffer Size; 0 leaves what is there.
+pub fn set_buffer_size(packet: &mut [u8], acl_bytes: u16, buffers: u8) {
+    let Some([low, high, count, ..]) = packet.get_mut(7..) else { return };
+    if acl_bytes > 0 {
+        [*low, *high] = acl_bytes.to_le_bytes();
+    }
+    if buffers > 0 {
+        *count = buffers;
+    }
+}
+
+pub fn acl_handle(packet: &[u8]) -> Option<Handle> {
+    match packet {
+        [ACL, low, high, _, _, ..] => Some(u16::from_le_bytes([*low, *high]) & 0x0fff),
+        _ => None,
+    }
+}
+
+/// The packet as the peer's controller hands it over: its own handle, and "first, not flushable", which only a host
+/// may send, becomes "first".
+pub fn acl_for_peer(mut packet: Vec<u8>, handle: Handle) -> Vec<u8> {
+    if let [ACL, low, high, ..] = packet.as_mut_slice() {
+        let continuing = u16::from_le_bytes([*low, *high]) & 0x3000 == 0x1000;
+        [*low, *high] = (handle | if continuing { 0x1000 } else { 0x2000 }).to_le_bytes();
+    }
+    packet
+}
+
+pub fn one_packet_completed(handle: Handle) -> Vec<u8> {
+    let [low, high] = handle.to_le_bytes();
+    vec![EVENT, NUMBER_OF_COMPLETED_PACKETS, 5, 1, low, high, 1, 0]
+}
+
+pub fn disconnect(handle: Handle, reason: u8) -> Vec<u8> {
+    let [low, high] = handle.to_le_bytes();
+    let [op_low, op_high] = DISCONNECT.to_le_bytes();
+    vec![COMMAND, op_low, op_high, 3, low, high, reason]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_packet_s_length_is_known_once_its_header_is_there() {
+        assert_eq!(packet_bytes(&[]), Ok(None));
+        assert_eq!(packet_bytes(&[EVENT, 0x0e]), Ok(None));
+        assert_eq!(packet_bytes(&[EVENT, 0x0e, 4]), Ok(Some(7)));
+        assert_eq!(packet_bytes(&[ACL, 42, 0, 251, 0]), Ok(Some(256)));
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        assert_eq!(packet_bytes(&[9]), Err(HciError::Type(9)));
+        assert_eq!(packet_bytes(&[ACL, 0, 0, 0xff, 0xff]), Err(HciError::TooLong(65540)));
+    }
+
+    #[test]
+    fn events_cut_short_are_other_events() {
+        let connected = [EVENT, LE_META, 19, 1, 0, 42, 0, 0, 0, 1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0];
+        for n in 0..15 {
+            assert_eq!(controller_event(&connected[..n]), ControllerEvent::Other, "{n} bytes");
+        }
+        assert_eq!(
+            controller_event(&connected),
+            ControllerEvent::Connected { handle: 42, peer: [1, 2, 3, 4, 5, 6] }
+        );
+    }
+
+    #[test]
+    fn the_buffer_size_is_rewritten_in_place() {
+        let mut packet = [EVENT, COMMAND_COMPLETE, 7, 1, 0x02, 0x20, 0, 192, 0, 1];
+        assert_eq!(controller_event(&packet), ControllerEvent::BufferSize);
+        set_buffer_size(&mut packet, 251, 0);
+        assert_eq!(&packet[7..], &[251, 0, 1]);
+        set_buffer_size(&mut packet, 0, 8);
+        assert_eq!(&packet[7..], &[251, 0, 8]);
+    }
+
+    #[test]
+    fn a_host_s_first_packet_arrives_as_a_controller_s_first_packet() {
+        assert_eq!(acl_for_peer(vec![ACL, 42, 0x00, 1, 0, 7], 43), [ACL, 43, 0x20, 1, 0, 7]);
+        assert_eq!(acl_for_peer(vec![ACL, 42, 0x20, 1, 0, 7], 43), [ACL, 43, 0x20, 1, 0, 7]);
+        assert_eq!(acl_for_peer(vec![ACL, 42, 0x10, 1, 0, 7], 43), [ACL, 43, 0x10, 1, 0, 7]);
+    }
+}

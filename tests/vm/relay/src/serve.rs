@@ -1,0 +1,298 @@
+//! The relay's shell: one thread, `ppoll` over the vhci devices, the connections to btvirt and the control socket.
+
+use std::{
+    collections::BTreeMap,
+    fs::{File, OpenOptions},
+    io::{self, BufRead, BufReader, ErrorKind, Read, Write},
+    os::{
+        fd::{AsFd, BorrowedFd},
+        unix::net::{UnixListener, UnixStream},
+    },
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use rustix::event::{poll, PollFd, PollFlags, Timespec};
+use thiserror::Error;
+
+use crate::{
+    hci::{self, HciError},
+    room::{Buffers, Id, Output, Room},
+};
+
+const VHCI: &str = "/dev/vhci";
+/// The largest packet that the kernel writes to vhci, with room to spare.
+const READ_BYTES: usize = 4096;
+const EARLY_PACKETS: usize = 16;
+const WAKE_TIMEOUT: Duration = Duration::from_secs(30);
+const CONTROL_TIMEOUT: Duration = Duration::from_millis(500);
+const CONTROL_LINE_BYTES: u64 = 256;
+
+#[derive(Args)]
+pub struct Options {
+    /// btvirt's socket for LE controllers.
+    #[arg(long, default_value = "/tmp/bt-server-le")]
+    btvirt: PathBuf,
+    /// How many controllers to begin with.
+    #[arg(long, default_value_t = 2)]
+    controllers: u8,
+    /// ACL bytes per second that each controller sends; 0: as fast as it goes.
+    #[arg(long, default_value_t = 0)]
+    pace: u32,
+    /// ACL buffers that a controller tells the kernel of; 0: btvirt's own figure.
+    #[arg(long, default_value_t = 8)]
+    buffers: u8,
+    /// Size of such a buffer; 0: btvirt's own figure.
+    #[arg(long, default_value_t = 251)]
+    acl_bytes: u16,
+}
+
+/// Why the relay cannot go on.
+#[derive(Debug, Error)]
+pub enum RelayError {
+    #[error("{path} cannot be opened (module hci_vhci loaded?): {source}")]
+    Vhci { path: &'static str, source: io::Error },
+    #[error("btvirt does not answer at {path} (started with -s?): {source}")]
+    Btvirt { path: PathBuf, source: io::Error },
+    #[error("{path} cannot be listened on: {source}")]
+    Control { path: PathBuf, source: io::Error },
+    #[error("{name}: the kernel's side failed: {source}")]
+    Host { name: String, source: io::Error },
+    #[error("{name}: btvirt's side failed: {source}")]
+    Controller { name: String, source: io::Error },
+    #[error("{name}: btvirt sent something that is not HCI: {source}")]
+    Hci { name: String, source: HciError },
+    #[error("waiting for packets failed: {0}")]
+    Poll(io::Error),
+}
+
+struct Device {
+    name: String,
+    vhci: File,
+    btvirt: UnixStream,
+    /// What btvirt sent of a packet that is not complete yet.
+    pending: Vec<u8>,
+}
+
+struct Relay<'a> {
+    options: &'a Options,
+    room: Room,
+    devices: BTreeMap<Id, Device>,
+}
+
+/// Serves until it fails or is killed.
+pub fn serve(options: &Options, control: &Path) -> Result<(), RelayError> {
+    let room = Room::new(Buffers { count: options.buffers, acl_bytes: options.acl_bytes });
+    let mut relay = Relay { options, room, devices: BTreeMap::new() };
+    for _ in 0..options.controllers {
+        relay.add()?;
+    }
+    let control_error = |source| RelayError::Control { path: control.to_owned(), source };
+    match std::fs::remove_file(control) {
+        Err(e) if e.kind() != ErrorKind::NotFound => return Err(control_error(e)),
+        _ => {}
+    }
+    let listener = UnixListener::bind(control).map_err(control_error)?;
+    loop {
+        relay.step(&listener)?;
+    }
+}
+
+/// Lets the emulated controller answer once before the kernel, which gives up after 2 s, asks it: a busy machine may take
+/// longer than that to load btvirt's code and the ciphers it uses.
+fn wake(btvirt: &UnixStream) -> io::Result<()> {
+    btvirt.set_read_timeout(Some(WAKE_TIMEOUT))?;
+    let mut socket = btvirt;
+    socket.write_all(&hci::RESET)?;
+    let mut answer = [0; hci::RESET_COMPLETE.len()];
+    socket.read_exact(&mut answer)?;
+    btvirt.set_read_timeout(None)?;
+    if answer != hci::RESET_COMPLETE {
+        return Err(io::Error::other(format!("the answer to HCI Reset is {answer:02x?}")));
+    }
+    Ok(())
+}
+
+enum Ready {
+    Control,
+    Host(Id),
+    Controller(Id),
+}
+
+impl Relay<'_> {
+    /// Creates one more kernel device; returns its name.
+    fn add(&mut self) -> Result<String, RelayError> {
+        let vhci_error = |source| RelayError::Vhci { path: VHCI, source };
+        let path = &self.options.btvirt;
+        let btvirt_error = |source| RelayError::Btvirt { path: path.clone(), source };
+        let btvirt = UnixStream::connect(path).map_err(btvirt_error)?;
+        wake(&btvirt).map_err(btvirt_error)?;
+        let vhci = OpenOptions::new().read(true).write(true).open(VHCI).map_err(vhci_error)?;
+        (&vhci).write_all(&[hci::VENDOR, 0]).map_err(vhci_error)?;
+        // The answer says which device it is; the kernel's first commands may already be there before it.
+        let mut early = Vec::new();
+        let index = loop {
+            let mut answer = vec![0; READ_BYTES];
+            let n = (&vhci).read(&mut answer).map_err(vhci_error)?;
+            answer.truncate(n);
+            match *answer {
+                [hci::VENDOR, _, low, high] => break u16::from_le_bytes([low, high]),
+                _ if early.len() < EARLY_PACKETS => early.push(answer),
+                _ => return Err(vhci_error(io::Error::other("the kernel does not say which device it made"))),
+            }
+        };
+        let name = format!("hci{index}");
+        println!("{name} is there");
+        let id = self.room.add(self.options.pace);
+        self.devices.insert(id, Device { name: name.clone(), vhci, btvirt, pending: Vec::new() });
+        for packet in early {
+            self.room.on_host_packet(id, packet, Instant::now());
+        }
+        self.flush()?;
+        Ok(name)
+    }
+
+    fn step(&mut self, listener: &UnixListener) -> Result<(), RelayError> {
+        for ready in self.wait(listener)? {
+            match ready {
+                Ready::Control => {
+                    // Somebody who asks and goes away, or asks nothing, is no reason to stop.
+                    if let Err(e) = self.answer(listener) {
+                        eprintln!("request not answered: {e}");
+                    }
+                }
+                Ready::Host(id) => self.read_host(id)?,
+                Ready::Controller(id) => self.read_controller(id)?,
+            }
+            self.flush()?;
+        }
+        self.room.on_time(Instant::now());
+        self.flush()
+    }
+
+    fn wait(&self, listener: &UnixListener) -> Result<Vec<Ready>, RelayError> {
+        let mut sources: Vec<(Ready, BorrowedFd<'_>)> = vec![(Ready::Control, listener.as_fd())];
+        for (id, device) in &self.devices {
+            sources.push((Ready::Host(*id), device.vhci.as_fd()));
+            sources.push((Ready::Controller(*id), device.btvirt.as_fd()));
+        }
+        let mut fds: Vec<PollFd<'_>> =
+            sources.iter().map(|(_, fd)| PollFd::from_borrowed_fd(*fd, PollFlags::IN)).collect();
+        let timeout = self.room.deadline().map(|at| {
+            let left = at.saturating_duration_since(Instant::now());
+            Timespec { tv_sec: left.as_secs() as _, tv_nsec: left.subsec_nanos().into() }
+        });
+        match poll(&mut fds, timeout.as_ref()) {
+            Ok(_) => {}
+            Err(rustix::io::Errno::INTR) => return Ok(Vec::new()),
+            Err(e) => return Err(RelayError::Poll(e.into())),
+        }
+        let readable: Vec<bool> = fds.iter().map(|fd| !fd.revents().is_empty()).collect();
+        Ok(sources.into_iter().zip(readable).filter_map(|((ready, _), is)| is.then_some(ready)).collect())
+    }
+
+    fn read_host(&mut self, id: Id) -> Result<(), RelayError> {
+        let Some(device) = self.devices.get(&id) else { return Ok(()) };
+        let mut packet = vec![0; READ_BYTES];
+        match (&device.vhci).read(&mut packet) {
+            Ok(0) => {}
+            Ok(n) => {
+                packet.truncate(n);
+                self.room.on_host_packet(id, packet, Instant::now());
+            }
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(source) => return Err(RelayError::Host { name: device.name.clone(), source }),
+        }
+        Ok(())
+    }
+
+    fn read_controller(&mut self, id: Id) -> Result<(), RelayError> {
+        let Some(device) = self.devices.get_mut(&id) else { return Ok(()) };
+        let failed = |name: &str, source| Err(RelayError::Controller { name: name.to_owned(), source });
+        let mut bytes = [0; READ_BYTES];
+        match device.btvirt.read(&mut bytes) {
+            Ok(0) => return failed(&device.name, io::Error::new(ErrorKind::UnexpectedEof, "btvirt is gone")),
+            Ok(n) => device.pending.extend_from_slice(&bytes[..n]),
+            Err(e) if e.kind() == ErrorKind::Interrupted => return Ok(()),
+            Err(e) => return failed(&device.name, e),
+        }
+        let not_hci = |name: &str, source| RelayError::Hci { name: name.to_owned(), source };
+        while let Some(n) = hci::packet_bytes(&device.pending).map_err(|e| not_hci(&device.name, e))? {
+            if device.pending.len() < n {
+                break;
+            }
+            let packet: Vec<u8> = device.pending.drain(..n).collect();
+            self.room.on_controller_packet(id, packet, Instant::now());
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> Result<(), RelayError> {
+        while let Some(output) = self.room.poll_output() {
+            match output {
+                Output::Host(id, packet) => {
+                    let Some(device) = self.devices.get(&id) else { continue };
+                    // The kernel refuses packets while the device is down: nobody is there to hear them.
+                    match (&device.vhci).write_all(&packet) {
+                        Err(e) if rustix::io::Errno::from_io_error(&e) != Some(rustix::io::Errno::NXIO) => {
+                            return Err(RelayError::Host { name: device.name.clone(), source: e });
+                        }
+                        _ => {}
+                    }
+                }
+                Output::Controller(id, packet) => {
+                    let Some(device) = self.devices.get_mut(&id) else { continue };
+                    let written = device.btvirt.write_all(&packet);
+                    written.map_err(|source| RelayError::Controller { name: device.name.clone(), source })?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self, listener: &UnixListener) -> io::Result<()> {
+        let (socket, _) = listener.accept()?;
+        socket.set_read_timeout(Some(CONTROL_TIMEOUT))?;
+        socket.set_write_timeout(Some(CONTROL_TIMEOUT))?;
+        let mut line = String::new();
+        BufReader::new(&socket).take(CONTROL_LINE_BYTES).read_line(&mut line)?;
+        match self.request(line.trim()) {
+            Ok(text) => writeln!(&socket, "ok {text}"),
+            Err(text) => writeln!(&socket, "error {text}"),
+        }
+    }
+
+    fn request(&mut self, line: &str) -> Result<String, String> {
+        println!("request: {line}");
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let id_of = |name: &str| {
+            let found = self.devices.iter().find(|(_, device)| device.name == name);
+            found.map(|(id, _)| *id).ok_or_else(|| format!("there is no controller {name}"))
+        };
+        match *words.as_slice() {
+            ["add"] => return self.add().map_err(|e| e.to_string()),
+            ["list"] => {
+                let lines = self.devices.iter().map(|(id, d)| format!("{}: {}", d.name, self.room.describe(*id)));
+                return Ok(lines.collect::<Vec<_>>().join("; "));
+            }
+            ["remove", name] => {
+                let id = id_of(name)?;
+                self.room.remove(id);
+                self.devices.remove(&id);
+            }
+            ["freeze", name] => self.room.freeze(id_of(name)?),
+            ["thaw", name] => self.room.thaw(id_of(name)?, Instant::now()),
+            ["drop", name] => {
+                let id = id_of(name)?;
+                return Ok(format!("{} links dropped", self.room.drop_links(id)));
+            }
+            ["pace", name, rate] => {
+                let rate = rate.parse().map_err(|_| format!("bytes per second is a whole number, not {rate}"))?;
+                self.room.set_pace(id_of(name)?, rate, Instant::now());
+            }
+            _ => return Err(format!("unknown request \"{line}\"; known: add, remove, list, freeze, thaw, drop, pace")),
+        }
+        Ok(String::new())
+    }
+}

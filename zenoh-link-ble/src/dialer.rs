@@ -1,0 +1,210 @@
+//! Owns dialling: find the peer, connect, say hello, under one limit; nothing stays behind when it is given up.
+use std::{
+    sync::Arc,
+    time::Duration,
+};
+
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+use crate::{
+    adapter::Adapter,
+    address::{DeviceAddress, Psm},
+    error::BleError,
+    hello::{Hello, VERSION},
+    link::{Framing, LinkBle, Opened},
+    links::LinkNumber,
+    locator::{ConnectLocator, Target},
+    node::Node,
+    opening::{agreed_mtu, say_hello},
+    radio::{Channel, ChannelOptions, RadioError, Sighting},
+};
+
+/// The largest SDU taken, in bytes. On kernels before 6.10 it sets how many credits the peer gets (facts: one SDU in
+/// flight), so it is larger than any batch.
+pub(crate) const RECV_MTU: u16 = 16_384;
+/// How long one LE connect may take: it is tried only with a peer just heard, and while it is pending the Pi's Wi-Fi
+/// suffers (raspberrypi/linux#1444).
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// Dials once. Waits for the peer to appear, at most `locator.timeout` altogether.
+pub(crate) async fn dial(
+    node: &Arc<Node>,
+    locator: &ConnectLocator,
+) -> Result<Arc<LinkBle>, BleError> {
+    let adapter = node.adapter(locator.adapter.as_deref())?;
+    let start = Instant::now();
+    match tokio::time::timeout(locator.timeout, dial_when_free(node, &adapter, locator)).await {
+        Ok(linked) => linked,
+        Err(_) if node.links().is_linked(&locator.target) => Err(already_linked(locator)),
+        Err(_) => Err(BleError::NotFound {
+            target: locator.target.to_string(),
+            adapter: adapter.radio.name().to_owned(),
+            waited: start.elapsed(),
+        }),
+    }
+}
+
+async fn dial_when_free(
+    node: &Arc<Node>,
+    adapter: &Adapter,
+    locator: &ConnectLocator,
+) -> Result<Arc<LinkBle>, BleError> {
+    let cancel = CancellationToken::new();
+    let mut dialling = loop {
+        let unlinked = node.unlinked.notified();
+        if let Some(dialling) = Dialling::begin(node, &locator.target, &cancel) {
+            break dialling;
+        }
+        // There is a link already (the peer dialled, or an earlier one lives): be ready for the moment it ends.
+        unlinked.await;
+    };
+    tokio::select! {
+        linked = dial_once(node, adapter, locator, &mut dialling) => linked,
+        () = cancel.cancelled() => Err(already_linked(locator)),
+    }
+}
+
+async fn dial_once(
+    node: &Arc<Node>,
+    adapter: &Adapter,
+    locator: &ConnectLocator,
+    dialling: &mut Dialling,
+) -> Result<Arc<LinkBle>, BleError> {
+    let seen = adapter
+        .scanner
+        .find(|sighting| Seen::of(sighting, locator))
+        .await?;
+    node.links().on_seen(dialling.number, seen.device);
+    let channel = connect(adapter, locator, &seen).await?;
+    let plain = locator.plain.unwrap_or(seen.plain);
+    let framing = if plain { Framing::Plain } else { Framing::Rect };
+    let peer = if plain {
+        None
+    } else {
+        let own = Hello {
+            version: VERSION,
+            node: node.id,
+            mtu: locator.mtu,
+            name: node.name(),
+        };
+        Some(say_hello(&channel, own).await?)
+    };
+    let mtu = agreed_mtu(&channel, framing, locator.mtu, peer.as_ref().map(|p| p.mtu))?;
+    let end = CancellationToken::new();
+    let device = channel.peer();
+    dialling
+        .succeed(peer.as_ref(), device, end.clone())
+        .map_err(|refusal| BleError::Refused {
+            peer: device,
+            refusal,
+        })?;
+    let opened = Opened {
+        channel,
+        framing,
+        mtu,
+        peer_name: peer.map_or_else(|| locator.target.to_string(), |p| p.name),
+        first: None,
+        end,
+    };
+    LinkBle::new(Arc::clone(node), dialling.number, opened).map_err(|error| BleError::Protocol {
+        peer: device,
+        what: error.to_string(),
+    })
+}
+
+async fn connect(
+    adapter: &Adapter,
+    locator: &ConnectLocator,
+    seen: &Seen,
+) -> Result<Arc<dyn Channel>, BleError> {
+    let _one_at_a_time = adapter
+        .connecting
+        .acquire()
+        .await
+        .map_err(|_| BleError::ShuttingDown)?;
+    let options = ChannelOptions {
+        recv_mtu: RECV_MTU,
+        security: locator.security,
+    };
+    let connected = adapter.radio.connect(seen.device, seen.psm, options);
+    match tokio::time::timeout(CONNECT_TIMEOUT, connected).await {
+        Ok(channel) => Ok(channel?),
+        Err(_) => Err(BleError::Radio(RadioError::TimedOut {
+            action: "connecting to a peer that was just heard",
+            limit: CONNECT_TIMEOUT,
+        })),
+    }
+}
+
+fn already_linked(locator: &ConnectLocator) -> BleError {
+    BleError::AlreadyLinked {
+        target: locator.target.to_string(),
+    }
+}
+
+/// What a sighting tells of the peer looked for.
+struct Seen {
+    device: DeviceAddress,
+    psm: Psm,
+    plain: bool,
+}
+
+impl Seen {
+    fn of(sighting: &Sighting, locator: &ConnectLocator) -> Option<Self> {
+        let advertised = sighting.advertisement.as_ref();
+        let wanted = match &locator.target {
+            Target::Address(address) => *address == sighting.device.address,
+            Target::Name(name) => advertised.is_some_and(|a| a.is_of(name)),
+        };
+        let psm = locator.psm.or(advertised.map(|a| a.psm));
+        let device = DeviceAddress {
+            kind: locator.address_kind.unwrap_or(sighting.device.kind),
+            ..sighting.device
+        };
+        psm.filter(|_| wanted).map(|psm| Self {
+            device,
+            psm,
+            plain: advertised.is_some_and(|a| a.plain),
+        })
+    }
+}
+
+/// A dial in the table of links; taken out again when it is dropped without success.
+struct Dialling {
+    node: Arc<Node>,
+    number: LinkNumber,
+    succeeded: bool,
+}
+
+impl Dialling {
+    fn begin(node: &Arc<Node>, target: &Target, cancel: &CancellationToken) -> Option<Self> {
+        let number = node.links().on_dial(target, cancel.clone())?;
+        Some(Self {
+            node: Arc::clone(node),
+            number,
+            succeeded: false,
+        })
+    }
+
+    fn succeed(
+        &mut self,
+        peer: Option<&Hello>,
+        device: DeviceAddress,
+        end: CancellationToken,
+    ) -> Result<(), crate::hello::Refusal> {
+        self.succeeded = true;
+        self.node
+            .links()
+            .on_accepted(self.number, peer, device, Instant::now().into_std(), end)
+    }
+}
+
+impl Drop for Dialling {
+    fn drop(&mut self) {
+        if !self.succeeded {
+            self.node.links().on_dial_ended(self.number);
+            self.node.unlinked.notify_waiters();
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Owns the reasons for which a link cannot be made or ends, each with what to do about it; and the one place
+//! where they become Zenoh's error type.
+use std::time::Duration;
+
+use crate::{
+    address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError,
+};
+
+/// Why there is no link, or no longer one.
+#[derive(Debug, thiserror::Error)]
+pub enum BleError {
+    /// The locator or one of its options is wrong: correct it.
+    #[error(transparent)]
+    Locator(#[from] LocatorError),
+    /// The radio could not do it.
+    #[error(transparent)]
+    Radio(#[from] RadioError),
+    /// Nobody in range advertises as that name or address: switch the robot on, come nearer, or check the name.
+    #[error("nobody in range advertises as {target} (scanned with {adapter} for {waited:.1?}): is its router running, in range and listening with that name?")]
+    NotFound {
+        /// The name or address dialled.
+        target: String,
+        /// The adapter that scanned.
+        adapter: String,
+        /// How long it scanned.
+        waited: Duration,
+    },
+    /// There is a link to that robot already; a pair of robots has one.
+    #[error("{target} is linked already: a pair of robots has one ble link")]
+    AlreadyLinked {
+        /// The name or address dialled.
+        target: String,
+    },
+    /// The peer took the channel but would not make a link.
+    #[error("{peer} refused the link: {refusal}")]
+    Refused {
+        /// Who.
+        peer: DeviceAddress,
+        /// Its reason.
+        refusal: Refusal,
+    },
+    /// What the peer sent is not this protocol.
+    #[error("{peer} does not follow the link protocol: {what}")]
+    Protocol {
+        /// Who.
+        peer: DeviceAddress,
+        /// What was wrong.
+        what: String,
+    },
+    /// The peer said goodbye.
+    #[error("{peer} closed the link: {reason}")]
+    ClosedByPeer {
+        /// Who.
+        peer: String,
+        /// Its reason in words.
+        reason: &'static str,
+    },
+    /// Another robot here uses this name: give one of them another `name=`.
+    #[error("another robot in range ({other}) calls itself {name} already: give one of the two another name=")]
+    NameTaken {
+        /// The name both use.
+        name: String,
+        /// The other one's address.
+        other: DeviceAddress,
+    },
+    /// A batch does not fit the link (a fault of the caller).
+    #[error("a batch of {size} bytes is over the link's mtu of {mtu}")]
+    BatchTooLarge {
+        /// Its size in bytes.
+        size: usize,
+        /// The link's MTU in bytes.
+        mtu: usize,
+    },
+    /// That endpoint is not listened on.
+    #[error("there is no listener on {0}")]
+    NoListener(String),
+    /// That adapter has a listener already.
+    #[error("{0} has a listener already: one per adapter is enough, peers share it")]
+    ListenerExists(String),
+    /// The runtime is shutting down.
+    #[error("the link manager is shutting down")]
+    ShuttingDown,
+}
+
+/// The whole chain of causes in one line, as Zenoh prints it.
+pub(crate) fn into_zenoh(error: BleError) -> zenoh_result::Error {
+    let mut text = error.to_string();
+    let mut source = std::error::Error::source(&error);
+    while let Some(cause) = source {
+        let cause_text = cause.to_string();
+        if !text.ends_with(&cause_text) {
+            text.push_str(": ");
+            text.push_str(&cause_text);
+        }
+        source = cause.source();
+    }
+    zenoh_result::zerror!("{text}").into()
+}

@@ -1,0 +1,283 @@
+//! Owns the hello: the first SDU each side sends, which makes "connected" true and settles version, MTU and
+//! who is who. Layout and rules: `PROTOCOL.md`.
+use std::fmt;
+
+/// The first bytes of every hello, answer and refusal. Zenoh's own first message (InitSyn) has 0x01 in the low five
+/// bits of its first byte, `R` (0x52) has not: a plain peer is told apart by one byte.
+pub const MAGIC: [u8; 4] = *b"RECT";
+/// The version of the wire format this crate speaks.
+pub const VERSION: u8 = 1;
+/// The longest hello accepted, in bytes; later versions may append fields up to here.
+pub const MAX_SIZE: usize = 128;
+/// The longest name, in bytes: what fits a scan response.
+pub const MAX_NAME: usize = 29;
+/// The smallest MTU either side may offer, in bytes: Zenoh's handshake needs about 100.
+pub const MIN_MTU: u16 = 128;
+
+const KIND_HELLO: u8 = 1;
+const KIND_ACCEPT: u8 = 2;
+const KIND_REFUSE: u8 = 3;
+
+/// A random number that tells one run of a node from another.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct NodeId(pub u64);
+
+impl fmt::Debug for NodeId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+/// What a side says of itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hello {
+    /// The highest version of the wire format it speaks; in an answer, the version chosen.
+    pub version: u8,
+    /// Who it is.
+    pub node: NodeId,
+    /// The largest Zenoh batch it takes, in bytes.
+    pub mtu: u16,
+    /// The name it goes by; may be empty.
+    pub name: String,
+}
+
+/// Why a link was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// It speaks no version that the other knows.
+    Version,
+    /// There is a link between the two already.
+    AlreadyLinked,
+    /// Both dialled at once, and the refusing side's dial goes first.
+    Crossing,
+    /// It has as many links as it was set to take.
+    Full,
+    /// Another robot of the same name is linked there, or the two have the same name.
+    NameTaken,
+    /// A reason this version does not know.
+    Other(u8),
+}
+
+impl Refusal {
+    fn code(self) -> u8 {
+        match self {
+            Self::Version => 1,
+            Self::AlreadyLinked => 2,
+            Self::Crossing => 3,
+            Self::Full => 4,
+            Self::NameTaken => 5,
+            Self::Other(code) => code,
+        }
+    }
+
+    fn from_code(code: u8) -> Self {
+        match code {
+            1 => Self::Version,
+            2 => Self::AlreadyLinked,
+            3 => Self::Crossing,
+            4 => Self::Full,
+            5 => Self::NameTaken,
+            other => Self::Other(other),
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Version => f.write_str("it speaks another version of the link: update the older side"),
+            Self::AlreadyLinked => f.write_str("the two are linked already"),
+            Self::Crossing => f.write_str("both dialled at once, and its own dial goes first"),
+            Self::Full => f.write_str("it has as many links as max_links allows"),
+            Self::NameTaken => f.write_str("a robot of this name is there already: give one of the two another name="),
+            Self::Other(code) => write!(f, "reason {code}, which this version does not know"),
+        }
+    }
+}
+
+/// One of the three messages of the opening.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Opening {
+    /// From the side that dialled.
+    Hello(Hello),
+    /// The answer that makes the link.
+    Accept(Hello),
+    /// The answer that does not.
+    Refuse(Refusal),
+}
+
+/// Why an SDU is not an opening.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum OpeningError {
+    /// It does not begin with [`MAGIC`].
+    #[error("the first sdu is not a hello")]
+    NotAHello,
+    /// It ends too early, or is over [`MAX_SIZE`].
+    #[error("a hello of {0} bytes has the wrong length")]
+    Length(usize),
+    /// Its kind is unknown.
+    #[error("unknown kind {0} of opening message")]
+    Kind(u8),
+    /// Version 0 does not exist.
+    #[error("version 0 does not exist")]
+    Version,
+    /// Its MTU is under [`MIN_MTU`].
+    #[error("an mtu of {0} bytes is under the {MIN_MTU} that the handshake needs")]
+    Mtu(u16),
+    /// Its name is too long or not UTF-8.
+    #[error("the name is not valid: at most {MAX_NAME} bytes of utf-8")]
+    Name,
+}
+
+impl Opening {
+    /// The SDU's bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut sdu = Vec::with_capacity(MAX_SIZE);
+        sdu.extend_from_slice(&MAGIC);
+        match self {
+            Self::Hello(hello) => encode_hello(&mut sdu, KIND_HELLO, hello),
+            Self::Accept(hello) => encode_hello(&mut sdu, KIND_ACCEPT, hello),
+            Self::Refuse(refusal) => sdu.extend_from_slice(&[KIND_REFUSE, VERSION, refusal.code()]),
+        }
+        sdu
+    }
+
+    /// Reads an SDU. Bytes after the known fields are ignored, so that later versions may add some.
+    pub fn decode(sdu: &[u8]) -> Result<Self, OpeningError> {
+        let body = sdu.strip_prefix(&MAGIC).ok_or(OpeningError::NotAHello)?;
+        let length = OpeningError::Length(sdu.len());
+        if sdu.len() > MAX_SIZE {
+            return Err(length);
+        }
+        let (&kind, body) = body.split_first().ok_or(length.clone())?;
+        match kind {
+            KIND_HELLO => decode_hello(body, length).map(Self::Hello),
+            KIND_ACCEPT => decode_hello(body, length).map(Self::Accept),
+            KIND_REFUSE => match body {
+                [_version, code, ..] => Ok(Self::Refuse(Refusal::from_code(*code))),
+                _ => Err(length),
+            },
+            other => Err(OpeningError::Kind(other)),
+        }
+    }
+}
+
+fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
+    let name = &hello.name.as_bytes()[..hello.name.len().min(MAX_NAME)];
+    sdu.extend_from_slice(&[kind, hello.version]);
+    sdu.extend_from_slice(&hello.node.0.to_le_bytes());
+    sdu.extend_from_slice(&hello.mtu.to_le_bytes());
+    sdu.push(name.len() as u8);
+    sdu.extend_from_slice(name);
+}
+
+fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError> {
+    let (&version, body) = body.split_first().ok_or(length.clone())?;
+    let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
+    let (&mtu, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
+    let (&name_length, body) = body.split_first().ok_or(length.clone())?;
+    let name_length = usize::from(name_length);
+    if name_length > MAX_NAME {
+        return Err(OpeningError::Name);
+    }
+    let name = body.get(..name_length).ok_or(length)?;
+    let name = std::str::from_utf8(name).map_err(|_| OpeningError::Name)?;
+    let mtu = u16::from_le_bytes(mtu);
+    if version == 0 {
+        return Err(OpeningError::Version);
+    }
+    if mtu < MIN_MTU {
+        return Err(OpeningError::Mtu(mtu));
+    }
+    Ok(Hello {
+        version,
+        node: NodeId(u64::from_le_bytes(node)),
+        mtu,
+        name: name.to_owned(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hello(name: &str) -> Hello {
+        Hello {
+            version: 1,
+            node: NodeId(0x0123_4567_89ab_cdef),
+            mtu: 1000,
+            name: name.to_owned(),
+        }
+    }
+
+    #[test]
+    fn every_opening_reads_back_as_it_was_written() {
+        let longest = "x".repeat(MAX_NAME);
+        for opening in [
+            Opening::Hello(hello("wombat-1")),
+            Opening::Hello(hello("")),
+            Opening::Accept(hello(&longest)),
+            Opening::Refuse(Refusal::Crossing),
+            Opening::Refuse(Refusal::Other(200)),
+        ] {
+            assert_eq!(Opening::decode(&opening.encode()), Ok(opening));
+        }
+    }
+
+    #[test]
+    fn the_layout_is_the_documented_one() {
+        let sdu = Opening::Hello(hello("ab")).encode();
+        assert_eq!(
+            sdu,
+            b"RECT\x01\x01\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\x02ab"
+        );
+    }
+
+    #[test]
+    fn half_a_hello_is_refused_at_every_length() {
+        let sdu = Opening::Hello(hello("wombat-1")).encode();
+        for length in 0..sdu.len() {
+            assert!(Opening::decode(&sdu[..length]).is_err(), "{length} bytes");
+        }
+    }
+
+    #[test]
+    fn fields_of_a_later_version_are_ignored() {
+        let mut sdu = Opening::Hello(hello("wombat-1")).encode();
+        sdu.extend_from_slice(&[9; 20]);
+        assert_eq!(
+            Opening::decode(&sdu),
+            Ok(Opening::Hello(hello("wombat-1")))
+        );
+        sdu.resize(MAX_SIZE + 1, 9);
+        assert_eq!(
+            Opening::decode(&sdu),
+            Err(OpeningError::Length(MAX_SIZE + 1))
+        );
+    }
+
+    #[test]
+    fn wrong_fields_are_named() {
+        let good = Opening::Hello(hello("ab")).encode();
+        let with = |at: usize, byte: u8| {
+            let mut sdu = good.clone();
+            sdu[at] = byte;
+            Opening::decode(&sdu)
+        };
+        assert_eq!(with(0, b'X'), Err(OpeningError::NotAHello));
+        assert_eq!(with(4, 9), Err(OpeningError::Kind(9)));
+        assert_eq!(with(5, 0), Err(OpeningError::Version));
+        let mut small = good.clone();
+        small[14..16].copy_from_slice(&127u16.to_le_bytes());
+        assert_eq!(Opening::decode(&small), Err(OpeningError::Mtu(127)));
+        assert_eq!(with(16, 30), Err(OpeningError::Name));
+        assert_eq!(with(17, 0xff), Err(OpeningError::Name));
+    }
+
+    #[test]
+    fn no_zenoh_init_begins_like_a_hello() {
+        for flags in 0..8u8 {
+            assert_ne!(flags << 5 | 0x01, MAGIC[0]);
+        }
+    }
+}

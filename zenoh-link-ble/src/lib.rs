@@ -1,0 +1,27 @@
+//! A Zenoh link over Bluetooth Low Energy: `ble/<address or name>#<options>`.
+//!
+//! One Zenoh batch travels as one SDU of an LE L2CAP connection-oriented channel. The wire format is in
+//! `PROTOCOL.md` beside this crate; [`advertisement`], [`hello`] and [`frame`] are its three parts in code.
+//!
+//! Zenoh meets this crate in [`LinkManagerUnicastBle`]; a radio meets it in [`radio::Radio`].
+#![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used))]
+mod adapter;
+pub mod address;
+pub mod advertisement;
+mod dialer;
+mod error;
+pub mod frame;
+pub mod hello;
+mod link;
+pub mod links;
+mod listener;
+pub mod locator;
+mod manager;
+mod node;
+mod opening;
+pub mod radio;
+mod scanner;
+
+pub use error::BleError;
+pub use locator::BLE_LOCATOR_PREFIX;
+pub use manager::{BleLocatorInspector, LinkManagerUnicastBle};

@@ -1,0 +1,412 @@
+//! Owns who is linked with whom, and the one rule that keeps a pair of robots to one link. Plain logic: it is told
+//! what happens and answers what to do; nothing here waits or sends.
+//!
+//! The rule: when two nodes dial each other at once, the dial of the node with the lower id goes through and the
+//! other is refused. A node that dials has no link (it would not dial), so what this side still holds is stale.
+use std::{
+    collections::HashMap,
+    time::{Duration, Instant},
+};
+
+use tokio_util::sync::CancellationToken;
+
+use crate::{
+    address::DeviceAddress,
+    hello::{Hello, NodeId, Refusal},
+    locator::Target,
+};
+
+/// How long after this side's own dial went through a hello of the same peer still counts as crossing it.
+const CROSSING: Duration = Duration::from_secs(5);
+
+/// Names one link or dial of this process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LinkNumber(pub u64);
+
+/// A link that carries batches.
+#[derive(Debug)]
+struct Established {
+    node: Option<NodeId>,
+    name: String,
+    device: DeviceAddress,
+    dialled_here: bool,
+    since: Instant,
+    end: CancellationToken,
+}
+
+/// A dial that has not become a link yet.
+#[derive(Debug)]
+struct Dial {
+    target: Target,
+    device: Option<DeviceAddress>,
+    cancel: CancellationToken,
+}
+
+/// What to do with an incoming hello.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Make the link.
+    Accept,
+    /// Answer with this refusal.
+    Refuse(Refusal),
+}
+
+/// The table of a node's links and dials.
+#[derive(Debug)]
+pub struct Links {
+    node: NodeId,
+    next: u64,
+    established: HashMap<LinkNumber, Established>,
+    dials: HashMap<LinkNumber, Dial>,
+}
+
+impl Links {
+    /// An empty table of that node.
+    pub fn new(node: NodeId) -> Self {
+        Self {
+            node,
+            next: 1,
+            established: HashMap::new(),
+            dials: HashMap::new(),
+        }
+    }
+
+    /// Starts a dial, unless there is a link or a dial to that target.
+    pub fn on_dial(&mut self, target: &Target, cancel: CancellationToken) -> Option<LinkNumber> {
+        let dialling = self.dials.values().any(|dial| dial.target == *target);
+        if dialling || self.is_linked(target) {
+            return None;
+        }
+        let number = self.number();
+        let dial = Dial {
+            target: target.clone(),
+            device: None,
+            cancel,
+        };
+        self.dials.insert(number, dial);
+        Some(number)
+    }
+
+    /// The dial's target was seen under that address.
+    pub fn on_seen(&mut self, dial: LinkNumber, device: DeviceAddress) {
+        if let Some(dial) = self.dials.get_mut(&dial) {
+            dial.device = Some(device);
+        }
+    }
+
+    /// The dial ended without a link.
+    pub fn on_dial_ended(&mut self, dial: LinkNumber) {
+        self.dials.remove(&dial);
+    }
+
+    /// The dialled peer accepted. `Err` if that peer has got a link meanwhile: close the new channel.
+    pub fn on_accepted(
+        &mut self,
+        dial: LinkNumber,
+        peer: Option<&Hello>,
+        device: DeviceAddress,
+        now: Instant,
+        end: CancellationToken,
+    ) -> Result<(), Refusal> {
+        self.dials.remove(&dial);
+        let node = peer.map(|hello| hello.node);
+        let twice = |link: &Established| node.is_some() && link.node == node;
+        if self.established.values().any(twice) {
+            return Err(Refusal::AlreadyLinked);
+        }
+        let name = peer.map_or_else(String::new, |hello| hello.name.clone());
+        self.replace_stale(node, &name, device);
+        let link = Established {
+            node,
+            name,
+            device,
+            dialled_here: true,
+            since: now,
+            end,
+        };
+        self.established.insert(dial, link);
+        Ok(())
+    }
+
+    /// A peer that dialled this node said hello (`None`: a plain peer, known by its address only).
+    pub fn on_hello(
+        &mut self,
+        own_name: &str,
+        peer: Option<&Hello>,
+        device: DeviceAddress,
+        max_links: usize,
+        now: Instant,
+        end: CancellationToken,
+    ) -> (Verdict, Option<LinkNumber>) {
+        if let Some(refusal) = self.refusal(own_name, peer, device, max_links, now) {
+            return (Verdict::Refuse(refusal), None);
+        }
+        let node = peer.map(|hello| hello.node);
+        let name = peer.map_or_else(String::new, |hello| hello.name.clone());
+        for dial in self.dials.values() {
+            if dial.is_to(&name, device) {
+                dial.cancel.cancel();
+            }
+        }
+        self.replace_stale(node, &name, device);
+        let number = self.number();
+        let link = Established {
+            node,
+            name,
+            device,
+            dialled_here: false,
+            since: now,
+            end,
+        };
+        self.established.insert(number, link);
+        (Verdict::Accept, Some(number))
+    }
+
+    /// A link ended.
+    pub fn on_closed(&mut self, link: LinkNumber) {
+        self.established.remove(&link);
+    }
+
+    /// Whether there is a link to that target.
+    pub fn is_linked(&self, target: &Target) -> bool {
+        self.established.values().any(|link| match target {
+            Target::Address(address) => link.device.address == *address,
+            Target::Name(name) => link.name == *name,
+        })
+    }
+
+    fn refusal(
+        &self,
+        own_name: &str,
+        peer: Option<&Hello>,
+        device: DeviceAddress,
+        max_links: usize,
+        now: Instant,
+    ) -> Option<Refusal> {
+        if let Some(peer) = peer {
+            let name_clash = |link: &Established| {
+                link.name == peer.name && link.device != device && link.node != Some(peer.node)
+            };
+            let named = !peer.name.is_empty();
+            if named && (peer.name == own_name || self.established.values().any(name_clash)) {
+                return Some(Refusal::NameTaken);
+            }
+            let crossing_dial = |dial: &Dial| dial.is_to(&peer.name, device);
+            if self.node < peer.node && self.dials.values().any(crossing_dial) {
+                return Some(Refusal::Crossing);
+            }
+            let crossed = |link: &Established| {
+                link.node == Some(peer.node)
+                    && link.dialled_here
+                    && now.saturating_duration_since(link.since) < CROSSING
+            };
+            if self.established.values().any(crossed) {
+                return Some(Refusal::AlreadyLinked);
+            }
+        }
+        let taken = |link: &&Established| !link.is_of(peer.map(|p| p.node), device);
+        let accepted = |link: &&Established| !link.dialled_here;
+        let links = self.established.values().filter(taken).filter(accepted);
+        (links.count() >= max_links).then_some(Refusal::Full)
+    }
+
+    /// Ends links to an earlier run of the same peer, or ones the peer has evidently lost.
+    fn replace_stale(&mut self, node: Option<NodeId>, name: &str, device: DeviceAddress) {
+        self.established.retain(|_, link| {
+            let same_name = !name.is_empty() && link.name == name && link.device == device;
+            let stale = same_name || link.is_of(node, device);
+            if stale {
+                link.end.cancel();
+            }
+            !stale
+        });
+    }
+
+    fn number(&mut self) -> LinkNumber {
+        let number = LinkNumber(self.next);
+        self.next += 1;
+        number
+    }
+}
+
+impl Established {
+    /// Whether it is with that node, or (plain peers) with that device.
+    fn is_of(&self, node: Option<NodeId>, device: DeviceAddress) -> bool {
+        match (self.node, node) {
+            (Some(mine), Some(other)) => mine == other,
+            (None, None) => self.device == device,
+            _ => false,
+        }
+    }
+}
+
+impl Dial {
+    fn is_to(&self, name: &str, device: DeviceAddress) -> bool {
+        let by_target = match &self.target {
+            Target::Name(target) => !name.is_empty() && target == name,
+            Target::Address(address) => *address == device.address,
+        };
+        by_target || self.device == Some(device)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::address::{Address, AddressType};
+
+    const LOW: NodeId = NodeId(1);
+    const HIGH: NodeId = NodeId(2);
+
+    fn device(last: u8) -> DeviceAddress {
+        DeviceAddress {
+            address: Address([0xc0, 0, 0, 0, 0, last]),
+            kind: AddressType::Random,
+        }
+    }
+
+    fn hello(node: NodeId, name: &str) -> Hello {
+        Hello {
+            version: 1,
+            node,
+            mtu: 1000,
+            name: name.to_owned(),
+        }
+    }
+
+    fn to(name: &str) -> Target {
+        Target::Name(name.to_owned())
+    }
+
+    fn token() -> CancellationToken {
+        CancellationToken::new()
+    }
+
+    fn greet(links: &mut Links, peer: &Hello, from: DeviceAddress, now: Instant) -> Verdict {
+        links
+            .on_hello("me", Some(peer), from, 7, now, token())
+            .0
+    }
+
+    #[test]
+    fn the_lower_node_refuses_a_crossing_dial_and_keeps_its_own() {
+        let mut links = Links::new(LOW);
+        let mine = token();
+        links.on_dial(&to("peer"), mine.clone()).expect("free");
+        let verdict = greet(&mut links, &hello(HIGH, "peer"), device(2), Instant::now());
+        assert_eq!(verdict, Verdict::Refuse(Refusal::Crossing));
+        assert!(!mine.is_cancelled());
+    }
+
+    #[test]
+    fn the_higher_node_accepts_a_crossing_dial_and_gives_up_its_own() {
+        for target in [to("peer"), Target::Address(device(2).address)] {
+            let mut links = Links::new(HIGH);
+            let mine = token();
+            links.on_dial(&target, mine.clone()).expect("free");
+            let verdict = greet(&mut links, &hello(LOW, "peer"), device(2), Instant::now());
+            assert_eq!(verdict, Verdict::Accept);
+            assert!(mine.is_cancelled());
+        }
+    }
+
+    #[test]
+    fn a_hello_that_crossed_an_accepted_dial_is_refused_for_a_while() {
+        let mut links = Links::new(LOW);
+        let start = Instant::now();
+        let dial = links.on_dial(&to("peer"), token()).expect("free");
+        let peer = hello(HIGH, "peer");
+        links
+            .on_accepted(dial, Some(&peer), device(2), start, token())
+            .expect("first");
+        assert_eq!(
+            greet(&mut links, &peer, device(2), start + CROSSING - Duration::from_millis(1)),
+            Verdict::Refuse(Refusal::AlreadyLinked)
+        );
+        assert_eq!(
+            greet(&mut links, &peer, device(2), start + CROSSING),
+            Verdict::Accept
+        );
+    }
+
+    #[test]
+    fn a_peer_that_dials_again_has_lost_its_link_so_the_old_one_ends() {
+        let mut links = Links::new(LOW);
+        let now = Instant::now();
+        let old = token();
+        let peer = hello(HIGH, "peer");
+        links.on_hello("me", Some(&peer), device(2), 7, now, old.clone());
+        assert_eq!(greet(&mut links, &peer, device(2), now), Verdict::Accept);
+        assert!(old.is_cancelled());
+        assert_eq!(links.established.len(), 1);
+    }
+
+    #[test]
+    fn a_restarted_peer_replaces_its_earlier_run() {
+        let mut links = Links::new(LOW);
+        let now = Instant::now();
+        let old = token();
+        links.on_hello("me", Some(&hello(HIGH, "peer")), device(2), 7, now, old.clone());
+        let again = hello(NodeId(99), "peer");
+        assert_eq!(greet(&mut links, &again, device(2), now), Verdict::Accept);
+        assert!(old.is_cancelled());
+    }
+
+    #[test]
+    fn two_robots_of_one_name_are_told_apart_and_the_second_refused() {
+        let mut links = Links::new(LOW);
+        let now = Instant::now();
+        greet(&mut links, &hello(HIGH, "peer"), device(2), now);
+        assert_eq!(
+            greet(&mut links, &hello(NodeId(3), "peer"), device(3), now),
+            Verdict::Refuse(Refusal::NameTaken)
+        );
+        assert_eq!(
+            greet(&mut links, &hello(NodeId(4), "me"), device(4), now),
+            Verdict::Refuse(Refusal::NameTaken)
+        );
+    }
+
+    #[test]
+    fn the_bound_on_links_counts_other_peers_only() {
+        let mut links = Links::new(LOW);
+        let now = Instant::now();
+        let mut greet_with_bound = |node: u64, last: u8| {
+            let peer = hello(NodeId(node), &format!("peer-{node}"));
+            links
+                .on_hello("me", Some(&peer), device(last), 2, now, token())
+                .0
+        };
+        assert_eq!(greet_with_bound(10, 10), Verdict::Accept);
+        assert_eq!(greet_with_bound(11, 11), Verdict::Accept);
+        assert_eq!(greet_with_bound(12, 12), Verdict::Refuse(Refusal::Full));
+        assert_eq!(greet_with_bound(11, 11), Verdict::Accept);
+    }
+
+    #[test]
+    fn a_linked_or_dialled_target_is_not_dialled_again_until_it_ends() {
+        let mut links = Links::new(LOW);
+        let dial = links.on_dial(&to("peer"), token()).expect("free");
+        assert_eq!(links.on_dial(&to("peer"), token()), None);
+        let peer = hello(HIGH, "peer");
+        links
+            .on_accepted(dial, Some(&peer), device(2), Instant::now(), token())
+            .expect("first");
+        assert_eq!(links.on_dial(&to("peer"), token()), None);
+        assert_eq!(links.on_dial(&Target::Address(device(2).address), token()), None);
+        links.on_closed(dial);
+        assert!(links.on_dial(&to("peer"), token()).is_some());
+    }
+
+    #[test]
+    fn plain_peers_are_known_by_their_address() {
+        let mut links = Links::new(LOW);
+        let now = Instant::now();
+        let old = token();
+        let (verdict, _) = links.on_hello("me", None, device(5), 7, now, old.clone());
+        assert_eq!(verdict, Verdict::Accept);
+        let (verdict, _) = links.on_hello("me", None, device(5), 7, now, token());
+        assert_eq!(verdict, Verdict::Accept);
+        assert!(old.is_cancelled());
+    }
+}

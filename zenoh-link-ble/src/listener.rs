@@ -1,0 +1,285 @@
+//! Owns listening: on one adapter, take channels, hear hellos, hand links to Zenoh; come back when the adapter does.
+use std::{
+    sync::Arc,
+    time::Duration,
+};
+
+use tokio::{sync::Semaphore, task::JoinSet, time::Instant};
+use tokio_util::sync::CancellationToken;
+use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait, NewLinkChannelSender};
+
+use crate::{
+    adapter::Adapter,
+    address::DeviceAddress,
+    advertisement::Advertisement,
+    dialer::RECV_MTU,
+    error::BleError,
+    hello::{Hello, Opening, VERSION},
+    link::{Framing, LinkBle, Opened},
+    links::Verdict,
+    locator::ListenLocator,
+    node::{Listening, Node},
+    opening::{agreed_mtu, answer, hear_hello, FirstSdu},
+    radio::{
+        AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
+    },
+};
+
+/// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
+const HALF_OPEN: usize = 8;
+/// How long to listen for another robot of the same name before taking it: several advertising intervals.
+const NAME_CHECK: Duration = Duration::from_millis(1000);
+/// How often to look again at an adapter that is away, beside being told.
+const LOOK_AGAIN: Duration = Duration::from_secs(2);
+
+/// A listener that is up: a channel listener and an advertisement.
+pub(crate) struct Up {
+    channels: Box<dyn ChannelListener>,
+    _advertising: Box<dyn AdvertisingGuard>,
+}
+
+pub(crate) struct Listener {
+    node: Arc<Node>,
+    adapter: Arc<Adapter>,
+    locator: ListenLocator,
+    name: String,
+    links: NewLinkChannelSender,
+}
+
+impl Listener {
+    /// Goes on the air; fails if it can't be done now. Links come once [`Listener::serve`] runs.
+    pub(crate) async fn start(
+        node: Arc<Node>,
+        locator: ListenLocator,
+        links: NewLinkChannelSender,
+    ) -> Result<(Arc<Self>, Up), BleError> {
+        let adapter = node.adapter(Some(&locator.adapter))?;
+        let name = locator.name();
+        let listener = Self {
+            node,
+            adapter,
+            locator,
+            name,
+            links,
+        };
+        let up = listener.bring_up().await?;
+        listener.node.on_listening(Listening {
+            adapter: listener.locator.adapter.clone(),
+            name: listener.name.clone(),
+        });
+        tracing::info!(
+            "ble: {} listens on {} (psm {})",
+            listener.name,
+            listener.locator.adapter,
+            up.channels.psm()
+        );
+        Ok((Arc::new(listener), up))
+    }
+
+    /// Two robots of one name would be dialled by turns: the second one to come finds out. The listener serves
+    /// meanwhile, so that a robot that was away is back without delay.
+    pub(crate) async fn check_name(&self) -> Result<(), BleError> {
+        let own = self.adapter.radio.address().await?;
+        let same_name = self.adapter.scanner.find(|sighting| {
+            let other = sighting.advertisement.as_ref()?;
+            let clash = other.is_of(&self.name)
+                && other.incarnation != self.node.incarnation()
+                && sighting.device.address != own.address;
+            clash.then_some(sighting.device)
+        });
+        match tokio::time::timeout(NAME_CHECK, same_name).await {
+            Ok(Ok(other)) => Err(BleError::NameTaken {
+                name: self.name.clone(),
+                other,
+            }),
+            Ok(Err(error)) => Err(error.into()),
+            Err(_) => Ok(()),
+        }
+    }
+
+    async fn bring_up(&self) -> Result<Up, RadioError> {
+        let options = ChannelOptions {
+            recv_mtu: RECV_MTU,
+            security: self.locator.security,
+        };
+        let radio = &self.adapter.radio;
+        let channels = radio.listen(self.locator.psm, options).await?;
+        let advertisement = Advertisement {
+            psm: channels.psm(),
+            plain: false,
+            name_hash: Advertisement::hash_of_name(&self.name),
+            fleet_hash: 0,
+            incarnation: self.node.incarnation(),
+        };
+        let advertising = radio.advertise(&advertisement, &self.name).await?;
+        Ok(Up {
+            channels,
+            _advertising: advertising,
+        })
+    }
+
+    /// Hands links to Zenoh until the future is dropped.
+    pub(crate) async fn serve(self: Arc<Self>, up: Up) {
+        let _listening = StopsListening(Arc::clone(&self));
+        let mut up = Some(up);
+        let mut greetings = JoinSet::new();
+        let half_open = Arc::new(Semaphore::new(HALF_OPEN));
+        loop {
+            let running = match up.take() {
+                Some(running) => running,
+                None => self.come_back().await,
+            };
+            let ended = self.accept_while_on(&running, &mut greetings, &half_open);
+            let reason = ended.await;
+            tracing::warn!("ble: {} is away: {reason}; listening again when it is back", self.locator.adapter);
+        }
+    }
+
+    /// Takes channels until the adapter is off or gone; tells why.
+    async fn accept_while_on(
+        self: &Arc<Self>,
+        up: &Up,
+        greetings: &mut JoinSet<()>,
+        half_open: &Arc<Semaphore>,
+    ) -> String {
+        let radio = &self.adapter.radio;
+        loop {
+            tokio::select! {
+                accepted = up.channels.accept() => match accepted {
+                    Ok(channel) => match Arc::clone(half_open).try_acquire_owned() {
+                        Ok(permit) => {
+                            let listener = Arc::clone(self);
+                            greetings.spawn(async move {
+                                listener.greet(channel).await;
+                                drop(permit);
+                            });
+                        }
+                        Err(_) => tracing::warn!("ble: {} is dropped: {HALF_OPEN} peers are in the middle of a hello", channel.peer()),
+                    },
+                    Err(error) => return error.to_string(),
+                },
+                Some(_) = greetings.join_next() => {}
+                () = wait_for_change(radio.as_ref()) => match radio.state().await {
+                    AdapterState::On => {}
+                    AdapterState::Off => return "it is switched off".to_owned(),
+                    AdapterState::Missing => return "it is gone".to_owned(),
+                },
+            }
+        }
+    }
+
+    async fn come_back(&self) -> Up {
+        let mut complained = false;
+        loop {
+            if self.adapter.radio.state().await == AdapterState::On {
+                match self.bring_up().await {
+                    Ok(up) => {
+                        tracing::info!("ble: {} listens on {} again", self.name, self.locator.adapter);
+                        return up;
+                    }
+                    Err(error) if !complained => {
+                        complained = true;
+                        tracing::warn!("ble: {} does not listen yet: {error}", self.locator.adapter);
+                    }
+                    Err(_) => {}
+                }
+            }
+            wait_for_change(self.adapter.radio.as_ref()).await;
+        }
+    }
+
+    /// Hears a peer's hello, answers it, and hands the link over. Whatever goes wrong ends this channel only.
+    async fn greet(&self, channel: Arc<dyn Channel>) {
+        let peer = channel.peer();
+        match self.open(channel, peer).await {
+            Ok(Some(link)) => {
+                let link: Arc<dyn LinkUnicastTrait> = link;
+                if self.links.send_async(LinkUnicast::from(link)).await.is_err() {
+                    tracing::debug!("ble: {peer} came while this router stops");
+                }
+            }
+            Ok(None) => {}
+            Err(error) => tracing::warn!("ble: no link with {peer}: {error}"),
+        }
+    }
+
+    async fn open(
+        &self,
+        channel: Arc<dyn Channel>,
+        device: DeviceAddress,
+    ) -> Result<Option<Arc<LinkBle>>, BleError> {
+        let (peer, first) = match hear_hello(&channel).await? {
+            FirstSdu::Hello(hello) => (Some(hello), None),
+            FirstSdu::Plain(batch) => (None, Some(batch)),
+        };
+        let framing = if peer.is_some() {
+            Framing::Rect
+        } else {
+            Framing::Plain
+        };
+        let peer_mtu = peer.as_ref().map(|p| p.mtu);
+        let mtu = agreed_mtu(&channel, framing, self.locator.mtu, peer_mtu)?;
+        let end = CancellationToken::new();
+        let (verdict, number) = self.node.links().on_hello(
+            &self.name,
+            peer.as_ref(),
+            device,
+            self.locator.max_links,
+            Instant::now().into_std(),
+            end.clone(),
+        );
+        let number = match (verdict, number) {
+            (Verdict::Accept, Some(number)) => number,
+            (Verdict::Refuse(refusal), _) => {
+                if peer.is_some() {
+                    answer(&channel, Opening::Refuse(refusal)).await?;
+                    // The peer closes once it has read the answer; closing first could overtake it.
+                    let gone = async { while channel.recv(&mut [0; 1024]).await.is_ok() {} };
+                    let _ = tokio::time::timeout(Duration::from_secs(1), gone).await;
+                }
+                tracing::info!("ble: {device} is refused: {refusal}");
+                return Ok(None);
+            }
+            (Verdict::Accept, None) => return Ok(None),
+        };
+        let opened = Opened {
+            channel: Arc::clone(&channel),
+            framing,
+            mtu,
+            peer_name: peer.as_ref().map_or_else(String::new, |p| p.name.clone()),
+            first,
+            end,
+        };
+        let link = LinkBle::new(Arc::clone(&self.node), number, opened).map_err(|error| {
+            self.node.on_link_closed(number);
+            BleError::Protocol {
+                peer: device,
+                what: error.to_string(),
+            }
+        })?;
+        if let Some(peer) = peer {
+            let own = Hello {
+                version: VERSION.min(peer.version),
+                node: self.node.id,
+                mtu: self.locator.mtu,
+                name: self.name.clone(),
+            };
+            answer(&channel, Opening::Accept(own)).await?;
+        }
+        Ok(Some(link))
+    }
+}
+
+/// Takes this node's listener off the list when its task ends, however it ends.
+struct StopsListening(Arc<Listener>);
+
+impl Drop for StopsListening {
+    fn drop(&mut self) {
+        self.0.node.on_listening_ended(&self.0.locator.adapter);
+    }
+}
+
+/// Told by the radio, or after a while: an event between two looks must not be missed for ever.
+async fn wait_for_change(radio: &dyn crate::radio::Radio) {
+    let _ = tokio::time::timeout(LOOK_AGAIN, radio.changed()).await;
+}

@@ -1,0 +1,215 @@
+//! Owns Linux's own Bluetooth stack as a [`Radio`]: bluetoothd over D-Bus for adapters, advertising and scanning,
+//! kernel sockets for channels. This file and its folder are the only ones that name `bluer`.
+mod channel;
+mod errors;
+mod scan;
+mod socket;
+mod watch;
+
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use bluer::{adv, Adapter, Session, Uuid};
+use tokio::sync::{Mutex, OnceCell};
+
+use self::{
+    channel::{BluezListener, BluezChannel},
+    errors::{dbus_error, no_adapter},
+    scan::BluezScan,
+    watch::Watch,
+};
+use super::{
+    AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, Radio, RadioError,
+    Scan,
+};
+use crate::{
+    address::{Address, AddressType, DeviceAddress, Psm},
+    advertisement::{Advertisement, SERVICE_UUID},
+};
+
+/// The adapter taken when none is named.
+const DEFAULT_ADAPTER: &str = "hci0";
+/// How often to advertise. BlueZ's default of 1.28 s would make finding a robot take seconds.
+const ADVERTISING_INTERVAL: (std::time::Duration, std::time::Duration) = (
+    std::time::Duration::from_millis(100),
+    std::time::Duration::from_millis(150),
+);
+
+/// The adapter of that name; left out, `hci0`. Nothing is asked of the system before the radio is used.
+pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
+    Ok(Arc::new(BluezRadio {
+        name: name.unwrap_or(DEFAULT_ADAPTER).to_owned(),
+        session: OnceCell::new(),
+        watch: OnceCell::new(),
+        pairing: Mutex::new(None),
+    }))
+}
+
+struct BluezRadio {
+    name: String,
+    session: OnceCell<Session>,
+    watch: OnceCell<Watch>,
+    /// Kept while pairing may be asked for: BlueZ refuses to pair without an agent.
+    pairing: Mutex<Option<bluer::agent::AgentHandle>>,
+}
+
+impl BluezRadio {
+    async fn session(&self) -> Result<&Session, RadioError> {
+        self.session
+            .get_or_try_init(|| async { Session::new().await.map_err(dbus_error("reach bluetoothd")) })
+            .await
+    }
+
+    /// The adapter, known to exist and to be powered.
+    async fn adapter(&self) -> Result<Adapter, RadioError> {
+        let session = self.session().await?;
+        let adapter = session
+            .adapter(&self.name)
+            .map_err(dbus_error("use the adapter"))?;
+        match adapter.is_powered().await {
+            Ok(true) => Ok(adapter),
+            Ok(false) => Err(RadioError::AdapterOff {
+                adapter: self.name.clone(),
+            }),
+            Err(error) => match dbus_error("use the adapter")(error) {
+                error @ (RadioError::NoService { .. } | RadioError::NotPermitted { .. }) => Err(error),
+                _ => Err(no_adapter(&self.name, session).await),
+            },
+        }
+    }
+
+    async fn ensure_agent(&self, options: &ChannelOptions) -> Result<(), RadioError> {
+        if options.security == super::Security::Low {
+            return Ok(());
+        }
+        let mut pairing = self.pairing.lock().await;
+        if pairing.is_none() {
+            let agent = self
+                .session()
+                .await?
+                .register_agent(confirming_agent())
+                .await
+                .map_err(dbus_error("register a pairing agent"))?;
+            *pairing = Some(agent);
+        }
+        Ok(())
+    }
+}
+
+/// Confirms what a headless robot can: the two sides' numbers are not compared by anyone, so `sec=medium` and `high`
+/// keep listeners out, not impostors at the moment of pairing. Zenoh's user and password identify the peer.
+fn confirming_agent() -> bluer::agent::Agent {
+    bluer::agent::Agent {
+        request_default: true,
+        request_confirmation: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
+        request_authorization: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
+        authorize_service: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
+        ..Default::default()
+    }
+}
+
+#[async_trait]
+impl Radio for BluezRadio {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    async fn address(&self) -> Result<DeviceAddress, RadioError> {
+        let adapter = self.adapter().await?;
+        let address = adapter.address().await.map_err(dbus_error("ask the adapter's address"))?;
+        let kind = adapter
+            .address_type()
+            .await
+            .map_err(dbus_error("ask the adapter's address"))?;
+        Ok(device_address(address, kind))
+    }
+
+    async fn state(&self) -> AdapterState {
+        match self.adapter().await {
+            Ok(_) => AdapterState::On,
+            Err(RadioError::AdapterOff { .. }) => AdapterState::Off,
+            Err(_) => AdapterState::Missing,
+        }
+    }
+
+    async fn changed(&self) {
+        let watch = self
+            .watch
+            .get_or_try_init(|| async {
+                let session = self.session().await?;
+                Watch::start(session.clone(), self.name.clone()).await
+            })
+            .await;
+        match watch {
+            Ok(watch) => watch.changed().await,
+            // Nothing can tell: the caller looks again by itself.
+            Err(_) => std::future::pending().await,
+        }
+    }
+
+    async fn advertise(
+        &self,
+        advertisement: &Advertisement,
+        name: &str,
+    ) -> Result<Box<dyn AdvertisingGuard>, RadioError> {
+        let adapter = self.adapter().await?;
+        let data = advertisement.encode().to_vec();
+        let advertisement = adv::Advertisement {
+            advertisement_type: adv::Type::Peripheral,
+            service_data: [(Uuid::from_u128(SERVICE_UUID), data)].into(),
+            discoverable: Some(true),
+            local_name: Some(name.to_owned()),
+            min_interval: Some(ADVERTISING_INTERVAL.0),
+            max_interval: Some(ADVERTISING_INTERVAL.1),
+            ..Default::default()
+        };
+        let handle = adapter
+            .advertise(advertisement)
+            .await
+            .map_err(dbus_error("advertise"))?;
+        Ok(Box::new(BluezAdvertising { _handle: handle }))
+    }
+
+    async fn scan(&self) -> Result<Box<dyn Scan>, RadioError> {
+        let adapter = self.adapter().await?;
+        Ok(Box::new(BluezScan::start(adapter).await?))
+    }
+
+    async fn listen(
+        &self,
+        psm: Option<Psm>,
+        options: ChannelOptions,
+    ) -> Result<Box<dyn ChannelListener>, RadioError> {
+        self.ensure_agent(&options).await?;
+        let own = self.address().await?;
+        Ok(Box::new(BluezListener::start(&self.name, own, psm, options)?))
+    }
+
+    async fn connect(
+        &self,
+        peer: DeviceAddress,
+        psm: Psm,
+        options: ChannelOptions,
+    ) -> Result<Arc<dyn Channel>, RadioError> {
+        self.ensure_agent(&options).await?;
+        let own = self.address().await?;
+        let channel = BluezChannel::connect(&self.name, own, peer, psm, options).await?;
+        Ok(Arc::new(channel))
+    }
+}
+
+struct BluezAdvertising {
+    _handle: adv::AdvertisementHandle,
+}
+
+impl AdvertisingGuard for BluezAdvertising {}
+
+fn device_address(address: bluer::Address, kind: bluer::AddressType) -> DeviceAddress {
+    DeviceAddress {
+        address: Address(address.0),
+        kind: match kind {
+            bluer::AddressType::LeRandom => AddressType::Random,
+            _ => AddressType::Public,
+        },
+    }
+}

@@ -1,0 +1,162 @@
+//! Owns channels on kernel sockets: taking them, opening them, moving SDUs.
+use std::{
+    net::Shutdown,
+    sync::Arc,
+};
+
+use async_trait::async_trait;
+use bluer::l2cap::{SeqPacket, SeqPacketListener};
+
+use super::{
+    device_address,
+    errors::{connect_error, socket_error},
+    socket::{bound, connect},
+};
+use crate::{
+    address::{DeviceAddress, Psm},
+    radio::{Channel, ChannelListener, ChannelOptions, RadioError},
+};
+
+/// Incoming channels the kernel holds until they are taken.
+const BACKLOG: u32 = 8;
+
+pub(super) struct BluezListener {
+    adapter: String,
+    psm: Psm,
+    socket: SeqPacketListener,
+}
+
+impl BluezListener {
+    pub(super) fn start(
+        adapter: &str,
+        own: DeviceAddress,
+        psm: Option<Psm>,
+        options: ChannelOptions,
+    ) -> Result<Self, RadioError> {
+        let failed = socket_error("listen", adapter, psm);
+        let socket = bound(own, psm, options)
+            .and_then(|socket| socket.listen(BACKLOG))
+            .map_err(&failed)?;
+        let taken = socket.as_ref().local_addr().map_err(&failed)?;
+        let psm = Psm::new(taken.psm).ok_or_else(|| RadioError::System {
+            action: "listen",
+            source: format!("the kernel chose psm {}", taken.psm).into(),
+        })?;
+        Ok(Self {
+            adapter: adapter.to_owned(),
+            psm,
+            socket,
+        })
+    }
+}
+
+#[async_trait]
+impl ChannelListener for BluezListener {
+    fn psm(&self) -> Psm {
+        self.psm
+    }
+
+    async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError> {
+        let (socket, from) = self
+            .socket
+            .accept()
+            .await
+            .map_err(socket_error("take a channel", &self.adapter, None))?;
+        let peer = device_address(from.addr, from.addr_type);
+        Ok(Arc::new(BluezChannel::new(&self.adapter, peer, socket)?))
+    }
+}
+
+pub(super) struct BluezChannel {
+    adapter: String,
+    peer: DeviceAddress,
+    send_mtu: usize,
+    socket: SeqPacket,
+}
+
+impl BluezChannel {
+    pub(super) async fn connect(
+        adapter: &str,
+        own: DeviceAddress,
+        peer: DeviceAddress,
+        psm: Psm,
+        options: ChannelOptions,
+    ) -> Result<Self, RadioError> {
+        let socket = bound(own, None, options).map_err(socket_error("connect", adapter, None))?;
+        let socket = connect(socket, peer, psm)
+            .await
+            .map_err(|error| connect_error(peer, psm, error))?;
+        Self::new(adapter, peer, socket)
+    }
+
+    fn new(adapter: &str, peer: DeviceAddress, socket: SeqPacket) -> Result<Self, RadioError> {
+        let send_mtu = socket.send_mtu().map_err(|error| down(peer, error))?;
+        Ok(Self {
+            adapter: adapter.to_owned(),
+            peer,
+            send_mtu,
+            socket,
+        })
+    }
+}
+
+#[async_trait]
+impl Channel for BluezChannel {
+    fn peer(&self) -> DeviceAddress {
+        self.peer
+    }
+
+    fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    fn send_mtu(&self) -> usize {
+        self.send_mtu
+    }
+
+    async fn send(&self, sdu: &[u8]) -> Result<(), RadioError> {
+        if sdu.len() > self.send_mtu {
+            return Err(RadioError::SduTooLarge {
+                size: sdu.len(),
+                limit: self.send_mtu,
+            });
+        }
+        let sent = self
+            .socket
+            .send(sdu)
+            .await
+            .map_err(|error| down(self.peer, error))?;
+        if sent == sdu.len() {
+            return Ok(());
+        }
+        let cut = std::io::Error::other(format!("{sent} of {} bytes of an sdu sent", sdu.len()));
+        Err(down(self.peer, cut))
+    }
+
+    async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError> {
+        let size = self
+            .socket
+            .recv(buffer)
+            .await
+            .map_err(|error| down(self.peer, error))?;
+        if size == 0 {
+            return Err(RadioError::ChannelDown {
+                peer: self.peer,
+                source: None,
+            });
+        }
+        Ok(size)
+    }
+
+    fn shutdown(&self) {
+        // It may be down already; there is nothing left to do then.
+        let _ = self.socket.shutdown(Shutdown::Both);
+    }
+}
+
+fn down(peer: DeviceAddress, error: std::io::Error) -> RadioError {
+    RadioError::ChannelDown {
+        peer,
+        source: Some(error),
+    }
+}

@@ -1,0 +1,103 @@
+//! Owns what BlueZ's and the kernel's errors mean to a user, and what to do about them.
+use bluer::{ErrorKind, Session};
+
+use crate::{
+    address::{DeviceAddress, Psm},
+    radio::RadioError,
+};
+
+/// Turns a D-Bus error of `action` into its reason.
+pub(super) fn dbus_error(action: &'static str) -> impl Fn(bluer::Error) -> RadioError {
+    move |error| {
+        let text = error.to_string();
+        let is = |names: &[&str]| names.iter().any(|name| text.contains(name));
+        if is(&["ServiceUnknown", "NoReply", "NameHasNoOwner", "not provided by any .service"]) {
+            return RadioError::NoService {
+                service: "bluetoothd",
+                advice: "install it with `sudo apt install bluez` and start it with `sudo systemctl start bluetooth`".to_owned(),
+            };
+        }
+        if is(&["Failed to connect to socket", "D-Bus"]) && is(&["No such file", "refused"]) {
+            return RadioError::NoService {
+                service: "the system D-Bus",
+                advice: "start it with `sudo systemctl start dbus`".to_owned(),
+            };
+        }
+        let denied = matches!(
+            error.kind,
+            ErrorKind::NotPermitted | ErrorKind::NotAuthorized
+        );
+        if denied || is(&["AccessDenied", "Access denied"]) {
+            return RadioError::NotPermitted {
+                action,
+                advice: "add the user to the group bluetooth (`sudo usermod -aG bluetooth $USER`) and log in again".to_owned(),
+            };
+        }
+        RadioError::System {
+            action,
+            source: Box::new(error),
+        }
+    }
+}
+
+/// Why there is no such adapter, with what there is.
+pub(super) async fn no_adapter(name: &str, session: &Session) -> RadioError {
+    let there = session.adapter_names().await.unwrap_or_default();
+    let advice = if !there.is_empty() {
+        format!("there is {}", there.join(", "))
+    } else if is_raspberry_pi() {
+        "none at all. On a KIPR Wombat `dtoverlay=pi3-disable-bt` in /boot/config.txt switches it off: plug in a USB Bluetooth dongle, or replace that line by `dtoverlay=pi3-miniuart-bt` and reboot".to_owned()
+    } else {
+        "none at all: plug one in, or check `rfkill list` and `dmesg | grep -i bluetooth`; without Bluetooth, adapters named sim-... use the simulated air (`rect air`)".to_owned()
+    };
+    RadioError::NoAdapter {
+        adapter: name.to_owned(),
+        advice,
+    }
+}
+
+fn is_raspberry_pi() -> bool {
+    std::fs::read("/proc/device-tree/model").is_ok_and(|model| model.starts_with(b"Raspberry Pi"))
+}
+
+/// Turns an error of a listening or unconnected socket into its reason.
+pub(super) fn socket_error(
+    action: &'static str,
+    adapter: &str,
+    psm: Option<Psm>,
+) -> impl Fn(std::io::Error) -> RadioError {
+    let adapter = adapter.to_owned();
+    move |error| match (error.raw_os_error(), psm) {
+        (Some(libc::EAFNOSUPPORT | libc::EPROTONOSUPPORT), _) => RadioError::NoAdapter {
+            adapter: adapter.clone(),
+            advice: "this kernel has no Bluetooth (`sudo modprobe bluetooth`)".to_owned(),
+        },
+        (Some(libc::EADDRINUSE), Some(psm)) => RadioError::PsmTaken(psm),
+        (Some(libc::EACCES | libc::EPERM), _) => RadioError::NotPermitted {
+            action,
+            advice: "run as a user who may use Bluetooth sockets; in a container they must be let in".to_owned(),
+        },
+        (Some(libc::ENODEV | libc::EADDRNOTAVAIL | libc::EHOSTUNREACH), _) => RadioError::AdapterOff {
+            adapter: adapter.clone(),
+        },
+        _ => RadioError::System {
+            action,
+            source: Box::new(error),
+        },
+    }
+}
+
+/// Turns the error with which a connect ended into its reason.
+pub(super) fn connect_error(peer: DeviceAddress, psm: Psm, error: std::io::Error) -> RadioError {
+    match error.raw_os_error() {
+        Some(libc::ECONNREFUSED) => RadioError::Refused { peer, psm },
+        Some(libc::EACCES | libc::EPERM) => RadioError::NotPermitted {
+            action: "open a channel with that sec=",
+            advice: "pair the two robots, or use the same sec= on both".to_owned(),
+        },
+        _ => RadioError::ChannelDown {
+            peer,
+            source: Some(error),
+        },
+    }
+}

@@ -1,0 +1,150 @@
+//! Owns the opening of L2CAP sockets, with the pitfalls of the kernel and of bluer around it.
+//!
+//! bluer's own `connect` registers the socket before it connects; the readiness of the unconnected socket then reads
+//! as success, so it returns while the channel is still being made, and the flag for "hung up" stays for good. Here a
+//! socket is registered once it is connecting, and handed to bluer anew once it is connected.
+use std::{
+    io,
+    os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd},
+};
+
+use bluer::l2cap::{FlowControl, SeqPacket, Socket, SocketAddr};
+use tokio::io::{unix::AsyncFd, Interest};
+
+use crate::{
+    address::{AddressType, DeviceAddress, Psm},
+    radio::{ChannelOptions, Security},
+};
+
+/// The kernel's `struct sockaddr_l2` (include/net/bluetooth/l2cap.h).
+#[repr(C)]
+struct SockaddrL2 {
+    family: libc::sa_family_t,
+    psm_le: u16,
+    address_reversed: [u8; 6],
+    cid_le: u16,
+    address_kind: u8,
+}
+
+const BDADDR_LE_PUBLIC: u8 = 1;
+const BDADDR_LE_RANDOM: u8 = 2;
+
+/// A socket bound to the local adapter. Binding an LE address comes first: the options after it depend on it.
+pub(super) fn bound(
+    own: DeviceAddress,
+    psm: Option<Psm>,
+    options: ChannelOptions,
+) -> io::Result<Socket<SeqPacket>> {
+    let socket = Socket::<SeqPacket>::new_seq_packet()?;
+    let psm = psm.map_or(0, Psm::number);
+    socket.bind(SocketAddr::new(
+        bluer::Address(own.address.0),
+        bluer_kind(own.kind),
+        psm,
+    ))?;
+    // Old kernels know no mode for LE sockets and use the right one anyway.
+    let _ = socket.set_flow_control(FlowControl::Le);
+    socket.set_recv_mtu(options.recv_mtu)?;
+    let level = match options.security {
+        Security::Low => bluer::l2cap::SecurityLevel::Low,
+        Security::Medium => bluer::l2cap::SecurityLevel::Medium,
+        Security::High => bluer::l2cap::SecurityLevel::High,
+    };
+    socket.set_security(bluer::l2cap::Security { level, key_size: 0 })?;
+    Ok(socket)
+}
+
+/// Connects. Dropping the future closes the socket, which cancels the attempt in the kernel.
+pub(super) async fn connect(
+    socket: Socket<SeqPacket>,
+    peer: DeviceAddress,
+    psm: Psm,
+) -> io::Result<SeqPacket> {
+    // SAFETY: `into_raw_fd` gives up the descriptor, which is open and owned by nobody else.
+    let socket = unsafe { OwnedFd::from_raw_fd(socket.into_raw_fd()) };
+    start_connect(&socket, peer, psm)?;
+    // SAFETY: `socket` owns its descriptor and keeps the same one until it is taken back below.
+    let connecting = unsafe { AsyncFd::register_with_interest(socket, Interest::WRITABLE) }?;
+    loop {
+        let mut ready = connecting.writable().await?;
+        if let Some(error) = pending_error(connecting.get_ref())? {
+            return Err(error);
+        }
+        if is_connected(connecting.get_ref()) {
+            break;
+        }
+        ready.clear_ready();
+    }
+    let socket = connecting.into_inner();
+    // SAFETY: the descriptor is given up here and owned by the new `SeqPacket` alone.
+    unsafe { SeqPacket::from_raw_fd(socket.into_raw_fd()) }
+}
+
+fn start_connect(socket: &OwnedFd, peer: DeviceAddress, psm: Psm) -> io::Result<()> {
+    let mut address_reversed = peer.address.0;
+    address_reversed.reverse();
+    let to = SockaddrL2 {
+        family: libc::AF_BLUETOOTH as libc::sa_family_t,
+        psm_le: psm.number().to_le(),
+        address_reversed,
+        cid_le: 0,
+        address_kind: match peer.kind {
+            AddressType::Public => BDADDR_LE_PUBLIC,
+            AddressType::Random => BDADDR_LE_RANDOM,
+        },
+    };
+    // SAFETY: `to` is a valid sockaddr_l2 of the size told, and lives through the call.
+    let result = unsafe {
+        libc::connect(
+            socket.as_raw_fd(),
+            std::ptr::from_ref(&to).cast(),
+            size_of::<SockaddrL2>() as libc::socklen_t,
+        )
+    };
+    if result == 0 {
+        return Ok(());
+    }
+    let error = io::Error::last_os_error();
+    match error.raw_os_error() {
+        Some(libc::EINPROGRESS | libc::EAGAIN) => Ok(()),
+        _ => Err(error),
+    }
+}
+
+fn pending_error(socket: &OwnedFd) -> io::Result<Option<io::Error>> {
+    let mut code: libc::c_int = 0;
+    let mut size = size_of::<libc::c_int>() as libc::socklen_t;
+    // SAFETY: `code` and `size` are valid for writing and match the option's type.
+    let result = unsafe {
+        libc::getsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_ERROR,
+            std::ptr::from_mut(&mut code).cast(),
+            &mut size,
+        )
+    };
+    if result != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    Ok((code != 0).then(|| io::Error::from_raw_os_error(code)))
+}
+
+/// Whether the channel is up: only then does the socket know its peer.
+fn is_connected(socket: &OwnedFd) -> bool {
+    let mut poll = libc::pollfd {
+        fd: socket.as_raw_fd(),
+        events: libc::POLLOUT,
+        revents: 0,
+    };
+    // SAFETY: one valid pollfd, and no waiting.
+    let ready = unsafe { libc::poll(&mut poll, 1, 0) };
+    ready == 1 && poll.revents & libc::POLLOUT != 0 && poll.revents & (libc::POLLHUP | libc::POLLERR) == 0
+}
+
+pub(super) fn bluer_kind(kind: AddressType) -> bluer::AddressType {
+    match kind {
+        AddressType::Public => bluer::AddressType::LePublic,
+        AddressType::Random => bluer::AddressType::LeRandom,
+    }
+}

@@ -1,0 +1,73 @@
+//! Owns the watch over an adapter: its power, its coming and going, and restarts of bluetoothd.
+use bluer::{AdapterEvent, AdapterProperty, Session, SessionEvent};
+use futures::StreamExt;
+use tokio::{sync::watch, task::JoinHandle};
+
+use super::errors::dbus_error;
+use crate::radio::RadioError;
+
+pub(super) struct Watch {
+    changes: watch::Receiver<()>,
+    task: JoinHandle<()>,
+}
+
+impl Watch {
+    pub(super) async fn start(session: Session, name: String) -> Result<Self, RadioError> {
+        let mut of_session = session
+            .events()
+            .await
+            .map_err(dbus_error("watch the adapters"))?
+            .boxed();
+        let (sender, changes) = watch::channel(());
+        let task = tokio::spawn(async move {
+            loop {
+                let mut of_adapter = match session.adapter(&name) {
+                    Ok(adapter) => match adapter.events().await {
+                        Ok(events) => events.boxed(),
+                        Err(_) => futures::stream::pending().boxed(),
+                    },
+                    Err(_) => futures::stream::pending().boxed(),
+                };
+                loop {
+                    tokio::select! {
+                        event = of_session.next() => match event {
+                            Some(SessionEvent::AdapterAdded(who)) if who == name => {
+                                let _ = sender.send(());
+                                // A new object of that name: watch it instead of the old one.
+                                break;
+                            }
+                            Some(SessionEvent::AdapterRemoved(who)) if who == name => {
+                                let _ = sender.send(());
+                            }
+                            Some(_) => {}
+                            None => return,
+                        },
+                        event = of_adapter.next() => match event {
+                            Some(AdapterEvent::PropertyChanged(AdapterProperty::Powered(_))) => {
+                                let _ = sender.send(());
+                            }
+                            Some(_) => {}
+                            None => of_adapter = futures::stream::pending().boxed(),
+                        },
+                    }
+                }
+            }
+        });
+        Ok(Self { changes, task })
+    }
+
+    pub(super) async fn changed(&self) {
+        let mut changes = self.changes.clone();
+        changes.mark_unchanged();
+        if changes.changed().await.is_err() {
+            // The watch ended with its session: the caller looks again by itself.
+            std::future::pending::<()>().await;
+        }
+    }
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}

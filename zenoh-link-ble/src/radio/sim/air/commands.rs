@@ -1,0 +1,265 @@
+//! Owns what adapters ask of the air. Every command is checked: an adapter may live in a process that misbehaves.
+use std::time::Duration;
+
+use super::Air;
+use crate::{
+    address::{DeviceAddress, Psm},
+    advertisement::Advertisement,
+    radio::sim::{
+        adapter::{Advertising, Dial, MAX_REQUESTS},
+        air::AdapterId,
+        connection::{Connection, Signal},
+        message::{
+            ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation,
+        },
+        options::{ADVERTISING_DELAY, MAX_NAME_BYTES, MIN_MTU},
+    },
+};
+
+impl Air {
+    /// Does what an adapter asks for. What crossed an event that made it pointless is ignored; what no correct adapter
+    /// would ask for is a violation.
+    pub fn command(
+        &mut self,
+        id: AdapterId,
+        command: Command,
+        now: Duration,
+    ) -> Result<(), Violation> {
+        self.poll(now);
+        match command {
+            Command::Advertise {
+                request,
+                advertisement,
+                name,
+            } => self.advertise(id, request, advertisement, name),
+            Command::StopAdvertising { request } => {
+                if let Some(adapter) = self.adapters.get_mut(&id) {
+                    adapter.advertisements.remove(&request);
+                }
+                Ok(())
+            }
+            Command::Scan(is_on) => {
+                if let Some(adapter) = self.adapters.get_mut(&id) {
+                    adapter.scan = (is_on && adapter.is_on()).then(Default::default);
+                }
+                Ok(())
+            }
+            Command::Listen {
+                request,
+                psm,
+                recv_mtu,
+            } => self.listen(id, request, psm, recv_mtu),
+            Command::Unlisten { psm } => {
+                if let Some(adapter) = self.adapters.get_mut(&id) {
+                    adapter.listeners.remove(&psm.number());
+                }
+                Ok(())
+            }
+            Command::Connect {
+                request,
+                peer,
+                psm,
+                recv_mtu,
+            } => self.connect(id, request, peer, psm, recv_mtu),
+            Command::CancelConnect { request } => {
+                self.cancel(id, request);
+                Ok(())
+            }
+            Command::Send { channel, sdu } => self.send(id, channel, sdu),
+            Command::Took { channel } => self.took(id, channel),
+            Command::Close { channel } => {
+                self.close(id, channel);
+                Ok(())
+            }
+        }
+    }
+
+    fn advertise(
+        &mut self,
+        id: AdapterId,
+        request: RequestId,
+        advertisement: Advertisement,
+        name: String,
+    ) -> Result<(), Violation> {
+        check_psm(advertisement.psm)?;
+        if name.len() > MAX_NAME_BYTES {
+            return Err(Violation::Name);
+        }
+        let next = self.now + self.dice.up_to(ADVERTISING_DELAY);
+        let Some(adapter) = self.adapters.get_mut(&id).filter(|a| a.is_on()) else {
+            return Ok(());
+        };
+        check_free(&adapter.advertisements, &request)?;
+        let advertising = Advertising {
+            advertisement,
+            name,
+            next,
+        };
+        adapter.advertisements.insert(request, advertising);
+        Ok(())
+    }
+
+    fn listen(
+        &mut self,
+        id: AdapterId,
+        request: RequestId,
+        psm: Option<Psm>,
+        recv_mtu: u16,
+    ) -> Result<(), Violation> {
+        psm.map_or(Ok(()), check_psm)?;
+        check_mtu(recv_mtu)?;
+        let Some(adapter) = self.adapters.get_mut(&id) else {
+            return Ok(());
+        };
+        let psm = if !adapter.is_on() {
+            Err(ListenFailure::Unavailable)
+        } else if let Some(psm) = psm {
+            let is_taken = adapter.listeners.contains_key(&psm.number());
+            (!is_taken).then_some(psm).ok_or(ListenFailure::Taken)
+        } else {
+            (Psm::MIN..=Psm::MAX)
+                .filter(|number| !adapter.listeners.contains_key(number))
+                .find_map(Psm::new)
+                .ok_or(ListenFailure::NoneFree)
+        };
+        if let Ok(psm) = psm {
+            adapter.listeners.insert(psm.number(), recv_mtu);
+        }
+        self.tell(id, Event::Listening { request, psm });
+        Ok(())
+    }
+
+    fn connect(
+        &mut self,
+        id: AdapterId,
+        request: RequestId,
+        peer: DeviceAddress,
+        psm: Psm,
+        recv_mtu: u16,
+    ) -> Result<(), Violation> {
+        check_psm(psm)?;
+        check_mtu(recv_mtu)?;
+        let Some(adapter) = self.adapters.get(&id) else {
+            return Ok(());
+        };
+        check_free(&adapter.dials, &request)?;
+        if !adapter.is_on() {
+            let why = ConnectFailure::Unavailable;
+            self.tell(id, Event::ConnectFailed { request, why });
+            return Ok(());
+        }
+        let dial = Dial {
+            peer,
+            psm,
+            recv_mtu,
+        };
+        let there = self
+            .adapters
+            .iter()
+            .find(|(other, adapter)| **other != id && adapter.address == peer)
+            .map(|(other, _)| *other);
+        let connection = there
+            .and_then(|other| self.connection_between(id, other))
+            .filter(|connection| {
+                let connection = self.connections.get(connection);
+                connection.is_some_and(|c| c.sides.iter().all(|side| side.is_up))
+            });
+        match connection {
+            Some(connection) => self.open(connection, id, request, dial),
+            None => {
+                if let Some(adapter) = self.adapters.get_mut(&id) {
+                    adapter.dials.insert(request, dial);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn cancel(&mut self, id: AdapterId, request: RequestId) {
+        if let Some(adapter) = self.adapters.get_mut(&id) {
+            adapter.dials.remove(&request);
+        }
+        let opening = self.connections.values().find_map(|connection| {
+            let side = connection.side_of(id)?;
+            let asked = connection
+                .channels
+                .iter()
+                .find(|(_, channel)| channel.is_opening(side, request));
+            asked.map(|(channel, _)| *channel)
+        });
+        if let Some(channel) = opening {
+            self.close(id, channel);
+        }
+    }
+
+    fn send(&mut self, id: AdapterId, channel: ChannelId, sdu: Vec<u8>) -> Result<(), Violation> {
+        let Some((connection, side)) = self.home(id, channel) else {
+            return Ok(());
+        };
+        match connection.channels.get_mut(&channel) {
+            Some(channel) if channel.is_open(side) => channel.queue(side, sdu),
+            _ => Ok(()),
+        }
+    }
+
+    fn took(&mut self, id: AdapterId, channel: ChannelId) -> Result<(), Violation> {
+        let Some((connection, side)) = self.home(id, channel) else {
+            return Ok(());
+        };
+        if let Some(end) = connection.channels.get_mut(&channel) {
+            end.took(side)?;
+        }
+        connection.return_credits(side, channel);
+        Ok(())
+    }
+
+    fn close(&mut self, id: AdapterId, channel: ChannelId) {
+        let Some((connection, side)) = self.home(id, channel) else {
+            return;
+        };
+        let Some(end) = connection.channels.get_mut(&channel) else {
+            return;
+        };
+        if end.is_closed(side) {
+            return;
+        }
+        end.close(side);
+        if !end.is_over() {
+            connection.signal(side, Signal::Disconnect { channel });
+        }
+        self.settle(channel);
+    }
+
+    /// The connection of a channel, and the adapter's side of it.
+    fn home(&mut self, id: AdapterId, channel: ChannelId) -> Option<(&mut Connection, usize)> {
+        let home = self.homes.get(&channel)?;
+        let connection = self.connections.get_mut(home)?;
+        let side = connection.side_of(id)?;
+        Some((connection, side))
+    }
+}
+
+fn check_psm(psm: Psm) -> Result<(), Violation> {
+    // A PSM that came in a message was not made by `Psm::new`.
+    Psm::new(psm.number()).map(drop).ok_or(Violation::Psm)
+}
+
+fn check_mtu(recv_mtu: u16) -> Result<(), Violation> {
+    if recv_mtu < MIN_MTU {
+        return Err(Violation::Mtu);
+    }
+    Ok(())
+}
+
+fn check_free<T>(
+    pending: &std::collections::BTreeMap<RequestId, T>,
+    request: &RequestId,
+) -> Result<(), Violation> {
+    if pending.contains_key(request) {
+        return Err(Violation::DuplicateRequest);
+    }
+    if pending.len() >= MAX_REQUESTS {
+        return Err(Violation::TooManyRequests);
+    }
+    Ok(())
+}

@@ -1,0 +1,250 @@
+//! The model alone, with the time made up: `cargo test -p zenoh-link-ble --lib sim::air`.
+use std::time::Duration;
+
+use super::*;
+use crate::{
+    address::Psm,
+    advertisement::Advertisement,
+    radio::sim::message::{Command, ConnectFailure},
+};
+
+const A: AdapterId = AdapterId(1);
+const B: AdapterId = AdapterId(2);
+
+fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn psm() -> Psm {
+    Psm::new(0x80).expect("valid")
+}
+
+fn request(number: u32) -> RequestId {
+    RequestId(number)
+}
+
+/// `sim-a` dials `sim-b`, which listens and advertises.
+fn dialling(seed: u64, condition: Condition) -> Air {
+    let mut air = Air::new(AirOptions {
+        seed,
+        condition,
+        ..AirOptions::default()
+    });
+    assert_eq!(air.attach("sim-a", ms(0)), Ok(A));
+    assert_eq!(air.attach("sim-b", ms(0)), Ok(B));
+    let listen = Command::Listen {
+        request: request(1),
+        psm: Some(psm()),
+        recv_mtu: 2000,
+    };
+    let advertise = Command::Advertise {
+        request: request(2),
+        advertisement: Advertisement {
+            psm: psm(),
+            plain: false,
+            name_hash: 0,
+            fleet_hash: 0,
+            incarnation: 0,
+        },
+        name: "b".to_owned(),
+    };
+    for command in [listen, advertise] {
+        air.command(B, command, ms(0)).expect("in order");
+    }
+    air.command(A, connect(air.adapters[&B].address), ms(0))
+        .expect("in order");
+    air
+}
+
+fn connect(peer: crate::address::DeviceAddress) -> Command {
+    Command::Connect {
+        request: request(7),
+        peer,
+        psm: psm(),
+        recv_mtu: 2000,
+    }
+}
+
+/// Polls until an event of that kind, and tells when.
+fn until(air: &mut Air, limit: Duration, is_wanted: impl Fn(&Happened) -> bool) -> Happened {
+    loop {
+        if let Some(happened) = air.drain().into_iter().find(|happened| is_wanted(happened)) {
+            return happened;
+        }
+        let next = air.next_wakeup().expect("something is due");
+        assert!(next < limit, "it has not happened until {limit:?}");
+        air.poll(next);
+    }
+}
+
+fn connected(seed: u64, condition: Condition) -> (Air, ChannelId) {
+    let mut air = dialling(seed, condition);
+    let happened = until(&mut air, ms(20_000), |h| matches!(h.event, Event::Connected { .. }));
+    let Event::Connected { channel, .. } = happened.event else {
+        unreachable!()
+    };
+    (air, channel)
+}
+
+/// All that happens in five seconds while A sends as fast as it may and B reads at once.
+fn trace(seed: u64, condition: Condition) -> Vec<Happened> {
+    let (mut air, channel) = connected(seed, condition);
+    let mut trace = Vec::new();
+    let send = |air: &mut Air, now| {
+        let sdu = vec![1; 700];
+        air.command(A, Command::Send { channel, sdu }, now).expect("room");
+    };
+    for _ in 0..10 {
+        let now = air.now;
+        send(&mut air, now);
+    }
+    while let Some(next) = air.next_wakeup().filter(|next| *next < ms(5000)) {
+        air.poll(next);
+        for happened in air.drain() {
+            match happened.event {
+                Event::Sent { .. } => send(&mut air, next),
+                Event::Received { .. } => {
+                    air.command(B, Command::Took { channel }, next).expect("was there");
+                }
+                _ => {}
+            }
+            trace.push(happened);
+        }
+    }
+    trace
+}
+
+#[test]
+fn the_same_seed_gives_the_same_events_and_another_does_not() {
+    let first = trace(1, Condition::EdgeOfRange);
+    assert!(first.len() > 100, "{} events", first.len());
+    assert_eq!(first, trace(1, Condition::EdgeOfRange));
+    assert_ne!(first, trace(2, Condition::EdgeOfRange));
+}
+
+#[test]
+fn nothing_changes_when_polls_come_late() {
+    let (mut exact, _) = connected(3, Condition::Wall);
+    let (mut late, _) = connected(3, Condition::Wall);
+    let mut events = Vec::new();
+    while let Some(next) = exact.next_wakeup().filter(|next| *next <= ms(10_000)) {
+        exact.poll(next);
+        events.extend(exact.drain());
+    }
+    late.poll(ms(10_000));
+    assert_eq!(late.drain(), events);
+    assert_eq!(late.stats("sim-a"), exact.stats("sim-a"));
+}
+
+#[test]
+fn a_connect_takes_an_advertisement_set_up_events_and_a_request_and_answer() {
+    let mut air = dialling(1, Condition::Desk);
+    let incoming = until(&mut air, ms(1000), |h| matches!(h.event, Event::Incoming { .. }));
+    let connected = until(&mut air, ms(1000), |h| matches!(h.event, Event::Connected { .. }));
+    assert!(incoming.at > ms(90), "three set-up events of 30 ms: {:?}", incoming.at);
+    assert!(connected.at > incoming.at);
+    assert!(connected.at < ms(200), "{:?}", connected.at);
+}
+
+#[test]
+fn the_edge_of_range_holds_a_link() {
+    for seed in 0..20 {
+        let (mut air, _) = connected(seed, Condition::EdgeOfRange);
+        air.drain();
+        air.poll(ms(120_000));
+        assert_eq!(air.drain(), [], "seed {seed}");
+    }
+}
+
+#[test]
+fn a_peer_that_leaves_in_order_is_known_at_the_next_event() {
+    let (mut air, channel) = connected(1, Condition::Desk);
+    let now = air.now;
+    air.detach(B, now);
+    let closed = until(&mut air, now + ms(100), |h| h.event == Event::Closed { channel });
+    assert_eq!(closed.adapter, A);
+    assert!(closed.at <= now + ms(30));
+}
+
+#[test]
+fn a_peer_that_is_pulled_out_is_known_after_the_supervision_timeout() {
+    let (mut air, channel) = connected(1, Condition::Desk);
+    let now = air.now;
+    air.remove("sim-b", now).expect("is there");
+    let closed = until(&mut air, now + ms(3000), |h| h.event == Event::Closed { channel });
+    assert_eq!(closed.adapter, A);
+    assert!(closed.at > now + ms(1900), "{:?}", closed.at - now);
+}
+
+#[test]
+fn a_link_lost_before_it_is_made_fails_the_connect() {
+    let mut air = dialling(1, Condition::Desk);
+    while air.connections.is_empty() {
+        let next = air.next_wakeup().expect("advertising");
+        air.poll(next);
+    }
+    let now = air.now;
+    air.cut(now);
+    let failed = until(&mut air, now + ms(1000), |h| h.adapter == A);
+    let why = ConnectFailure::LinkLost;
+    let request = request(7);
+    assert_eq!(failed.event, Event::ConnectFailed { request, why });
+}
+
+#[test]
+fn a_cut_between_two_leaves_a_third_alone() {
+    let (mut air, _) = connected(1, Condition::Desk);
+    let now = air.now;
+    let c = air.attach("sim-c", now).expect("is new");
+    air.cut_between("sim-b", "sim-a", now);
+    let peer = air.adapters[&B].address;
+    air.command(c, connect(peer), now).expect("in order");
+    until(&mut air, now + ms(1000), |h| h.adapter == c);
+    air.restore(now);
+}
+
+#[test]
+fn a_scan_reports_a_device_a_few_times_a_second() {
+    let mut air = dialling(1, Condition::Desk);
+    let c = air.attach("sim-c", ms(0)).expect("is new");
+    air.command(c, Command::Scan(true), ms(0)).expect("in order");
+    air.poll(ms(10_000));
+    let heard = air.drain();
+    let count = heard
+        .iter()
+        .filter(|h| h.adapter == c && matches!(h.event, Event::Sighting(_)))
+        .count();
+    assert!((30..=50).contains(&count), "{count} in ten seconds");
+}
+
+#[test]
+fn misbehaviour_is_named() {
+    let (mut air, channel) = connected(1, Condition::Desk);
+    let now = air.now;
+    let sdu = vec![0; 2001];
+    assert_eq!(
+        air.command(A, Command::Send { channel, sdu }, now),
+        Err(crate::radio::sim::message::Violation::SduSize)
+    );
+    assert_eq!(
+        air.command(A, Command::Took { channel }, now),
+        Err(crate::radio::sim::message::Violation::NothingToTake)
+    );
+    // Somebody else's channel is nobody's.
+    let c = air.attach("sim-c", now).expect("is new");
+    assert_eq!(air.command(c, Command::Took { channel }, now), Ok(()));
+    assert_eq!(air.command(c, Command::Close { channel }, now), Ok(()));
+    assert_eq!(air.connections.len(), 1);
+}
+
+#[test]
+fn a_name_is_attached_once() {
+    let mut air = Air::new(AirOptions::default());
+    let first = air.attach("sim-a", ms(0)).expect("is new");
+    assert_eq!(
+        air.attach("sim-a", ms(0)),
+        Err(AttachError::InUse("sim-a".to_owned()))
+    );
+    air.detach(first, ms(1));
+    assert!(air.attach("sim-a", ms(2)).is_ok());
+}

@@ -1,0 +1,197 @@
+//! Owns an open channel as the link sees it: room to send, SDUs to read, and the end.
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+use async_trait::async_trait;
+use tokio::sync::Notify;
+
+use super::{
+    channel::has_room,
+    message::{ChannelId, Command},
+    radio::Attachment,
+};
+use crate::{
+    address::DeviceAddress,
+    radio::{Channel, RadioError},
+};
+
+/// One end of an open channel.
+pub(super) struct SimChannel {
+    attachment: Arc<Attachment>,
+    id: ChannelId,
+    peer: DeviceAddress,
+    send_mtu: usize,
+    flow: Arc<ChannelFlow>,
+}
+
+/// What the air says of a channel, and those who wait for it.
+#[derive(Default)]
+pub(super) struct ChannelFlow {
+    inner: Mutex<Flow>,
+    changed: Notify,
+}
+
+#[derive(Default)]
+struct Flow {
+    queued_bytes: usize,
+    unread: VecDeque<Vec<u8>>,
+    is_down: bool,
+}
+
+#[async_trait]
+impl Channel for SimChannel {
+    fn peer(&self) -> DeviceAddress {
+        self.peer
+    }
+
+    fn adapter(&self) -> &str {
+        &self.attachment.name
+    }
+
+    fn send_mtu(&self) -> usize {
+        self.send_mtu
+    }
+
+    async fn send(&self, sdu: &[u8]) -> Result<(), RadioError> {
+        if sdu.is_empty() || sdu.len() > self.send_mtu {
+            return Err(RadioError::SduTooLarge {
+                size: sdu.len(),
+                limit: self.send_mtu,
+            });
+        }
+        self.flow
+            .wait(|flow| {
+                if flow.is_down {
+                    return Some(false);
+                }
+                has_room(flow.queued_bytes, sdu.len()).then(|| {
+                    flow.queued_bytes += sdu.len();
+                    true
+                })
+            })
+            .await
+            .then(|| {
+                self.attachment.command(Command::Send {
+                    channel: self.id,
+                    sdu: sdu.to_vec(),
+                });
+            })
+            .ok_or_else(|| self.down())
+    }
+
+    async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError> {
+        let (size, is_down) = self
+            .flow
+            .wait(|flow| {
+                // What came before the end is still read.
+                match flow.unread.front() {
+                    Some(sdu) if sdu.len() > buffer.len() => Some(Err(RadioError::SduTooLarge {
+                        size: sdu.len(),
+                        limit: buffer.len(),
+                    })),
+                    Some(_) => flow.unread.pop_front().map(|sdu| {
+                        buffer[..sdu.len()].copy_from_slice(&sdu);
+                        Ok((sdu.len(), flow.is_down))
+                    }),
+                    None if flow.is_down => Some(Err(self.down())),
+                    None => None,
+                }
+            })
+            .await?;
+        if !is_down {
+            self.attachment.command(Command::Took { channel: self.id });
+        }
+        Ok(size)
+    }
+
+    fn shutdown(&self) {
+        self.flow.shut();
+        self.attachment.end_channel(self.id, &self.flow);
+    }
+}
+
+impl Drop for SimChannel {
+    fn drop(&mut self) {
+        self.attachment.end_channel(self.id, &self.flow);
+    }
+}
+
+impl SimChannel {
+    pub(super) fn new(
+        attachment: Arc<Attachment>,
+        id: ChannelId,
+        peer: DeviceAddress,
+        send_mtu: usize,
+        flow: Arc<ChannelFlow>,
+    ) -> Self {
+        Self {
+            attachment,
+            id,
+            peer,
+            send_mtu,
+            flow,
+        }
+    }
+
+    fn down(&self) -> RadioError {
+        RadioError::ChannelDown {
+            peer: self.peer,
+            source: None,
+        }
+    }
+}
+
+impl ChannelFlow {
+    /// The oldest SDU sent has arrived.
+    pub(super) fn on_sent(&self, bytes: usize) {
+        let mut flow = self.flow();
+        flow.queued_bytes = flow.queued_bytes.saturating_sub(bytes);
+        drop(flow);
+        self.changed.notify_waiters();
+    }
+
+    /// An SDU came in.
+    pub(super) fn on_received(&self, sdu: Vec<u8>) {
+        let mut flow = self.flow();
+        if !flow.is_down {
+            flow.unread.push_back(sdu);
+        }
+        drop(flow);
+        self.changed.notify_waiters();
+    }
+
+    /// The channel is down; what came before can still be read.
+    pub(super) fn on_closed(&self) {
+        self.flow().is_down = true;
+        self.changed.notify_waiters();
+    }
+
+    /// This end is closed: what is unread is of no use any more.
+    fn shut(&self) {
+        let mut flow = self.flow();
+        flow.is_down = true;
+        flow.unread.clear();
+        drop(flow);
+        self.changed.notify_waiters();
+    }
+
+    /// Waits until `look` finds something. It may be dropped at any time: `look` has either found it or done nothing.
+    async fn wait<T>(&self, mut look: impl FnMut(&mut Flow) -> Option<T>) -> T {
+        loop {
+            // Registered before looking, so that a change in between is not missed.
+            let changed = self.changed.notified();
+            tokio::pin!(changed);
+            changed.as_mut().enable();
+            if let Some(found) = look(&mut self.flow()) {
+                return found;
+            }
+            changed.await;
+        }
+    }
+
+    fn flow(&self) -> MutexGuard<'_, Flow> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,152 @@
+//! What a radio's advertising, scanning and channels must do.
+use std::time::Duration;
+
+use zenoh_link_ble::{
+    address::{Address, AddressType, DeviceAddress, Psm},
+    radio::RadioError,
+};
+
+use super::{advertisement, channel_pair, within, World, OPTIONS};
+
+pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World) {
+    let sent = advertisement(Psm::new(0x91).expect("valid"), "wombat-7");
+    let _advertising = world
+        .b
+        .advertise(&sent, "wombat-7")
+        .await
+        .expect("advertises");
+    let device = world.b.address().await.expect("has an address");
+    let mut scan = world.a.scan().await.expect("scans");
+    for _ in 0..2 {
+        let seen = within("seeing the advertisement", async {
+            loop {
+                let sighting = scan.next().await.expect("goes on scanning");
+                if sighting.device == device && sighting.advertisement.is_some() {
+                    return sighting;
+                }
+            }
+        })
+        .await;
+        assert_eq!(seen.advertisement, Some(sent));
+    }
+}
+
+pub async fn sdus_of_every_size_arrive_whole_and_in_order_both_ways(world: World) {
+    let (near, far, _listener) = channel_pair(&world).await;
+    let limit = near.send_mtu().min(far.send_mtu()).min(4096);
+    let sizes: Vec<usize> = (0..60)
+        .map(|n| [1, 2, 22, 23, 24, 246, 247, 248, 1000, limit][n % 10].min(limit))
+        .collect();
+    for (from, to) in [(&near, &far), (&far, &near)] {
+        let sending = async {
+            for (n, size) in sizes.iter().enumerate() {
+                from.send(&vec![n as u8; *size]).await.expect("sends");
+            }
+        };
+        let receiving = async {
+            let mut buffer = vec![0; 5000];
+            for (n, size) in sizes.iter().enumerate() {
+                let received = to.recv(&mut buffer).await.expect("receives");
+                assert_eq!(received, *size, "size of sdu {n}");
+                assert!(buffer[..received].iter().all(|b| *b == n as u8), "sdu {n}");
+            }
+        };
+        within("sending sixty sdus", async { tokio::join!(sending, receiving) }).await;
+    }
+}
+
+pub async fn a_closed_channel_ends_the_peers_receive(world: World) {
+    let (near, far, _listener) = channel_pair(&world).await;
+    near.shutdown();
+    let ended = within("the end", far.recv(&mut [0; 100])).await;
+    assert!(matches!(ended, Err(RadioError::ChannelDown { .. })), "{ended:?}");
+}
+
+pub async fn a_dropped_channel_ends_the_peers_receive(world: World) {
+    let (near, far, _listener) = channel_pair(&world).await;
+    drop(near);
+    let ended = within("the end", far.recv(&mut [0; 100])).await;
+    assert!(matches!(ended, Err(RadioError::ChannelDown { .. })), "{ended:?}");
+}
+
+pub async fn a_psm_without_a_listener_refuses(world: World) {
+    let listener = world.b.listen(None, OPTIONS).await.expect("listens");
+    let free = (Psm::MIN..=Psm::MAX)
+        .rev()
+        .filter_map(Psm::new)
+        .find(|psm| *psm != listener.psm())
+        .expect("there are many");
+    let _advertising = world
+        .b
+        .advertise(&advertisement(free, "b"), "b")
+        .await
+        .expect("advertises");
+    let to = world.b.address().await.expect("has an address");
+    let refused = within("the refusal", world.a.connect(to, free, OPTIONS)).await;
+    assert!(
+        matches!(refused, Err(RadioError::Refused { .. })),
+        "{:?}",
+        refused.err()
+    );
+}
+
+pub async fn a_psm_is_taken_once(world: World) {
+    let psm = Psm::new(0xa5).expect("valid");
+    let _first = world.b.listen(Some(psm), OPTIONS).await.expect("listens");
+    let second = world.b.listen(Some(psm), OPTIONS).await;
+    assert!(matches!(second, Err(RadioError::PsmTaken(taken)) if taken == psm));
+}
+
+pub async fn a_connect_that_is_given_up_leaves_nothing_behind(world: World) {
+    let nobody = DeviceAddress {
+        address: Address([0xc0, 1, 2, 3, 4, 5]),
+        kind: AddressType::Random,
+    };
+    let psm = Psm::new(0x80).expect("valid");
+    for _ in 0..2 {
+        let attempt = world.a.connect(nobody, psm, OPTIONS);
+        let given_up = tokio::time::timeout(Duration::from_millis(300), attempt).await;
+        assert!(given_up.is_err(), "nobody answers");
+    }
+    let (near, far, _listener) = channel_pair(&world).await;
+    near.send(b"still works").await.expect("sends");
+    let mut buffer = [0; 100];
+    let size = within("the sdu", far.recv(&mut buffer)).await.expect("receives");
+    assert_eq!(&buffer[..size], b"still works");
+}
+
+pub async fn several_channels_live_side_by_side(world: World) {
+    let (one, one_far, listener) = channel_pair(&world).await;
+    let _advertising = world
+        .b
+        .advertise(&advertisement(listener.psm(), "b"), "b")
+        .await
+        .expect("advertises");
+    let to = world.b.address().await.expect("has an address");
+    let (two, two_far) = within("the second channel", async {
+        tokio::join!(
+            world.a.connect(to, listener.psm(), OPTIONS),
+            listener.accept()
+        )
+    })
+    .await;
+    let (two, two_far) = (two.expect("connects"), two_far.expect("accepts"));
+    one.send(b"one").await.expect("sends");
+    two.send(b"two").await.expect("sends");
+    let mut buffer = [0; 100];
+    let size = within("two", two_far.recv(&mut buffer)).await.expect("receives");
+    assert_eq!(&buffer[..size], b"two");
+    let size = within("one", one_far.recv(&mut buffer)).await.expect("receives");
+    assert_eq!(&buffer[..size], b"one");
+    two.shutdown();
+    one.send(b"one again").await.expect("sends");
+    let size = within("one", one_far.recv(&mut buffer)).await.expect("receives");
+    assert_eq!(&buffer[..size], b"one again");
+}
+
+pub async fn an_sdu_over_the_channels_limit_is_refused(world: World) {
+    let (near, _far, _listener) = channel_pair(&world).await;
+    let limit = near.send_mtu();
+    let refused = near.send(&vec![0; limit + 1]).await;
+    assert!(matches!(refused, Err(RadioError::SduTooLarge { .. })), "{refused:?}");
+}

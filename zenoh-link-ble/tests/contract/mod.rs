@@ -1,0 +1,95 @@
+//! The link contract: what must hold on every radio. `contract_sim.rs` runs it on the simulated air in virtual time,
+//! `contract_bluez.rs` on the kernel's own stack (in the VM: `tests/vm/test`).
+pub mod channel;
+pub mod link;
+pub mod misbehaving;
+
+use std::{future::Future, sync::Arc, time::Duration};
+
+use zenoh_link_ble::{
+    address::Psm,
+    radio::{Channel, ChannelListener, ChannelOptions, Radio, Security},
+};
+
+/// Two radios in range of each other.
+pub struct World {
+    pub a: Arc<dyn Radio>,
+    pub b: Arc<dyn Radio>,
+}
+
+pub const OPTIONS: ChannelOptions = ChannelOptions {
+    recv_mtu: 4096,
+    security: Security::Low,
+};
+
+/// Bounds a step, so that a hang is a failure that says where.
+pub async fn within<T>(what: &str, step: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(20), step)
+        .await
+        .unwrap_or_else(|_| panic!("{what} took longer than 20 s"))
+}
+
+/// An advertisement of a test listener.
+pub fn advertisement(psm: Psm, name: &str) -> zenoh_link_ble::advertisement::Advertisement {
+    zenoh_link_ble::advertisement::Advertisement {
+        psm,
+        plain: false,
+        name_hash: zenoh_link_ble::advertisement::Advertisement::hash_of_name(name),
+        fleet_hash: 0,
+        incarnation: 1,
+    }
+}
+
+/// A channel from `a` to a listener on `b`, and its other end.
+pub async fn channel_pair(
+    world: &World,
+) -> (Arc<dyn Channel>, Arc<dyn Channel>, Box<dyn ChannelListener>) {
+    let listener = within("listening", world.b.listen(None, OPTIONS))
+        .await
+        .expect("listens");
+    let _advertising = world
+        .b
+        .advertise(&advertisement(listener.psm(), "b"), "b")
+        .await
+        .expect("advertises");
+    let to = world.b.address().await.expect("has an address");
+    let (near, far) = within("connecting", async {
+        tokio::join!(
+            world.a.connect(to, listener.psm(), OPTIONS),
+            listener.accept()
+        )
+    })
+    .await;
+    (near.expect("connects"), far.expect("accepts"), listener)
+}
+
+/// Runs every scenario of the contract through `$run!(name, path)`.
+#[macro_export]
+macro_rules! for_each_scenario {
+    ($run:ident) => {
+        $run! {
+            an_advertisement_is_seen_as_it_was_sent_and_seen_again: channel,
+            sdus_of_every_size_arrive_whole_and_in_order_both_ways: channel,
+            a_closed_channel_ends_the_peers_receive: channel,
+            a_dropped_channel_ends_the_peers_receive: channel,
+            a_psm_without_a_listener_refuses: channel,
+            a_psm_is_taken_once: channel,
+            a_connect_that_is_given_up_leaves_nothing_behind: channel,
+            several_channels_live_side_by_side: channel,
+            an_sdu_over_the_channels_limit_is_refused: channel,
+            a_peer_is_found_by_name_and_batches_go_both_ways: link,
+            a_peer_is_found_by_address: link,
+            two_nodes_that_dial_each_other_at_once_make_one_link: link,
+            a_link_opens_again_after_it_was_closed: link,
+            what_was_sent_before_close_arrives: link,
+            an_empty_write_is_no_end_of_the_link: link,
+            the_smaller_mtu_of_both_sides_counts: link,
+            a_name_nobody_advertises_is_an_error_that_names_it: link,
+            a_second_node_of_the_same_name_is_told_so: link,
+            a_listener_ends_when_it_is_deleted_and_can_start_again: link,
+            a_plain_peer_without_hello_is_served: misbehaving,
+            garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_notice: misbehaving,
+            an_oversize_batch_ends_the_link_with_its_reason: misbehaving,
+        }
+    };
+}

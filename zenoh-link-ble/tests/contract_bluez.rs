@@ -1,0 +1,33 @@
+//! The link contract on the kernel's own Bluetooth stack: `RECT_BLUEZ_ADAPTERS=hci0,hci1 cargo test -p zenoh-link-ble
+//! --test contract_bluez -- --test-threads=1`. `tests/vm/test` runs it in the VM; elsewhere it says why it does not run.
+mod contract;
+
+use contract::World;
+use zenoh_link_ble::radio::bluez;
+
+fn world() -> Option<World> {
+    let Ok(adapters) = std::env::var("RECT_BLUEZ_ADAPTERS") else {
+        println!("skipped: RECT_BLUEZ_ADAPTERS does not name two adapters in range of each other (the VM does)");
+        return None;
+    };
+    let (a, b) = adapters.split_once(',').expect("two adapters, as hci0,hci1");
+    Some(World {
+        a: bluez::radio(Some(a)).expect("opens"),
+        b: bluez::radio(Some(b)).expect("opens"),
+    })
+}
+
+macro_rules! on_bluez {
+    ($($scenario:ident: $group:ident,)+) => {
+        $(
+            #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+            async fn $scenario() {
+                if let Some(world) = world() {
+                    contract::$group::$scenario(world).await;
+                }
+            }
+        )+
+    };
+}
+
+for_each_scenario!(on_bluez);

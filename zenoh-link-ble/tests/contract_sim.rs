@@ -1,0 +1,31 @@
+//! The link contract on the simulated air, in virtual time: `cargo test -p zenoh-link-ble --test contract_sim`.
+mod contract;
+
+use contract::World;
+use zenoh_link_ble::radio::sim::{AirOptions, Condition, SimAir};
+
+async fn world(condition: Condition) -> World {
+    let air = SimAir::new(AirOptions {
+        condition,
+        ..AirOptions::default()
+    });
+    World {
+        a: air.radio("sim-a").await.expect("attaches"),
+        b: air.radio("sim-b").await.expect("attaches"),
+    }
+}
+
+macro_rules! on_sim {
+    ($($scenario:ident: $group:ident,)+) => {
+        $(
+            #[tokio::test(start_paused = true)]
+            async fn $scenario() {
+                for condition in [Condition::Desk, Condition::Room, Condition::Wall] {
+                    contract::$group::$scenario(world(condition).await).await;
+                }
+            }
+        )+
+    };
+}
+
+for_each_scenario!(on_sim);
