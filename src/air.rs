@@ -237,7 +237,11 @@ fn table(status: &AirStatus) -> String {
         let _ = writeln!(
             text,
             "{} -> {}: {} channel(s), {} and {} bytes waiting",
-            link.central, link.peripheral, link.channels, link.queued_bytes[0], link.queued_bytes[1]
+            link.central,
+            link.peripheral,
+            link.channels,
+            link.queued_bytes[0],
+            link.queued_bytes[1]
         );
     }
     text
@@ -254,7 +258,9 @@ impl FromStr for Span {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let wrong = || SpanError(text.to_owned());
-        let at = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(wrong)?;
+        let at = text
+            .find(|c: char| c.is_ascii_alphabetic())
+            .ok_or_else(wrong)?;
         let (number, unit) = text.split_at(at);
         let seconds = match unit {
             "us" => 1e-6,
@@ -275,8 +281,17 @@ mod tests {
 
     #[test]
     fn durations_have_a_unit() {
-        for (text, micros) in [("30ms", 30_000), ("7.5ms", 7500), ("2s", 2_000_000), ("50us", 50)] {
-            assert_eq!(text.parse(), Ok(Span(Duration::from_micros(micros))), "{text}");
+        for (text, micros) in [
+            ("30ms", 30_000),
+            ("7.5ms", 7500),
+            ("2s", 2_000_000),
+            ("50us", 50),
+        ] {
+            assert_eq!(
+                text.parse(),
+                Ok(Span(Duration::from_micros(micros))),
+                "{text}"
+            );
         }
         for text in ["", "30", "ms", "-1s", "1m", "nans", "infs"] {
             assert!(text.parse::<Span>().is_err(), "{text}");

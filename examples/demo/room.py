@@ -43,7 +43,9 @@ class Room:
     def __enter__(self) -> "Room":
         self._folder = Path(tempfile.mkdtemp(prefix="rect-demo-"))
         self._environment = os.environ | {"RECT_AIR": str(self._folder / "air.sock"), "RUST_LOG": "info"}
-        self._air = self._start(["rect", "air", "serve", "--condition", self._condition, "--pdu", "27"], self._folder / "air.log")
+        self._air = self._start(
+            ["rect", "air", "serve", "--condition", self._condition, "--pdu", "27"], self._folder / "air.log"
+        )
         self._wait("the simulated air", 10, lambda: self._command("air", "status").returncode == 0)
         return self
 
@@ -87,7 +89,9 @@ class Room:
     def usage(self) -> str:
         status = json.loads(self._command("air", "status", "--json").stdout)
         adapters = status["adapters"]
-        return ", ".join(f"{a['name'].removeprefix('sim-')} sent {a['stats']['bytes'] / 1000:.0f} kB" for a in adapters)
+        return ", ".join(
+            f"{a['name'].removeprefix('sim-')} sent {a['stats']['bytes_on_air'] / 1000:.0f} kB" for a in adapters
+        )
 
     def _control(self, *arguments: str) -> None:
         done = self._command("air", *arguments)

@@ -89,7 +89,11 @@ async fn link(from: &SimRadio, to: &SimRadio) -> (Arc<dyn Channel>, Arc<dyn Chan
     let dialled = from.connect(peer, listening.0.psm(), OPTIONS);
     let both = async { tokio::join!(dialled, listening.0.accept()) };
     let (dialled, accepted) = timeout(LIMIT, both).await.expect("in time");
-    (dialled.expect("connects"), accepted.expect("is called"), listening)
+    (
+        dialled.expect("connects"),
+        accepted.expect("is called"),
+        listening,
+    )
 }
 
 async fn say(from: &dyn Channel, to: &dyn Channel, sdu: &[u8]) {
@@ -109,14 +113,23 @@ async fn two_clients_find_each_other_and_talk() {
     say(&*x, &*y, &[1; 4096]).await;
     say(&*y, &*x, b"answer").await;
     let mut scan = a.scan().await.expect("scans");
-    let heard = timeout(LIMIT, scan.next()).await.expect("in time").expect("hears");
-    let status = control(&folder.socket(), Control::Status).await.expect("answers");
+    let heard = timeout(LIMIT, scan.next())
+        .await
+        .expect("in time")
+        .expect("hears");
+    assert_eq!(heard.name.as_deref(), Some("host"));
+    let status = control(&folder.socket(), Control::Status)
+        .await
+        .expect("answers");
     let status = status.expect("an account");
     assert_eq!((status.adapters.len(), status.links.len()), (2, 1));
     // A program that ends is known at once.
     drop((y, b, listening));
     let ended = timeout(LIMIT, x.recv(&mut [0; 8])).await.expect("in time");
-    assert!(matches!(ended, Err(RadioError::ChannelDown { .. })), "{ended:?}");
+    assert!(
+        matches!(ended, Err(RadioError::ChannelDown { .. })),
+        "{ended:?}"
+    );
 }
 
 #[tokio::test]
@@ -127,7 +140,10 @@ async fn without_a_server_the_error_says_where_and_how() {
     let error = radio.scan().await.err().expect("nobody is there");
     assert!(matches!(error, RadioError::NoService { .. }), "{error:?}");
     let text = error.to_string();
-    assert!(text.contains("air.sock") && text.contains("rect air"), "{text}");
+    assert!(
+        text.contains("air.sock") && text.contains("rect air"),
+        "{text}"
+    );
 }
 
 #[tokio::test]
@@ -138,8 +154,14 @@ async fn adapters_come_back_when_the_server_does() {
     let b = radio_at(&folder.socket(), "sim-b").expect("a good name");
     let (x, y, old) = link(&a, &b).await;
     stop(server).await;
-    assert!(timeout(LIMIT, x.recv(&mut [0; 8])).await.expect("in time").is_err());
-    assert!(timeout(LIMIT, y.recv(&mut [0; 8])).await.expect("in time").is_err());
+    assert!(timeout(LIMIT, x.recv(&mut [0; 8]))
+        .await
+        .expect("in time")
+        .is_err());
+    assert!(timeout(LIMIT, y.recv(&mut [0; 8]))
+        .await
+        .expect("in time")
+        .is_err());
     assert!(old.0.accept().await.is_err());
     let _server = serve(&folder.socket());
     for radio in [&a, &b] {
@@ -193,7 +215,9 @@ async fn a_client_that_talks_garbage_is_let_go_and_others_do_not_notice() {
         &[6, 0, 0, 0, 0, 1, 3, b'h', b'c', b'i'],
     ];
     for message in messages {
-        let mut client = UnixStream::connect(folder.socket()).await.expect("connects");
+        let mut client = UnixStream::connect(folder.socket())
+            .await
+            .expect("connects");
         client.write_all(message).await.expect("writes");
         let mut answer = Vec::new();
         let ended = timeout(LIMIT, client.read_to_end(&mut answer)).await;
@@ -210,7 +234,10 @@ async fn the_socket_is_private_replaces_a_stale_one_and_goes_with_its_server() {
     drop(std::os::unix::net::UnixListener::bind(&path).expect("binds"));
     assert!(path.exists(), "a dead server leaves its file");
     let server = serve(&path);
-    let mode = std::fs::metadata(&path).expect("is there").permissions().mode();
+    let mode = std::fs::metadata(&path)
+        .expect("is there")
+        .permissions()
+        .mode();
     assert_eq!(mode & 0o777, 0o600);
     let second = AirServer::bind(&path, AirOptions::default()).err();
     assert!(

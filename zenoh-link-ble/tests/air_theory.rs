@@ -48,7 +48,10 @@ async fn host(air: &SimAir, name: &str) -> Host {
         fleet_hash: 0,
         incarnation: 1,
     };
-    let advertised = radio.advertise(&advertisement, name).await.expect("advertises");
+    let advertised = radio
+        .advertise(&advertisement, name)
+        .await
+        .expect("advertises");
     Host {
         radio,
         listener,
@@ -116,7 +119,7 @@ async fn row(phy: Phy, pdu: LlPayload, mps: u16, wanted_kbit_s: f64) {
         supervision_timeout: Duration::from_secs(6),
         ..desk()
     };
-    let measured = throughput(options, Duration::from_secs(10)).await;
+    let measured = throughput(options, Duration::from_secs(5)).await;
     println!("{phy} {pdu} mps {mps}: {measured:.0} kbit/s, theory {wanted_kbit_s}");
     assert!(
         (measured / wanted_kbit_s - 1.0).abs() < 0.05,
@@ -173,7 +176,7 @@ async fn the_worse_the_air_the_slower_the_link() {
             condition,
             ..AirOptions::default()
         };
-        rates.push((condition, throughput(options, Duration::from_secs(10)).await));
+        rates.push((condition, throughput(options, Duration::from_secs(5)).await));
     }
     println!("{rates:.0?}");
     assert!(rates.windows(2).all(|pair| pair[0].1 > pair[1].1));
@@ -204,8 +207,8 @@ async fn share(options: AirOptions, wanted_kbit_s: std::ops::Range<f64>) {
         pour(Arc::clone(a), 986);
     }
     let (x, y) = tokio::join!(
-        rate(&ends[0].1, Duration::from_secs(10)),
-        rate(&ends[1].1, Duration::from_secs(10))
+        rate(&ends[0].1, Duration::from_secs(5)),
+        rate(&ends[1].1, Duration::from_secs(5))
     );
     assert!((x / y - 1.0).abs() < 0.15, "{x:.0} and {y:.0} kbit/s");
     assert!(wanted_kbit_s.contains(&(x + y)), "{x:.0} and {y:.0} kbit/s");
@@ -226,7 +229,10 @@ async fn pairs_that_share_no_adapter_do_not_disturb_each_other() {
     let during = Duration::from_secs(5);
     let (x, y) = tokio::join!(rate(&ends[0].1, during), rate(&ends[1].1, during));
     for together in [x, y] {
-        assert!((together / alone - 1.0).abs() < 0.02, "{together:.0}, alone {alone:.0}");
+        assert!(
+            (together / alone - 1.0).abs() < 0.02,
+            "{together:.0}, alone {alone:.0}"
+        );
     }
 }
 
@@ -240,7 +246,10 @@ async fn a_cut_is_noticed_at_both_ends_within_the_supervision_timeout_and_passes
     let start = Instant::now();
     for end in [&a, &b] {
         let ended = end.recv(&mut [0; 8]).await;
-        assert!(matches!(ended, Err(RadioError::ChannelDown { .. })), "{ended:?}");
+        assert!(
+            matches!(ended, Err(RadioError::ChannelDown { .. })),
+            "{ended:?}"
+        );
     }
     let took = start.elapsed();
     let wanted = Duration::from_millis(1900)..Duration::from_millis(2010);
@@ -284,10 +293,11 @@ async fn a_receiver_that_does_not_read_holds_the_sender_back_and_loses_nothing()
 
 #[tokio::test(start_paused = true)]
 async fn sdus_of_every_size_arrive_intact_and_in_order_in_every_condition() {
-    for (condition, pdu) in Condition::ALL
-        .into_iter()
-        .zip([LlPayload::Bytes251, LlPayload::Bytes27].into_iter().cycle())
-    {
+    for (condition, pdu) in Condition::ALL.into_iter().zip(
+        [LlPayload::Bytes251, LlPayload::Bytes27]
+            .into_iter()
+            .cycle(),
+    ) {
         let air = air(AirOptions {
             condition,
             pdu,
@@ -299,7 +309,10 @@ async fn sdus_of_every_size_arrive_intact_and_in_order_in_every_condition() {
         let sdus: Vec<Vec<u8>> = (0_u32..1000)
             .map(|number| {
                 let hash = number.wrapping_mul(2_654_435_761);
-                vec![number as u8; 1 + (hash >> 16) as usize % if number % 50 == 0 { 8000 } else { 600 }]
+                vec![
+                    number as u8;
+                    1 + (hash >> 16) as usize % if number % 50 == 0 { 8000 } else { 600 }
+                ]
             })
             .collect();
         let sending = sdus.clone();
@@ -329,9 +342,15 @@ async fn power_off_ends_everything_and_the_peer_is_told() {
     air.power("sim-host", false).expect("is there");
     changed.await;
     assert_eq!(host.radio.state().await, AdapterState::Off);
-    assert!(matches!(host.listener.accept().await, Err(RadioError::AdapterOff { .. })));
+    assert!(matches!(
+        host.listener.accept().await,
+        Err(RadioError::AdapterOff { .. })
+    ));
     assert!(b.recv(&mut [0; 8]).await.is_err());
-    assert!(timeout(Duration::from_secs(1), a.recv(&mut [0; 8])).await.expect("in time").is_err());
+    assert!(timeout(Duration::from_secs(1), a.recv(&mut [0; 8]))
+        .await
+        .expect("in time")
+        .is_err());
     assert!(matches!(
         host.radio.listen(None, OPTIONS).await.err(),
         Some(RadioError::AdapterOff { .. })
@@ -345,8 +364,14 @@ async fn power_off_ends_everything_and_the_peer_is_told() {
     let changed = radio.changed();
     air.remove("sim-a").expect("is there");
     changed.await;
-    assert!(matches!(scan.next().await, Err(RadioError::NoAdapter { .. })));
-    assert!(matches!(radio.address().await, Err(RadioError::NoAdapter { .. })));
+    assert!(matches!(
+        scan.next().await,
+        Err(RadioError::NoAdapter { .. })
+    ));
+    assert!(matches!(
+        radio.address().await,
+        Err(RadioError::NoAdapter { .. })
+    ));
 }
 
 #[tokio::test(start_paused = true)]
@@ -357,8 +382,15 @@ async fn a_psm_without_a_listener_is_refused_and_a_taken_one_is_named() {
     let psm = Psm::new(0xf0).expect("valid");
     let peer = host.radio.address().await.expect("is there");
     let refused = radio.connect(peer, psm, OPTIONS).await.err();
-    assert!(matches!(refused, Some(RadioError::Refused { .. })), "{refused:?}");
-    let again = host.radio.listen(Some(host.listener.psm()), OPTIONS).await.err();
+    assert!(
+        matches!(refused, Some(RadioError::Refused { .. })),
+        "{refused:?}"
+    );
+    let again = host
+        .radio
+        .listen(Some(host.listener.psm()), OPTIONS)
+        .await
+        .err();
     assert!(matches!(again, Some(RadioError::PsmTaken(_))), "{again:?}");
 }
 
@@ -379,8 +411,13 @@ async fn a_connect_to_one_who_does_not_advertise_waits_and_can_be_taken_back() {
         fleet_hash: 0,
         incarnation: 0,
     };
-    let _advertised = other.advertise(&advertisement, "b").await.expect("advertises");
-    assert!(timeout(Duration::from_secs(2), listener.accept()).await.is_err());
+    let _advertised = other
+        .advertise(&advertisement, "b")
+        .await
+        .expect("advertises");
+    assert!(timeout(Duration::from_secs(2), listener.accept())
+        .await
+        .is_err());
     assert!(air.status().links.is_empty());
 }
 
@@ -411,8 +448,14 @@ async fn what_the_peer_cannot_take_is_refused_at_once() {
     assert_eq!(a.send_mtu(), 8192);
     assert!(matches!(
         a.send(&[0; 8193]).await,
-        Err(RadioError::SduTooLarge { size: 8193, limit: 8192 })
+        Err(RadioError::SduTooLarge {
+            size: 8193,
+            limit: 8192
+        })
     ));
     a.send(&[7; 100]).await.expect("sends");
-    assert!(matches!(b.recv(&mut [0; 50]).await, Err(RadioError::SduTooLarge { size: 100, .. })));
+    assert!(matches!(
+        b.recv(&mut [0; 50]).await,
+        Err(RadioError::SduTooLarge { size: 100, .. })
+    ));
 }

@@ -13,6 +13,10 @@ use crate::hci::{self, Address, ControllerEvent, Handle, HostCommand};
 /// After a pause of the machine a sender may catch up on this much, so that the mean stays at the pace.
 const CATCH_UP: Duration = Duration::from_millis(10);
 
+/// A real controller hears an advertiser at the next advertising event, btvirt's within microseconds of the command to
+/// scan: before the kernel takes reports at all, and, as the controller filters repetitions, never again.
+const ADVERTISING_DELAY: Duration = Duration::from_millis(50);
+
 /// One controller, for as long as it exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Id(pub u32);
@@ -79,12 +83,14 @@ pub struct Room {
     controllers: BTreeMap<Id, Controller>,
     buffers: Buffers,
     outputs: VecDeque<Output>,
+    /// Advertising reports on their way, with the time each is heard: in order, as the delay is the same for all.
+    reports: VecDeque<(Instant, Id, Vec<u8>)>,
     next_id: u32,
 }
 
 impl Room {
     pub fn new(buffers: Buffers) -> Self {
-        Self { controllers: BTreeMap::new(), buffers, outputs: VecDeque::new(), next_id: 0 }
+        Self { controllers: BTreeMap::new(), buffers, outputs: VecDeque::new(), reports: VecDeque::new(), next_id: 0 }
     }
 
     pub fn add(&mut self, bytes_per_s: u32) -> Id {
@@ -177,7 +183,10 @@ impl Room {
             ControllerEvent::Connected { handle, peer } => self.on_connected(id, handle, peer),
             ControllerEvent::Disconnected { handle } => self.on_disconnected(id, handle),
             ControllerEvent::AdvertisingReport { from } => {
-                pass = !self.controllers.iter().any(|(i, c)| c.frozen && (*i == id || c.is_at(&from)));
+                pass = false;
+                if !self.controllers.iter().any(|(i, c)| c.frozen && (*i == id || c.is_at(&from))) {
+                    self.reports.push_back((now + ADVERTISING_DELAY, id, std::mem::take(&mut packet)));
+                }
             }
             ControllerEvent::Other => {}
         }
@@ -189,6 +198,11 @@ impl Room {
 
     /// Sends on what is due.
     pub fn on_time(&mut self, now: Instant) {
+        while let Some((_, id, report)) = self.reports.pop_front_if(|(heard, ..)| *heard <= now) {
+            if self.controllers.contains_key(&id) {
+                self.outputs.push_back(Output::Host(id, report));
+            }
+        }
         let ids: Vec<Id> = self.controllers.keys().copied().collect();
         for id in ids {
             self.transmit_next(id, now);
@@ -201,7 +215,8 @@ impl Room {
     /// When `on_time` has something to do again.
     pub fn deadline(&self) -> Option<Instant> {
         let speaking = self.controllers.values().filter(|c| !c.frozen);
-        speaking.filter_map(|c| c.on_air.as_ref().map(|t| t.ends)).min()
+        let data = speaking.filter_map(|c| c.on_air.as_ref().map(|t| t.ends));
+        data.chain(self.reports.front().map(|(heard, ..)| *heard)).min()
     }
 
     pub fn poll_output(&mut self) -> Option<Output> {
@@ -454,6 +469,8 @@ mod tests {
         assert_eq!(bed.outputs(), []);
         bed.room.thaw(bed.ids[1], bed.now);
         bed.room.on_controller_packet(bed.ids[0], report.clone(), bed.now);
+        assert_eq!(bed.outputs(), [], "an advertisement is heard at its next interval");
+        bed.room.on_time(bed.now + ADVERTISING_DELAY);
         assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], report)]);
     }
 

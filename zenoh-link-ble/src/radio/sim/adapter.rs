@@ -146,7 +146,13 @@ mod tests {
         for good in ["sim", "sim0", "sim-wombat-1", "sim_A"] {
             assert_eq!(check_name(good), Ok(()), "{good}");
         }
-        for bad in ["", "hci0", "sim/1", "sim é", &format!("sim{}", "x".repeat(30))] {
+        for bad in [
+            "",
+            "hci0",
+            "sim/1",
+            "sim é",
+            &format!("sim{}", "x".repeat(30)),
+        ] {
             assert!(check_name(bad).is_err(), "{bad}");
         }
     }

@@ -26,9 +26,7 @@ use crate::radio::AdapterState;
 pub use self::status::{AdapterStatus, AirStatus, LinkStatus};
 
 /// An adapter while it is attached.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
-)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct AdapterId(pub u32);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -247,9 +245,7 @@ impl Air {
             adapter
                 .advertisements
                 .iter()
-                .map(|(request, advertising)| {
-                    (advertising.next, Due::Advertise(*id, *request))
-                })
+                .map(|(request, advertising)| (advertising.next, Due::Advertise(*id, *request)))
         });
         connections.chain(advertisements).min()
     }

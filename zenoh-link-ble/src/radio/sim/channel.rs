@@ -78,12 +78,7 @@ pub(super) struct Piece {
 
 impl Channel {
     /// A channel that the end on `side` asks for.
-    pub(super) fn opening(
-        side: usize,
-        request: RequestId,
-        recv_mtu: u16,
-        mps: u16,
-    ) -> Self {
+    pub(super) fn opening(side: usize, request: RequestId, recv_mtu: u16, mps: u16) -> Self {
         let end = |state, recv_mtu| ChannelEnd {
             state,
             recv_mtu,
@@ -323,7 +318,9 @@ mod tests {
         let mut channel = open(247, 1000);
         let mut arrived = 0;
         loop {
-            channel.queue(0, vec![0; 245]).expect("acknowledged at once");
+            channel
+                .queue(0, vec![0; 245])
+                .expect("acknowledged at once");
             let Some(piece) = channel.cut(0) else { break };
             assert!(channel.received(1, piece.sdu.is_some()));
             channel.acknowledged(0, 245);

@@ -32,7 +32,7 @@ pub(super) struct Connection {
     pub(super) anchor: Duration,
     /// The exchange that is on the air now.
     pub(super) exchange: Option<Exchange>,
-    /// When it last had the radios although another connection wanted them.
+    /// When its last event began.
     pub(super) last_turn: Duration,
     /// Interference covers the event under way.
     pub(super) event_hit: bool,
@@ -232,7 +232,10 @@ impl Connection {
             is_repeated: false,
         };
         if left_bytes > 0 {
-            self.sides[side].frame = Some(Frame { left_bytes, ..frame });
+            self.sides[side].frame = Some(Frame {
+                left_bytes,
+                ..frame
+            });
         } else {
             if let Load::Frame {
                 channel,
@@ -350,7 +353,10 @@ mod tests {
     fn a_frame_of_247_bytes_is_one_long_packet_or_ten_short_ones() {
         let mut connection = connection(1);
         send(&mut connection, 1, 245);
-        let long: Vec<_> = packets(&mut connection, 251).iter().map(|p| p.bytes).collect();
+        let long: Vec<_> = packets(&mut connection, 251)
+            .iter()
+            .map(|p| p.bytes)
+            .collect();
         assert_eq!(long, [251]);
         send(&mut connection, 1, 245);
         let short = packets(&mut connection, 27);

@@ -25,7 +25,8 @@ impl AdvertisingGuard for Advertised {}
 impl Drop for Advertised {
     fn drop(&mut self) {
         let request = self.request;
-        self.attachment.command(Command::StopAdvertising { request });
+        self.attachment
+            .command(Command::StopAdvertising { request });
     }
 }
 

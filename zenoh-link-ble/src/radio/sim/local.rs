@@ -47,6 +47,8 @@ struct Shared {
 
 struct Inner {
     air: Air,
+    /// When the driver wakes by itself.
+    driver_wakes_at: Option<Duration>,
     outboxes: HashMap<AdapterId, mpsc::UnboundedSender<Event>>,
     radios: HashMap<String, Weak<Attachment>>,
 }
@@ -72,6 +74,7 @@ impl SimAir {
             start: Instant::now(),
             inner: Mutex::new(Inner {
                 air: Air::new(options),
+                driver_wakes_at: None,
                 outboxes: HashMap::new(),
                 radios: HashMap::new(),
             }),
@@ -92,10 +95,11 @@ impl SimAir {
         if let Some(attachment) = known {
             return Ok(Arc::new(SimRadio { attachment }));
         }
-        let Attached { mut events, place } = self.attach(name).map_err(|error| RadioError::NoAdapter {
-            adapter: name.to_owned(),
-            advice: error.to_string(),
-        })?;
+        let Attached { mut events, place } =
+            self.attach(name).map_err(|error| RadioError::NoAdapter {
+                adapter: name.to_owned(),
+                advice: error.to_string(),
+            })?;
         let attachment = Arc::new(Attachment::new(name, address_of(name), Box::new(place)));
         let weak = Arc::downgrade(&attachment);
         self.shared
@@ -140,7 +144,8 @@ impl SimAir {
 
     /// Changes how good the air is.
     pub fn set_condition(&self, condition: Condition) {
-        self.shared.act(|air, now| air.set_condition(condition, now));
+        self.shared
+            .act(|air, now| air.set_condition(condition, now));
     }
 
     /// What an adapter has sent so far; `None` when it is not on the air.
@@ -217,16 +222,24 @@ impl Shared {
         let mut inner = self.lock();
         // Read under the lock, so that the model's time never goes back.
         let now = self.start.elapsed();
-        let before = inner.air.next_wakeup();
         let result = deed(&mut inner.air, now);
         inner.dispatch();
-        let after = inner.air.next_wakeup();
+        let next = inner.air.next_wakeup();
+        let sleeps_until = inner.driver_wakes_at;
         drop(inner);
-        // `None` is never; otherwise the driver sleeps too long if something is due earlier than it knows.
-        if after.is_some_and(|after| before.is_none_or(|before| after < before)) {
+        if next.is_some_and(|next| sleeps_until.is_none_or(|until| next < until)) {
             self.earlier.notify_one();
         }
         result
+    }
+
+    /// Does what is due, and tells when the driver is to do so again.
+    fn drive(&self) -> Option<Instant> {
+        let mut inner = self.lock();
+        inner.air.poll(self.start.elapsed());
+        inner.dispatch();
+        inner.driver_wakes_at = inner.air.next_wakeup();
+        inner.driver_wakes_at.map(|at| self.start + at)
     }
 
     // Nothing panics while it holds the lock.
@@ -253,13 +266,7 @@ impl Drop for Shared {
 }
 
 async fn drive(shared: Weak<Shared>, earlier: Arc<Notify>) {
-    while let Some(next) = shared.upgrade().map(|shared| {
-        let next = shared.act(|air, now| {
-            air.poll(now);
-            air.next_wakeup()
-        });
-        next.map(|next| shared.start + next)
-    }) {
+    while let Some(next) = shared.upgrade().map(|shared| shared.drive()) {
         let due = async {
             match next {
                 Some(next) => sleep_until(next).await,

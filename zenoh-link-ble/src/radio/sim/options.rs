@@ -107,9 +107,7 @@ impl AirOptions {
     /// The nearest values that a Bluetooth link could have (Core Specification, Vol 6, Part B, 4.5.1 and 4.5.2).
     pub(super) fn clamped(mut self) -> Self {
         let ms = Duration::from_millis;
-        self.interval = self
-            .interval
-            .clamp(Duration::from_micros(7500), ms(4000));
+        self.interval = self.interval.clamp(Duration::from_micros(7500), ms(4000));
         let shortest = ms(100).max(2 * self.interval + ms(1));
         self.supervision_timeout = self.supervision_timeout.clamp(shortest, ms(32_000));
         self.mps = self.mps.clamp(23, 65533);

@@ -304,7 +304,8 @@ impl Attachment {
     pub(super) fn on_state(&self, state: AdapterState) {
         let mut book = self.book();
         // Told while the book is held, so that nothing begins on an adapter that has just gone.
-        self.state.send_if_modified(|there| std::mem::replace(there, state) != state);
+        self.state
+            .send_if_modified(|there| std::mem::replace(there, state) != state);
         if state == AdapterState::On {
             return;
         }
@@ -347,12 +348,7 @@ impl Attachment {
         }
     }
 
-    fn opened(
-        self: &Arc<Self>,
-        id: ChannelId,
-        peer: DeviceAddress,
-        send_mtu: u16,
-    ) -> SimChannel {
+    fn opened(self: &Arc<Self>, id: ChannelId, peer: DeviceAddress, send_mtu: u16) -> SimChannel {
         let flow = Arc::new(ChannelFlow::default());
         self.book().flows.insert(id, Arc::clone(&flow));
         SimChannel::new(Arc::clone(self), id, peer, usize::from(send_mtu), flow)
@@ -411,7 +407,11 @@ impl Attachment {
     pub(super) fn end_channel(&self, id: ChannelId, flow: &Arc<ChannelFlow>) {
         let mut book = self.book();
         // The number may be another channel's by now, if the air was started anew.
-        if book.flows.get(&id).is_some_and(|there| Arc::ptr_eq(there, flow)) {
+        if book
+            .flows
+            .get(&id)
+            .is_some_and(|there| Arc::ptr_eq(there, flow))
+        {
             book.flows.remove(&id);
             drop(book);
             self.command(Command::Close { channel: id });

@@ -37,8 +37,10 @@ const RETRY: Duration = Duration::from_millis(200);
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The adapters this process has on airs of other processes: one attachment for all radios of one name.
-static ATTACHMENTS: LazyLock<Mutex<HashMap<(PathBuf, String), Weak<Attachment>>>> =
-    LazyLock::new(Mutex::default);
+static ATTACHMENTS: LazyLock<Mutex<Attachments>> = LazyLock::new(Mutex::default);
+
+/// By the air's socket and the adapter's name.
+type Attachments = HashMap<(PathBuf, String), Weak<Attachment>>;
 
 /// The adapter of that name on the air that `rect air` serves. Must be called within a tokio runtime. It attaches in
 /// the background: what is first asked of it waits for that, and says so if no air is running.
@@ -107,9 +109,9 @@ pub async fn control(path: &Path, control: Control) -> Result<Option<AirStatus>,
         FromAir::Done => Ok(None),
         FromAir::Status(status) => Ok(Some(status)),
         FromAir::Refused(why) => Err(ControlError::Refused(why)),
-        FromAir::Attached | FromAir::Event(_) => {
-            Err(ControlError::Refused("it answered something else".to_owned()))
-        }
+        FromAir::Attached | FromAir::Event(_) => Err(ControlError::Refused(
+            "it answered something else".to_owned(),
+        )),
     }
 }
 
@@ -153,12 +155,7 @@ impl Carrier for Remote {
     }
 }
 
-async fn keep_attached(
-    path: &Path,
-    name: &str,
-    line: &Mutex<Line>,
-    attachment: &Weak<Attachment>,
-) {
+async fn keep_attached(path: &Path, name: &str, line: &Mutex<Line>, attachment: &Weak<Attachment>) {
     loop {
         let absence = match attach(path, name).await {
             Ok((from, to)) => {
@@ -202,13 +199,12 @@ async fn attach(path: &Path, name: &str) -> Result<(OwnedReadHalf, OwnedWriteHal
     }
 }
 
-async fn ask(
-    path: &Path,
-    message: &ToAir,
-) -> io::Result<(OwnedReadHalf, OwnedWriteHalf, FromAir)> {
+async fn ask(path: &Path, message: &ToAir) -> io::Result<(OwnedReadHalf, OwnedWriteHalf, FromAir)> {
     let asked = async {
         let (mut from, mut to) = UnixStream::connect(path).await?.into_split();
-        wire::write(&mut to, message).await.map_err(io::Error::other)?;
+        wire::write(&mut to, message)
+            .await
+            .map_err(io::Error::other)?;
         let answer = wire::read(&mut from).await.map_err(io::Error::other)?;
         let answer = answer.ok_or(io::ErrorKind::UnexpectedEof)?;
         Ok((from, to, answer))
@@ -253,7 +249,9 @@ fn no_server(path: &Path, error: &io::Error) -> RadioError {
             format!("{path} is another user's: run as that user, or set RECT_AIR")
         }
         io::ErrorKind::InvalidData | io::ErrorKind::Other => {
-            format!("what listens at {path} is no air of this version ({error}): restart `rect air`")
+            format!(
+                "what listens at {path} is no air of this version ({error}): restart `rect air`"
+            )
         }
         _ => format!("nobody listens at {path}: start it with `rect air --condition room`"),
     };

@@ -205,4 +205,3 @@ fn obey(air: &SimAir, control: Control) -> FromAir {
     }
     FromAir::Done
 }
-

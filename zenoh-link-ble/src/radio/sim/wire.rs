@@ -162,6 +162,9 @@ mod tests {
         }
         let mut longer = bytes[4..].to_vec();
         longer.push(0);
-        assert!(matches!(decode::<ToAir>(&longer), Err(WireError::Excess(1))));
+        assert!(matches!(
+            decode::<ToAir>(&longer),
+            Err(WireError::Excess(1))
+        ));
     }
 }

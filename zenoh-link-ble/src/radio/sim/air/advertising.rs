@@ -152,7 +152,8 @@ impl Air {
         let interval_ns = interval.as_nanos();
         // Everything is counted from `earliest`, so that the gaps are those a new event would fall in.
         let phase = |anchor: Duration| {
-            let apart = anchor.as_nanos() + interval_ns * 1_000_000 - earliest.as_nanos() % interval_ns;
+            let apart =
+                anchor.as_nanos() + interval_ns * 1_000_000 - earliest.as_nanos() % interval_ns;
             apart % interval_ns
         };
         let mut phases: Vec<u128> = self
@@ -167,7 +168,10 @@ impl Air {
         };
         let mut best = (0, 0);
         for (index, from) in phases.iter().enumerate() {
-            let to = phases.get(index + 1).copied().unwrap_or(first + interval_ns);
+            let to = phases
+                .get(index + 1)
+                .copied()
+                .unwrap_or(first + interval_ns);
             best = best.max((to - from, from + (to - from) / 2));
         }
         let offset_ns = best.1 % interval_ns;

@@ -9,9 +9,7 @@ use crate::{
         adapter::{Advertising, Dial, MAX_REQUESTS},
         air::AdapterId,
         connection::{Connection, Signal},
-        message::{
-            ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation,
-        },
+        message::{ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation},
         options::{ADVERTISING_DELAY, MAX_NAME_BYTES, MIN_MTU},
     },
 };

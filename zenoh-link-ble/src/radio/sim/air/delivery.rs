@@ -99,13 +99,7 @@ impl Air {
         }
     }
 
-    fn on_connect_request(
-        &mut self,
-        id: ConnectionId,
-        side: usize,
-        channel: ChannelId,
-        psm: Psm,
-    ) {
+    fn on_connect_request(&mut self, id: ConnectionId, side: usize, channel: ChannelId, psm: Psm) {
         let Some(connection) = self.connections.get_mut(&id) else {
             return;
         };

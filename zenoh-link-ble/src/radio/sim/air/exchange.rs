@@ -140,21 +140,16 @@ impl Air {
             return false;
         };
         let mine = (connection.last_turn, id);
-        let mut has_rival = false;
-        for (rival, at) in self.rivals(id) {
-            if at >= ends_at {
-                continue;
-            }
-            has_rival = true;
-            let theirs = self.connections.get(&rival).map(|c| (c.last_turn, rival));
-            if theirs.is_some_and(|theirs| theirs < mine) {
-                return false;
-            }
+        let is_second = self
+            .rivals(id)
+            .filter(|(_, at)| *at < ends_at)
+            .filter_map(|(rival, _)| Some((self.connections.get(&rival)?.last_turn, rival)))
+            .any(|theirs| theirs < mine);
+        if is_second {
+            return false;
         }
-        if has_rival {
-            if let Some(connection) = self.connections.get_mut(&id) {
-                connection.last_turn = self.now;
-            }
+        if let Some(connection) = self.connections.get_mut(&id) {
+            connection.last_turn = self.now;
         }
         true
     }
@@ -189,8 +184,9 @@ impl Air {
 
     /// One side left in good order and says so, until the other hears it.
     fn terminate(&mut self, id: ConnectionId) {
-        let is_lost =
-            self.dice.chance(self.figures.event_hit) || self.is_lost(TERMINATE_BYTES) || self.is_cut;
+        let is_lost = self.dice.chance(self.figures.event_hit)
+            || self.is_lost(TERMINATE_BYTES)
+            || self.is_cut;
         let Some(connection) = self.connections.get(&id) else {
             return;
         };

@@ -79,7 +79,9 @@ fn until(air: &mut Air, limit: Duration, is_wanted: impl Fn(&Happened) -> bool) 
 
 fn connected(seed: u64, condition: Condition) -> (Air, ChannelId) {
     let mut air = dialling(seed, condition);
-    let happened = until(&mut air, ms(20_000), |h| matches!(h.event, Event::Connected { .. }));
+    let happened = until(&mut air, ms(20_000), |h| {
+        matches!(h.event, Event::Connected { .. })
+    });
     let Event::Connected { channel, .. } = happened.event else {
         unreachable!()
     };
@@ -92,7 +94,8 @@ fn trace(seed: u64, condition: Condition) -> Vec<Happened> {
     let mut trace = Vec::new();
     let send = |air: &mut Air, now| {
         let sdu = vec![1; 700];
-        air.command(A, Command::Send { channel, sdu }, now).expect("room");
+        air.command(A, Command::Send { channel, sdu }, now)
+            .expect("room");
     };
     for _ in 0..10 {
         let now = air.now;
@@ -104,7 +107,8 @@ fn trace(seed: u64, condition: Condition) -> Vec<Happened> {
             match happened.event {
                 Event::Sent { .. } => send(&mut air, next),
                 Event::Received { .. } => {
-                    air.command(B, Command::Took { channel }, next).expect("was there");
+                    air.command(B, Command::Took { channel }, next)
+                        .expect("was there");
                 }
                 _ => {}
             }
@@ -139,9 +143,17 @@ fn nothing_changes_when_polls_come_late() {
 #[test]
 fn a_connect_takes_an_advertisement_set_up_events_and_a_request_and_answer() {
     let mut air = dialling(1, Condition::Desk);
-    let incoming = until(&mut air, ms(1000), |h| matches!(h.event, Event::Incoming { .. }));
-    let connected = until(&mut air, ms(1000), |h| matches!(h.event, Event::Connected { .. }));
-    assert!(incoming.at > ms(90), "three set-up events of 30 ms: {:?}", incoming.at);
+    let incoming = until(&mut air, ms(1000), |h| {
+        matches!(h.event, Event::Incoming { .. })
+    });
+    let connected = until(&mut air, ms(1000), |h| {
+        matches!(h.event, Event::Connected { .. })
+    });
+    assert!(
+        incoming.at > ms(90),
+        "three set-up events of 30 ms: {:?}",
+        incoming.at
+    );
     assert!(connected.at > incoming.at);
     assert!(connected.at < ms(200), "{:?}", connected.at);
 }
@@ -161,7 +173,9 @@ fn a_peer_that_leaves_in_order_is_known_at_the_next_event() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     air.detach(B, now);
-    let closed = until(&mut air, now + ms(100), |h| h.event == Event::Closed { channel });
+    let closed = until(&mut air, now + ms(100), |h| {
+        h.event == Event::Closed { channel }
+    });
     assert_eq!(closed.adapter, A);
     assert!(closed.at <= now + ms(30));
 }
@@ -171,7 +185,9 @@ fn a_peer_that_is_pulled_out_is_known_after_the_supervision_timeout() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     air.remove("sim-b", now).expect("is there");
-    let closed = until(&mut air, now + ms(3000), |h| h.event == Event::Closed { channel });
+    let closed = until(&mut air, now + ms(3000), |h| {
+        h.event == Event::Closed { channel }
+    });
     assert_eq!(closed.adapter, A);
     assert!(closed.at > now + ms(1900), "{:?}", closed.at - now);
 }
@@ -207,7 +223,8 @@ fn a_cut_between_two_leaves_a_third_alone() {
 fn a_scan_reports_a_device_a_few_times_a_second() {
     let mut air = dialling(1, Condition::Desk);
     let c = air.attach("sim-c", ms(0)).expect("is new");
-    air.command(c, Command::Scan(true), ms(0)).expect("in order");
+    air.command(c, Command::Scan(true), ms(0))
+        .expect("in order");
     air.poll(ms(10_000));
     let heard = air.drain();
     let count = heard
