@@ -1,7 +1,9 @@
 //! Hands the compiler's version to the program: zenohd accepts a plugin only from the same one.
 fn main() {
-    let rustc = rustc_version::version_meta()
-        .map_or_else(|_| "an unknown rustc".to_owned(), |meta| meta.short_version_string);
+    let rustc = rustc_version::version_meta().map_or_else(
+        |_| "an unknown rustc".to_owned(),
+        |meta| meta.short_version_string,
+    );
     println!("cargo:rustc-env=RUSTC_VERSION={rustc}");
     println!("cargo:rerun-if-changed=build.rs");
 }

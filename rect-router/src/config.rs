@@ -14,7 +14,11 @@ use crate::args::Args;
 
 /// The configuration that these flags ask for.
 pub fn from_args(args: &Args) -> Result<Config, ConfigError> {
-    let settings = args.cfg.iter().map(|given| Setting::parse(given)).collect::<Result<Vec<_>, _>>()?;
+    let settings = args
+        .cfg
+        .iter()
+        .map(|given| Setting::parse(given))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut config = base(args, &settings)?;
     set_identity(&mut config, args)?;
     set_plugins(&mut config, args)?;
@@ -24,8 +28,9 @@ pub fn from_args(args: &Args) -> Result<Config, ConfigError> {
     for setting in settings.iter().filter(|s| !s.key.is_empty()) {
         setting.apply(&mut config)?;
     }
+    let logins = logins(&config)?;
     if let Some(user) = &args.login_as {
-        log_in_as(&mut config, user)?;
+        log_in_as(&mut config, user, logins)?;
     }
     check_ble_endpoints(&config)?;
     tracing::debug!("Config: {}", without_secrets(&config));
@@ -70,12 +75,17 @@ impl<'a> Setting<'a> {
     fn parse(given: &'a str) -> Result<Self, ConfigError> {
         match given.split_once(':') {
             Some((key, value)) => Ok(Self { given, key, value }),
-            None => Err(ConfigError::SettingWithoutColon { given: given.to_owned() }),
+            None => Err(ConfigError::SettingWithoutColon {
+                given: given.to_owned(),
+            }),
         }
     }
 
     fn apply(&self, config: &mut Config) -> Result<(), ConfigError> {
-        let refused = |reason: String| ConfigError::Setting { given: self.given.to_owned(), reason };
+        let refused = |reason: String| ConfigError::Setting {
+            given: self.given.to_owned(),
+            reason,
+        };
         let mut value = json5::Deserializer::from_str(self.value)
             .map_err(|error| refused(format!("the value is not JSON5: {error}")))?;
         let key = self.key.strip_prefix('/').unwrap_or(self.key);
@@ -96,8 +106,10 @@ fn base(args: &Args, settings: &[Setting]) -> Result<Config, ConfigError> {
             }
             Config::from_json5(whole.value).map_err(|source| ConfigError::Whole { source })?
         }
-        (None, Some(path)) => Config::from_file(path)
-            .map_err(|source| ConfigError::File { path: path.into(), source })?,
+        (None, Some(path)) => Config::from_file(path).map_err(|source| ConfigError::File {
+            path: path.into(),
+            source,
+        })?,
         (None, None) => Config::default(),
     };
     if config.mode().is_none() {
@@ -108,18 +120,27 @@ fn base(args: &Args, settings: &[Setting]) -> Result<Config, ConfigError> {
 
 fn set_identity(config: &mut Config, args: &Args) -> Result<(), ConfigError> {
     let Some(id) = &args.id else { return Ok(()) };
-    let parsed = id.parse().map_err(|source| ConfigError::Id { given: id.clone(), source })?;
+    let parsed = id.parse().map_err(|source| ConfigError::Id {
+        given: id.clone(),
+        source,
+    })?;
     set(config.set_id(Some(parsed)), "id", id)
 }
 
 fn set_plugins(config: &mut Config, args: &Args) -> Result<(), ConfigError> {
     let mut insert = |key: String, value: Value| {
-        config.insert_json5(&key, &value.to_string()).map_err(|source| ConfigError::Plugin {
-            setting: format!("{key}:{value}"),
-            source,
-        })
+        config
+            .insert_json5(&key, &value.to_string())
+            .map_err(|source| ConfigError::Plugin {
+                setting: format!("{key}:{value}"),
+                source,
+            })
     };
-    if let Some(socket) = args.rest_http_port.as_deref().filter(|s| !s.eq_ignore_ascii_case("none")) {
+    if let Some(socket) = args
+        .rest_http_port
+        .as_deref()
+        .filter(|s| !s.eq_ignore_ascii_case("none"))
+    {
         insert("plugins/rest/http_port".into(), socket.into())?;
         insert("plugins/rest/__required__".into(), true.into())?;
     }
@@ -133,25 +154,51 @@ fn set_plugins(config: &mut Config, args: &Args) -> Result<(), ConfigError> {
             insert(format!("plugins/{name}/__path__"), path.into())?;
         }
     }
-    set(config.adminspace.set_enabled(true), "adminspace/enabled", "true")?;
-    set(config.plugins_loading.set_enabled(true), "plugins_loading/enabled", "true")?;
+    set(
+        config.adminspace.set_enabled(true),
+        "adminspace/enabled",
+        "true",
+    )?;
+    set(
+        config.plugins_loading.set_enabled(true),
+        "plugins_loading/enabled",
+        "true",
+    )?;
     if !args.plugin_search_dir.is_empty() {
         let dirs = LibSearchDirs::from_paths(&args.plugin_search_dir);
-        set(config.plugins_loading.set_search_dirs(dirs), "plugins_loading/search_dirs", "as given")?;
+        set(
+            config.plugins_loading.set_search_dirs(dirs),
+            "plugins_loading/search_dirs",
+            "as given",
+        )?;
     }
     Ok(())
 }
 
 fn set_endpoints(config: &mut Config, args: &Args) -> Result<(), ConfigError> {
     if !args.connect.is_empty() {
-        let endpoints: Vec<EndPoints> =
-            args.connect.iter().map(|given| endpoint("--connect", given)).collect::<Result<_, _>>()?;
-        set(config.connect.endpoints.set(endpoints), "connect/endpoints", "as given")?;
+        let endpoints: Vec<EndPoints> = args
+            .connect
+            .iter()
+            .map(|given| endpoint("--connect", given))
+            .collect::<Result<_, _>>()?;
+        set(
+            config.connect.endpoints.set(endpoints),
+            "connect/endpoints",
+            "as given",
+        )?;
     }
     if !args.listen.is_empty() {
-        let endpoints: Vec<EndPoint> =
-            args.listen.iter().map(|given| endpoint("--listen", given)).collect::<Result<_, _>>()?;
-        set(config.listen.endpoints.set(endpoints), "listen/endpoints", "as given")?;
+        let endpoints: Vec<EndPoint> = args
+            .listen
+            .iter()
+            .map(|given| endpoint("--listen", given))
+            .collect::<Result<_, _>>()?;
+        set(
+            config.listen.endpoints.set(endpoints),
+            "listen/endpoints",
+            "as given",
+        )?;
     }
     Ok(())
 }
@@ -160,74 +207,138 @@ fn endpoint<T>(flag: &'static str, given: &str) -> Result<T, ConfigError>
 where
     T: std::str::FromStr<Err = zenoh::Error>,
 {
-    given.parse().map_err(|source| ConfigError::Endpoint { flag, given: given.to_owned(), source })
+    given.parse().map_err(|source| ConfigError::Endpoint {
+        flag,
+        given: given.to_owned(),
+        source,
+    })
 }
 
 fn set_scouting_and_time(config: &mut Config, args: &Args) -> Result<(), ConfigError> {
     if args.no_timestamp {
         let off = Some(ModeDependentValue::Unique(false));
-        set(config.timestamping.set_enabled(off), "timestamping/enabled", "false")?;
+        set(
+            config.timestamping.set_enabled(off),
+            "timestamping/enabled",
+            "false",
+        )?;
     }
     let multicast = &mut config.scouting.multicast;
     if args.no_multicast_scouting {
-        set(multicast.set_enabled(Some(false)), "scouting/multicast/enabled", "false")?;
+        set(
+            multicast.set_enabled(Some(false)),
+            "scouting/multicast/enabled",
+            "false",
+        )?;
     } else if multicast.enabled().is_none() {
-        set(multicast.set_enabled(Some(true)), "scouting/multicast/enabled", "true")?;
+        set(
+            multicast.set_enabled(Some(true)),
+            "scouting/multicast/enabled",
+            "true",
+        )?;
     }
     Ok(())
 }
 
 fn set_permissions(config: &mut Config, args: &Args) -> Result<(), ConfigError> {
-    let Some(given) = &args.adminspace_permissions else { return Ok(()) };
+    let Some(given) = &args.adminspace_permissions else {
+        return Ok(());
+    };
     // The flag's parser lets `r`, `w`, `rw` and `none` through.
     let permissions = PermissionsConf {
         read: given.starts_with('r'),
         write: given.ends_with('w'),
     };
-    set(config.adminspace.set_permissions(permissions), "adminspace/permissions", given)
+    set(
+        config.adminspace.set_permissions(permissions),
+        "adminspace/permissions",
+        given,
+    )
 }
 
 /// A setter of Zenoh's configuration hands back what it refuses.
 fn set<T>(result: Result<T, T>, key: &'static str, value: &str) -> Result<(), ConfigError> {
     match result {
         Ok(_before) => Ok(()),
-        Err(_refused) => Err(ConfigError::Refused { key, value: value.to_owned() }),
+        Err(_refused) => Err(ConfigError::Refused {
+            key,
+            value: value.to_owned(),
+        }),
     }
 }
 
-fn log_in_as(config: &mut Config, user: &str) -> Result<(), ConfigError> {
-    let path = config.transport.auth.usrpwd.dictionary_file().clone();
-    let path = path.map(PathBuf::from).ok_or_else(|| ConfigError::NoLoginFile { user: user.to_owned() })?;
-    let logins = fs::read_to_string(&path)
-        .map_err(|source| ConfigError::LoginFile { path: path.clone(), source })?;
-    let password = logins
+/// The file of those who may log in, if there is one.
+struct Logins {
+    path: PathBuf,
+    text: String,
+}
+
+fn logins(config: &Config) -> Result<Option<Logins>, ConfigError> {
+    let Some(path) = config
+        .transport
+        .auth
+        .usrpwd
+        .dictionary_file()
+        .as_ref()
+        .map(PathBuf::from)
+    else {
+        return Ok(None);
+    };
+    let text = fs::read_to_string(&path).map_err(|source| ConfigError::LoginFile {
+        path: path.clone(),
+        source,
+    })?;
+    // Zenoh takes an empty file for no login at all, and would let everyone in.
+    if text.trim().is_empty() {
+        return Err(ConfigError::NoLogins { path });
+    }
+    Ok(Some(Logins { path, text }))
+}
+
+fn log_in_as(config: &mut Config, user: &str, logins: Option<Logins>) -> Result<(), ConfigError> {
+    let Logins { path, text } = logins.ok_or_else(|| ConfigError::NoLoginFile {
+        user: user.to_owned(),
+    })?;
+    let password = text
         .lines()
         .filter_map(|line| line.split_once(':'))
         .find(|(name, _)| name.trim() == user)
-        .map(|(_, password)| password.trim().to_owned())
-        .ok_or_else(|| ConfigError::NoSuchLogin { user: user.to_owned(), path })?;
-    let login = serde_json::json!({
-        "user": user,
-        "password": password,
-        "dictionary_file": config.transport.auth.usrpwd.dictionary_file(),
-    });
+        .map(|(_, password)| password.trim())
+        .ok_or_else(|| ConfigError::NoSuchLogin {
+            user: user.to_owned(),
+            path: path.clone(),
+        })?;
+    let login = serde_json::json!({ "user": user, "password": password, "dictionary_file": path });
     config
         .insert_json5("transport/auth/usrpwd", &login.to_string())
-        .map_err(|_| ConfigError::Refused { key: "transport/auth/usrpwd", value: user.to_owned() })
+        .map_err(|_| ConfigError::Refused {
+            key: "transport/auth/usrpwd",
+            value: user.to_owned(),
+        })
 }
 
 /// Zenoh would try a malformed `ble/` endpoint again and again; better to hear of it at once.
 fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let is_ble = |endpoint: &EndPoint| endpoint.protocol().as_str() == BLE_LOCATOR_PREFIX;
-    let wrong = |endpoint: &EndPoint, source| ConfigError::Ble { endpoint: endpoint.to_string(), source };
+    let wrong = |endpoint: &EndPoint, source| ConfigError::Ble {
+        endpoint: endpoint.to_string(),
+        source,
+    };
 
     for group in config.connect.endpoints.get(mode).into_iter().flatten() {
         for endpoint in group.as_vec().into_iter().filter(is_ble) {
             ConnectLocator::parse(&endpoint).map_err(|source| wrong(&endpoint, source))?;
         }
     }
-    for endpoint in config.listen.endpoints.get(mode).into_iter().flatten().filter(|e| is_ble(e)) {
+    for endpoint in config
+        .listen
+        .endpoints
+        .get(mode)
+        .into_iter()
+        .flatten()
+        .filter(|e| is_ble(e))
+    {
         ListenLocator::parse(endpoint).map_err(|source| wrong(endpoint, source))?;
     }
     Ok(())
@@ -253,13 +364,23 @@ pub enum ConfigError {
     Id { given: String, source: zenoh::Error },
     /// Not an endpoint.
     #[error("{flag} {given}: not an endpoint; write PROTOCOL/ADDRESS, for example tcp/127.0.0.1:7447 or ble/wombat-2")]
-    Endpoint { flag: &'static str, given: String, source: zenoh::Error },
+    Endpoint {
+        flag: &'static str,
+        given: String,
+        source: zenoh::Error,
+    },
     /// A `ble/` endpoint, from a flag or the file, that can never work.
     #[error("{endpoint}")]
-    Ble { endpoint: String, source: LocatorError },
+    Ble {
+        endpoint: String,
+        source: LocatorError,
+    },
     /// A plugin's name or path that can't be part of a configuration.
     #[error("plugin setting {setting} can't be made")]
-    Plugin { setting: String, source: zenoh::Error },
+    Plugin {
+        setting: String,
+        source: zenoh::Error,
+    },
     /// A value that does not fit the rest of the configuration.
     #[error("{key} can't be set to {value}")]
     Refused { key: &'static str, value: String },
@@ -269,6 +390,9 @@ pub enum ConfigError {
     /// Make one: one line `user:password`, readable by the router only.
     #[error("login file {} (make one with a line `user:password` in it, see config/README.md)", path.display())]
     LoginFile { path: PathBuf, source: io::Error },
+    /// Write a line into it, or take `dictionary_file` out of the configuration to do without logins.
+    #[error("login file {} is empty; write a line `user:password` into it, see config/README.md", path.display())]
+    NoLogins { path: PathBuf },
     /// Add the line, or log in as another.
     #[error("--login-as {user}: no line `{user}:password` in {}", path.display())]
     NoSuchLogin { user: String, path: PathBuf },

@@ -59,29 +59,47 @@ mod tests {
     #[test]
     fn places_in_the_source_are_left_out_and_causes_kept() {
         let zenoh = "Can not create a new TCP listener at /root/.cargo/registry/src/x/zenoh-link-tcp-1.10.2/src/unicast.rs:380. - Caused by Address already in use (os error 98)";
-        let error = Said { said: zenoh, source: None };
-        assert_eq!(with_causes(&error), "Can not create a new TCP listener: Address already in use (os error 98)");
+        let error = Said {
+            said: zenoh,
+            source: None,
+        };
+        assert_eq!(
+            with_causes(&error),
+            "Can not create a new TCP listener: Address already in use (os error 98)"
+        );
     }
 
     #[test]
     fn a_message_of_several_lines_becomes_one() {
         let zenoh = "no listener: [in use at /src/tcp.rs:61.]\n  at all";
-        let error = Said { said: zenoh, source: None };
+        let error = Said {
+            said: zenoh,
+            source: None,
+        };
         assert_eq!(with_causes(&error), "no listener: [in use] at all");
     }
 
     #[test]
     fn a_cause_is_said_once() {
         let inner = |said| Some(Box::new(Said { said, source: None }));
-        let quoting = Said { said: "no radio: hci0 is off", source: inner("hci0 is off") };
+        let quoting = Said {
+            said: "no radio: hci0 is off",
+            source: inner("hci0 is off"),
+        };
         assert_eq!(with_causes(&quoting), "no radio: hci0 is off");
-        let plain = Said { said: "no radio", source: inner("hci0 is off") };
+        let plain = Said {
+            said: "no radio",
+            source: inner("hci0 is off"),
+        };
         assert_eq!(with_causes(&plain), "no radio: hci0 is off");
     }
 
     #[test]
     fn ordinary_words_stay() {
-        let error = Said { said: "meet me at ble/x:1. at noon", source: None };
+        let error = Said {
+            said: "meet me at ble/x:1. at noon",
+            source: None,
+        };
         assert_eq!(with_causes(&error), "meet me at ble/x:1. at noon");
     }
 }

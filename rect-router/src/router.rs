@@ -41,7 +41,11 @@ pub fn run(config: Config) -> Result<(), RouterError> {
     }
 }
 
-fn close(session: Session, events: &Sender<Event>, next: &Receiver<Event>) -> Result<(), RouterError> {
+fn close(
+    session: Session,
+    events: &Sender<Event>,
+    next: &Receiver<Event>,
+) -> Result<(), RouterError> {
     spawn("close", events, move || {
         if let Err(error) = session.close().wait() {
             tracing::warn!("while closing: {error}");
@@ -87,7 +91,9 @@ fn open(config: Config) -> Result<Session, RouterError> {
 fn reason(panic: Box<dyn Any + Send>) -> String {
     match panic.downcast::<String>() {
         Ok(text) => *text,
-        Err(panic) => panic.downcast::<&str>().map_or_else(|_| "no reason given".into(), |text| (*text).to_owned()),
+        Err(panic) => panic
+            .downcast::<&str>()
+            .map_or_else(|_| "no reason given".into(), |text| (*text).to_owned()),
     }
 }
 

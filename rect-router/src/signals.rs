@@ -11,19 +11,21 @@ use signal_hook::{
 /// Sends `event()` on the first signal.
 pub fn watch<E: Send + 'static>(events: Sender<E>, event: fn() -> E) -> io::Result<()> {
     let mut signals = Signals::new([SIGTERM, SIGINT])?;
-    thread::Builder::new().name("signals".into()).spawn(move || {
-        let mut asked = false;
-        for signal in signals.forever() {
-            let name = signal_name(signal).unwrap_or("signal");
-            if asked {
-                tracing::warn!("{name} again: ending without closing the links");
-                process::exit(128 + signal);
+    thread::Builder::new()
+        .name("signals".into())
+        .spawn(move || {
+            let mut asked = false;
+            for signal in signals.forever() {
+                let name = signal_name(signal).unwrap_or("signal");
+                if asked {
+                    tracing::warn!("{name} again: ending without closing the links");
+                    process::exit(128 + signal);
+                }
+                asked = true;
+                tracing::info!("{name}: closing");
+                // Nobody listens once the router has ended by itself; then there is nothing left to stop.
+                let _ = events.send(event());
             }
-            asked = true;
-            tracing::info!("{name}: closing");
-            // Nobody listens once the router has ended by itself; then there is nothing left to stop.
-            let _ = events.send(event());
-        }
-    })?;
+        })?;
     Ok(())
 }

@@ -5,5 +5,9 @@ pub const SHORT: &str = concat!(env!("CARGO_PKG_VERSION"), " (zenoh 1.10.2)");
 
 /// For `--version`: with what a plugin must have in common with the router.
 pub fn long() -> String {
-    format!("{SHORT} built with {}\nzenoh features:{}", env!("RUSTC_VERSION"), zenoh::FEATURES)
+    format!(
+        "{SHORT} built with {}\nzenoh features:{}",
+        env!("RUSTC_VERSION"),
+        zenoh::FEATURES
+    )
 }

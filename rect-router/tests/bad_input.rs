@@ -11,7 +11,10 @@ fn refused(args: &[&str]) -> (i32, String) {
         .expect("the router starts");
     let said = String::from_utf8(output.stderr).expect("text");
     assert!(!said.contains("panicked"), "{said}");
-    (output.status.code().expect("an exit, not a signal"), said.trim_end().to_owned())
+    (
+        output.status.code().expect("an exit, not a signal"),
+        said.trim_end().to_owned(),
+    )
 }
 
 fn assert_refused(args: &[&str], status: i32, message: &str) {
@@ -41,25 +44,47 @@ fn an_endpoint_without_protocol_is_refused() {
     );
     let (code, said) = refused(&["-e", "wombat-2"]);
     assert_eq!(code, 1);
-    assert!(said.starts_with("rect-router: --connect wombat-2: not an endpoint; write PROTOCOL/ADDRESS"), "{said}");
+    assert!(
+        said.starts_with(
+            "rect-router: --connect wombat-2: not an endpoint; write PROTOCOL/ADDRESS"
+        ),
+        "{said}"
+    );
 }
 
 #[test]
 fn an_unknown_protocol_to_listen_on_is_refused() {
     let (code, said) = refused(&["--no-multicast-scouting", "-l", "pigeon/home"]);
-    assert_eq!((code, said.as_str()), (1, "rect-router: can't start: Unicast not supported for pigeon protocol"));
+    assert_eq!(
+        (code, said.as_str()),
+        (
+            1,
+            "rect-router: can't start: Unicast not supported for pigeon protocol"
+        )
+    );
 }
 
 #[test]
 fn a_ble_endpoint_that_can_never_work_is_refused_at_once() {
     for (flag, endpoint, reason) in [
-        ("-l", "ble/hci0#colour=red", "unknown option `colour` of a ble listen locator"),
+        (
+            "-l",
+            "ble/hci0#colour=red",
+            "unknown option `colour` of a ble listen locator",
+        ),
         ("-e", "ble/wombat-2#psm=99999", "option psm=99999"),
-        ("-e", "ble/hci0", "`hci0` is an adapter, which can be listened on"),
+        (
+            "-e",
+            "ble/hci0",
+            "`hci0` is an adapter, which can be listened on",
+        ),
     ] {
         let (code, said) = refused(&["--no-multicast-scouting", flag, endpoint]);
         assert_eq!(code, 1, "{said}");
-        assert!(said.starts_with(&format!("rect-router: {endpoint}: {reason}")), "{said}");
+        assert!(
+            said.starts_with(&format!("rect-router: {endpoint}: {reason}")),
+            "{said}"
+        );
     }
 }
 
@@ -67,10 +92,17 @@ fn a_ble_endpoint_that_can_never_work_is_refused_at_once() {
 fn a_ble_endpoint_of_the_configuration_file_is_checked_too() {
     let dir = tempfile::tempdir().expect("a directory");
     let file = dir.path().join("router.json5");
-    fs::write(&file, r#"{ connect: { endpoints: ["ble/wombat-2#mtu=3"] } }"#).expect("written");
+    fs::write(
+        &file,
+        r#"{ connect: { endpoints: ["ble/wombat-2#mtu=3"] } }"#,
+    )
+    .expect("written");
     let (code, said) = refused(&["-c", file.to_str().expect("text")]);
     assert_eq!(code, 1);
-    assert!(said.starts_with("rect-router: ble/wombat-2#mtu=3: option mtu=3"), "{said}");
+    assert!(
+        said.starts_with("rect-router: ble/wombat-2#mtu=3: option mtu=3"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -79,8 +111,14 @@ fn a_port_that_is_taken_is_an_error_with_its_cause() {
     let endpoint = format!("tcp/{}", taken.local_addr().expect("an address"));
     let (code, said) = refused(&["--no-multicast-scouting", "-l", &endpoint]);
     assert_eq!(code, 1);
-    assert!(said.starts_with("rect-router: can't start: Can not create a new TCP listener"), "{said}");
-    assert!(said.contains("Address already in use") && !said.contains(".rs:"), "{said}");
+    assert!(
+        said.starts_with("rect-router: can't start: Can not create a new TCP listener"),
+        "{said}"
+    );
+    assert!(
+        said.contains("Address already in use") && !said.contains(".rs:"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -90,11 +128,23 @@ fn a_setting_that_can_not_be_made_is_refused() {
         1,
         "rect-router: --cfg scouting: not a KEY:VALUE pair; write for example --cfg 'scouting/multicast/enabled:false'",
     );
-    assert_refused(&["--cfg", "no/such/key:1"], 1, "rect-router: --cfg no/such/key:1: unknown key");
-    for setting in ["mode:{", "mode:\"boss\"", "listen/timeout_ms:\"soon\"", "scouting/multicast/enabled:"] {
+    assert_refused(
+        &["--cfg", "no/such/key:1"],
+        1,
+        "rect-router: --cfg no/such/key:1: unknown key",
+    );
+    for setting in [
+        "mode:{",
+        "mode:\"boss\"",
+        "listen/timeout_ms:\"soon\"",
+        "scouting/multicast/enabled:",
+    ] {
         let (code, said) = refused(&["--cfg", setting]);
         assert_eq!(code, 1, "{setting}");
-        assert!(said.starts_with(&format!("rect-router: --cfg {setting}: ")), "{said}");
+        assert!(
+            said.starts_with(&format!("rect-router: --cfg {setting}: ")),
+            "{said}"
+        );
         assert_eq!(said.lines().count(), 1, "{said}");
     }
     let (code, said) = refused(&["--cfg", ":{mode:1}"]);
@@ -121,7 +171,13 @@ fn a_configuration_file_that_is_missing_empty_or_wrong_is_refused() {
         fs::write(&file, text).expect("written");
         let (code, said) = refused(&["-c", file.to_str().expect("text")]);
         assert_eq!(code, 1, "{said}");
-        assert!(said.starts_with(&format!("rect-router: configuration file {}: {reason}", file.display())), "{said}");
+        assert!(
+            said.starts_with(&format!(
+                "rect-router: configuration file {}: {reason}",
+                file.display()
+            )),
+            "{said}"
+        );
         assert_eq!(said.lines().count(), 1, "{said}");
     }
 }
@@ -136,12 +192,19 @@ fn a_plugin_that_is_not_there_is_an_error_and_no_panic() {
     );
     let (code, said) = refused(&[&QUIET[..], &["-P", "nosuch:/nowhere/x.so"]].concat());
     assert_eq!(code, 1);
-    assert!(said.starts_with("rect-router: can't start: Plugin load failure: "), "{said}");
+    assert!(
+        said.starts_with("rect-router: can't start: Plugin load failure: "),
+        "{said}"
+    );
 }
 
 #[test]
 fn wrong_flags_end_with_status_2() {
-    for args in [&["--bogus"][..], &["--adminspace-permissions", "all"], &["-c"]] {
+    for args in [
+        &["--bogus"][..],
+        &["--adminspace-permissions", "all"],
+        &["-c"],
+    ] {
         let (code, said) = refused(args);
         assert_eq!(code, 2, "{said}");
         assert!(said.starts_with("error: "), "{said}");
@@ -156,7 +219,12 @@ fn a_log_filter_that_is_none_is_refused() {
         .expect("the router starts");
     let said = String::from_utf8(output.stderr).expect("text");
     assert_eq!(output.status.code(), Some(1));
-    assert!(said.starts_with("rect-router: RUST_LOG=zenoh=loud is not a log filter; use for example RUST_LOG=info"), "{said}");
+    assert!(
+        said.starts_with(
+            "rect-router: RUST_LOG=zenoh=loud is not a log filter; use for example RUST_LOG=info"
+        ),
+        "{said}"
+    );
 }
 
 #[test]
@@ -169,13 +237,26 @@ fn a_login_that_can_not_be_found_is_refused() {
     );
     let dir = tempfile::tempdir().expect("a directory");
     let users = dir.path().join("users");
-    let setting = format!("transport/auth/usrpwd/dictionary_file:\"{}\"", users.display());
+    let setting = format!(
+        "transport/auth/usrpwd/dictionary_file:\"{}\"",
+        users.display()
+    );
     let args = ["--login-as", "fleet", "--cfg", &setting];
     let (code, said) = refused(&args);
     assert_eq!(code, 1);
-    assert!(said.contains("make one with a line `user:password` in it") && said.contains("No such file"), "{said}");
+    assert!(
+        said.contains("make one with a line `user:password` in it")
+            && said.contains("No such file"),
+        "{said}"
+    );
     fs::write(&users, "other:secret\n").expect("written");
     let (code, said) = refused(&args);
     assert_eq!(code, 1);
-    assert_eq!(said, format!("rect-router: --login-as fleet: no line `fleet:password` in {}", users.display()));
+    assert_eq!(
+        said,
+        format!(
+            "rect-router: --login-as fleet: no line `fleet:password` in {}",
+            users.display()
+        )
+    );
 }

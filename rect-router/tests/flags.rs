@@ -5,14 +5,20 @@ mod support;
 use std::{fs, process::Command};
 
 use serde_json::{json, Value};
-use support::{cache, client, Router};
+use support::{cache, client, skip, Router};
 use zenoh::Wait;
 
 const LISTEN: &str = "tcp/127.0.0.1:0";
 
 /// Flags, the part of the configuration they set, and what it then is.
 fn table(config: &str, yaml: &str) -> Vec<(Vec<String>, &'static str, Value)> {
-    let row = |args: &[&str], pointer, value| (args.iter().map(|a| (*a).to_owned()).collect(), pointer, value);
+    let row = |args: &[&str], pointer, value| {
+        (
+            args.iter().map(|a| (*a).to_owned()).collect(),
+            pointer,
+            value,
+        )
+    };
     vec![
         row(&[], "/mode", json!("router")),
         row(&[], "/adminspace/enabled", json!(true)),
@@ -22,26 +28,95 @@ fn table(config: &str, yaml: &str) -> Vec<(Vec<String>, &'static str, Value)> {
         row(&["-c", config], "/mode", json!("peer")),
         row(&["--config", yaml], "/metadata/name", json!("from yaml")),
         row(&["-c", config], "/scouting/multicast/enabled", json!(false)),
-        row(&["-l", LISTEN, "--listen", "udp/127.0.0.1:0"], "/listen/endpoints", json!([LISTEN, "udp/127.0.0.1:0"])),
-        row(&["-e", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"], "/connect/endpoints/1", json!("tcp/127.0.0.1:2")),
+        row(
+            &["-l", LISTEN, "--listen", "udp/127.0.0.1:0"],
+            "/listen/endpoints",
+            json!([LISTEN, "udp/127.0.0.1:0"]),
+        ),
+        row(
+            &["-e", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"],
+            "/connect/endpoints/1",
+            json!("tcp/127.0.0.1:2"),
+        ),
         row(&["-i", "a0b"], "/id", json!("a0b")),
         row(&["--id", "1f"], "/id", json!("1f")),
         row(&["--no-timestamp"], "/timestamping/enabled", json!(false)),
-        row(&["--no-multicast-scouting"], "/scouting/multicast/enabled", json!(false)),
-        row(&["--rest-http-port", "8000"], "/plugins/rest", json!({"http_port": "8000", "__required__": true})),
+        row(
+            &["--no-multicast-scouting"],
+            "/scouting/multicast/enabled",
+            json!(false),
+        ),
+        row(
+            &["--rest-http-port", "8000"],
+            "/plugins/rest",
+            json!({"http_port": "8000", "__required__": true}),
+        ),
         row(&["--rest-http-port", "None"], "/plugins/rest", Value::Null),
         row(&["-P", "x"], "/plugins/x", json!({"__required__": true})),
-        row(&["--plugin", "x:/a/b.so"], "/plugins/x", json!({"__required__": true, "__path__": "/a/b.so"})),
-        row(&["--plugin-search-dir", "/a", "--plugin-search-dir", "/b"], "/plugins_loading/search_dirs", json!(["/a", "/b"])),
-        row(&["--cfg", "metadata:{name:'me'}"], "/metadata/name", json!("me")),
-        row(&["--cfg", "/queries_default_timeout:7"], "/queries_default_timeout", json!(7)),
-        row(&["--cfg", ":{metadata:{name:'all'}}"], "/metadata/name", json!("all")),
-        row(&["--cfg", ":{metadata:{name:'all'}}", "--cfg", "metadata:{name:'part'}"], "/metadata/name", json!("part")),
-        row(&["--no-multicast-scouting", "--cfg", "scouting/multicast/enabled:true"], "/scouting/multicast/enabled", json!(true)),
-        row(&["--adminspace-permissions", "r"], "/adminspace/permissions", json!({"read": true, "write": false})),
-        row(&["--adminspace-permissions", "w"], "/adminspace/permissions", json!({"read": false, "write": true})),
-        row(&["--adminspace-permissions", "rw"], "/adminspace/permissions", json!({"read": true, "write": true})),
-        row(&["--adminspace-permissions", "none"], "/adminspace/permissions", json!({"read": false, "write": false})),
+        row(
+            &["--plugin", "x:/a/b.so"],
+            "/plugins/x",
+            json!({"__required__": true, "__path__": "/a/b.so"}),
+        ),
+        row(
+            &["--plugin-search-dir", "/a", "--plugin-search-dir", "/b"],
+            "/plugins_loading/search_dirs",
+            json!(["/a", "/b"]),
+        ),
+        row(
+            &["--cfg", "metadata:{name:'me'}"],
+            "/metadata/name",
+            json!("me"),
+        ),
+        row(
+            &["--cfg", "/queries_default_timeout:7"],
+            "/queries_default_timeout",
+            json!(7),
+        ),
+        row(
+            &["--cfg", ":{metadata:{name:'all'}}"],
+            "/metadata/name",
+            json!("all"),
+        ),
+        row(
+            &[
+                "--cfg",
+                ":{metadata:{name:'all'}}",
+                "--cfg",
+                "metadata:{name:'part'}",
+            ],
+            "/metadata/name",
+            json!("part"),
+        ),
+        row(
+            &[
+                "--no-multicast-scouting",
+                "--cfg",
+                "scouting/multicast/enabled:true",
+            ],
+            "/scouting/multicast/enabled",
+            json!(true),
+        ),
+        row(
+            &["--adminspace-permissions", "r"],
+            "/adminspace/permissions",
+            json!({"read": true, "write": false}),
+        ),
+        row(
+            &["--adminspace-permissions", "w"],
+            "/adminspace/permissions",
+            json!({"read": false, "write": true}),
+        ),
+        row(
+            &["--adminspace-permissions", "rw"],
+            "/adminspace/permissions",
+            json!({"read": true, "write": true}),
+        ),
+        row(
+            &["--adminspace-permissions", "none"],
+            "/adminspace/permissions",
+            json!({"read": false, "write": false}),
+        ),
     ]
 }
 
@@ -54,7 +129,11 @@ fn files() -> (tempfile::TempDir, String, String) {
         "{ mode: 'peer', metadata: { name: 'from a file' }, scouting: { multicast: { enabled: false } } } // done",
     )
     .expect("written");
-    fs::write(&yaml, "metadata:\n  name: from yaml\nlisten:\n  endpoints: [\"tcp/127.0.0.1:0\"]\n").expect("written");
+    fs::write(
+        &yaml,
+        "metadata:\n  name: from yaml\nlisten:\n  endpoints: [\"tcp/127.0.0.1:0\"]\n",
+    )
+    .expect("written");
     let text = |path: std::path::PathBuf| path.to_str().expect("text").to_owned();
     (dir, text(json5), text(yaml))
 }
@@ -65,7 +144,11 @@ fn every_flag_sets_what_it_sets_in_zenohd() {
     for (args, pointer, expected) in table(&json5, &yaml) {
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
         let config = Router::start(&args).configuration();
-        assert_eq!(config.pointer(pointer).unwrap_or(&Value::Null), &expected, "{args:?} {pointer}");
+        assert_eq!(
+            config.pointer(pointer).unwrap_or(&Value::Null),
+            &expected,
+            "{args:?} {pointer}"
+        );
     }
 }
 
@@ -73,8 +156,10 @@ fn every_flag_sets_what_it_sets_in_zenohd() {
 fn stock_zenohd_makes_the_same_configuration_of_every_flag() {
     let zenohd = cache().join("stock-zenohd/bin/zenohd");
     if !zenohd.exists() {
-        println!("skipped: no {} (cargo install zenohd --version 1.10.2 --root ...)", zenohd.display());
-        return;
+        return skip(&format!(
+            "no {} (cargo install zenohd --version 1.10.2 --root ...)",
+            zenohd.display()
+        ));
     }
     let (_dir, json5, yaml) = files();
     for (args, _, _) in table(&json5, &yaml) {
@@ -89,23 +174,35 @@ fn stock_zenohd_makes_the_same_configuration_of_every_flag() {
 fn the_id_of_the_flag_is_the_id_of_the_router() {
     let mut router = Router::start(&["-l", LISTEN, "-i", "abc", "--no-multicast-scouting"]);
     let session = client(&router.listener());
-    let routers: Vec<String> = session.info().routers_zid().wait().map(|id| id.to_string()).collect();
+    let routers: Vec<String> = session
+        .info()
+        .routers_zid()
+        .wait()
+        .map(|id| id.to_string())
+        .collect();
     assert_eq!(routers, ["abc"]);
-    assert!(router.wait_for("rect-router is up, with id").contains("abc"));
+    assert!(router
+        .wait_for("rect-router is up, with id")
+        .contains("abc"));
 }
 
 #[test]
 fn no_timestamp_leaves_data_without_one() {
     for (flags, stamped) in [(&[][..], true), (&["--no-timestamp"][..], false)] {
-        let mut router = Router::start(&[&["-l", LISTEN, "--no-multicast-scouting"], flags].concat());
+        let mut router =
+            Router::start(&[&["-l", LISTEN, "--no-multicast-scouting"], flags].concat());
         let endpoint = router.listener();
         let (from, to) = (client(&endpoint), client(&endpoint));
-        let subscriber = to.declare_subscriber("stamp").wait().expect("a subscription");
+        let subscriber = to
+            .declare_subscriber("stamp")
+            .wait()
+            .expect("a subscription");
         let deadline = std::time::Instant::now() + support::DEADLINE;
         let sample = loop {
             assert!(std::time::Instant::now() < deadline, "nothing arrives");
             from.put("stamp", "x").wait().expect("a put");
-            if let Ok(Some(sample)) = subscriber.recv_timeout(std::time::Duration::from_millis(100)) {
+            if let Ok(Some(sample)) = subscriber.recv_timeout(std::time::Duration::from_millis(100))
+            {
                 break sample;
             }
         };
@@ -116,10 +213,26 @@ fn no_timestamp_leaves_data_without_one() {
 #[test]
 fn the_admin_space_is_open_as_far_as_the_flag_says() {
     for (permissions, readable) in [("r", true), ("w", false), ("rw", true), ("none", false)] {
-        let mut router = Router::start(&["-l", LISTEN, "-i", "ad", "--no-multicast-scouting", "--adminspace-permissions", permissions]);
+        let mut router = Router::start(&[
+            "-l",
+            LISTEN,
+            "-i",
+            "ad",
+            "--no-multicast-scouting",
+            "--adminspace-permissions",
+            permissions,
+        ]);
         let session = client(&router.listener());
-        let replies = session.get("@/ad/router").timeout(std::time::Duration::from_secs(5)).wait().expect("a query");
-        assert_eq!(replies.into_iter().filter(|r| r.result().is_ok()).count() > 0, readable, "{permissions}");
+        let replies = session
+            .get("@/ad/router")
+            .timeout(std::time::Duration::from_secs(5))
+            .wait()
+            .expect("a query");
+        assert_eq!(
+            replies.into_iter().filter(|r| r.result().is_ok()).count() > 0,
+            readable,
+            "{permissions}"
+        );
     }
 }
 
@@ -135,25 +248,42 @@ fn two_routers_meet_by_connect() {
 #[test]
 fn the_log_shows_no_password() {
     let mut router = Router::start(&[
-        "-l", LISTEN, "--cfg", "transport/auth/usrpwd:{user:'fleet',password:'hush-hush'}",
+        "-l",
+        LISTEN,
+        "--cfg",
+        "transport/auth/usrpwd:{user:'fleet',password:'hush-hush'}",
     ]);
     let config = router.configuration();
-    assert_eq!(config.pointer("/transport/auth/usrpwd/password"), Some(&json!("***")));
+    assert_eq!(
+        config.pointer("/transport/auth/usrpwd/password"),
+        Some(&json!("***"))
+    );
     router.up();
-    assert!(!router.drained().iter().any(|line| line.contains("hush-hush")));
+    assert!(!router
+        .drained()
+        .iter()
+        .any(|line| line.contains("hush-hush")));
 }
 
 #[test]
 fn the_version_says_what_a_plugin_must_be_built_with() {
     let said = |flag| {
-        let output = Command::new(env!("CARGO_BIN_EXE_rect-router")).arg(flag).output().expect("the router starts");
+        let output = Command::new(env!("CARGO_BIN_EXE_rect-router"))
+            .arg(flag)
+            .output()
+            .expect("the router starts");
         assert_eq!(output.status.code(), Some(0));
         String::from_utf8(output.stdout).expect("text")
     };
     let own = env!("CARGO_PKG_VERSION");
     assert_eq!(said("-V"), format!("rect-router {own} (zenoh 1.10.2)\n"));
     let long = said("--version");
-    assert!(long.starts_with(&format!("rect-router {own} (zenoh 1.10.2) built with rustc 1.")), "{long}");
+    assert!(
+        long.starts_with(&format!(
+            "rect-router {own} (zenoh 1.10.2) built with rustc 1."
+        )),
+        "{long}"
+    );
     assert!(long.contains("\nzenoh features: "), "{long}");
 }
 
@@ -161,8 +291,18 @@ fn the_version_says_what_a_plugin_must_be_built_with() {
 fn the_version_named_is_the_zenoh_in_use() {
     let mut router = Router::start(&["-l", LISTEN, "-i", "ad", "--no-multicast-scouting"]);
     let session = client(&router.listener());
-    let reply = session.get("@/ad/router").wait().expect("a query").recv().expect("a reply");
+    let reply = session
+        .get("@/ad/router")
+        .wait()
+        .expect("a query")
+        .recv()
+        .expect("a reply");
     let sample = reply.into_result().expect("the admin space");
     let about: Value = serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON");
-    assert!(about["version"].as_str().is_some_and(|v| v.starts_with("v1.10.2")), "{about}");
+    assert!(
+        about["version"]
+            .as_str()
+            .is_some_and(|v| v.starts_with("v1.10.2")),
+        "{about}"
+    );
 }

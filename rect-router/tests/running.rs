@@ -27,9 +27,21 @@ fn a_put_reaches_a_subscriber_and_a_get_its_queryable() {
     let deadline = std::time::Instant::now() + support::DEADLINE;
     loop {
         assert!(std::time::Instant::now() < deadline, "no reply");
-        let replies = here.get("rect/wombat-2/sum").timeout(Duration::from_secs(2)).wait().expect("a query");
+        let replies = here
+            .get("rect/wombat-2/sum")
+            .timeout(Duration::from_secs(2))
+            .wait()
+            .expect("a query");
         if let Ok(reply) = replies.recv() {
-            assert_eq!(reply.result().expect("a sample").payload().to_bytes().as_ref(), b"42");
+            assert_eq!(
+                reply
+                    .result()
+                    .expect("a sample")
+                    .payload()
+                    .to_bytes()
+                    .as_ref(),
+                b"42"
+            );
             break;
         }
     }
@@ -44,7 +56,10 @@ fn stops_with_status_0_at(signal: Signal) {
     let status = router.exit();
     assert_eq!(status.code(), Some(0), "{}", router.full_log());
     let log = router.full_log();
-    assert!(log.contains(&format!("{signal}: closing")) && log.contains("closed"), "{log}");
+    assert!(
+        log.contains(&format!("{signal}: closing")) && log.contains("closed"),
+        "{log}"
+    );
 }
 
 #[test]
@@ -61,8 +76,15 @@ fn sigint_ends_it_with_status_0_while_clients_are_connected() {
 fn a_signal_is_heard_while_the_router_still_waits_for_a_peer() {
     // A connection that must be there, tried without end.
     let mut router = Router::start(&[
-        "-l", "tcp/127.0.0.1:0", "--no-multicast-scouting", "-e", "tcp/127.0.0.1:1",
-        "--cfg", "connect/exit_on_failure:true", "--cfg", "connect/timeout_ms:-1",
+        "-l",
+        "tcp/127.0.0.1:0",
+        "--no-multicast-scouting",
+        "-e",
+        "tcp/127.0.0.1:1",
+        "--cfg",
+        "connect/exit_on_failure:true",
+        "--cfg",
+        "connect/timeout_ms:-1",
     ]);
     router.wait_for("Unable to connect");
     router.signal(Signal::SIGTERM);

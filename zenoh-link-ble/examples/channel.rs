@@ -81,7 +81,8 @@ async fn serve(radio: Arc<dyn Radio>) -> Outcome {
 
 async fn dial(radio: Arc<dyn Radio>, peer: &str) -> Result<Arc<dyn Channel>, Box<dyn Error>> {
     let address: Address = peer.parse()?;
-    let (device, psm) = tokio::time::timeout(Duration::from_secs(20), find(&radio, address)).await??;
+    let (device, psm) =
+        tokio::time::timeout(Duration::from_secs(20), find(&radio, address)).await??;
     let connected = radio.connect(device, psm, OPTIONS);
     Ok(tokio::time::timeout(Duration::from_secs(20), connected).await??)
 }

@@ -1,8 +1,5 @@
 //! Owns dialling: find the peer, connect, say hello, under one limit; nothing stays behind when it is given up.
-use std::{
-    sync::Arc,
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -76,20 +73,12 @@ async fn dial_once(
         .find(|sighting| Seen::of(sighting, locator))
         .await?;
     node.links().on_seen(dialling.number, seen.device);
-    let channel = connect(adapter, locator, &seen).await?;
-    let plain = locator.plain.unwrap_or(seen.plain);
-    let framing = if plain { Framing::Plain } else { Framing::Rect };
-    let peer = if plain {
-        None
-    } else {
-        let own = Hello {
-            version: VERSION,
-            node: node.id,
-            mtu: locator.mtu,
-            name: node.name(),
-        };
-        Some(say_hello(&channel, own).await?)
-    };
+    let opened = open(node, adapter, locator, &seen).await;
+    let answered = matches!(opened, Ok(_) | Err(BleError::Refused { .. }));
+    if !answered {
+        adapter.radio.disconnect(seen.device).await;
+    }
+    let (channel, framing, peer) = opened?;
     let mtu = agreed_mtu(&channel, framing, locator.mtu, peer.as_ref().map(|p| p.mtu))?;
     let end = CancellationToken::new();
     let device = channel.peer();
@@ -111,6 +100,27 @@ async fn dial_once(
         peer: device,
         what: error.to_string(),
     })
+}
+
+/// Connects and says hello, if the peer is one for hellos.
+async fn open(
+    node: &Arc<Node>,
+    adapter: &Adapter,
+    locator: &ConnectLocator,
+    seen: &Seen,
+) -> Result<(Arc<dyn Channel>, Framing, Option<Hello>), BleError> {
+    let channel = connect(adapter, locator, seen).await?;
+    if locator.plain.unwrap_or(seen.plain) {
+        return Ok((channel, Framing::Plain, None));
+    }
+    let own = Hello {
+        version: VERSION,
+        node: node.id,
+        mtu: locator.mtu,
+        name: node.name(),
+    };
+    let peer = say_hello(&channel, own).await?;
+    Ok((channel, Framing::Rect, Some(peer)))
 }
 
 async fn connect(

@@ -2,9 +2,7 @@
 //! where they become Zenoh's error type.
 use std::time::Duration;
 
-use crate::{
-    address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError,
-};
+use crate::{address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError};
 
 /// Why there is no link, or no longer one.
 #[derive(Debug, thiserror::Error)]

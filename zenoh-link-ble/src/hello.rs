@@ -85,11 +85,15 @@ impl Refusal {
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Version => f.write_str("it speaks another version of the link: update the older side"),
+            Self::Version => {
+                f.write_str("it speaks another version of the link: update the older side")
+            }
             Self::AlreadyLinked => f.write_str("the two are linked already"),
             Self::Crossing => f.write_str("both dialled at once, and its own dial goes first"),
             Self::Full => f.write_str("it has as many links as max_links allows"),
-            Self::NameTaken => f.write_str("a robot of this name is there already: give one of the two another name="),
+            Self::NameTaken => f.write_str(
+                "a robot of this name is there already: give one of the two another name=",
+            ),
             Self::Other(code) => write!(f, "reason {code}, which this version does not know"),
         }
     }
@@ -245,10 +249,7 @@ mod tests {
     fn fields_of_a_later_version_are_ignored() {
         let mut sdu = Opening::Hello(hello("wombat-1")).encode();
         sdu.extend_from_slice(&[9; 20]);
-        assert_eq!(
-            Opening::decode(&sdu),
-            Ok(Opening::Hello(hello("wombat-1")))
-        );
+        assert_eq!(Opening::decode(&sdu), Ok(Opening::Hello(hello("wombat-1"))));
         sdu.resize(MAX_SIZE + 1, 9);
         assert_eq!(
             Opening::decode(&sdu),

@@ -166,7 +166,11 @@ impl LinkBle {
         match batch {
             Ok(batch) if batch.len() <= usize::from(self.mtu) => self.deliver(batch, buffer),
             Ok(batch) => {
-                let what = format!("a batch of {} bytes is over the mtu of {}", batch.len(), self.mtu);
+                let what = format!(
+                    "a batch of {} bytes is over the mtu of {}",
+                    batch.len(),
+                    self.mtu
+                );
                 Err(self.broken(what).await)
             }
             Err(what) => Err(self.broken(what).await),
@@ -174,10 +178,12 @@ impl LinkBle {
     }
 
     fn deliver(&self, batch: &[u8], buffer: &mut [u8]) -> Result<usize, BleError> {
-        let room = buffer.get_mut(..batch.len()).ok_or(BleError::BatchTooLarge {
-            size: batch.len(),
-            mtu: usize::from(self.mtu),
-        })?;
+        let room = buffer
+            .get_mut(..batch.len())
+            .ok_or(BleError::BatchTooLarge {
+                size: batch.len(),
+                mtu: usize::from(self.mtu),
+            })?;
         room.copy_from_slice(batch);
         Ok(batch.len())
     }
@@ -294,6 +300,9 @@ impl LinkUnicastTrait for LinkBle {
 
     #[cfg(all(feature = "uring", target_os = "linux"))]
     fn get_fd(&self) -> ZResult<std::os::fd::RawFd> {
-        Err(zenoh_result::zerror!("a ble link has no file descriptor for io_uring: leave `uring` off for it").into())
+        Err(zenoh_result::zerror!(
+            "a ble link has no file descriptor for io_uring: leave `uring` off for it"
+        )
+        .into())
     }
 }

@@ -283,9 +283,7 @@ mod tests {
     }
 
     fn greet(links: &mut Links, peer: &Hello, from: DeviceAddress, now: Instant) -> Verdict {
-        links
-            .on_hello("me", Some(peer), from, 7, now, token())
-            .0
+        links.on_hello("me", Some(peer), from, 7, now, token()).0
     }
 
     #[test]
@@ -320,7 +318,12 @@ mod tests {
             .on_accepted(dial, Some(&peer), device(2), start, token())
             .expect("first");
         assert_eq!(
-            greet(&mut links, &peer, device(2), start + CROSSING - Duration::from_millis(1)),
+            greet(
+                &mut links,
+                &peer,
+                device(2),
+                start + CROSSING - Duration::from_millis(1)
+            ),
             Verdict::Refuse(Refusal::AlreadyLinked)
         );
         assert_eq!(
@@ -346,7 +349,14 @@ mod tests {
         let mut links = Links::new(LOW);
         let now = Instant::now();
         let old = token();
-        links.on_hello("me", Some(&hello(HIGH, "peer")), device(2), 7, now, old.clone());
+        links.on_hello(
+            "me",
+            Some(&hello(HIGH, "peer")),
+            device(2),
+            7,
+            now,
+            old.clone(),
+        );
         let again = hello(NodeId(99), "peer");
         assert_eq!(greet(&mut links, &again, device(2), now), Verdict::Accept);
         assert!(old.is_cancelled());
@@ -393,7 +403,10 @@ mod tests {
             .on_accepted(dial, Some(&peer), device(2), Instant::now(), token())
             .expect("first");
         assert_eq!(links.on_dial(&to("peer"), token()), None);
-        assert_eq!(links.on_dial(&Target::Address(device(2).address), token()), None);
+        assert_eq!(
+            links.on_dial(&Target::Address(device(2).address), token()),
+            None
+        );
         links.on_closed(dial);
         assert!(links.on_dial(&to("peer"), token()).is_some());
     }

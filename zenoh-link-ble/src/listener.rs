@@ -1,8 +1,5 @@
 //! Owns listening: on one adapter, take channels, hear hellos, hand links to Zenoh; come back when the adapter does.
-use std::{
-    sync::Arc,
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinSet, time::Instant};
 use tokio_util::sync::CancellationToken;
@@ -20,9 +17,7 @@ use crate::{
     locator::ListenLocator,
     node::{Listening, Node},
     opening::{agreed_mtu, answer, hear_hello, FirstSdu},
-    radio::{
-        AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
-    },
+    radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
 };
 
 /// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
@@ -131,7 +126,10 @@ impl Listener {
             };
             let ended = self.accept_while_on(&running, &mut greetings, &half_open);
             let reason = ended.await;
-            tracing::warn!("ble: {} is away: {reason}; listening again when it is back", self.locator.adapter);
+            tracing::warn!(
+                "ble: {} is away: {reason}; listening again when it is back",
+                self.locator.adapter
+            );
         }
     }
 
@@ -174,12 +172,19 @@ impl Listener {
             if self.adapter.radio.state().await == AdapterState::On {
                 match self.bring_up().await {
                     Ok(up) => {
-                        tracing::info!("ble: {} listens on {} again", self.name, self.locator.adapter);
+                        tracing::info!(
+                            "ble: {} listens on {} again",
+                            self.name,
+                            self.locator.adapter
+                        );
                         return up;
                     }
                     Err(error) if !complained => {
                         complained = true;
-                        tracing::warn!("ble: {} does not listen yet: {error}", self.locator.adapter);
+                        tracing::warn!(
+                            "ble: {} does not listen yet: {error}",
+                            self.locator.adapter
+                        );
                     }
                     Err(_) => {}
                 }
@@ -194,7 +199,12 @@ impl Listener {
         match self.open(channel, peer).await {
             Ok(Some(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
-                if self.links.send_async(LinkUnicast::from(link)).await.is_err() {
+                if self
+                    .links
+                    .send_async(LinkUnicast::from(link))
+                    .await
+                    .is_err()
+                {
                     tracing::debug!("ble: {peer} came while this router stops");
                 }
             }

@@ -124,7 +124,13 @@ pub enum LocatorError {
 }
 
 const CONNECT_OPTIONS: [&str; 7] = [
-    "adapter", "psm", "addr_type", "sec", "mtu", "timeout", "plain",
+    "adapter",
+    "psm",
+    "addr_type",
+    "sec",
+    "mtu",
+    "timeout",
+    "plain",
 ];
 const LISTEN_OPTIONS: [&str; 5] = ["name", "psm", "sec", "mtu", "max_links"];
 
@@ -252,9 +258,11 @@ impl<'a> Options<'a> {
     }
 
     fn adapter(&self) -> Result<Option<String>, LocatorError> {
-        self.read("adapter", "an adapter is named hci0, hci1, ... or sim-...", |v| {
-            is_adapter(v).then(|| v.to_owned())
-        })
+        self.read(
+            "adapter",
+            "an adapter is named hci0, hci1, ... or sim-...",
+            |v| is_adapter(v).then(|| v.to_owned()),
+        )
     }
 
     fn name(&self) -> Result<Option<String>, LocatorError> {
@@ -303,12 +311,16 @@ impl<'a> Options<'a> {
     }
 
     fn timeout(&self) -> Result<Duration, LocatorError> {
-        let timeout = self.read("timeout", "it is a number of milliseconds from 100 to 60000", |v| {
-            v.parse()
-                .ok()
-                .filter(|ms| (100..=60_000).contains(ms))
-                .map(Duration::from_millis)
-        })?;
+        let timeout = self.read(
+            "timeout",
+            "it is a number of milliseconds from 100 to 60000",
+            |v| {
+                v.parse()
+                    .ok()
+                    .filter(|ms| (100..=60_000).contains(ms))
+                    .map(Duration::from_millis)
+            },
+        )?;
         Ok(timeout.unwrap_or(DEFAULT_CONNECT_TIMEOUT))
     }
 
@@ -357,30 +369,60 @@ mod tests {
         let read = connect("ble/wombat-2").expect("valid");
         assert_eq!(read.target, Target::Name("wombat-2".to_owned()));
         assert_eq!((read.psm, read.adapter, read.plain), (None, None, None));
-        assert_eq!((read.mtu, read.timeout), (DEFAULT_MTU, DEFAULT_CONNECT_TIMEOUT));
+        assert_eq!(
+            (read.mtu, read.timeout),
+            (DEFAULT_MTU, DEFAULT_CONNECT_TIMEOUT)
+        );
     }
 
     #[test]
     fn a_listener_is_an_adapter_with_a_name() {
         let read = listen("ble/hci0#name=wombat-1;max_links=3").expect("valid");
-        assert_eq!((read.adapter.as_str(), read.name.as_deref()), ("hci0", Some("wombat-1")));
+        assert_eq!(
+            (read.adapter.as_str(), read.name.as_deref()),
+            ("hci0", Some("wombat-1"))
+        );
         assert_eq!(read.max_links, 3);
     }
 
     #[test]
     fn both_sides_of_each_limit() {
-        for good in ["psm=128", "psm=255", "mtu=128", "mtu=8000", "timeout=100", "timeout=60000"] {
+        for good in [
+            "psm=128",
+            "psm=255",
+            "mtu=128",
+            "mtu=8000",
+            "timeout=100",
+            "timeout=60000",
+        ] {
             assert!(connect(&format!("ble/w#{good}")).is_ok(), "{good}");
         }
         for bad in [
-            "psm=127", "psm=256", "psm=", "psm=x", "mtu=127", "mtu=8001", "timeout=99",
-            "timeout=60001", "sec=none", "addr_type=le", "plain=1", "adapter=eth0",
+            "psm=127",
+            "psm=256",
+            "psm=",
+            "psm=x",
+            "mtu=127",
+            "mtu=8001",
+            "timeout=99",
+            "timeout=60001",
+            "sec=none",
+            "addr_type=le",
+            "plain=1",
+            "adapter=eth0",
         ] {
             let error = connect(&format!("ble/w#{bad}")).expect_err(bad);
             let key = bad.split('=').next().unwrap_or_default();
             assert!(error.to_string().contains(key), "{error}");
         }
-        for bad in ["max_links=0", "max_links=65", "name=", "name=a b", "name=hci0", "name=sim-1"] {
+        for bad in [
+            "max_links=0",
+            "max_links=65",
+            "name=",
+            "name=a b",
+            "name=hci0",
+            "name=sim-1",
+        ] {
             assert!(listen(&format!("ble/hci0#{bad}")).is_err(), "{bad}");
         }
         assert!(listen(&format!("ble/hci0#name={}", "x".repeat(29))).is_ok());
@@ -389,14 +431,28 @@ mod tests {
 
     #[test]
     fn an_unknown_option_is_named_with_the_known_ones() {
-        let error = connect("ble/wombat-2#speed=fast").expect_err("unknown").to_string();
-        assert!(error.contains("`speed`") && error.contains("psm"), "{error}");
+        let error = connect("ble/wombat-2#speed=fast")
+            .expect_err("unknown")
+            .to_string();
+        assert!(
+            error.contains("`speed`") && error.contains("psm"),
+            "{error}"
+        );
     }
 
     #[test]
     fn an_adapter_is_no_peer_and_a_peer_no_adapter() {
-        assert!(matches!(connect("ble/hci0"), Err(LocatorError::AdapterAsTarget { .. })));
-        assert!(matches!(listen("ble/wombat-1"), Err(LocatorError::Adapter { .. })));
-        assert!(matches!(connect("ble/wombat 2"), Err(LocatorError::Target { .. })));
+        assert!(matches!(
+            connect("ble/hci0"),
+            Err(LocatorError::AdapterAsTarget { .. })
+        ));
+        assert!(matches!(
+            listen("ble/wombat-1"),
+            Err(LocatorError::Adapter { .. })
+        ));
+        assert!(matches!(
+            connect("ble/wombat 2"),
+            Err(LocatorError::Target { .. })
+        ));
     }
 }

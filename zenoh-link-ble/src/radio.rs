@@ -179,6 +179,10 @@ pub trait Radio: Send + Sync {
         psm: Psm,
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError>;
+
+    /// Ends whatever connection there is with that device, so that the next connect starts afresh: for after an
+    /// opening that went wrong. Does nothing where a failed channel leaves nothing behind.
+    async fn disconnect(&self, _peer: DeviceAddress) {}
 }
 
 /// Keeps an advertisement on the air; dropping it takes it off.

@@ -117,7 +117,7 @@ async fn two_clients_find_each_other_and_talk() {
         .await
         .expect("in time")
         .expect("hears");
-    assert_eq!(heard.name.as_deref(), Some("host"));
+    assert_eq!(heard.device, b.address().await.expect("is there"));
     let status = control(&folder.socket(), Control::Status)
         .await
         .expect("answers");

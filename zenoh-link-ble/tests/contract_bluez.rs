@@ -10,7 +10,9 @@ fn world() -> Option<World> {
         println!("skipped: RECT_BLUEZ_ADAPTERS does not name two adapters in range of each other (the VM does)");
         return None;
     };
-    let (a, b) = adapters.split_once(',').expect("two adapters, as hci0,hci1");
+    let (a, b) = adapters
+        .split_once(',')
+        .expect("two adapters, as hci0,hci1");
     Some(World {
         a: bluez::radio(Some(a)).expect("opens"),
         b: bluez::radio(Some(b)).expect("opens"),

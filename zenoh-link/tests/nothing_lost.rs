@@ -8,20 +8,29 @@ use std::{collections::BTreeMap, fs, path::Path};
 use toml::Table;
 // Each name is public, and of the kind it is used as below.
 use zenoh_link::{
-    quic, quic_datagram, serial, tcp, tls, udp, unixpipe, unixsock_stream, vsock, ws, EndPoint, Link, LinkAuthId,
-    LinkConfigurator, LinkKind, LinkManagerBuilderMulticast, LinkManagerBuilderUnicast, LinkManagerMulticast,
-    LinkManagerUnicast, LinkMulticast, LinkUnicast, Locator, LocatorInspector, NewLink, NewLinkChannelSender,
-    ALL_SUPPORTED_LINKS,
+    quic, quic_datagram, serial, tcp, tls, udp, unixpipe, unixsock_stream, vsock, ws, EndPoint,
+    Link, LinkAuthId, LinkConfigurator, LinkKind, LinkManagerBuilderMulticast,
+    LinkManagerBuilderUnicast, LinkManagerMulticast, LinkManagerUnicast, LinkMulticast,
+    LinkUnicast, Locator, LocatorInspector, NewLink, NewLinkChannelSender, ALL_SUPPORTED_LINKS,
 };
 
 const STOCK_FEATURES: &[(&str, &[&str])] = &[
     ("transport_quic", &["zenoh-link-quic"]),
     ("transport_quic_datagram", &["zenoh-link-quic_datagram"]),
     ("transport_serial", &["zenoh-link-serial"]),
-    ("transport_tcp", &["zenoh-config/transport_tcp", "zenoh-link-tcp"]),
+    (
+        "transport_tcp",
+        &["zenoh-config/transport_tcp", "zenoh-link-tcp"],
+    ),
     ("transport_tls", &["zenoh-link-tls"]),
     ("transport_udp", &["zenoh-link-udp"]),
-    ("transport_unixpipe", &["zenoh-link-unixpipe", "zenoh-link-unixpipe/transport_unixpipe"]),
+    (
+        "transport_unixpipe",
+        &[
+            "zenoh-link-unixpipe",
+            "zenoh-link-unixpipe/transport_unixpipe",
+        ],
+    ),
     ("transport_unixsock-stream", &["zenoh-link-unixsock_stream"]),
     ("transport_vsock", &["zenoh-link-vsock"]),
     ("transport_ws", &["zenoh-link-ws"]),
@@ -47,19 +56,44 @@ const STOCK_FEATURES: &[(&str, &[&str])] = &[
 fn every_feature_means_what_it_meant() {
     let mut expected: BTreeMap<String, Vec<String>> = STOCK_FEATURES
         .iter()
-        .map(|(name, parts)| ((*name).to_owned(), parts.iter().map(|p| (*p).to_owned()).collect()))
+        .map(|(name, parts)| {
+            (
+                (*name).to_owned(),
+                parts.iter().map(|p| (*p).to_owned()).collect(),
+            )
+        })
         .collect();
     if let Some(uring) = expected.get_mut("uring") {
         uring.push("zenoh-link-ble/uring".to_owned());
         uring.sort();
     }
-    assert_eq!(features(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"))), expected);
+    assert_eq!(
+        features(Path::new(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/Cargo.toml"
+        ))),
+        expected
+    );
 }
 
 #[test]
 fn optional_dependencies_are_features_as_they_were() {
-    let ours = manifest(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")));
-    for link in ["quic", "quic_datagram", "serial", "tcp", "tls", "udp", "unixpipe", "unixsock_stream", "vsock", "ws"] {
+    let ours = manifest(Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/Cargo.toml"
+    )));
+    for link in [
+        "quic",
+        "quic_datagram",
+        "serial",
+        "tcp",
+        "tls",
+        "udp",
+        "unixpipe",
+        "unixsock_stream",
+        "vsock",
+        "ws",
+    ] {
         let dependency = &ours["dependencies"][&format!("zenoh-link-{link}")];
         assert_eq!(dependency["optional"].as_bool(), Some(true), "{link}");
         assert_eq!(dependency["version"].as_str(), Some("=1.10.2"), "{link}");
@@ -85,7 +119,12 @@ fn the_list_of_features_is_that_of_the_published_crate() {
     };
     let listed: BTreeMap<String, Vec<String>> = STOCK_FEATURES
         .iter()
-        .map(|(name, parts)| ((*name).to_owned(), parts.iter().map(|p| (*p).to_owned()).collect()))
+        .map(|(name, parts)| {
+            (
+                (*name).to_owned(),
+                parts.iter().map(|p| (*p).to_owned()).collect(),
+            )
+        })
         .collect();
     assert_eq!(features(&stock), listed);
 }
@@ -108,10 +147,23 @@ fn every_public_item_is_there() {
     ];
     assert_eq!(
         prefixes,
-        ["quic", "quic", "serial", "tcp", "tls", "udp", "unixpipe", "unixsock-stream", "vsock", "ws", "ble"]
+        [
+            "quic",
+            "quic",
+            "serial",
+            "tcp",
+            "tls",
+            "udp",
+            "unixpipe",
+            "unixsock-stream",
+            "vsock",
+            "ws",
+            "ble"
+        ]
     );
     // The functions, by their signatures.
-    let _: fn(NewLinkChannelSender, &EndPoint) -> zenoh::Result<LinkManagerUnicast> = LinkManagerBuilderUnicast::make;
+    let _: fn(NewLinkChannelSender, &EndPoint) -> zenoh::Result<LinkManagerUnicast> =
+        LinkManagerBuilderUnicast::make;
     let _: fn(LinkKind) -> zenoh::Result<LinkManagerMulticast> = LinkManagerBuilderMulticast::make;
     let _: fn(&LocatorInspector, &Locator) -> zenoh::Result<bool> = LocatorInspector::is_reliable;
     let _ = LocatorInspector::is_multicast;
@@ -129,7 +181,19 @@ fn links_come_in_the_order_of_the_published_crate_with_ble_last() {
     use LinkKind::*;
     assert_eq!(
         ALL_SUPPORTED_LINKS,
-        [Quic, QuicDatagram, Tcp, Tls, Udp, Ws, UnixsockStream, Serial, Unixpipe, Vscock, Ble]
+        [
+            Quic,
+            QuicDatagram,
+            Tcp,
+            Tls,
+            Udp,
+            Ws,
+            UnixsockStream,
+            Serial,
+            Unixpipe,
+            Vscock,
+            Ble
+        ]
     );
 }
 
@@ -157,27 +221,57 @@ fn a_locator_finds_its_link() {
         ("ble/wombat-2", LinkKind::Ble, true),
     ] {
         let parsed: Locator = locator.parse().expect("a locator");
-        assert_eq!(LinkKind::try_from(&parsed).expect("a link"), kind, "{locator}");
-        assert_eq!(LocatorInspector.is_reliable(&parsed).expect("a link"), reliable, "{locator}");
+        assert_eq!(
+            LinkKind::try_from(&parsed).expect("a link"),
+            kind,
+            "{locator}"
+        );
+        assert_eq!(
+            LocatorInspector.is_reliable(&parsed).expect("a link"),
+            reliable,
+            "{locator}"
+        );
     }
 }
 
 #[test]
 fn a_protocol_that_nobody_speaks_is_an_error_that_names_it() {
     let locator: Locator = "pigeon/home".parse().expect("a locator");
-    let error = LinkKind::try_from(&locator).expect_err("no link").to_string();
-    assert!(error.contains("Unicast not supported for pigeon protocol"), "{error}");
+    let error = LinkKind::try_from(&locator)
+        .expect_err("no link")
+        .to_string();
+    assert!(
+        error.contains("Unicast not supported for pigeon protocol"),
+        "{error}"
+    );
 }
 
 #[tokio::test]
 async fn only_udp_knows_groups() {
-    for (locator, multicast) in [("udp/224.0.0.1:7446", true), ("udp/127.0.0.1:1", false), ("ble/wombat-2", false)] {
+    for (locator, multicast) in [
+        ("udp/224.0.0.1:7446", true),
+        ("udp/127.0.0.1:1", false),
+        ("ble/wombat-2", false),
+    ] {
         let parsed: Locator = locator.parse().expect("a locator");
-        assert_eq!(LocatorInspector.is_multicast(&parsed).await.expect("a link"), multicast, "{locator}");
+        assert_eq!(
+            LocatorInspector
+                .is_multicast(&parsed)
+                .await
+                .expect("a link"),
+            multicast,
+            "{locator}"
+        );
     }
     assert!(LinkManagerBuilderMulticast::make(LinkKind::Udp).is_ok());
-    let error = LinkManagerBuilderMulticast::make(LinkKind::Ble).err().expect("no groups").to_string();
-    assert!(error.contains("Multicast not supported for link Ble"), "{error}");
+    let error = LinkManagerBuilderMulticast::make(LinkKind::Ble)
+        .err()
+        .expect("no groups")
+        .to_string();
+    assert!(
+        error.contains("Multicast not supported for link Ble"),
+        "{error}"
+    );
 }
 
 fn features(manifest_path: &Path) -> BTreeMap<String, Vec<String>> {
@@ -187,7 +281,9 @@ fn features(manifest_path: &Path) -> BTreeMap<String, Vec<String>> {
         .iter()
         .map(|(name, parts)| {
             let parts = parts.as_array().expect("a list").iter();
-            let mut parts: Vec<String> = parts.map(|p| p.as_str().expect("text").to_owned()).collect();
+            let mut parts: Vec<String> = parts
+                .map(|p| p.as_str().expect("text").to_owned())
+                .collect();
             parts.sort();
             (name.clone(), parts)
         })
@@ -195,5 +291,8 @@ fn features(manifest_path: &Path) -> BTreeMap<String, Vec<String>> {
 }
 
 fn manifest(path: &Path) -> Table {
-    fs::read_to_string(path).expect("a manifest").parse().expect("TOML")
+    fs::read_to_string(path)
+        .expect("a manifest")
+        .parse()
+        .expect("TOML")
 }

@@ -5,8 +5,10 @@ mod support;
 
 use std::time::{Duration, Instant};
 
-use support::{free_tcp_port, free_udp_port, no_vsock_loopback, path_in, Certificates, SerialCable};
-use zenoh::{Config, Session};
+use support::{
+    free_tcp_port, free_udp_port, no_vsock_loopback, path_in, Certificates, SerialCable,
+};
+use zenoh::{qos::CongestionControl, Config, Session};
 
 /// Far beyond what any of these takes.
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -33,21 +35,36 @@ async fn ws_carries_data() {
 async fn tls_carries_data() {
     let certificates = Certificates::new();
     let endpoint = format!("tls/localhost:{}", free_tcp_port());
-    carries_data(&endpoint, &endpoint, &[("transport/link/tls", &certificates.settings())]).await;
+    carries_data(
+        &endpoint,
+        &endpoint,
+        &[("transport/link/tls", &certificates.settings())],
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn quic_carries_data() {
     let certificates = Certificates::new();
     let endpoint = format!("quic/localhost:{}", free_udp_port());
-    carries_data(&endpoint, &endpoint, &[("transport/link/tls", &certificates.settings())]).await;
+    carries_data(
+        &endpoint,
+        &endpoint,
+        &[("transport/link/tls", &certificates.settings())],
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn quic_datagrams_carry_data() {
     let certificates = Certificates::new();
     let endpoint = format!("quic/localhost:{}?rel=0", free_udp_port());
-    carries_data(&endpoint, &endpoint, &[("transport/link/tls", &certificates.settings())]).await;
+    carries_data(
+        &endpoint,
+        &endpoint,
+        &[("transport/link/tls", &certificates.settings())],
+    )
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -68,7 +85,8 @@ async fn unixpipe_carries_data() {
 async fn serial_carries_data() {
     let cable = SerialCable::new();
     let [listen, connect] =
-        cable.ends.each_ref().map(|end| format!("serial/{}#baudrate=115200;exclusive=false", end.display()));
+        // `tout`, in microseconds: the listener is ready a moment after it says so.
+        cable.ends.each_ref().map(|end| format!("serial/{}#baudrate=115200;exclusive=false;tout=5000000", end.display()));
     carries_data(&listen, &connect, &[]).await;
 }
 
@@ -78,7 +96,10 @@ async fn vsock_carries_data() {
         println!("skipped: {reason}");
         return;
     }
-    let endpoint = format!("vsock/VMADDR_CID_LOCAL:{}", 20_000 + u32::from(free_tcp_port()));
+    let endpoint = format!(
+        "vsock/VMADDR_CID_LOCAL:{}",
+        20_000 + u32::from(free_tcp_port())
+    );
     carries_data(&endpoint, &endpoint, &[]).await;
 }
 
@@ -88,10 +109,20 @@ async fn carries_data(listen: &str, connect: &str, settings: &[(&str, &str)]) {
     let connector = session("client", &[("connect/endpoints", &list(connect))], settings).await;
 
     let protocol = listen.split('/').next().unwrap_or(listen);
-    let links: Vec<String> = connector.info().links().await.map(|link| link.dst().to_string()).collect();
-    assert!(links.iter().any(|l| l.starts_with(&format!("{protocol}/"))), "{protocol}: {links:?}");
+    let links: Vec<String> = connector
+        .info()
+        .links()
+        .await
+        .map(|link| link.dst().to_string())
+        .collect();
+    assert!(
+        links.iter().any(|l| l.starts_with(&format!("{protocol}/"))),
+        "{protocol}: {links:?}"
+    );
 
-    for size in [1, 100_000] {
+    // A serial line holds 1500 bytes at a time, and drops what comes faster than it sends.
+    let large = if protocol == "serial" { 4_000 } else { 100_000 };
+    for size in [1, large] {
         assert_arrives(&connector, &listener, size).await;
         assert_arrives(&listener, &connector, size).await;
     }
@@ -106,9 +137,12 @@ async fn session(mode: &str, endpoints: &[(&str, &str)], settings: &[(&str, &str
         ("scouting/multicast/enabled", "false"),
         ("scouting/gossip/enabled", "false"),
         ("listen/endpoints", "[]"),
+        ("connect/timeout_ms", "20000"),
     ];
     for (key, value) in alone.iter().chain(endpoints).chain(settings) {
-        config.insert_json5(key, value).unwrap_or_else(|error| panic!("{key} {value}: {error}"));
+        config
+            .insert_json5(key, value)
+            .unwrap_or_else(|error| panic!("{key} {value}: {error}"));
     }
     match tokio::time::timeout(DEADLINE, zenoh::open(config)).await {
         Ok(Ok(session)) => session,
@@ -125,11 +159,18 @@ async fn assert_arrives(from: &Session, to: &Session, size: usize) {
     let deadline = Instant::now() + DEADLINE;
     loop {
         assert!(Instant::now() < deadline, "{size} bytes do not arrive");
-        from.put(&key, payload.clone()).await.expect("a put");
-        let arrival = tokio::time::timeout(Duration::from_millis(500), subscriber.recv_async()).await;
+        from.put(&key, payload.clone())
+            .congestion_control(CongestionControl::Block)
+            .await
+            .expect("a put");
+        let arrival =
+            tokio::time::timeout(Duration::from_millis(500), subscriber.recv_async()).await;
         if let Ok(sample) = arrival {
             let sample = sample.expect("the session is open");
-            assert!(sample.payload().to_bytes() == payload, "{size} bytes arrive damaged");
+            assert!(
+                sample.payload().to_bytes() == payload,
+                "{size} bytes arrive damaged"
+            );
             return;
         }
     }

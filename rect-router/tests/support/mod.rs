@@ -15,6 +15,7 @@ use nix::{
     unistd::Pid,
 };
 use zenoh::{Config, Session, Wait};
+use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SOCKET_VARIABLE};
 
 /// No step of any test takes this long, not even on a busy machine.
 pub const DEADLINE: Duration = Duration::from_secs(30);
@@ -32,19 +33,41 @@ impl Router {
         Self::start_program(Path::new(env!("CARGO_BIN_EXE_rect-router")), args)
     }
 
+    /// Starts rect-router on a simulated air.
+    pub fn start_on(air: &Air, args: &[&str]) -> Self {
+        Self::start_program_on(air, Path::new(env!("CARGO_BIN_EXE_rect-router")), args)
+    }
+
     /// Starts any router that logs as zenohd does.
     pub fn start_program(program: &Path, args: &[&str]) -> Self {
-        let mut child = Command::new(program)
-            .args(args)
+        Self::spawn(Command::new(program).args(args))
+    }
+
+    /// The same on a simulated air.
+    pub fn start_program_on(air: &Air, program: &Path, args: &[&str]) -> Self {
+        Self::spawn(
+            Command::new(program)
+                .args(args)
+                .env(SOCKET_VARIABLE, air.socket()),
+        )
+    }
+
+    fn spawn(command: &mut Command) -> Self {
+        let mut child = command
             .env("NO_COLOR", "1")
-            .env("RUST_LOG", "z=info,rect=info,zenoh::net::runtime::orchestrator=debug")
+            .env(
+                "RUST_LOG",
+                "z=info,rect=info,zenoh::net::runtime::orchestrator=debug",
+            )
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .unwrap_or_else(|error| panic!("{} does not start: {error}", program.display()));
+            .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
         let (lines, log) = mpsc::channel();
-        let streams: [Box<dyn Read + Send>; 2] =
-            [Box::new(child.stdout.take().expect("piped")), Box::new(child.stderr.take().expect("piped"))];
+        let streams: [Box<dyn Read + Send>; 2] = [
+            Box::new(child.stdout.take().expect("piped")),
+            Box::new(child.stderr.take().expect("piped")),
+        ];
         for stream in streams {
             let lines = lines.clone();
             thread::spawn(move || {
@@ -55,16 +78,25 @@ impl Router {
                 }
             });
         }
-        Self { child, log, seen: Vec::new() }
+        Self {
+            child,
+            log,
+            seen: Vec::new(),
+        }
     }
 
     /// The rest of the first line, from now on, that has `text` in it.
     pub fn wait_for(&mut self, text: &str) -> String {
         let deadline = Instant::now() + DEADLINE;
         loop {
-            match self.log.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+            match self
+                .log
+                .recv_timeout(deadline.saturating_duration_since(Instant::now()))
+            {
                 Ok(line) => {
-                    let rest = line.split_once(text).map(|(_, rest)| rest.trim().to_owned());
+                    let rest = line
+                        .split_once(text)
+                        .map(|(_, rest)| rest.trim().to_owned());
                     self.seen.push(line);
                     if let Some(rest) = rest {
                         return rest;
@@ -75,7 +107,10 @@ impl Router {
                         RecvTimeoutError::Timeout => "in time",
                         RecvTimeoutError::Disconnected => "before the router ended",
                     };
-                    panic!("no `{text}` in the log {how}; it was:\n{}", self.seen.join("\n"));
+                    panic!(
+                        "no `{text}` in the log {how}; it was:\n{}",
+                        self.seen.join("\n")
+                    );
                 }
             }
         }
@@ -110,7 +145,11 @@ impl Router {
             if let Some(status) = self.child.try_wait().expect("our child") {
                 return status;
             }
-            assert!(Instant::now() < deadline, "the router does not end; its log:\n{}", self.drained().join("\n"));
+            assert!(
+                Instant::now() < deadline,
+                "the router does not end; its log:\n{}",
+                self.drained().join("\n")
+            );
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -130,9 +169,17 @@ impl Router {
 
     /// Resident memory, in kB.
     pub fn resident_kb(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("linux");
-        let line = status.lines().find(|l| l.starts_with("VmRSS:")).expect("a process has memory");
-        line.split_whitespace().nth(1).expect("a number").parse().expect("a number")
+        let status =
+            std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("linux");
+        let line = status
+            .lines()
+            .find(|l| l.starts_with("VmRSS:"))
+            .expect("a process has memory");
+        line.split_whitespace()
+            .nth(1)
+            .expect("a number")
+            .parse()
+            .expect("a number")
     }
 }
 
@@ -141,6 +188,48 @@ impl Drop for Router {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// A simulated air of this test's own, as `rect air` serves one.
+pub struct Air {
+    dir: tempfile::TempDir,
+    runtime: tokio::runtime::Runtime,
+}
+
+impl Air {
+    /// Begins to serve.
+    pub fn new() -> Self {
+        let dir = tempfile::tempdir().expect("a directory");
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .expect("a runtime");
+        let path = dir.path().join("air.sock");
+        runtime.block_on(async move {
+            let server = AirServer::bind(&path, AirOptions::default()).expect("an air");
+            tokio::spawn(server.serve());
+        });
+        Self { dir, runtime }
+    }
+
+    fn socket(&self) -> PathBuf {
+        self.dir.path().join("air.sock")
+    }
+
+    /// The air is gone, and every link on it.
+    pub fn end(self) {
+        self.runtime.shutdown_background();
+    }
+}
+
+/// Says why a test does not run here. With `RECT_NO_SKIP` set, as in CI, that is a failure.
+pub fn skip(reason: &str) {
+    assert!(
+        std::env::var_os("RECT_NO_SKIP").is_none(),
+        "not to be skipped: {reason}"
+    );
+    println!("skipped: {reason}");
 }
 
 /// A client of the router at `endpoint`, with further settings.
@@ -179,7 +268,20 @@ pub fn arrives(from: &Session, to: &Session, key: &str) -> bool {
 
 /// The repository.
 pub fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a member of the workspace").to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("a member of the workspace")
+        .to_owned()
+}
+
+/// Where the release build puts its results.
+pub fn release() -> PathBuf {
+    let exe = std::env::current_exe().expect("this test is a program");
+    // target/debug/deps/this-test
+    exe.ancestors()
+        .nth(3)
+        .expect("cargo's layout")
+        .join("release")
 }
 
 /// Where big things that outlive a build are kept.

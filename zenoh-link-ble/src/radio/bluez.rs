@@ -13,7 +13,7 @@ use bluer::{adv, Adapter, Session, Uuid};
 use tokio::sync::{Mutex, OnceCell};
 
 use self::{
-    channel::{BluezListener, BluezChannel},
+    channel::{BluezChannel, BluezListener},
     errors::{dbus_error, no_adapter},
     scan::BluezScan,
     watch::Watch,
@@ -56,7 +56,9 @@ struct BluezRadio {
 impl BluezRadio {
     async fn session(&self) -> Result<&Session, RadioError> {
         self.session
-            .get_or_try_init(|| async { Session::new().await.map_err(dbus_error("reach bluetoothd")) })
+            .get_or_try_init(|| async {
+                Session::new().await.map_err(dbus_error("reach bluetoothd"))
+            })
             .await
     }
 
@@ -72,7 +74,9 @@ impl BluezRadio {
                 adapter: self.name.clone(),
             }),
             Err(error) => match dbus_error("use the adapter")(error) {
-                error @ (RadioError::NoService { .. } | RadioError::NotPermitted { .. }) => Err(error),
+                error @ (RadioError::NoService { .. } | RadioError::NotPermitted { .. }) => {
+                    Err(error)
+                }
                 _ => Err(no_adapter(&self.name, session).await),
             },
         }
@@ -116,7 +120,10 @@ impl Radio for BluezRadio {
 
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
         let adapter = self.adapter().await?;
-        let address = adapter.address().await.map_err(dbus_error("ask the adapter's address"))?;
+        let address = adapter
+            .address()
+            .await
+            .map_err(dbus_error("ask the adapter's address"))?;
         let kind = adapter
             .address_type()
             .await
@@ -182,7 +189,9 @@ impl Radio for BluezRadio {
     ) -> Result<Box<dyn ChannelListener>, RadioError> {
         self.ensure_agent(&options).await?;
         let own = self.address().await?;
-        Ok(Box::new(BluezListener::start(&self.name, own, psm, options)?))
+        Ok(Box::new(BluezListener::start(
+            &self.name, own, psm, options,
+        )?))
     }
 
     async fn connect(
@@ -195,6 +204,19 @@ impl Radio for BluezRadio {
         let own = self.address().await?;
         let channel = BluezChannel::connect(&self.name, own, peer, psm, options).await?;
         Ok(Arc::new(channel))
+    }
+
+    async fn disconnect(&self, peer: DeviceAddress) {
+        // bluetoothd holds the connection by channels of its own, and the kernel then goes on with what it believes
+        // of the old ones ("Source CID already allocated").
+        let Ok(adapter) = self.adapter().await else {
+            return;
+        };
+        if let Ok(device) = adapter.device(bluer::Address(peer.address.0)) {
+            if let Err(error) = device.disconnect().await {
+                tracing::debug!(%peer, %error, "the connection stays");
+            }
+        }
     }
 }
 

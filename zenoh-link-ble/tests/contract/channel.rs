@@ -51,7 +51,10 @@ pub async fn sdus_of_every_size_arrive_whole_and_in_order_both_ways(world: World
                 assert!(buffer[..received].iter().all(|b| *b == n as u8), "sdu {n}");
             }
         };
-        within("sending sixty sdus", async { tokio::join!(sending, receiving) }).await;
+        within("sending sixty sdus", async {
+            tokio::join!(sending, receiving)
+        })
+        .await;
     }
 }
 
@@ -59,14 +62,20 @@ pub async fn a_closed_channel_ends_the_peers_receive(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     near.shutdown();
     let ended = within("the end", far.recv(&mut [0; 100])).await;
-    assert!(matches!(ended, Err(RadioError::ChannelDown { .. })), "{ended:?}");
+    assert!(
+        matches!(ended, Err(RadioError::ChannelDown { .. })),
+        "{ended:?}"
+    );
 }
 
 pub async fn a_dropped_channel_ends_the_peers_receive(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     drop(near);
     let ended = within("the end", far.recv(&mut [0; 100])).await;
-    assert!(matches!(ended, Err(RadioError::ChannelDown { .. })), "{ended:?}");
+    assert!(
+        matches!(ended, Err(RadioError::ChannelDown { .. })),
+        "{ended:?}"
+    );
 }
 
 pub async fn a_psm_without_a_listener_refuses(world: World) {
@@ -111,7 +120,9 @@ pub async fn a_connect_that_is_given_up_leaves_nothing_behind(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     near.send(b"still works").await.expect("sends");
     let mut buffer = [0; 100];
-    let size = within("the sdu", far.recv(&mut buffer)).await.expect("receives");
+    let size = within("the sdu", far.recv(&mut buffer))
+        .await
+        .expect("receives");
     assert_eq!(&buffer[..size], b"still works");
 }
 
@@ -134,13 +145,19 @@ pub async fn several_channels_live_side_by_side(world: World) {
     one.send(b"one").await.expect("sends");
     two.send(b"two").await.expect("sends");
     let mut buffer = [0; 100];
-    let size = within("two", two_far.recv(&mut buffer)).await.expect("receives");
+    let size = within("two", two_far.recv(&mut buffer))
+        .await
+        .expect("receives");
     assert_eq!(&buffer[..size], b"two");
-    let size = within("one", one_far.recv(&mut buffer)).await.expect("receives");
+    let size = within("one", one_far.recv(&mut buffer))
+        .await
+        .expect("receives");
     assert_eq!(&buffer[..size], b"one");
     two.shutdown();
     one.send(b"one again").await.expect("sends");
-    let size = within("one", one_far.recv(&mut buffer)).await.expect("receives");
+    let size = within("one", one_far.recv(&mut buffer))
+        .await
+        .expect("receives");
     assert_eq!(&buffer[..size], b"one again");
 }
 
@@ -148,5 +165,8 @@ pub async fn an_sdu_over_the_channels_limit_is_refused(world: World) {
     let (near, _far, _listener) = channel_pair(&world).await;
     let limit = near.send_mtu();
     let refused = near.send(&vec![0; limit + 1]).await;
-    assert!(matches!(refused, Err(RadioError::SduTooLarge { .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Err(RadioError::SduTooLarge { .. })),
+        "{refused:?}"
+    );
 }

@@ -83,7 +83,10 @@ pub async fn a_peer_is_found_by_address(world: World) {
     let b = Peer::on(&world.b).listens_as("name=wombat-2;psm=170").await;
     let a = Peer::on(&world.a);
     let address = world.b.address().await.expect("has an address");
-    let near = a.dials(&format!("ble/{address}#psm=170")).await.expect("dials");
+    let near = a
+        .dials(&format!("ble/{address}#psm=170"))
+        .await
+        .expect("dials");
     says(&near, &b.incoming().await, b"there").await;
     near.close().await.expect("closes");
 }
@@ -101,7 +104,10 @@ pub async fn two_nodes_that_dial_each_other_at_once_make_one_link(world: World) 
         (Ok(_), Ok(_)) => panic!("two links"),
         (Err(one), Err(other)) => panic!("no link: {one}; {other}"),
     };
-    assert!(a.no_more_incoming() && b.no_more_incoming(), "a second link");
+    assert!(
+        a.no_more_incoming() && b.no_more_incoming(),
+        "a second link"
+    );
     says(&near, &far, b"one link").await;
     says(&far, &near, b"both ways").await;
 }
@@ -124,10 +130,8 @@ pub async fn a_link_opens_again_after_it_was_closed(world: World) {
             assert!(ended.is_err(), "the other side sees the end");
             other.close().await.expect("closes");
         };
-        let (closed, ()) = within("closing", async {
-            tokio::join!(closing.close(), reading)
-        })
-        .await;
+        let (closed, ()) =
+            within("closing", async { tokio::join!(closing.close(), reading) }).await;
         closed.expect("closes");
     }
 }
@@ -180,7 +184,10 @@ pub async fn a_name_nobody_advertises_is_an_error_that_names_it(world: World) {
         .await
         .expect_err("nobody")
         .to_string();
-    assert!(error.contains("nobody in range advertises as nobody"), "{error}");
+    assert!(
+        error.contains("nobody in range advertises as nobody"),
+        "{error}"
+    );
 }
 
 pub async fn a_second_node_of_the_same_name_is_told_so(world: World) {
@@ -191,7 +198,10 @@ pub async fn a_second_node_of_the_same_name_is_told_so(world: World) {
         .await
         .expect_err("the name is taken")
         .to_string();
-    assert!(error.contains("give one of the two another name="), "{error}");
+    assert!(
+        error.contains("give one of the two another name="),
+        "{error}"
+    );
 }
 
 pub async fn a_listener_ends_when_it_is_deleted_and_can_start_again(world: World) {

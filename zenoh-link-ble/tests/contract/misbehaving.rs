@@ -83,7 +83,11 @@ pub async fn garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_noti
     let near = good.dials("ble/wombat-2").await.expect("dials");
     let far = b.incoming().await;
     let whole = hello(77, "bad");
-    for first in [b"GET / HTTP/1.1".to_vec(), whole[..9].to_vec(), vec![0xff; 1024]] {
+    for first in [
+        b"GET / HTTP/1.1".to_vec(),
+        whole[..9].to_vec(),
+        vec![0xff; 1024],
+    ] {
         let channel = raw_channel(&world).await;
         channel.send(&first).await.expect("sends");
         is_dropped(&channel).await;
@@ -108,7 +112,10 @@ pub async fn an_oversize_batch_ends_the_link_with_its_reason(world: World) {
         let size = within("the answer", channel.recv(&mut buffer))
             .await
             .expect("receives");
-        assert!(matches!(Opening::decode(&buffer[..size]), Ok(Opening::Accept(_))));
+        assert!(matches!(
+            Opening::decode(&buffer[..size]),
+            Ok(Opening::Accept(_))
+        ));
         let far = b.incoming().await;
         if wrong != vec![0; 3000] || channel.send_mtu() >= 3000 {
             channel.send(&wrong).await.expect("sends");

@@ -29,7 +29,9 @@ impl Certificates {
         let mut authority = CertificateParams::new(vec![]).expect("parameters");
         authority.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let authority_key = KeyPair::generate().expect("a key");
-        let authority_certificate = authority.self_signed(&authority_key).expect("a certificate");
+        let authority_certificate = authority
+            .self_signed(&authority_key)
+            .expect("a certificate");
         let issuer = Issuer::from_params(&authority, &authority_key);
 
         let server_key = KeyPair::generate().expect("a key");
@@ -38,7 +40,8 @@ impl Certificates {
             .signed_by(&server_key, &issuer)
             .expect("a certificate");
 
-        let write = |name: &str, text: String| fs::write(dir.path().join(name), text).expect("written");
+        let write =
+            |name: &str, text: String| fs::write(dir.path().join(name), text).expect("written");
         write("authority.pem", authority_certificate.pem());
         write("server.pem", server.pem());
         write("server.key", server_key.serialize_pem());
@@ -70,9 +73,15 @@ impl SerialCable {
         let name = |pty: &OpenptyResult| ttyname(&pty.slave).expect("a terminal has a name");
         let ends = [name(&one), name(&two)];
         let (one_master, two_master) = (File::from(one.master), File::from(two.master));
-        carry(one_master.try_clone().expect("a handle"), two_master.try_clone().expect("a handle"));
+        carry(
+            one_master.try_clone().expect("a handle"),
+            two_master.try_clone().expect("a handle"),
+        );
         carry(two_master, one_master);
-        Self { ends, _ports: [one.slave, two.slave] }
+        Self {
+            ends,
+            _ports: [one.slave, two.slave],
+        }
     }
 }
 
@@ -96,11 +105,17 @@ fn carry(mut from: File, mut to: File) {
 }
 
 pub fn free_tcp_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").and_then(|s| s.local_addr()).expect("a port").port()
+    TcpListener::bind("127.0.0.1:0")
+        .and_then(|s| s.local_addr())
+        .expect("a port")
+        .port()
 }
 
 pub fn free_udp_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").and_then(|s| s.local_addr()).expect("a port").port()
+    UdpSocket::bind("127.0.0.1:0")
+        .and_then(|s| s.local_addr())
+        .expect("a port")
+        .port()
 }
 
 pub fn path_in(dir: &Path, name: &str) -> String {
@@ -109,12 +124,22 @@ pub fn path_in(dir: &Path, name: &str) -> String {
 
 /// Why this machine can't talk to itself over vsock, if it can't.
 pub fn no_vsock_loopback() -> Option<String> {
-    let opened = socket(AddressFamily::Vsock, SockType::Stream, SockFlag::empty(), None);
+    let opened = socket(
+        AddressFamily::Vsock,
+        SockType::Stream,
+        SockFlag::empty(),
+        None,
+    );
     let listening = opened.and_then(|socket| {
-        bind(std::os::fd::AsRawFd::as_raw_fd(&socket), &VsockAddr::new(LOCAL_CID, ANY_PORT))?;
+        bind(
+            std::os::fd::AsRawFd::as_raw_fd(&socket),
+            &VsockAddr::new(LOCAL_CID, ANY_PORT),
+        )?;
         listen(&socket, Backlog::new(1)?)
     });
-    listening.err().map(|error| format!("the kernel has no vsock loopback ({error}); modprobe vsock_loopback"))
+    listening
+        .err()
+        .map(|error| format!("the kernel has no vsock loopback ({error}); modprobe vsock_loopback"))
 }
 
 const LOCAL_CID: u32 = 1;

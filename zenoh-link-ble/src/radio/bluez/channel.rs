@@ -1,8 +1,5 @@
 //! Owns channels on kernel sockets: taking them, opening them, moving SDUs.
-use std::{
-    net::Shutdown,
-    sync::Arc,
-};
+use std::{net::Shutdown, sync::Arc};
 
 use async_trait::async_trait;
 use bluer::l2cap::{SeqPacket, SeqPacketListener};
@@ -57,11 +54,11 @@ impl ChannelListener for BluezListener {
     }
 
     async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError> {
-        let (socket, from) = self
-            .socket
-            .accept()
-            .await
-            .map_err(socket_error("take a channel", &self.adapter, None))?;
+        let (socket, from) = self.socket.accept().await.map_err(socket_error(
+            "take a channel",
+            &self.adapter,
+            None,
+        ))?;
         let peer = device_address(from.addr, from.addr_type);
         Ok(Arc::new(BluezChannel::new(&self.adapter, peer, socket)?))
     }

@@ -11,7 +11,12 @@ pub(super) fn dbus_error(action: &'static str) -> impl Fn(bluer::Error) -> Radio
     move |error| {
         let text = error.to_string();
         let is = |names: &[&str]| names.iter().any(|name| text.contains(name));
-        if is(&["ServiceUnknown", "NoReply", "NameHasNoOwner", "not provided by any .service"]) {
+        if is(&[
+            "ServiceUnknown",
+            "NoReply",
+            "NameHasNoOwner",
+            "not provided by any .service",
+        ]) {
             return RadioError::NoService {
                 service: "bluetoothd",
                 advice: "install it with `sudo apt install bluez` and start it with `sudo systemctl start bluetooth`".to_owned(),
@@ -75,11 +80,15 @@ pub(super) fn socket_error(
         (Some(libc::EADDRINUSE), Some(psm)) => RadioError::PsmTaken(psm),
         (Some(libc::EACCES | libc::EPERM), _) => RadioError::NotPermitted {
             action,
-            advice: "run as a user who may use Bluetooth sockets; in a container they must be let in".to_owned(),
+            advice:
+                "run as a user who may use Bluetooth sockets; in a container they must be let in"
+                    .to_owned(),
         },
-        (Some(libc::ENODEV | libc::EADDRNOTAVAIL | libc::EHOSTUNREACH), _) => RadioError::AdapterOff {
-            adapter: adapter.clone(),
-        },
+        (Some(libc::ENODEV | libc::EADDRNOTAVAIL | libc::EHOSTUNREACH), _) => {
+            RadioError::AdapterOff {
+                adapter: adapter.clone(),
+            }
+        }
         _ => RadioError::System {
             action,
             source: Box::new(error),

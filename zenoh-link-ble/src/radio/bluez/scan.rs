@@ -5,9 +5,7 @@ use std::{
 };
 
 use async_trait::async_trait;
-use bluer::{
-    Adapter, AdapterEvent, Address, DiscoveryFilter, DiscoveryTransport, Uuid,
-};
+use bluer::{Adapter, AdapterEvent, Address, DiscoveryFilter, DiscoveryTransport, Uuid};
 use futures::{
     stream::{BoxStream, SelectAll},
     StreamExt,
@@ -119,11 +117,8 @@ impl BluezScan {
     /// What bluetoothd knows of a device, if it was heard in this scan: a device remembered from earlier has no RSSI.
     async fn look_at(adapter: &Adapter, address: Address) -> Option<Sighting> {
         let device = adapter.device(address).ok()?;
-        let (heard, data, kind) = tokio::join!(
-            device.rssi(),
-            device.service_data(),
-            device.address_type()
-        );
+        let (heard, data, kind) =
+            tokio::join!(device.rssi(), device.service_data(), device.address_type());
         let rssi_dbm = heard.ok()??;
         let data = data.ok().flatten().unwrap_or_default();
         let advertisement = data

@@ -139,7 +139,9 @@ fn is_connected(socket: &OwnedFd) -> bool {
     };
     // SAFETY: one valid pollfd, and no waiting.
     let ready = unsafe { libc::poll(&mut poll, 1, 0) };
-    ready == 1 && poll.revents & libc::POLLOUT != 0 && poll.revents & (libc::POLLHUP | libc::POLLERR) == 0
+    ready == 1
+        && poll.revents & libc::POLLOUT != 0
+        && poll.revents & (libc::POLLHUP | libc::POLLERR) == 0
 }
 
 pub(super) fn bluer_kind(kind: AddressType) -> bluer::AddressType {

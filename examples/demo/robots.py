@@ -1,0 +1,158 @@
+"""Robots as processes: a router each, with stock eclipse-zenoh clients. For the demo, the scenarios, the benches."""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+
+CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulation.json5"
+
+
+class RobotError(Exception):
+    """Something that had to happen did not."""
+
+
+class Robot:
+    """A router with a `ble/` listener under its name and a local TCP port for its programs."""
+
+    def __init__(self, name: str, adapter: str, log: Path, environment: dict[str, str] | None = None) -> None:
+        self.name = name
+        self.port = free_port()
+        self._adapter = adapter
+        self._log = log
+        self._environment = os.environ | {"RUST_LOG": "warn,rect_router=info,zenoh_link_ble=debug,zenoh::net::runtime::orchestrator=debug"} | (environment or {})
+        self._process: subprocess.Popen | None = None
+        self._dials: list[str] = []
+
+    def start(self, dials: list[str] | None = None, ble_options: str = "", wait: bool = True) -> "Robot":
+        """Starts the router; it dials the locators of `dials` (the same as before if left out)."""
+        if dials is not None:
+            self._dials = dials
+        command = [os.environ.get("RECT_ROUTER", "rect-router"), "-c", str(CONFIG)]
+        command += ["-l", f"ble/{self._adapter}#name={self.name}{ble_options}", "-l", f"tcp/127.0.0.1:{self.port}"]
+        for locator in self._dials:
+            command += ["-e", locator]
+        self._process = start(command, self._log, self._environment)
+        if wait:
+            wait_until(f"the router of {self.name} is up", 30, lambda: self._accepts())
+        return self
+
+    def kill(self) -> None:
+        """As a power cut would."""
+        if self._process:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def stop(self) -> None:
+        if self._process:
+            self._process.terminate()
+            try:
+                self._process.wait(10)
+            except subprocess.TimeoutExpired:
+                self.kill()
+            self._process = None
+
+    def ended(self) -> bool:
+        return self._process is None or self._process.poll() is not None
+
+    def session(self) -> zenoh.Session:
+        """A stock client at this robot's router."""
+        config = zenoh.Config()
+        config.insert_json5("mode", '"client"')
+        config.insert_json5("connect/endpoints", json.dumps([f"tcp/127.0.0.1:{self.port}"]))
+        config.insert_json5("scouting/multicast/enabled", "false")
+        return zenoh.open(config)
+
+    def ble_links(self) -> list[str]:
+        """The peers of its `ble/` links, as its admin space shows them."""
+        with self.session() as session:
+            own = str(session.info.routers_zid()[0])
+            for reply in session.get(f"@/{own}/router", timeout=5):
+                if reply.ok is not None:
+                    state = json.loads(reply.ok.payload.to_bytes())
+                    links = [link for s in state["sessions"] for link in s["links"]]
+                    return [link["dst"] for link in links if link["src"].startswith("ble/")]
+        return []
+
+    def log(self) -> str:
+        return self._log.read_text()
+
+    def _accepts(self) -> bool:
+        if self.ended():
+            raise RobotError(f"the router of {self.name} ended: {self.log().strip().splitlines()[-1]}")
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+
+class Inbox:
+    """Collects what arrives on a key; ready only once a message gets through."""
+
+    def __init__(self, receiver: zenoh.Session, key: str, sender: zenoh.Session, limit_s: float = 30) -> None:
+        self._key = key
+        self._limit_s = limit_s
+        self._arrived = threading.Condition()
+        self._payloads: list[bytes] = []
+        self._reached = threading.Event()
+        self._subscriber = receiver.declare_subscriber(key, self._on_sample)
+        self.wait_until_reached(sender)
+
+    def wait_until_reached(self, sender: zenoh.Session) -> float:
+        """Puts small probes until one arrives: subscriptions travel over the radio too. Seconds it took."""
+        self._reached.clear()
+        started = time.monotonic()
+        while not self._reached.wait(0.05):
+            if time.monotonic() - started > self._limit_s:
+                raise RobotError(f"no message reached the subscriber to {self._key} within {self._limit_s} s")
+            sender.put(self._key, b"?")
+        return time.monotonic() - started
+
+    def take(self, count: int) -> list[bytes]:
+        with self._arrived:
+            self._arrived.wait_for(lambda: len(self._payloads) >= count, self._limit_s)
+            if len(self._payloads) != count:
+                raise RobotError(f"{len(self._payloads)} of {count} messages on {self._key} arrived")
+            taken, self._payloads = self._payloads, []
+        return taken
+
+    def close(self) -> None:
+        self._subscriber.undeclare()
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if payload == b"?":
+            self._reached.set()
+            return
+        with self._arrived:
+            self._payloads.append(payload)
+            self._arrived.notify_all()
+
+
+def start(command: list[str], log: Path, environment: dict[str, str]) -> subprocess.Popen:
+    if shutil.which(command[0]) is None:
+        raise RobotError(f"{command[0]} is not in the PATH: run `make demo`, which builds it")
+    with log.open("a") as out:
+        return subprocess.Popen(command, env=environment, stdout=out, stderr=subprocess.STDOUT)
+
+
+def wait_until(what: str, limit_s: float, holds: Callable[[], bool]) -> float:
+    """Seconds until it held."""
+    started = time.monotonic()
+    while not holds():
+        if time.monotonic() - started > limit_s:
+            raise RobotError(f"not within {limit_s} s: {what}")
+        time.sleep(0.05)
+    return time.monotonic() - started
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

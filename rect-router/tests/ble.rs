@@ -1,0 +1,89 @@
+//! Routers with `ble/` links, on the simulated air: `cargo test -p rect-router --test ble`
+
+mod support;
+
+use std::time::{Duration, Instant};
+
+use support::{arrives, client, repository, Air, Router};
+use zenoh::{Session, Wait};
+
+fn wombat(air: &Air, number: u32, more: &[&str]) -> (Router, String) {
+    let config = repository()
+        .join("config/simulation.json5")
+        .display()
+        .to_string();
+    let radio = format!("ble/sim-wombat-{number}#name=wombat-{number}");
+    let mut args = vec!["-c", &config, "-l", "tcp/127.0.0.1:0", "-l", &radio];
+    args.extend(more);
+    let mut router = Router::start_on(air, &args);
+    let endpoint = router.listener();
+    (router, endpoint)
+}
+
+#[test]
+fn two_wombats_exchange_messages_over_ble_and_the_admin_space_shows_the_link() {
+    let air = Air::new();
+    let (_one, here) = wombat(&air, 1, &["-i", "a1"]);
+    let (_two, there) = wombat(
+        &air,
+        2,
+        &["-i", "a2", "-e", "ble/wombat-1#adapter=sim-wombat-2"],
+    );
+    let (here, there) = (client(&here), client(&there));
+    assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
+    assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
+
+    let about = admin(&here, "@/a1/router");
+    assert!(about.contains("ble/"), "no ble link in {about}");
+}
+
+#[test]
+fn a_wombat_that_comes_back_is_linked_again() {
+    let air = Air::new();
+    let (one, here) = wombat(&air, 1, &[]);
+    let (_two, there) = wombat(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let there = client(&there);
+    assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
+    drop(one);
+    let (_one, here) = wombat(&air, 1, &[]);
+    assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
+}
+
+#[test]
+fn a_ble_listener_without_its_radio_ends_the_router_with_the_links_reason() {
+    let mut router = Router::start(&["--no-multicast-scouting", "-l", "ble/hci77#name=wombat-1"]);
+    assert_eq!(router.exit().code(), Some(1));
+    let log = router.full_log();
+    let said = log
+        .lines()
+        .find(|line| line.starts_with("rect-router: can't start: "))
+        .expect("a reason");
+    assert!(!said.contains(".rs:"), "{said}");
+    println!("{said}");
+}
+
+#[test]
+fn a_router_stops_with_status_0_while_linked_over_ble() {
+    let air = Air::new();
+    let (one, here) = wombat(&air, 1, &[]);
+    let (mut two, there) = wombat(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    assert!(arrives(&client(&there), &client(&here), "rect/wombat-2/x"));
+    two.up().signal(nix::sys::signal::Signal::SIGTERM);
+    assert_eq!(two.exit().code(), Some(0));
+    drop(one);
+}
+
+fn admin(session: &Session, key: &str) -> String {
+    let deadline = Instant::now() + support::DEADLINE;
+    loop {
+        assert!(Instant::now() < deadline, "{key} does not answer");
+        let replies = session
+            .get(key)
+            .timeout(Duration::from_secs(5))
+            .wait()
+            .expect("a query");
+        if let Some(Ok(sample)) = replies.into_iter().map(|reply| reply.into_result()).next() {
+            return String::from_utf8_lossy(&sample.payload().to_bytes()).into_owned();
+        }
+    }
+}

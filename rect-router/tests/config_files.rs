@@ -1,0 +1,297 @@
+//! The files of `config/` load, and keep strangers out: `cargo test -p rect-router --test config_files`
+
+mod support;
+
+use std::{fs, path::PathBuf, time::Duration};
+
+use serde_json::{json, Value};
+use support::{arrives, client_with, repository, Router};
+use zenoh::{Session, Wait};
+
+const WITH_LOGIN: [&str; 2] = ["robot.json5", "base-station.json5"];
+
+fn file(name: &str) -> String {
+    repository().join("config").join(name).display().to_string()
+}
+
+/// What zenoh makes of the file.
+fn loaded(name: &str) -> Value {
+    let config =
+        zenoh::Config::from_file(file(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    serde_json::to_value(&config).expect("JSON")
+}
+
+#[test]
+fn every_file_loads() {
+    let mut names: Vec<String> = fs::read_dir(repository().join("config"))
+        .expect("the directory")
+        .map(|entry| {
+            entry
+                .expect("an entry")
+                .file_name()
+                .to_string_lossy()
+                .into_owned()
+        })
+        .filter(|name| name.ends_with(".json5"))
+        .collect();
+    names.sort();
+    assert_eq!(
+        names,
+        ["base-station.json5", "robot.json5", "simulation.json5"]
+    );
+    for name in names {
+        assert_eq!(loaded(&name)["mode"], "router", "{name}");
+    }
+}
+
+#[test]
+fn multicast_scouting_is_off_everywhere() {
+    for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
+        assert_eq!(
+            loaded(name).pointer("/scouting/multicast/enabled"),
+            Some(&json!(false)),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn no_listener_is_open_to_the_network() {
+    for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
+        let config = loaded(name);
+        let listeners = config
+            .pointer("/listen/endpoints")
+            .and_then(Value::as_array)
+            .expect("a list");
+        assert!(listeners.len() >= 2, "{name}");
+        for listener in listeners.iter().map(|l| l.as_str().expect("text")) {
+            let reach = ["tcp/127.0.0.1:", "unixsock-stream/", "ble/"];
+            assert!(
+                reach.iter().any(|r| listener.starts_with(r)),
+                "{name}: {listener}"
+            );
+        }
+    }
+}
+
+#[test]
+fn login_and_access_control_are_on_for_robots_and_base_station() {
+    for name in WITH_LOGIN {
+        let config = loaded(name);
+        let at = |pointer| config.pointer(pointer).unwrap_or(&Value::Null);
+        assert_eq!(
+            at("/transport/auth/usrpwd/dictionary_file"),
+            "/etc/rect/users",
+            "{name}"
+        );
+        assert_eq!(
+            at("/transport/auth/usrpwd/password"),
+            &Value::Null,
+            "{name}: a published password is none"
+        );
+        assert_eq!(at("/access_control/enabled"), true, "{name}");
+        assert_eq!(at("/access_control/default_permission"), "deny", "{name}");
+    }
+}
+
+#[test]
+fn without_its_login_file_a_robot_does_not_start() {
+    if PathBuf::from("/etc/rect/users").exists() {
+        return support::skip("this machine has a login file");
+    }
+    for name in WITH_LOGIN {
+        let mut router = Router::start(&["-c", &file(name)]);
+        assert_eq!(router.exit().code(), Some(1), "{name}");
+        let log = router.full_log();
+        assert!(
+            log.contains(
+                "rect-router: login file /etc/rect/users (make one with a line `user:password`"
+            ),
+            "{log}"
+        );
+    }
+}
+
+/// A router of a shipped file, its own part of the machine put in place of /etc, /run and Bluetooth.
+struct Fleet {
+    dir: tempfile::TempDir,
+}
+
+impl Fleet {
+    fn new(logins: &str) -> Self {
+        let dir = tempfile::tempdir().expect("a directory");
+        fs::write(dir.path().join("users"), logins).expect("written");
+        Self { dir }
+    }
+
+    fn router(&self, name: &str, more: &[&str]) -> (Router, String) {
+        let users = format!(
+            "transport/auth/usrpwd/dictionary_file:\"{}\"",
+            self.dir.path().join("users").display()
+        );
+        let file = file(name);
+        let mut args = vec!["-c", &file, "-l", "tcp/127.0.0.1:0", "--cfg", &users];
+        args.extend(more);
+        let mut router = Router::start(&args);
+        let endpoint = router.listener();
+        (router, endpoint)
+    }
+}
+
+fn logged_in(endpoint: &str, user: &str, password: &str) -> zenoh::Result<Session> {
+    let login = format!("{{ user: '{user}', password: '{password}' }}");
+    client_with(endpoint, &[("transport/auth/usrpwd", &login)])
+}
+
+#[test]
+fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
+    for name in WITH_LOGIN {
+        let fleet = Fleet::new("fleet:secret\n");
+        let (_router, endpoint) = fleet.router(name, &["-i", "abc"]);
+
+        assert!(
+            client_with(&endpoint, &[]).is_err(),
+            "{name}: let in without a login"
+        );
+        assert!(
+            logged_in(&endpoint, "fleet", "guess").is_err(),
+            "{name}: let in with a wrong password"
+        );
+        assert!(
+            logged_in(&endpoint, "fleet", "").is_err(),
+            "{name}: let in with an empty password"
+        );
+        assert!(
+            logged_in(&endpoint, "stranger", "secret").is_err(),
+            "{name}: let in as an unknown user"
+        );
+
+        let program = |_| logged_in(&endpoint, "fleet", "secret").expect("let in");
+        let (one, two) = (program(1), program(2));
+        assert!(arrives(&one, &two, "rect/wombat-1/arm/angle"));
+        assert!(arrives(&one, &two, "something/else"));
+        assert!(arrives(&one, &two, "rect/wombat-1/@rect/state"));
+        assert!(answers(&one, "@/abc/router"), "{name}: the admin space");
+    }
+}
+
+#[test]
+fn robots_get_the_fleets_data_and_no_more() {
+    // What the file says of Bluetooth links, said of this test's TCP links.
+    let subjects = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
+                    {id:'programs over tcp',link_protocols:['ws']},\
+                    {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
+    let fleet = Fleet::new("fleet:secret\n");
+    let (_router, endpoint) = fleet.router("robot.json5", &["-i", "abc", "--cfg", subjects]);
+    let robot = |_| logged_in(&endpoint, "fleet", "secret").expect("let in");
+    let (one, two) = (robot(1), robot(2));
+
+    assert!(arrives(&one, &two, "rect/wombat-1/arm/angle"));
+    assert!(arrives(&one, &two, "rect/wombat-1/@rect/state"));
+    assert!(
+        !answers(&one, "@/abc/router"),
+        "a robot reads another's admin space"
+    );
+
+    let all = two.declare_subscriber("**").wait().expect("a subscription");
+    let deadline = std::time::Instant::now() + support::DEADLINE;
+    loop {
+        assert!(
+            std::time::Instant::now() < deadline,
+            "nothing arrives at `**`"
+        );
+        one.put("private/key", "not for you").wait().expect("a put");
+        one.put("rect/wombat-1/mark", "for you")
+            .wait()
+            .expect("a put");
+        // In order: had the first put passed, it would be here first.
+        if let Ok(Some(sample)) = all.recv_timeout(Duration::from_millis(200)) {
+            assert_eq!(sample.key_expr().as_str(), "rect/wombat-1/mark");
+            return;
+        }
+    }
+}
+
+#[test]
+fn two_routers_meet_if_both_are_of_the_fleet() {
+    let fleet = Fleet::new("fleet:secret\n");
+    let (_one, endpoint) = fleet.router("base-station.json5", &[]);
+    let (_two, other) = fleet.router("robot.json5", &["-e", &endpoint, "--login-as", "fleet"]);
+    let here = logged_in(&endpoint, "fleet", "secret").expect("let in");
+    let there = logged_in(&other, "fleet", "secret").expect("let in");
+    assert!(arrives(&there, &here, "rect/wombat-1/arm/angle"));
+}
+
+#[test]
+fn a_router_of_another_fleet_is_turned_away() {
+    let (ours, theirs) = (Fleet::new("fleet:secret\n"), Fleet::new("fleet:other\n"));
+    let (mut one, endpoint) = ours.router("base-station.json5", &["-i", "abc"]);
+    let (mut two, _) = theirs.router(
+        "robot.json5",
+        &["-e", &endpoint, "--login-as", "fleet", "-i", "def"],
+    );
+    two.wait_for("Unable to connect");
+    let watcher = logged_in(&endpoint, "fleet", "secret").expect("let in");
+    assert!(
+        !admin(&watcher, "@/abc/router").contains("def"),
+        "it is linked all the same"
+    );
+    assert!(!one.drained().iter().any(|line| line.contains("panicked")));
+}
+
+#[test]
+fn an_empty_login_file_is_no_open_door() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let users = dir.path().join("users");
+    fs::write(&users, "\n").expect("written");
+    let setting = format!(
+        "transport/auth/usrpwd/dictionary_file:\"{}\"",
+        users.display()
+    );
+    let mut router = Router::start(&["-c", &file("robot.json5"), "--cfg", &setting]);
+    assert_eq!(router.exit().code(), Some(1));
+    assert!(router
+        .full_log()
+        .contains("is empty; write a line `user:password` into it"));
+}
+
+/// Only what this robot's programs and other robots need, and retried soon.
+#[test]
+fn a_lost_robot_is_dialled_again_within_a_second() {
+    for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
+        let config = loaded(name);
+        let retry = config.pointer("/connect/retry").expect("set");
+        assert!(
+            retry["period_init_ms"]
+                .as_u64()
+                .is_some_and(|ms| ms <= 1000),
+            "{name}"
+        );
+        assert!(
+            retry["period_max_ms"].as_u64().is_some_and(|ms| ms <= 1000),
+            "{name}"
+        );
+        assert_eq!(
+            config.pointer("/connect/timeout_ms"),
+            Some(&json!(-1)),
+            "{name}"
+        );
+    }
+}
+
+fn answers(session: &Session, key: &str) -> bool {
+    !admin(session, key).is_empty()
+}
+
+fn admin(session: &Session, key: &str) -> String {
+    let replies = session
+        .get(key)
+        .timeout(Duration::from_secs(3))
+        .wait()
+        .expect("a query");
+    replies
+        .into_iter()
+        .filter_map(|reply| reply.into_result().ok())
+        .map(|sample| String::from_utf8_lossy(&sample.payload().to_bytes()).into_owned())
+        .collect()
+}

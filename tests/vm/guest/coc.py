@@ -1,0 +1,58 @@
+"""A bare LE L2CAP channel (SOCK_SEQPACKET) for tests in the guest; needs nothing but Python.
+
+Python's own sockets cannot say that an L2CAP address is an LE address, hence `bind` and `connect` through the C library.
+"""
+
+import ctypes
+import os
+import socket
+import struct
+
+AF_BLUETOOTH = 31
+BTPROTO_L2CAP = 0
+SOL_BLUETOOTH = 274
+BT_RCVMTU = 13
+LE_PUBLIC = 1
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+def _call(function, sock, address, psm):
+    # struct sockaddr_l2: family, psm, bdaddr (last byte first), cid, bdaddr_type
+    bdaddr = bytes.fromhex(address.replace(":", ""))[::-1]
+    raw = struct.pack("<HH6sHB", AF_BLUETOOTH, psm, bdaddr, 0, LE_PUBLIC) + b"\0"
+    if function(sock.fileno(), raw, len(raw)) != 0:
+        code = ctypes.get_errno()
+        raise OSError(code, f"{function.__name__} {address}: {os.strerror(code)}")
+
+
+def _socket(local, psm, mtu, timeout):
+    sock = socket.socket(AF_BLUETOOTH, socket.SOCK_SEQPACKET, BTPROTO_L2CAP)
+    _call(_libc.bind, sock, local, psm)
+    sock.setsockopt(SOL_BLUETOOTH, BT_RCVMTU, struct.pack("H", mtu))
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", timeout, 0))
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", timeout, 0))
+    return sock
+
+
+def listen(local, psm=128, mtu=65535, timeout=30):
+    """A listening socket on the adapter with this address; `accept` it with `accept(socket)`."""
+    sock = _socket(local, psm, mtu, timeout)
+    sock.listen(8)
+    return sock
+
+
+def accept(listener):
+    """The next channel. (Python's own `accept` cannot read an LE peer's address on every version.)"""
+    fd = _libc.accept(listener.fileno(), None, None)
+    if fd < 0:
+        code = ctypes.get_errno()
+        raise OSError(code, f"accept: {os.strerror(code)}")
+    return socket.socket(AF_BLUETOOTH, socket.SOCK_SEQPACKET, BTPROTO_L2CAP, fileno=fd)
+
+
+def connect(local, peer, psm=128, mtu=65535, timeout=30):
+    """A channel from the adapter `local` to the listener on `peer`, which must be advertising."""
+    sock = _socket(local, 0, mtu, timeout)
+    _call(_libc.connect, sock, peer, psm)
+    return sock

@@ -1,0 +1,42 @@
+"""Inside the VM: robots on the emulated controllers, each with a router, with stock eclipse-zenoh clients."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples" / "demo"))
+
+from robots import Robot
+
+
+def guest(*command: str) -> str:
+    """Runs one of `tests/vm/guest`'s helpers."""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, f"{' '.join(command)}: {done.stderr}"
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def robots(tmp_path: Path):
+    """Makes robots `wombat-1` on hci0, `wombat-2` on hci1, ...; ends them all."""
+    made: list[Robot] = []
+
+    def make(count: int) -> list[Robot]:
+        for n in range(count):
+            made.append(Robot(f"wombat-{n + 1}", f"hci{n}", tmp_path / f"wombat-{n + 1}.log"))
+        return made
+
+    yield make
+    for robot in made:
+        robot.kill()
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item):
+    """With a failure, what the routers said last."""
+    report = (yield).get_result()
+    if report.failed and "tmp_path" in getattr(item, "funcargs", {}):
+        for log in sorted(item.funcargs["tmp_path"].glob("*.log")):
+            report.sections.append((log.name, "\n".join(log.read_text().splitlines()[-15:])))

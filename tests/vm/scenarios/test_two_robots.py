@@ -1,0 +1,171 @@
+"""Two robots on a real kernel's Bluetooth stack. Run by `tests/vm/test`."""
+
+import hashlib
+import os
+import time
+
+import pytest
+import zenoh
+from conftest import guest
+from robots import Inbox, Robot, RobotError, wait_until
+
+MEGABYTE = os.urandom(1_000_000)
+
+
+def linked(one: Robot, two: Robot) -> bool:
+    return one.ble_links() == [two.name] and two.ble_links() == [one.name]
+
+
+def pair(robots) -> tuple[Robot, Robot]:
+    """wombat-2 dials wombat-1 by name."""
+    one, two = robots(2)
+    one.start([])
+    two.start([f"ble/{one.name}"])
+    took = wait_until("the two are linked", 30, lambda: linked(one, two))
+    print(f"linked {took:.2f} s after the second router was up")
+    return one, two
+
+
+def test_a_robot_is_found_by_name_and_messages_go_both_ways(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        for sender, receiver in ((here, there), (there, here)):
+            inbox = Inbox(receiver, "rect/both/ways", sender)
+            for n in range(50):
+                sender.put("rect/both/ways", f"message {n}")
+            assert inbox.take(50) == [f"message {n}".encode() for n in range(50)]
+            inbox.close()
+        service = there.declare_queryable("rect/question", lambda query: query.reply("rect/question", b"answer"))
+        answers: list[bytes] = []
+        deadline = time.monotonic() + 20
+        while not answers and time.monotonic() < deadline:
+            answers = [r.ok.payload.to_bytes() for r in here.get("rect/question", timeout=2) if r.ok is not None]
+        assert answers == [b"answer"]
+        service.undeclare()
+
+
+def test_a_robot_is_found_by_address_and_psm(robots):
+    one, two = robots(2)
+    one.start([], ble_options=";psm=173")
+    two.start([f"ble/{guest('adapter', 'address', 'hci0')}#psm=173"])
+    wait_until("the two are linked", 30, lambda: linked(one, two))
+
+
+def test_a_megabyte_arrives_intact(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/bulk", here)
+        here.put("rect/bulk", MEGABYTE, congestion_control=zenoh.CongestionControl.BLOCK)
+        [received] = inbox.take(1)
+        assert hashlib.sha256(received).digest() == hashlib.sha256(MEGABYTE).digest()
+
+
+@pytest.mark.parametrize("away_s", [0.3, 10])
+def test_a_killed_peer_is_linked_again_when_it_is_back(robots, away_s):
+    one, two = pair(robots)
+    with two.session() as there:
+        one.kill()
+        wait_until("the end is noticed", 30, lambda: not two.ble_links())
+        # How long it is away is what this test is about; nothing is waited for.
+        time.sleep(away_s)
+        restarted = time.monotonic()
+        one.start()
+        with one.session() as here:
+            Inbox(there, "rect/again", here).close()
+            print(f"away {away_s} s: the first message {time.monotonic() - restarted:.2f} s after the restart")
+
+
+def test_an_adapter_switched_off_and_on_is_linked_again(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/again", here)
+        guest("adapter", "power", "hci0", "off")
+        wait_until("the end is noticed", 30, lambda: not one.ble_links() and not two.ble_links())
+        guest("adapter", "power", "hci0", "on")
+        print(f"first message {inbox.wait_until_reached(here):.2f} s after the adapter was on")
+
+
+def test_bluetoothd_killed_while_linked_leaves_the_link_alone_and_a_later_one_possible(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/again", here)
+        guest("bluetoothd", "kill")
+        guest("bluetoothd", "start")
+        for adapter in ("hci0", "hci1"):
+            guest("adapter", "wait", adapter)
+        inbox.wait_until_reached(here)
+        two.kill()
+        wait_until("the end is noticed", 30, lambda: not one.ble_links())
+        two.start()
+        wait_until("the two are linked again", 60, lambda: linked(one, two))
+
+
+def test_bluetoothd_killed_while_idle_is_no_end_of_listening(robots):
+    one, two = robots(2)
+    one.start([])
+    guest("bluetoothd", "kill")
+    guest("bluetoothd", "start")
+    for adapter in ("hci0", "hci1"):
+        guest("adapter", "wait", adapter)
+    wait_until("the listener is back", 30, lambda: "listens on hci0 again" in one.log())
+    two.start([f"ble/{one.name}"])
+    wait_until("the two are linked", 30, lambda: linked(one, two))
+
+
+def test_two_robots_that_dial_each_other_at_once_end_as_one_link(robots):
+    one, two = robots(2)
+    for _ in range(5):
+        one.start([f"ble/{two.name}"], wait=False)
+        two.start([f"ble/{one.name}"])
+        wait_until("the two are linked", 30, lambda: linked(one, two))
+        with one.session() as here, two.session() as there:
+            Inbox(there, "rect/once", here).close()
+            Inbox(here, "rect/back", there).close()
+        assert linked(one, two), "still one link"
+        one.kill()
+        two.kill()
+
+
+def test_a_name_nobody_advertises_keeps_the_router_running(robots):
+    (one,) = robots(1)
+    one.start(["ble/nobody"])
+    with one.session() as here, one.session() as there:
+        Inbox(there, "rect/local", here).close()
+
+
+def test_an_adapter_that_is_missing_or_off_ends_the_router_with_its_reason(robots, tmp_path):
+    missing = Robot("wombat-9", "hci9", tmp_path / "missing.log")
+    with pytest.raises(RobotError):
+        missing.start([])
+    assert "there is no bluetooth adapter hci9: there is hci0" in missing.log()
+    guest("adapter", "power", "hci1", "off")
+    off = Robot("wombat-8", "hci1", tmp_path / "off.log")
+    with pytest.raises(RobotError):
+        off.start([])
+    guest("adapter", "power", "hci1", "on")
+    assert "hci1 is switched off: run `bluetoothctl power on`" in off.log()
+
+
+def test_a_second_router_of_the_same_name_ends_with_its_reason(robots, tmp_path):
+    (one,) = robots(1)
+    one.start([])
+    twin = Robot(one.name, "hci1", tmp_path / "twin.log")
+    with pytest.raises(RobotError):
+        twin.start([])
+        wait_until("the twin ends", 10, lambda: twin.ended())
+        raise RobotError
+    assert "give one of the two another name=" in twin.log()
+    assert one.ble_links() == []
+
+
+def test_no_bluetoothd_ends_the_router_with_its_reason(robots):
+    (one,) = robots(1)
+    guest("bluetoothd", "stop")
+    try:
+        with pytest.raises(RobotError):
+            one.start([])
+        assert "bluetoothd does not answer" in one.log() and "systemctl start bluetooth" in one.log()
+    finally:
+        guest("bluetoothd", "start")
+        for adapter in ("hci0", "hci1"):
+            guest("adapter", "wait", adapter)
