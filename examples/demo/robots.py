@@ -27,7 +27,11 @@ class Robot:
         self.port = free_port()
         self._adapter = adapter
         self._log = log
-        self._environment = os.environ | {"RUST_LOG": "warn,rect_router=info,zenoh_link_ble=debug,zenoh::net::runtime::orchestrator=debug"} | (environment or {})
+        self._environment = (
+            os.environ
+            | {"RUST_LOG": "warn,rect_router=info,zenoh_link_ble=debug,zenoh::net::runtime::orchestrator=debug"}
+            | (environment or {})
+        )
         self._process: subprocess.Popen | None = None
         self._dials: list[str] = []
 
@@ -41,8 +45,11 @@ class Robot:
             command += ["-e", locator]
         self._process = start(command, self._log, self._environment)
         if wait:
-            wait_until(f"the router of {self.name} is up", 30, lambda: self._accepts())
+            self.wait_until_up()
         return self
+
+    def wait_until_up(self) -> None:
+        wait_until(f"the router of {self.name} is up", 30, self._accepts)
 
     def kill(self) -> None:
         """As a power cut would."""
@@ -72,14 +79,15 @@ class Robot:
         return zenoh.open(config)
 
     def ble_links(self) -> list[str]:
-        """The peers of its `ble/` links, as its admin space shows them."""
+        """The names of the peers of its `ble/` links, as its admin space shows them (`ble/wombat-2?rel=1`)."""
         with self.session() as session:
             own = str(session.info.routers_zid()[0])
             for reply in session.get(f"@/{own}/router", timeout=5):
                 if reply.ok is not None:
                     state = json.loads(reply.ok.payload.to_bytes())
                     links = [link for s in state["sessions"] for link in s["links"]]
-                    return [link["dst"] for link in links if link["src"].startswith("ble/")]
+                    peers = [link["dst"] for link in links if link["src"].startswith("ble/")]
+                    return [peer.removeprefix("ble/").split("?")[0] for peer in peers]
         return []
 
     def log(self) -> str:

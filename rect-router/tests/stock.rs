@@ -1,7 +1,7 @@
 //! Stock Zenoh with RECT and RECT with stock Zenoh: its REST plugin in rect-router, `ble/` in the published zenohd.
 //!
 //! Needs release builds, made by `scripts/build-rest-plugin` and `scripts/build-stock-zenohd-with-ble`:
-//! `cargo test -p rect-router --test stock`
+//! `cargo test -p rect-router --test stock` (RECT_PROFILE, as given to the script, if not `release`)
 
 mod support;
 
@@ -13,15 +13,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use support::{arrives, cache, client, release, skip, Air, Router};
-use zenoh::Wait;
+use support::{arrives, built_with, cache, client, skip, Air, Router};
+use zenoh::{bytes::Encoding, Wait};
 
 /// The router and the plugin as built together.
 fn router_and_plugin() -> Option<(PathBuf, PathBuf)> {
-    let built = (
-        release().join("rect-router"),
-        release().join("libzenoh_plugin_rest.so"),
-    );
+    let profile = std::env::var("RECT_PROFILE").unwrap_or_else(|_| "release".to_owned());
+    let dir = built_with(&profile);
+    let built = (dir.join("rect-router"), dir.join("libzenoh_plugin_rest.so"));
     if built.0.exists() && built.1.exists() {
         return Some(built);
     }
@@ -79,7 +78,10 @@ fn the_stock_rest_plugin_serves_a_key_and_the_admin_space() {
     let _service = session
         .declare_queryable("rect/wombat-1/battery")
         .callback(|query| {
-            let _ = query.reply("rect/wombat-1/battery", "7.4").wait();
+            let _ = query
+                .reply("rect/wombat-1/battery", "7.4")
+                .encoding(Encoding::APPLICATION_JSON)
+                .wait();
         })
         .wait()
         .expect("a queryable");
@@ -181,7 +183,7 @@ fn a_published_zenohd_built_with_our_link_speaks_ble_to_rect_router() {
 
 #[test]
 fn idle_memory_is_that_of_a_stock_zenohd_and_not_1_mb_more() {
-    let ours = release().join("rect-router");
+    let ours = built_with("release").join("rect-router");
     let stock = cache().join("stock-zenohd/bin/zenohd");
     if !ours.exists() || !stock.exists() {
         return skip("needs release builds of rect-router and of a stock zenohd");

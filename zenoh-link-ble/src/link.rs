@@ -271,11 +271,20 @@ impl LinkUnicastTrait for LinkBle {
     }
 
     async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
-        self.send_batch(buffer).await.map_err(into_zenoh)
+        let sent = self.send_batch(buffer).await;
+        if !matches!(sent, Ok(()) | Err(BleError::BatchTooLarge { .. })) {
+            self.node.on_link_closed(self.number);
+        }
+        sent.map_err(into_zenoh)
     }
 
     async fn read(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<usize> {
-        self.receive_batch(buffer).await.map_err(into_zenoh)
+        let received = self.receive_batch(buffer).await;
+        if received.is_err() {
+            // Zenoh may hold on to a broken link for a while; the peer may be dialled again from now on.
+            self.node.on_link_closed(self.number);
+        }
+        received.map_err(into_zenoh)
     }
 
     async fn read_exact(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<()> {

@@ -29,6 +29,7 @@ const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
 /// A listener that is up: a channel listener and an advertisement.
 pub(crate) struct Up {
+    epoch: u64,
     channels: Box<dyn ChannelListener>,
     _advertising: Box<dyn AdvertisingGuard>,
 }
@@ -98,6 +99,7 @@ impl Listener {
             security: self.locator.security,
         };
         let radio = &self.adapter.radio;
+        let epoch = radio.epoch();
         let channels = radio.listen(self.locator.psm, options).await?;
         let advertisement = Advertisement {
             psm: channels.psm(),
@@ -108,6 +110,7 @@ impl Listener {
         };
         let advertising = radio.advertise(&advertisement, &self.name).await?;
         Ok(Up {
+            epoch,
             channels,
             _advertising: advertising,
         })
@@ -158,7 +161,8 @@ impl Listener {
                 },
                 Some(_) = greetings.join_next() => {}
                 () = wait_for_change(radio.as_ref()) => match radio.state().await {
-                    AdapterState::On => {}
+                    AdapterState::On if radio.epoch() == up.epoch => {}
+                    AdapterState::On => return "it, or bluetoothd, was restarted".to_owned(),
                     AdapterState::Off => return "it is switched off".to_owned(),
                     AdapterState::Missing => return "it is gone".to_owned(),
                 },

@@ -154,6 +154,12 @@ pub trait Radio: Send + Sync {
     /// unplugging, a restart of the service behind it.
     async fn changed(&self);
 
+    /// Grows when what was set up before is lost although the adapter is on: its service was restarted, it was
+    /// unplugged and is back. Whoever listens or advertises does so again.
+    fn epoch(&self) -> u64 {
+        0
+    }
+
     /// Advertises, connectably, until the guard is dropped. `name` goes to the scan response.
     async fn advertise(
         &self,

@@ -274,14 +274,12 @@ pub fn repository() -> PathBuf {
         .to_owned()
 }
 
-/// Where the release build puts its results.
-pub fn release() -> PathBuf {
+/// Where a build of this profile puts its results.
+pub fn built_with(profile: &str) -> PathBuf {
     let exe = std::env::current_exe().expect("this test is a program");
+    let folder = if profile == "dev" { "debug" } else { profile };
     // target/debug/deps/this-test
-    exe.ancestors()
-        .nth(3)
-        .expect("cargo's layout")
-        .join("release")
+    exe.ancestors().nth(3).expect("cargo's layout").join(folder)
 }
 
 /// Where big things that outlive a build are kept.

@@ -18,6 +18,18 @@ def guest(*command: str) -> str:
     return done.stdout.strip()
 
 
+def supervise() -> None:
+    """What systemd does on a robot: BlueZ 5.66 was seen to crash when an adapter is switched off."""
+    guest("bluetoothd", "start")
+
+
+@pytest.fixture(autouse=True)
+def working_bluetooth():
+    supervise()
+    for adapter in guest("adapter", "list").split():
+        guest("adapter", "wait", adapter)
+
+
 @pytest.fixture
 def robots(tmp_path: Path):
     """Makes robots `wombat-1` on hci0, `wombat-2` on hci1, ...; ends them all."""

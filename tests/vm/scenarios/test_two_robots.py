@@ -6,7 +6,7 @@ import time
 
 import pytest
 import zenoh
-from conftest import guest
+from conftest import guest, supervise
 from robots import Inbox, Robot, RobotError, wait_until
 
 MEGABYTE = os.urandom(1_000_000)
@@ -81,6 +81,7 @@ def test_an_adapter_switched_off_and_on_is_linked_again(robots):
         inbox = Inbox(there, "rect/again", here)
         guest("adapter", "power", "hci0", "off")
         wait_until("the end is noticed", 30, lambda: not one.ble_links() and not two.ble_links())
+        supervise()
         guest("adapter", "power", "hci0", "on")
         print(f"first message {inbox.wait_until_reached(here):.2f} s after the adapter was on")
 
@@ -117,6 +118,7 @@ def test_two_robots_that_dial_each_other_at_once_end_as_one_link(robots):
     for _ in range(5):
         one.start([f"ble/{two.name}"], wait=False)
         two.start([f"ble/{one.name}"])
+        one.wait_until_up()
         wait_until("the two are linked", 30, lambda: linked(one, two))
         with one.session() as here, two.session() as there:
             Inbox(there, "rect/once", here).close()
@@ -137,7 +139,9 @@ def test_an_adapter_that_is_missing_or_off_ends_the_router_with_its_reason(robot
     missing = Robot("wombat-9", "hci9", tmp_path / "missing.log")
     with pytest.raises(RobotError):
         missing.start([])
-    assert "there is no bluetooth adapter hci9: there is hci0" in missing.log()
+    assert "there is no bluetooth adapter hci9: there is hci0, hci1" in missing.log()
+    guest("adapter", "power", "hci1", "off")
+    supervise()
     guest("adapter", "power", "hci1", "off")
     off = Robot("wombat-8", "hci1", tmp_path / "off.log")
     with pytest.raises(RobotError):

@@ -154,6 +154,10 @@ impl Radio for BluezRadio {
         }
     }
 
+    fn epoch(&self) -> u64 {
+        self.watch.get().map_or(0, Watch::epoch)
+    }
+
     async fn advertise(
         &self,
         advertisement: &Advertisement,

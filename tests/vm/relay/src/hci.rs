@@ -14,6 +14,7 @@ pub const ACL_HEADER_BYTES: usize = 5;
 /// No emulated controller sends more than this in one packet.
 const MAX_PACKET_BYTES: usize = 2048;
 
+const HCI_RESET: u16 = 0x0c03;
 const DISCONNECT: u16 = 0x0406;
 const READ_BD_ADDR: u16 = 0x1009;
 const LE_SET_RANDOM_ADDRESS: u16 = 0x2005;
@@ -64,6 +65,8 @@ pub fn packet_bytes(bytes: &[u8]) -> Result<Option<usize>, HciError> {
 /// What the relay wants to know of a command that the kernel sends.
 #[derive(Debug, PartialEq, Eq)]
 pub enum HostCommand {
+    /// The controller forgets everything.
+    Reset,
     Disconnect,
     SetRandomAddress(Address),
     Other,
@@ -72,10 +75,17 @@ pub enum HostCommand {
 pub fn host_command(packet: &[u8]) -> HostCommand {
     let [COMMAND, low, high, _, parameters @ ..] = packet else { return HostCommand::Other };
     match (u16::from_le_bytes([*low, *high]), parameters) {
+        (HCI_RESET, _) => HostCommand::Reset,
         (DISCONNECT, _) => HostCommand::Disconnect,
         (LE_SET_RANDOM_ADDRESS, [a, b, c, d, e, f]) => HostCommand::SetRandomAddress([*a, *b, *c, *d, *e, *f]),
         _ => HostCommand::Other,
     }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    Central,
+    Peripheral,
 }
 
 /// What the relay wants to know of an event that the emulated controller sends.
@@ -85,7 +95,7 @@ pub enum ControllerEvent {
     /// The answer to LE Read Buffer Size, both versions; the figures are at fixed places.
     BufferSize,
     DisconnectStatus,
-    Connected { handle: Handle, peer: Address },
+    Connected { handle: Handle, role: Role, peer: Address },
     Disconnected { handle: Handle },
     /// Somebody advertises; the address of the first report (btvirt sends one per event).
     AdvertisingReport { from: Address },
@@ -107,9 +117,11 @@ pub fn controller_event(packet: &[u8]) -> ControllerEvent {
             ControllerEvent::Disconnected { handle: u16::from_le_bytes([*low, *high]) }
         }
         // LE Connection Complete and its enhanced form begin alike: status, handle, role, peer's address type, address.
-        (LE_META, [0x01 | 0x0a, 0, low, high, _, _, a, b, c, d, e, f, ..]) => {
-            ControllerEvent::Connected { handle: u16::from_le_bytes([*low, *high]), peer: [*a, *b, *c, *d, *e, *f] }
-        }
+        (LE_META, [0x01 | 0x0a, 0, low, high, role, _, a, b, c, d, e, f, ..]) => ControllerEvent::Connected {
+            handle: u16::from_le_bytes([*low, *high]),
+            role: if *role == 0 { Role::Central } else { Role::Peripheral },
+            peer: [*a, *b, *c, *d, *e, *f],
+        },
         (LE_META, [0x02, _, _, _, a, b, c, d, e, f, ..]) => {
             ControllerEvent::AdvertisingReport { from: [*a, *b, *c, *d, *e, *f] }
         }
@@ -130,6 +142,18 @@ pub fn set_buffer_size(packet: &mut [u8], acl_bytes: u16, buffers: u8) {
     if buffers > 0 {
         *count = buffers;
     }
+}
+
+/// Puts another handle into LE Connection Complete.
+pub fn set_connected_handle(packet: &mut [u8], handle: Handle) {
+    if let Some(field) = packet.get_mut(5..7) {
+        field.copy_from_slice(&handle.to_le_bytes());
+    }
+}
+
+pub fn disconnection_complete(handle: Handle, reason: u8) -> Vec<u8> {
+    let [low, high] = handle.to_le_bytes();
+    vec![EVENT, DISCONNECTION_COMPLETE, 4, 0, low, high, reason]
 }
 
 pub fn acl_handle(packet: &[u8]) -> Option<Handle> {
@@ -186,7 +210,7 @@ mod tests {
         }
         assert_eq!(
             controller_event(&connected),
-            ControllerEvent::Connected { handle: 42, peer: [1, 2, 3, 4, 5, 6] }
+            ControllerEvent::Connected { handle: 42, role: Role::Central, peer: [1, 2, 3, 4, 5, 6] }
         );
     }
 

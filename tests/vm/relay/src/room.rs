@@ -8,10 +8,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::hci::{self, Address, ControllerEvent, Handle, HostCommand};
+use crate::hci::{self, Address, ControllerEvent, Handle, HostCommand, Role};
 
 /// After a pause of the machine a sender may catch up on this much, so that the mean stays at the pace.
 const CATCH_UP: Duration = Duration::from_millis(10);
+/// btvirt counts a controller's handles from here and gives out the lowest free one.
+const FIRST_HANDLE: Handle = 42;
 
 /// A real controller hears an advertiser at the next advertising event, btvirt's within microseconds of the command to
 /// scan: before the kernel takes reports at all, and, as the controller filters repetitions, never again.
@@ -100,14 +102,10 @@ impl Room {
         id
     }
 
-    /// The controller is gone; btvirt tells its peers.
+    /// The controller is gone. Its peers hear no more of it, which btvirt does not tell them.
     pub fn remove(&mut self, id: Id) {
+        self.forget_links(id);
         self.controllers.remove(&id);
-        for link in self.controllers.values_mut().flat_map(|c| c.links.values_mut()) {
-            if link.other_end.is_some_and(|(other, _)| other == id) {
-                link.other_end = None;
-            }
-        }
     }
 
     pub fn set_pace(&mut self, id: Id, bytes_per_s: u32, now: Instant) {
@@ -159,6 +157,10 @@ impl Room {
             return;
         }
         match hci::host_command(&packet) {
+            HostCommand::Reset => {
+                controller.disconnects.clear();
+                self.forget_links(id);
+            }
             HostCommand::Disconnect => controller.disconnects.push_back(false),
             HostCommand::SetRandomAddress(address) => controller.random_address = Some(address),
             HostCommand::Other => {}
@@ -180,7 +182,15 @@ impl Room {
             ControllerEvent::DisconnectStatus => {
                 self.edit(id, |c| pass = c.disconnects.pop_front() != Some(true));
             }
-            ControllerEvent::Connected { handle, peer } => self.on_connected(id, handle, peer),
+            ControllerEvent::Connected { handle, role, peer } => {
+                // btvirt tells the dialled end the dialler's handle, not its own; they differ once one has two links.
+                let handle = match role {
+                    Role::Central => handle,
+                    Role::Peripheral => self.lowest_free_handle(id),
+                };
+                hci::set_connected_handle(&mut packet, handle);
+                self.on_connected(id, handle, peer);
+            }
             ControllerEvent::Disconnected { handle } => self.on_disconnected(id, handle),
             ControllerEvent::AdvertisingReport { from } => {
                 pass = false;
@@ -198,7 +208,8 @@ impl Room {
 
     /// Sends on what is due.
     pub fn on_time(&mut self, now: Instant) {
-        while let Some((_, id, report)) = self.reports.pop_front_if(|(heard, ..)| *heard <= now) {
+        while self.reports.front().is_some_and(|(heard, ..)| *heard <= now) {
+            let Some((_, id, report)) = self.reports.pop_front() else { break };
             if self.controllers.contains_key(&id) {
                 self.outputs.push_back(Output::Host(id, report));
             }
@@ -226,6 +237,25 @@ impl Room {
     fn edit(&mut self, id: Id, change: impl FnOnce(&mut Controller)) {
         if let Some(controller) = self.controllers.get_mut(&id) {
             change(controller);
+        }
+    }
+
+    fn lowest_free_handle(&self, id: Id) -> Handle {
+        let Some(controller) = self.controllers.get(&id) else { return FIRST_HANDLE };
+        (FIRST_HANDLE..).find(|handle| !controller.links.contains_key(handle)).unwrap_or(FIRST_HANDLE)
+    }
+
+    /// The controller has no links any more and has told nobody: its peers wait out their supervision timeout.
+    fn forget_links(&mut self, id: Id) {
+        let handles: Vec<Handle> = self.controllers.get(&id).into_iter().flat_map(|c| c.links.keys().copied()).collect();
+        for handle in handles {
+            let other_end = self.controllers.get(&id).and_then(|c| c.links.get(&handle)).and_then(|l| l.other_end);
+            self.on_disconnected(id, handle);
+            if let Some((other, other_handle)) = other_end {
+                self.on_disconnected(other, other_handle);
+                let event = hci::disconnection_complete(other_handle, hci::CONNECTION_TIMEOUT);
+                self.outputs.push_back(Output::Host(other, event));
+            }
         }
     }
 
@@ -315,8 +345,8 @@ mod tests {
         [&[hci::EVENT, 0x0e, 10, 1, 0x09, 0x10, 0][..], &address(n)].concat()
     }
 
-    fn connected(handle: u8, peer: u8) -> Vec<u8> {
-        [&[hci::EVENT, 0x3e, 19, 1, 0, handle, 0, 0, 0][..], &address(peer), &[0; 7]].concat()
+    fn connected(handle: u8, role: u8, peer: u8) -> Vec<u8> {
+        [&[hci::EVENT, 0x3e, 19, 1, 0, handle, 0, role, 0][..], &address(peer), &[0; 7]].concat()
     }
 
     fn disconnected(handle: u8) -> Vec<u8> {
@@ -345,10 +375,10 @@ mod tests {
             Self { room, ids, now }
         }
 
-        /// Connects a and b under these handles, as btvirt reports it.
-        fn connect(&mut self, (a, a_handle): (usize, u8), (b, b_handle): (usize, u8)) {
-            self.room.on_controller_packet(self.ids[a], connected(a_handle, b as u8), self.now);
-            self.room.on_controller_packet(self.ids[b], connected(b_handle, a as u8), self.now);
+        /// a, under whose handle btvirt reports the link to both ends, has dialled b.
+        fn connect(&mut self, (a, handle): (usize, u8), b: usize) {
+            self.room.on_controller_packet(self.ids[b], connected(handle, 1, a as u8), self.now);
+            self.room.on_controller_packet(self.ids[a], connected(handle, 0, b as u8), self.now);
             self.outputs();
         }
 
@@ -381,7 +411,7 @@ mod tests {
     #[test]
     fn data_arrives_at_the_set_pace() {
         let mut bed = Bed::new(2, 34_000);
-        bed.connect((0, 42), (1, 42));
+        bed.connect((0, 42), 1);
         let start = bed.now;
         for _ in 0..100 {
             bed.send(0, acl(42, 251));
@@ -394,7 +424,7 @@ mod tests {
     #[test]
     fn a_packet_after_a_pause_takes_its_whole_airtime() {
         let mut bed = Bed::new(2, 1000);
-        bed.connect((0, 42), (1, 42));
+        bed.connect((0, 42), 1);
         bed.now += Duration::from_secs(5);
         bed.send(0, acl(42, 100));
         assert_eq!(bed.room.deadline(), Some(bed.now + Duration::from_millis(100)));
@@ -403,7 +433,7 @@ mod tests {
     #[test]
     fn a_late_timer_does_not_lower_the_pace() {
         let mut bed = Bed::new(2, 100_000);
-        bed.connect((0, 42), (1, 42));
+        bed.connect((0, 42), 1);
         let start = bed.now;
         for _ in 0..100 {
             bed.send(0, acl(42, 250));
@@ -419,7 +449,7 @@ mod tests {
     fn the_links_of_a_hub_are_kept_apart_though_the_handles_at_its_ends_differ() {
         let mut bed = Bed::new(4, 0);
         for robot in 1..4 {
-            bed.connect((0, 41 + robot as u8), (robot, 42));
+            bed.connect((0, 41 + robot as u8), robot);
         }
         for robot in 1..4 {
             bed.send(0, acl(41 + robot as u8, 10 * robot));
@@ -435,21 +465,21 @@ mod tests {
     #[test]
     fn the_kernel_learns_of_a_free_buffer_when_the_packet_has_left() {
         let mut bed = Bed::new(2, 1000);
-        bed.connect((0, 42), (1, 43));
+        bed.connect((0, 42), 1);
         bed.send(0, acl(42, 1));
         assert_eq!(bed.outputs(), []);
         bed.now += Duration::from_millis(1);
         bed.room.on_time(bed.now);
         let completed = vec![hci::EVENT, 0x13, 5, 1, 42, 0, 1, 0];
-        let arrived = vec![hci::ACL, 43, 0x20, 1, 0, 7];
+        let arrived = vec![hci::ACL, 42, 0x20, 1, 0, 7];
         assert_eq!(bed.outputs(), [Output::Host(bed.ids[1], arrived), Output::Host(bed.ids[0], completed)]);
     }
 
     #[test]
     fn a_frozen_controller_is_silent_and_loses_nothing() {
         let mut bed = Bed::new(3, 1000);
-        bed.connect((0, 42), (1, 42));
-        bed.connect((0, 43), (2, 42));
+        bed.connect((0, 42), 1);
+        bed.connect((0, 43), 2);
         bed.send(0, acl(42, 100));
         bed.room.freeze(bed.ids[1]);
         bed.send(1, acl(42, 50));
@@ -477,7 +507,7 @@ mod tests {
     #[test]
     fn dropped_links_end_with_a_supervision_timeout_and_the_kernel_sees_no_answer_to_a_command_it_did_not_send() {
         let mut bed = Bed::new(2, 0);
-        bed.connect((0, 42), (1, 42));
+        bed.connect((0, 42), 1);
         bed.send(0, vec![hci::COMMAND, 0x06, 0x04, 3, 99, 0, 0x13]);
         bed.outputs();
         assert_eq!(bed.room.drop_links(bed.ids[0]), 1);
@@ -492,7 +522,7 @@ mod tests {
     #[test]
     fn what_waits_for_a_lost_link_is_dropped() {
         let mut bed = Bed::new(2, 1000);
-        bed.connect((0, 42), (1, 42));
+        bed.connect((0, 42), 1);
         bed.send(0, acl(42, 100));
         bed.send(0, acl(42, 100));
         bed.room.on_controller_packet(bed.ids[0], disconnected(42), bed.now);
@@ -503,21 +533,39 @@ mod tests {
     #[test]
     fn data_sent_before_the_peer_has_reported_the_link_waits_for_it() {
         let mut bed = Bed::new(2, 0);
-        bed.room.on_controller_packet(bed.ids[0], connected(42, 1), bed.now);
+        bed.room.on_controller_packet(bed.ids[0], connected(42, 0, 1), bed.now);
         bed.send(0, acl(42, 5));
         assert_eq!(bed.run(), BTreeMap::new());
-        bed.room.on_controller_packet(bed.ids[1], connected(42, 0), bed.now);
+        bed.room.on_controller_packet(bed.ids[1], connected(42, 1, 0), bed.now);
         assert_eq!(bed.run(), BTreeMap::from([((bed.ids[1], 42), 5)]));
     }
 
     #[test]
     fn a_controller_that_is_pulled_out_takes_nobody_with_it() {
         let mut bed = Bed::new(3, 1000);
-        bed.connect((0, 42), (1, 42));
-        bed.connect((0, 43), (2, 42));
+        bed.connect((0, 42), 1);
+        bed.connect((0, 43), 2);
         bed.send(0, acl(42, 100));
         bed.room.remove(bed.ids[1]);
         bed.send(0, acl(43, 20));
         assert_eq!(bed.run(), BTreeMap::from([((bed.ids[2], 42), 20)]));
+    }
+
+    #[test]
+    fn the_dialled_end_gets_its_own_handle_and_not_the_dialler_s() {
+        let mut bed = Bed::new(3, 0);
+        bed.connect((0, 42), 1);
+        bed.room.on_controller_packet(bed.ids[2], connected(43, 1, 0), bed.now);
+        assert!(bed.outputs().contains(&Output::Host(bed.ids[2], connected(42, 1, 0))));
+    }
+
+    #[test]
+    fn the_peers_of_a_controller_that_is_reset_see_a_supervision_timeout() {
+        let mut bed = Bed::new(2, 0);
+        bed.connect((0, 42), 1);
+        bed.send(0, hci::RESET.to_vec());
+        let lost = vec![hci::EVENT, 0x05, 4, 0, 42, 0, 0x08];
+        let expected = [Output::Host(bed.ids[1], lost), Output::Controller(bed.ids[0], hci::RESET.to_vec())];
+        assert_eq!(bed.outputs(), expected);
     }
 }

@@ -17,10 +17,7 @@ pub(super) fn dbus_error(action: &'static str) -> impl Fn(bluer::Error) -> Radio
             "NameHasNoOwner",
             "not provided by any .service",
         ]) {
-            return RadioError::NoService {
-                service: "bluetoothd",
-                advice: "install it with `sudo apt install bluez` and start it with `sudo systemctl start bluetooth`".to_owned(),
-            };
+            return no_bluetoothd();
         }
         if is(&["Failed to connect to socket", "D-Bus"]) && is(&["No such file", "refused"]) {
             return RadioError::NoService {
@@ -45,9 +42,20 @@ pub(super) fn dbus_error(action: &'static str) -> impl Fn(bluer::Error) -> Radio
     }
 }
 
+fn no_bluetoothd() -> RadioError {
+    RadioError::NoService {
+        service: "bluetoothd",
+        advice: "install it with `sudo apt install bluez` and start it with `sudo systemctl start bluetooth`".to_owned(),
+    }
+}
+
 /// Why there is no such adapter, with what there is.
 pub(super) async fn no_adapter(name: &str, session: &Session) -> RadioError {
-    let there = session.adapter_names().await.unwrap_or_default();
+    let mut there = match session.adapter_names().await {
+        Ok(there) => there,
+        Err(_) => return no_bluetoothd(),
+    };
+    there.sort();
     let advice = if !there.is_empty() {
         format!("there is {}", there.join(", "))
     } else if is_raspberry_pi() {

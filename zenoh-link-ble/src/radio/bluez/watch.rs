@@ -7,7 +7,8 @@ use super::errors::dbus_error;
 use crate::radio::RadioError;
 
 pub(super) struct Watch {
-    changes: watch::Receiver<()>,
+    /// Counts how often the adapter's object came or went.
+    changes: watch::Receiver<u64>,
     task: JoinHandle<()>,
 }
 
@@ -18,7 +19,7 @@ impl Watch {
             .await
             .map_err(dbus_error("watch the adapters"))?
             .boxed();
-        let (sender, changes) = watch::channel(());
+        let (sender, changes) = watch::channel(0);
         let task = tokio::spawn(async move {
             loop {
                 let mut of_adapter = match session.adapter(&name) {
@@ -32,19 +33,19 @@ impl Watch {
                     tokio::select! {
                         event = of_session.next() => match event {
                             Some(SessionEvent::AdapterAdded(who)) if who == name => {
-                                let _ = sender.send(());
+                                sender.send_modify(|epoch| *epoch += 1);
                                 // A new object of that name: watch it instead of the old one.
                                 break;
                             }
                             Some(SessionEvent::AdapterRemoved(who)) if who == name => {
-                                let _ = sender.send(());
+                                sender.send_modify(|epoch| *epoch += 1);
                             }
                             Some(_) => {}
                             None => return,
                         },
                         event = of_adapter.next() => match event {
                             Some(AdapterEvent::PropertyChanged(AdapterProperty::Powered(_))) => {
-                                let _ = sender.send(());
+                                sender.send_modify(|_| ());
                             }
                             Some(_) => {}
                             None => of_adapter = futures::stream::pending().boxed(),
@@ -54,6 +55,10 @@ impl Watch {
             }
         });
         Ok(Self { changes, task })
+    }
+
+    pub(super) fn epoch(&self) -> u64 {
+        *self.changes.borrow()
     }
 
     pub(super) async fn changed(&self) {
