@@ -8,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples" / "demo"))
 
-from robots import Robot
+from robots import Robot, wait_until
 
 
 def guest(*command: str) -> str:
@@ -18,16 +18,21 @@ def guest(*command: str) -> str:
     return done.stdout.strip()
 
 
-def supervise() -> None:
-    """What systemd does on a robot: BlueZ 5.66 was seen to crash when an adapter is switched off."""
-    guest("bluetoothd", "start")
+def power(adapter: str, state: str) -> None:
+    """Switches an adapter, with a supervisor as systemd is on a robot: BlueZ 5.66 was seen to crash at that."""
+
+    def switched() -> bool:
+        guest("bluetoothd", "start")
+        return subprocess.run(["adapter", "power", adapter, state], capture_output=True, timeout=60).returncode == 0
+
+    wait_until(f"{adapter} is {state}", 90, switched)
 
 
 @pytest.fixture(autouse=True)
 def working_bluetooth():
-    supervise()
+    guest("bluetoothd", "start")
     for adapter in guest("adapter", "list").split():
-        guest("adapter", "wait", adapter)
+        power(adapter, "on")
 
 
 @pytest.fixture
