@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/release
 
-.PHONY: help demo test test-kernels check bench fuzz router
+.PHONY: help demo test test-kernels check fuzz router
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -28,11 +28,7 @@ check: ## Formatters and linters of every language
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
 
-bench: ## Comparisons with raw Bluetooth and stock Zenoh; tables in benches/results/
-	@scripts/setup test
-	@scripts/bench
-
-fuzz: ## The fuzz targets, SECONDS=300 each (needs the nightly toolchain and cargo-fuzz)
+fuzz: ## The fuzz targets, SECONDS_EACH=300 (needs the nightly toolchain and cargo-fuzz)
 	@scripts/fuzz $(or $(SECONDS_EACH),300)
 
 router: ## Just the router and the rect tool, in release form

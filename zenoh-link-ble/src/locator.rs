@@ -14,7 +14,7 @@ use crate::{
 pub const BLE_LOCATOR_PREFIX: &str = "ble";
 
 /// The largest Zenoh batch this side takes when `mtu=` is left out, in bytes. At 34 kB/s such a batch holds the radio
-/// for 30 ms, and framing costs 2 % (measured: docs/benchmarks.md).
+/// for 30 ms, and its seven bytes of framing and L2CAP headers are under 1 %.
 pub const DEFAULT_MTU: u16 = 1000;
 /// The largest `mtu=`, in bytes.
 pub const MAX_MTU: u16 = 8000;

@@ -1,6 +1,8 @@
 """A bare LE L2CAP channel (SOCK_SEQPACKET) for tests in the guest; needs nothing but Python.
 
 Python's own sockets cannot say that an L2CAP address is an LE address, hence `bind` and `connect` through the C library.
+A channel is read without blocking in the kernel (`settimeout`): kernel 5.10.262 keeps the socket locked while a reader
+waits in `recv`, and whatever arrives meanwhile stops the adapter's receiver, a deadlock.
 """
 
 import ctypes
@@ -42,17 +44,20 @@ def listen(local, psm=128, mtu=65535, timeout=30):
     return sock
 
 
-def accept(listener):
+def accept(listener, timeout=30):
     """The next channel. (Python's own `accept` cannot read an LE peer's address on every version.)"""
     fd = _libc.accept(listener.fileno(), None, None)
     if fd < 0:
         code = ctypes.get_errno()
         raise OSError(code, f"accept: {os.strerror(code)}")
-    return socket.socket(AF_BLUETOOTH, socket.SOCK_SEQPACKET, BTPROTO_L2CAP, fileno=fd)
+    sock = socket.socket(AF_BLUETOOTH, socket.SOCK_SEQPACKET, BTPROTO_L2CAP, fileno=fd)
+    sock.settimeout(timeout)
+    return sock
 
 
 def connect(local, peer, psm=128, mtu=65535, timeout=30):
     """A channel from the adapter `local` to the listener on `peer`, which must be advertising."""
     sock = _socket(local, 0, mtu, timeout)
     _call(_libc.connect, sock, peer, psm)
+    sock.settimeout(timeout)
     return sock
