@@ -1,7 +1,7 @@
 # The two commands are `make demo` and `make test`; `make help` lists all.
 SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
-bin := $(CARGO_TARGET_DIR)/release
+bin := $(CARGO_TARGET_DIR)/quick
 
 .PHONY: help demo test test-kernels check fuzz router
 
@@ -10,7 +10,7 @@ help: ## This list
 
 demo: ## Two simulated Wombats talk over Bluetooth Low Energy (about half a minute after the build)
 	@scripts/setup demo
-	@cargo build --release -p rect -p rect-router
+	@cargo build --profile quick -p rect -p rect-router
 	@PATH="$(bin):$$PATH" .venv/bin/python examples/demo/two_wombats.py
 
 test: ## Every test, the Bluetooth VM included
