@@ -215,11 +215,16 @@ fn robots_get_the_fleets_data_and_no_more() {
 #[test]
 fn two_routers_meet_if_both_are_of_the_fleet() {
     let fleet = Fleet::new("fleet:secret\n");
-    let (_one, endpoint) = fleet.router("base-station.json5", &[]);
-    let (_two, other) = fleet.router("robot.json5", &["-e", &endpoint, "--login-as", "fleet"]);
+    let (_one, endpoint) = fleet.router("base-station.json5", &["-i", "abc"]);
+    let (_two, other) = fleet.router(
+        "robot.json5",
+        &["-e", &endpoint, "--login-as", "fleet", "-i", "def"],
+    );
     let here = logged_in(&endpoint, "fleet", "secret").expect("let in");
     let there = logged_in(&other, "fleet", "secret").expect("let in");
     assert!(arrives(&there, &here, "rect/wombat-1/arm/angle"));
+    // So that its absence means something in the tests below.
+    assert!(admin(&here, "@/abc/router").contains("def"));
 }
 
 #[test]
@@ -237,6 +242,26 @@ fn a_router_of_another_fleet_is_turned_away() {
         "it is linked all the same"
     );
     assert!(!one.drained().iter().any(|line| line.contains("panicked")));
+}
+
+#[test]
+fn a_robot_that_dials_a_router_without_logins_makes_no_link() {
+    let mut open = Router::start(&[
+        "-l",
+        "tcp/127.0.0.1:0",
+        "-i",
+        "abc",
+        "--no-multicast-scouting",
+    ]);
+    let endpoint = open.listener();
+    let fleet = Fleet::new("fleet:secret\n");
+    let (mut robot, _) = fleet.router(
+        "robot.json5",
+        &["-e", &endpoint, "--login-as", "fleet", "-i", "def"],
+    );
+    robot.wait_for("Unable to connect");
+    let watcher = client_with(&endpoint, &[]).expect("open to all");
+    assert!(!admin(&watcher, "@/abc/router").contains("def"));
 }
 
 #[test]

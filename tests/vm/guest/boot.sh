@@ -14,6 +14,8 @@ off() {
   while :; do :; done # nothing may be read from the host any more
 }
 
+controllers=0 directory=/ shares=() command=() # set by:
+# shellcheck source=/dev/null
 . "$here/settings"
 PATH=$RECT_VM/guest:$PATH:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 export PATH
@@ -35,7 +37,7 @@ done
 
 port=''
 for name in /sys/class/virtio-ports/*/name; do
-  [[ $(<"$name") != rect.output ]] || port=/dev/$(basename "$(dirname "$name")")
+  [[ $(<"$name") != rect.output ]] || name=${name%/name} port=/dev/${name##*/}
 done
 [[ -n $port ]] || fail 'the guest has no port for its output'
 
@@ -56,7 +58,7 @@ mkfifo /run/rect-output
 cat /run/rect-output >"$port" &
 cat=$!
 export RECT_VM_UPTIME
-RECT_VM_UPTIME=$(cut -d' ' -f1 /proc/uptime)
+read -r RECT_VM_UPTIME _ </proc/uptime
 setsid "${command[@]}" </dev/null >/run/rect-output 2>&1 9>&-
 status=$?
 # What the command left behind may hold its output open; what it wrote itself is read to the end.

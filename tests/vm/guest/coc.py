@@ -1,6 +1,6 @@
 """A bare LE L2CAP channel (SOCK_SEQPACKET) for tests in the guest; needs nothing but Python.
 
-Python's own sockets cannot say that an L2CAP address is an LE address, hence `bind` and `connect` through the C library.
+Python's own sockets cannot say that an L2CAP address is an LE one, hence `bind` and `connect` through the C library.
 A channel is read without blocking in the kernel (`settimeout`): kernel 5.10.262 keeps the socket locked while a reader
 waits in `recv`, and whatever arrives meanwhile stops the adapter's receiver, a deadlock.
 """

@@ -1,5 +1,4 @@
 //! The `rect` command. Owns its arguments and its exit status; what each command does is in a module of its own.
-#[path = "../air.rs"]
 mod air;
 
 use std::process::ExitCode;
