@@ -20,9 +20,10 @@ use crate::{
 /// The largest SDU taken, in bytes. On kernels before 6.10 it sets how many credits the peer gets (facts: one SDU in
 /// flight), so it is larger than any batch.
 pub(crate) const RECV_MTU: u16 = 16_384;
-/// How long one LE connect may take: it is tried only with a peer just heard, and while it is pending the Pi's Wi-Fi
-/// suffers (raspberrypi/linux#1444).
-const CONNECT_TIMEOUT: Duration = Duration::from_secs(4);
+/// How long one LE connect may take, at least and at most: it is tried only with a peer just heard, and while it is
+/// pending the Pi's Wi-Fi suffers (raspberrypi/linux#1444). It is drawn anew each time: the kernel does not advertise
+/// while it connects, so two robots that dial each other in step would wait for each other for ever.
+const CONNECT_TIMEOUT_MS: (u64, u64) = (1000, 4000);
 
 /// Dials once. Waits for the peer to appear, at most `locator.timeout` altogether.
 pub(crate) async fn dial(
@@ -138,13 +139,21 @@ async fn connect(
         security: locator.security,
     };
     let connected = adapter.radio.connect(seen.device, seen.psm, options);
-    match tokio::time::timeout(CONNECT_TIMEOUT, connected).await {
+    let limit = connect_timeout();
+    match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
         Err(_) => Err(BleError::Radio(RadioError::TimedOut {
             action: "connecting to a peer that was just heard",
-            limit: CONNECT_TIMEOUT,
+            limit,
         })),
     }
+}
+
+fn connect_timeout() -> Duration {
+    let (least, most) = CONNECT_TIMEOUT_MS;
+    // Without random numbers the longest will do.
+    let drawn = getrandom::u32().map_or(most, |n| least + u64::from(n) % (most - least));
+    Duration::from_millis(drawn)
 }
 
 fn already_linked(locator: &ConnectLocator) -> BleError {

@@ -52,7 +52,9 @@ pub fn packet_bytes(bytes: &[u8]) -> Result<Option<usize>, HciError> {
         [] => return Ok(None),
         [EVENT, _, n, ..] => 3 + usize::from(n),
         [COMMAND, _, _, n, ..] => 4 + usize::from(n),
-        [ACL, _, _, low, high, ..] => ACL_HEADER_BYTES + usize::from(u16::from_le_bytes([low, high])),
+        [ACL, _, _, low, high, ..] => {
+            ACL_HEADER_BYTES + usize::from(u16::from_le_bytes([low, high]))
+        }
         [EVENT | COMMAND | ACL, ..] => return Ok(None),
         [other, ..] => return Err(HciError::Type(other)),
     };
@@ -73,11 +75,15 @@ pub enum HostCommand {
 }
 
 pub fn host_command(packet: &[u8]) -> HostCommand {
-    let [COMMAND, low, high, _, parameters @ ..] = packet else { return HostCommand::Other };
+    let [COMMAND, low, high, _, parameters @ ..] = packet else {
+        return HostCommand::Other;
+    };
     match (u16::from_le_bytes([*low, *high]), parameters) {
         (HCI_RESET, _) => HostCommand::Reset,
         (DISCONNECT, _) => HostCommand::Disconnect,
-        (LE_SET_RANDOM_ADDRESS, [a, b, c, d, e, f]) => HostCommand::SetRandomAddress([*a, *b, *c, *d, *e, *f]),
+        (LE_SET_RANDOM_ADDRESS, [a, b, c, d, e, f]) => {
+            HostCommand::SetRandomAddress([*a, *b, *c, *d, *e, *f])
+        }
         _ => HostCommand::Other,
     }
 }
@@ -95,47 +101,71 @@ pub enum ControllerEvent {
     /// The answer to LE Read Buffer Size, both versions; the figures are at fixed places.
     BufferSize,
     DisconnectStatus,
-    Connected { handle: Handle, role: Role, peer: Address },
-    Disconnected { handle: Handle },
+    Connected {
+        handle: Handle,
+        role: Role,
+        peer: Address,
+    },
+    Disconnected {
+        handle: Handle,
+    },
     /// Somebody advertises; the address of the first report (btvirt sends one per event).
-    AdvertisingReport { from: Address },
+    AdvertisingReport {
+        from: Address,
+    },
     Other,
 }
 
 pub fn controller_event(packet: &[u8]) -> ControllerEvent {
-    let [EVENT, code, _, parameters @ ..] = packet else { return ControllerEvent::Other };
+    let [EVENT, code, _, parameters @ ..] = packet else {
+        return ControllerEvent::Other;
+    };
     match (*code, parameters) {
-        (COMMAND_COMPLETE, [_, low, high, 0, rest @ ..]) => match (u16::from_le_bytes([*low, *high]), rest) {
-            (READ_BD_ADDR, [a, b, c, d, e, f]) => ControllerEvent::OwnAddress([*a, *b, *c, *d, *e, *f]),
-            (LE_READ_BUFFER_SIZE | LE_READ_BUFFER_SIZE_V2, [_, _, _, ..]) => ControllerEvent::BufferSize,
-            _ => ControllerEvent::Other,
-        },
+        (COMMAND_COMPLETE, [_, low, high, 0, rest @ ..]) => {
+            match (u16::from_le_bytes([*low, *high]), rest) {
+                (READ_BD_ADDR, [a, b, c, d, e, f]) => {
+                    ControllerEvent::OwnAddress([*a, *b, *c, *d, *e, *f])
+                }
+                (LE_READ_BUFFER_SIZE | LE_READ_BUFFER_SIZE_V2, [_, _, _, ..]) => {
+                    ControllerEvent::BufferSize
+                }
+                _ => ControllerEvent::Other,
+            }
+        }
         (COMMAND_STATUS, [_, _, low, high]) if u16::from_le_bytes([*low, *high]) == DISCONNECT => {
             ControllerEvent::DisconnectStatus
         }
-        (DISCONNECTION_COMPLETE, [0, low, high, _]) => {
-            ControllerEvent::Disconnected { handle: u16::from_le_bytes([*low, *high]) }
-        }
-        // LE Connection Complete and its enhanced form begin alike: status, handle, role, peer's address type, address.
-        (LE_META, [0x01 | 0x0a, 0, low, high, role, _, a, b, c, d, e, f, ..]) => ControllerEvent::Connected {
+        (DISCONNECTION_COMPLETE, [0, low, high, _]) => ControllerEvent::Disconnected {
             handle: u16::from_le_bytes([*low, *high]),
-            role: if *role == 0 { Role::Central } else { Role::Peripheral },
-            peer: [*a, *b, *c, *d, *e, *f],
         },
-        (LE_META, [0x02, _, _, _, a, b, c, d, e, f, ..]) => {
-            ControllerEvent::AdvertisingReport { from: [*a, *b, *c, *d, *e, *f] }
+        // LE Connection Complete and its enhanced form begin alike: status, handle, role, peer's address type, address.
+        (LE_META, [0x01 | 0x0a, 0, low, high, role, _, a, b, c, d, e, f, ..]) => {
+            ControllerEvent::Connected {
+                handle: u16::from_le_bytes([*low, *high]),
+                role: if *role == 0 {
+                    Role::Central
+                } else {
+                    Role::Peripheral
+                },
+                peer: [*a, *b, *c, *d, *e, *f],
+            }
         }
+        (LE_META, [0x02, _, _, _, a, b, c, d, e, f, ..]) => ControllerEvent::AdvertisingReport {
+            from: [*a, *b, *c, *d, *e, *f],
+        },
         // Extended report: subevent, count, event type (2), address type, address.
-        (LE_META, [0x0d, _, _, _, _, a, b, c, d, e, f, ..]) => {
-            ControllerEvent::AdvertisingReport { from: [*a, *b, *c, *d, *e, *f] }
-        }
+        (LE_META, [0x0d, _, _, _, _, a, b, c, d, e, f, ..]) => ControllerEvent::AdvertisingReport {
+            from: [*a, *b, *c, *d, *e, *f],
+        },
         _ => ControllerEvent::Other,
     }
 }
 
 /// Puts other figures into the answer to LE Read Buffer Size; 0 leaves what is there.
 pub fn set_buffer_size(packet: &mut [u8], acl_bytes: u16, buffers: u8) {
-    let Some([low, high, count, ..]) = packet.get_mut(7..) else { return };
+    let Some([low, high, count, ..]) = packet.get_mut(7..) else {
+        return;
+    };
     if acl_bytes > 0 {
         [*low, *high] = acl_bytes.to_le_bytes();
     }
@@ -199,18 +229,31 @@ mod tests {
     #[test]
     fn nonsense_is_refused() {
         assert_eq!(packet_bytes(&[9]), Err(HciError::Type(9)));
-        assert_eq!(packet_bytes(&[ACL, 0, 0, 0xff, 0xff]), Err(HciError::TooLong(65540)));
+        assert_eq!(
+            packet_bytes(&[ACL, 0, 0, 0xff, 0xff]),
+            Err(HciError::TooLong(65540))
+        );
     }
 
     #[test]
     fn events_cut_short_are_other_events() {
-        let connected = [EVENT, LE_META, 19, 1, 0, 42, 0, 0, 0, 1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0];
+        let connected = [
+            EVENT, LE_META, 19, 1, 0, 42, 0, 0, 0, 1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0,
+        ];
         for n in 0..15 {
-            assert_eq!(controller_event(&connected[..n]), ControllerEvent::Other, "{n} bytes");
+            assert_eq!(
+                controller_event(&connected[..n]),
+                ControllerEvent::Other,
+                "{n} bytes"
+            );
         }
         assert_eq!(
             controller_event(&connected),
-            ControllerEvent::Connected { handle: 42, role: Role::Central, peer: [1, 2, 3, 4, 5, 6] }
+            ControllerEvent::Connected {
+                handle: 42,
+                role: Role::Central,
+                peer: [1, 2, 3, 4, 5, 6]
+            }
         );
     }
 
@@ -226,8 +269,17 @@ mod tests {
 
     #[test]
     fn a_host_s_first_packet_arrives_as_a_controller_s_first_packet() {
-        assert_eq!(acl_for_peer(vec![ACL, 42, 0x00, 1, 0, 7], 43), [ACL, 43, 0x20, 1, 0, 7]);
-        assert_eq!(acl_for_peer(vec![ACL, 42, 0x20, 1, 0, 7], 43), [ACL, 43, 0x20, 1, 0, 7]);
-        assert_eq!(acl_for_peer(vec![ACL, 42, 0x10, 1, 0, 7], 43), [ACL, 43, 0x10, 1, 0, 7]);
+        assert_eq!(
+            acl_for_peer(vec![ACL, 42, 0x00, 1, 0, 7], 43),
+            [ACL, 43, 0x20, 1, 0, 7]
+        );
+        assert_eq!(
+            acl_for_peer(vec![ACL, 42, 0x20, 1, 0, 7], 43),
+            [ACL, 43, 0x20, 1, 0, 7]
+        );
+        assert_eq!(
+            acl_for_peer(vec![ACL, 42, 0x10, 1, 0, 7], 43),
+            [ACL, 43, 0x10, 1, 0, 7]
+        );
     }
 }

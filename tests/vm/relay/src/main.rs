@@ -39,7 +39,9 @@ fn main() -> ExitCode {
     let args = Args::parse();
     let result = match args.command {
         Command::Serve(options) => serve::serve(&options, &args.control).map_err(|e| e.to_string()),
-        Command::Ctl { request } => ctl::send(&args.control, &request.join(" ")).map_err(|e| e.to_string()),
+        Command::Ctl { request } => {
+            ctl::send(&args.control, &request.join(" ")).map_err(|e| e.to_string())
+        }
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -68,13 +68,16 @@ struct Controller {
 
 impl Controller {
     fn is_at(&self, address: &Address) -> bool {
-        self.public_address.as_ref() == Some(address) || self.random_address.as_ref() == Some(address)
+        self.public_address.as_ref() == Some(address)
+            || self.random_address.as_ref() == Some(address)
     }
 
     fn airtime(&self, packet: &[u8]) -> Duration {
         match self.bytes_per_s {
             0 => Duration::ZERO,
-            rate => Duration::from_secs_f64((packet.len() - hci::ACL_HEADER_BYTES) as f64 / f64::from(rate)),
+            rate => Duration::from_secs_f64(
+                (packet.len() - hci::ACL_HEADER_BYTES) as f64 / f64::from(rate),
+            ),
         }
     }
 }
@@ -92,13 +95,25 @@ pub struct Room {
 
 impl Room {
     pub fn new(buffers: Buffers) -> Self {
-        Self { controllers: BTreeMap::new(), buffers, outputs: VecDeque::new(), reports: VecDeque::new(), next_id: 0 }
+        Self {
+            controllers: BTreeMap::new(),
+            buffers,
+            outputs: VecDeque::new(),
+            reports: VecDeque::new(),
+            next_id: 0,
+        }
     }
 
     pub fn add(&mut self, bytes_per_s: u32) -> Id {
         let id = Id(self.next_id);
         self.next_id += 1;
-        self.controllers.insert(id, Controller { bytes_per_s, ..Controller::default() });
+        self.controllers.insert(
+            id,
+            Controller {
+                bytes_per_s,
+                ..Controller::default()
+            },
+        );
         id
     }
 
@@ -132,24 +147,38 @@ impl Room {
 
     /// All links of this controller end with a supervision timeout, at both ends. Returns how many there were.
     pub fn drop_links(&mut self, id: Id) -> usize {
-        let Some(controller) = self.controllers.get_mut(&id) else { return 0 };
+        let Some(controller) = self.controllers.get_mut(&id) else {
+            return 0;
+        };
         for handle in controller.links.keys() {
             controller.disconnects.push_back(true);
-            self.outputs.push_back(Output::Controller(id, hci::disconnect(*handle, hci::CONNECTION_TIMEOUT)));
+            self.outputs.push_back(Output::Controller(
+                id,
+                hci::disconnect(*handle, hci::CONNECTION_TIMEOUT),
+            ));
         }
         controller.links.len()
     }
 
     /// For people: links, data sent, faults.
     pub fn describe(&self, id: Id) -> String {
-        let Some(c) = self.controllers.get(&id) else { return String::new() };
+        let Some(c) = self.controllers.get(&id) else {
+            return String::new();
+        };
         let state = if c.frozen { "frozen" } else { "on the air" };
-        format!("{state}, {} links, {} bytes sent, pace {}", c.links.len(), c.sent_bytes, c.bytes_per_s)
+        format!(
+            "{state}, {} links, {} bytes sent, pace {}",
+            c.links.len(),
+            c.sent_bytes,
+            c.bytes_per_s
+        )
     }
 
     /// The kernel sent this.
     pub fn on_host_packet(&mut self, id: Id, packet: Vec<u8>, now: Instant) {
-        let Some(controller) = self.controllers.get_mut(&id) else { return };
+        let Some(controller) = self.controllers.get_mut(&id) else {
+            return;
+        };
         if packet.first() == Some(&hci::ACL) {
             // The kernel sends for known links and no more than there are buffers, so this queue is bounded by it.
             controller.waiting.push_back(packet);
@@ -175,7 +204,9 @@ impl Room {
         }
         let mut pass = true;
         match hci::controller_event(&packet) {
-            ControllerEvent::OwnAddress(address) => self.edit(id, |c| c.public_address = Some(address)),
+            ControllerEvent::OwnAddress(address) => {
+                self.edit(id, |c| c.public_address = Some(address))
+            }
             ControllerEvent::BufferSize => {
                 hci::set_buffer_size(&mut packet, self.buffers.acl_bytes, self.buffers.count);
             }
@@ -194,8 +225,16 @@ impl Room {
             ControllerEvent::Disconnected { handle } => self.on_disconnected(id, handle),
             ControllerEvent::AdvertisingReport { from } => {
                 pass = false;
-                if !self.controllers.iter().any(|(i, c)| c.frozen && (*i == id || c.is_at(&from))) {
-                    self.reports.push_back((now + ADVERTISING_DELAY, id, std::mem::take(&mut packet)));
+                if !self
+                    .controllers
+                    .iter()
+                    .any(|(i, c)| c.frozen && (*i == id || c.is_at(&from)))
+                {
+                    self.reports.push_back((
+                        now + ADVERTISING_DELAY,
+                        id,
+                        std::mem::take(&mut packet),
+                    ));
                 }
             }
             ControllerEvent::Other => {}
@@ -208,8 +247,14 @@ impl Room {
 
     /// Sends on what is due.
     pub fn on_time(&mut self, now: Instant) {
-        while self.reports.front().is_some_and(|(heard, ..)| *heard <= now) {
-            let Some((_, id, report)) = self.reports.pop_front() else { break };
+        while self
+            .reports
+            .front()
+            .is_some_and(|(heard, ..)| *heard <= now)
+        {
+            let Some((_, id, report)) = self.reports.pop_front() else {
+                break;
+            };
             if self.controllers.contains_key(&id) {
                 self.outputs.push_back(Output::Host(id, report));
             }
@@ -227,7 +272,8 @@ impl Room {
     pub fn deadline(&self) -> Option<Instant> {
         let speaking = self.controllers.values().filter(|c| !c.frozen);
         let data = speaking.filter_map(|c| c.on_air.as_ref().map(|t| t.ends));
-        data.chain(self.reports.front().map(|(heard, ..)| *heard)).min()
+        data.chain(self.reports.front().map(|(heard, ..)| *heard))
+            .min()
     }
 
     pub fn poll_output(&mut self) -> Option<Output> {
@@ -241,15 +287,28 @@ impl Room {
     }
 
     fn lowest_free_handle(&self, id: Id) -> Handle {
-        let Some(controller) = self.controllers.get(&id) else { return FIRST_HANDLE };
-        (FIRST_HANDLE..).find(|handle| !controller.links.contains_key(handle)).unwrap_or(FIRST_HANDLE)
+        let Some(controller) = self.controllers.get(&id) else {
+            return FIRST_HANDLE;
+        };
+        (FIRST_HANDLE..)
+            .find(|handle| !controller.links.contains_key(handle))
+            .unwrap_or(FIRST_HANDLE)
     }
 
     /// The controller has no links any more and has told nobody: its peers wait out their supervision timeout.
     fn forget_links(&mut self, id: Id) {
-        let handles: Vec<Handle> = self.controllers.get(&id).into_iter().flat_map(|c| c.links.keys().copied()).collect();
+        let handles: Vec<Handle> = self
+            .controllers
+            .get(&id)
+            .into_iter()
+            .flat_map(|c| c.links.keys().copied())
+            .collect();
         for handle in handles {
-            let other_end = self.controllers.get(&id).and_then(|c| c.links.get(&handle)).and_then(|l| l.other_end);
+            let other_end = self
+                .controllers
+                .get(&id)
+                .and_then(|c| c.links.get(&handle))
+                .and_then(|l| l.other_end);
             self.on_disconnected(id, handle);
             if let Some((other, other_handle)) = other_end {
                 self.on_disconnected(other, other_handle);
@@ -260,13 +319,17 @@ impl Room {
     }
 
     fn on_connected(&mut self, id: Id, handle: Handle, peer: Address) {
-        let other_end = self.controllers.iter().filter(|(i, c)| **i != id && c.is_at(&peer)).find_map(|(i, c)| {
-            let mine = self.controllers.get(&id)?;
-            c.links
-                .iter()
-                .find(|(_, link)| link.other_end.is_none() && mine.is_at(&link.peer))
-                .map(|(other_handle, _)| (*i, *other_handle))
-        });
+        let other_end = self
+            .controllers
+            .iter()
+            .filter(|(i, c)| **i != id && c.is_at(&peer))
+            .find_map(|(i, c)| {
+                let mine = self.controllers.get(&id)?;
+                c.links
+                    .iter()
+                    .find(|(_, link)| link.other_end.is_none() && mine.is_at(&link.peer))
+                    .map(|(other_handle, _)| (*i, *other_handle))
+            });
         self.edit(id, |c| {
             c.links.insert(handle, Link { peer, other_end });
         });
@@ -283,8 +346,10 @@ impl Room {
         let mut other_end = None;
         self.edit(id, |c| {
             other_end = c.links.remove(&handle).and_then(|link| link.other_end);
-            c.waiting.retain(|packet| hci::acl_handle(packet) != Some(handle));
-            c.on_air.take_if(|t| hci::acl_handle(&t.packet) == Some(handle));
+            c.waiting
+                .retain(|packet| hci::acl_handle(packet) != Some(handle));
+            c.on_air
+                .take_if(|t| hci::acl_handle(&t.packet) == Some(handle));
         });
         if let Some((other, other_handle)) = other_end {
             self.edit(other, |c| {
@@ -306,25 +371,45 @@ impl Room {
 
     /// Puts the first packet that can go on the air, unless one is there. A link that is silent does not hold up others.
     fn transmit_next(&mut self, id: Id, from: Instant) {
-        let Some(controller) = self.controllers.get(&id).filter(|c| c.on_air.is_none()) else { return };
-        let Some(index) = controller.waiting.iter().position(|p| self.destination(id, p).is_some()) else { return };
+        let Some(controller) = self.controllers.get(&id).filter(|c| c.on_air.is_none()) else {
+            return;
+        };
+        let Some(index) = controller
+            .waiting
+            .iter()
+            .position(|p| self.destination(id, p).is_some())
+        else {
+            return;
+        };
         self.edit(id, |c| {
-            c.on_air = c.waiting.remove(index).map(|packet| Transmission { ends: from + c.airtime(&packet), packet });
+            c.on_air = c.waiting.remove(index).map(|packet| Transmission {
+                ends: from + c.airtime(&packet),
+                packet,
+            });
         });
     }
 
     /// Ends the transmission that is due; whether there was one.
     fn deliver_due(&mut self, id: Id, now: Instant) -> bool {
-        let Some(controller) = self.controllers.get_mut(&id).filter(|c| !c.frozen) else { return false };
-        let Some(Transmission { packet, ends }) = controller.on_air.take_if(|t| t.ends <= now) else { return false };
+        let Some(controller) = self.controllers.get_mut(&id).filter(|c| !c.frozen) else {
+            return false;
+        };
+        let Some(Transmission { packet, ends }) = controller.on_air.take_if(|t| t.ends <= now)
+        else {
+            return false;
+        };
         let Some((handle, to, to_handle)) = self.destination(id, &packet) else {
             // The peer fell silent meanwhile: it will be repeated.
             self.edit(id, |c| c.waiting.push_front(packet));
             return true;
         };
-        self.edit(id, |c| c.sent_bytes += (packet.len() - hci::ACL_HEADER_BYTES) as u64);
-        self.outputs.push_back(Output::Host(to, hci::acl_for_peer(packet, to_handle)));
-        self.outputs.push_back(Output::Host(id, hci::one_packet_completed(handle)));
+        self.edit(id, |c| {
+            c.sent_bytes += (packet.len() - hci::ACL_HEADER_BYTES) as u64
+        });
+        self.outputs
+            .push_back(Output::Host(to, hci::acl_for_peer(packet, to_handle)));
+        self.outputs
+            .push_back(Output::Host(id, hci::one_packet_completed(handle)));
         let late_at_most = now.checked_sub(CATCH_UP).unwrap_or(now);
         self.transmit_next(id, ends.max(late_at_most));
         true
@@ -335,7 +420,10 @@ impl Room {
 mod tests {
     use super::*;
 
-    const BUFFERS: Buffers = Buffers { count: 8, acl_bytes: 251 };
+    const BUFFERS: Buffers = Buffers {
+        count: 8,
+        acl_bytes: 251,
+    };
 
     fn address(n: u8) -> Address {
         [n, 0, 0, 0, 0, 0]
@@ -346,7 +434,12 @@ mod tests {
     }
 
     fn connected(handle: u8, role: u8, peer: u8) -> Vec<u8> {
-        [&[hci::EVENT, 0x3e, 19, 1, 0, handle, 0, role, 0][..], &address(peer), &[0; 7]].concat()
+        [
+            &[hci::EVENT, 0x3e, 19, 1, 0, handle, 0, role, 0][..],
+            &address(peer),
+            &[0; 7],
+        ]
+        .concat()
     }
 
     fn disconnected(handle: u8) -> Vec<u8> {
@@ -377,8 +470,10 @@ mod tests {
 
         /// a, under whose handle btvirt reports the link to both ends, has dialled b.
         fn connect(&mut self, (a, handle): (usize, u8), b: usize) {
-            self.room.on_controller_packet(self.ids[b], connected(handle, 1, a as u8), self.now);
-            self.room.on_controller_packet(self.ids[a], connected(handle, 0, b as u8), self.now);
+            self.room
+                .on_controller_packet(self.ids[b], connected(handle, 1, a as u8), self.now);
+            self.room
+                .on_controller_packet(self.ids[a], connected(handle, 0, b as u8), self.now);
             self.outputs();
         }
 
@@ -397,11 +492,14 @@ mod tests {
                 for output in self.outputs() {
                     if let Output::Host(id, packet) = output {
                         if let Some(handle) = hci::acl_handle(&packet) {
-                            *arrived.entry((id, handle)).or_default() += packet.len() - hci::ACL_HEADER_BYTES;
+                            *arrived.entry((id, handle)).or_default() +=
+                                packet.len() - hci::ACL_HEADER_BYTES;
                         }
                     }
                 }
-                let Some(deadline) = self.room.deadline() else { return arrived };
+                let Some(deadline) = self.room.deadline() else {
+                    return arrived;
+                };
                 self.now = self.now.max(deadline);
                 self.room.on_time(self.now);
             }
@@ -418,7 +516,11 @@ mod tests {
         }
         assert_eq!(bed.run(), BTreeMap::from([((bed.ids[1], 42), 25_100)]));
         let expected = Duration::from_secs_f64(25_100.0 / 34_000.0);
-        assert!((bed.now - start).abs_diff(expected) < Duration::from_millis(1), "{:?}", bed.now - start);
+        assert!(
+            (bed.now - start).abs_diff(expected) < Duration::from_millis(1),
+            "{:?}",
+            bed.now - start
+        );
     }
 
     #[test]
@@ -427,7 +529,10 @@ mod tests {
         bed.connect((0, 42), 1);
         bed.now += Duration::from_secs(5);
         bed.send(0, acl(42, 100));
-        assert_eq!(bed.room.deadline(), Some(bed.now + Duration::from_millis(100)));
+        assert_eq!(
+            bed.room.deadline(),
+            Some(bed.now + Duration::from_millis(100))
+        );
     }
 
     #[test]
@@ -442,7 +547,11 @@ mod tests {
             bed.now = bed.now.max(deadline) + Duration::from_millis(3);
             bed.room.on_time(bed.now);
         }
-        assert!(bed.now - start < Duration::from_millis(256), "{:?}", bed.now - start);
+        assert!(
+            bed.now - start < Duration::from_millis(256),
+            "{:?}",
+            bed.now - start
+        );
     }
 
     #[test]
@@ -456,7 +565,10 @@ mod tests {
             bed.send(robot, acl(42, robot));
         }
         let expected = (1..4).flat_map(|robot| {
-            [((bed.ids[robot], 42), 10 * robot), ((bed.ids[0], 41 + robot as Handle), robot)]
+            [
+                ((bed.ids[robot], 42), 10 * robot),
+                ((bed.ids[0], 41 + robot as Handle), robot),
+            ]
         });
         let expected = expected.collect();
         assert_eq!(bed.run(), expected);
@@ -472,7 +584,13 @@ mod tests {
         bed.room.on_time(bed.now);
         let completed = vec![hci::EVENT, 0x13, 5, 1, 42, 0, 1, 0];
         let arrived = vec![hci::ACL, 42, 0x20, 1, 0, 7];
-        assert_eq!(bed.outputs(), [Output::Host(bed.ids[1], arrived), Output::Host(bed.ids[0], completed)]);
+        assert_eq!(
+            bed.outputs(),
+            [
+                Output::Host(bed.ids[1], arrived),
+                Output::Host(bed.ids[0], completed)
+            ]
+        );
     }
 
     #[test]
@@ -484,37 +602,67 @@ mod tests {
         bed.room.freeze(bed.ids[1]);
         bed.send(1, acl(42, 50));
         bed.send(0, acl(43, 20));
-        assert_eq!(bed.run(), BTreeMap::from([((bed.ids[2], 42), 20)]), "the other link goes on");
+        assert_eq!(
+            bed.run(),
+            BTreeMap::from([((bed.ids[2], 42), 20)]),
+            "the other link goes on"
+        );
         bed.room.thaw(bed.ids[1], bed.now);
-        assert_eq!(bed.run(), BTreeMap::from([((bed.ids[1], 42), 100), ((bed.ids[0], 42), 50)]));
+        assert_eq!(
+            bed.run(),
+            BTreeMap::from([((bed.ids[1], 42), 100), ((bed.ids[0], 42), 50)])
+        );
     }
 
     #[test]
     fn a_frozen_controller_s_advertising_is_not_heard() {
         let mut bed = Bed::new(2, 0);
         bed.outputs();
-        let report = [&[hci::EVENT, 0x3e, 12, 2, 1, 0, 0][..], &address(1), &[0, 0]].concat();
+        let report = [
+            &[hci::EVENT, 0x3e, 12, 2, 1, 0, 0][..],
+            &address(1),
+            &[0, 0],
+        ]
+        .concat();
         bed.room.freeze(bed.ids[1]);
-        bed.room.on_controller_packet(bed.ids[0], report.clone(), bed.now);
+        bed.room
+            .on_controller_packet(bed.ids[0], report.clone(), bed.now);
         assert_eq!(bed.outputs(), []);
         bed.room.thaw(bed.ids[1], bed.now);
-        bed.room.on_controller_packet(bed.ids[0], report.clone(), bed.now);
-        assert_eq!(bed.outputs(), [], "an advertisement is heard at its next interval");
+        bed.room
+            .on_controller_packet(bed.ids[0], report.clone(), bed.now);
+        assert_eq!(
+            bed.outputs(),
+            [],
+            "an advertisement is heard at its next interval"
+        );
         bed.room.on_time(bed.now + ADVERTISING_DELAY);
         assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], report)]);
     }
 
     #[test]
-    fn dropped_links_end_with_a_supervision_timeout_and_the_kernel_sees_no_answer_to_a_command_it_did_not_send() {
+    fn dropped_links_end_with_a_supervision_timeout_and_the_kernel_sees_no_answer_to_a_command_it_did_not_send(
+    ) {
         let mut bed = Bed::new(2, 0);
         bed.connect((0, 42), 1);
         bed.send(0, vec![hci::COMMAND, 0x06, 0x04, 3, 99, 0, 0x13]);
         bed.outputs();
         assert_eq!(bed.room.drop_links(bed.ids[0]), 1);
-        assert_eq!(bed.outputs(), [Output::Controller(bed.ids[0], vec![hci::COMMAND, 0x06, 0x04, 3, 42, 0, 0x08])]);
+        assert_eq!(
+            bed.outputs(),
+            [Output::Controller(
+                bed.ids[0],
+                vec![hci::COMMAND, 0x06, 0x04, 3, 42, 0, 0x08]
+            )]
+        );
         let status = vec![hci::EVENT, 0x0f, 4, 0, 1, 0x06, 0x04];
-        bed.room.on_controller_packet(bed.ids[0], status.clone(), bed.now);
-        assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], status.clone())], "the kernel's own");
+        bed.room
+            .on_controller_packet(bed.ids[0], status.clone(), bed.now);
+        assert_eq!(
+            bed.outputs(),
+            [Output::Host(bed.ids[0], status.clone())],
+            "the kernel's own"
+        );
         bed.room.on_controller_packet(bed.ids[0], status, bed.now);
         assert_eq!(bed.outputs(), [], "the relay's");
     }
@@ -525,7 +673,8 @@ mod tests {
         bed.connect((0, 42), 1);
         bed.send(0, acl(42, 100));
         bed.send(0, acl(42, 100));
-        bed.room.on_controller_packet(bed.ids[0], disconnected(42), bed.now);
+        bed.room
+            .on_controller_packet(bed.ids[0], disconnected(42), bed.now);
         assert_eq!(bed.run(), BTreeMap::new());
         assert_eq!(bed.room.deadline(), None);
     }
@@ -533,10 +682,12 @@ mod tests {
     #[test]
     fn data_sent_before_the_peer_has_reported_the_link_waits_for_it() {
         let mut bed = Bed::new(2, 0);
-        bed.room.on_controller_packet(bed.ids[0], connected(42, 0, 1), bed.now);
+        bed.room
+            .on_controller_packet(bed.ids[0], connected(42, 0, 1), bed.now);
         bed.send(0, acl(42, 5));
         assert_eq!(bed.run(), BTreeMap::new());
-        bed.room.on_controller_packet(bed.ids[1], connected(42, 1, 0), bed.now);
+        bed.room
+            .on_controller_packet(bed.ids[1], connected(42, 1, 0), bed.now);
         assert_eq!(bed.run(), BTreeMap::from([((bed.ids[1], 42), 5)]));
     }
 
@@ -555,8 +706,11 @@ mod tests {
     fn the_dialled_end_gets_its_own_handle_and_not_the_dialler_s() {
         let mut bed = Bed::new(3, 0);
         bed.connect((0, 42), 1);
-        bed.room.on_controller_packet(bed.ids[2], connected(43, 1, 0), bed.now);
-        assert!(bed.outputs().contains(&Output::Host(bed.ids[2], connected(42, 1, 0))));
+        bed.room
+            .on_controller_packet(bed.ids[2], connected(43, 1, 0), bed.now);
+        assert!(bed
+            .outputs()
+            .contains(&Output::Host(bed.ids[2], connected(42, 1, 0))));
     }
 
     #[test]
@@ -565,7 +719,10 @@ mod tests {
         bed.connect((0, 42), 1);
         bed.send(0, hci::RESET.to_vec());
         let lost = vec![hci::EVENT, 0x05, 4, 0, 42, 0, 0x08];
-        let expected = [Output::Host(bed.ids[1], lost), Output::Controller(bed.ids[0], hci::RESET.to_vec())];
+        let expected = [
+            Output::Host(bed.ids[1], lost),
+            Output::Controller(bed.ids[0], hci::RESET.to_vec()),
+        ];
         assert_eq!(bed.outputs(), expected);
     }
 }

@@ -52,7 +52,10 @@ pub struct Options {
 #[derive(Debug, Error)]
 pub enum RelayError {
     #[error("{path} cannot be opened (module hci_vhci loaded?): {source}")]
-    Vhci { path: &'static str, source: io::Error },
+    Vhci {
+        path: &'static str,
+        source: io::Error,
+    },
     #[error("btvirt does not answer at {path} (started with -s?): {source}")]
     Btvirt { path: PathBuf, source: io::Error },
     #[error("{path} cannot be listened on: {source}")]
@@ -83,12 +86,22 @@ struct Relay<'a> {
 
 /// Serves until it fails or is killed.
 pub fn serve(options: &Options, control: &Path) -> Result<(), RelayError> {
-    let room = Room::new(Buffers { count: options.buffers, acl_bytes: options.acl_bytes });
-    let mut relay = Relay { options, room, devices: BTreeMap::new() };
+    let room = Room::new(Buffers {
+        count: options.buffers,
+        acl_bytes: options.acl_bytes,
+    });
+    let mut relay = Relay {
+        options,
+        room,
+        devices: BTreeMap::new(),
+    };
     for _ in 0..options.controllers {
         relay.add()?;
     }
-    let control_error = |source| RelayError::Control { path: control.to_owned(), source };
+    let control_error = |source| RelayError::Control {
+        path: control.to_owned(),
+        source,
+    };
     match std::fs::remove_file(control) {
         Err(e) if e.kind() != ErrorKind::NotFound => return Err(control_error(e)),
         _ => {}
@@ -109,7 +122,9 @@ fn wake(btvirt: &UnixStream) -> io::Result<()> {
     socket.read_exact(&mut answer)?;
     btvirt.set_read_timeout(None)?;
     if answer != hci::RESET_COMPLETE {
-        return Err(io::Error::other(format!("the answer to HCI Reset is {answer:02x?}")));
+        return Err(io::Error::other(format!(
+            "the answer to HCI Reset is {answer:02x?}"
+        )));
     }
     Ok(())
 }
@@ -125,10 +140,17 @@ impl Relay<'_> {
     fn add(&mut self) -> Result<String, RelayError> {
         let vhci_error = |source| RelayError::Vhci { path: VHCI, source };
         let path = &self.options.btvirt;
-        let btvirt_error = |source| RelayError::Btvirt { path: path.clone(), source };
+        let btvirt_error = |source| RelayError::Btvirt {
+            path: path.clone(),
+            source,
+        };
         let btvirt = UnixStream::connect(path).map_err(btvirt_error)?;
         wake(&btvirt).map_err(btvirt_error)?;
-        let vhci = OpenOptions::new().read(true).write(true).open(VHCI).map_err(vhci_error)?;
+        let vhci = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(VHCI)
+            .map_err(vhci_error)?;
         (&vhci).write_all(&[hci::VENDOR, 0]).map_err(vhci_error)?;
         // The answer says which device it is; the kernel's first commands may already be there before it.
         let mut early = Vec::new();
@@ -139,13 +161,25 @@ impl Relay<'_> {
             match *answer {
                 [hci::VENDOR, _, low, high] => break u16::from_le_bytes([low, high]),
                 _ if early.len() < EARLY_PACKETS => early.push(answer),
-                _ => return Err(vhci_error(io::Error::other("the kernel does not say which device it made"))),
+                _ => {
+                    return Err(vhci_error(io::Error::other(
+                        "the kernel does not say which device it made",
+                    )))
+                }
             }
         };
         let name = format!("hci{index}");
         println!("{name} is there");
         let id = self.room.add(self.options.pace);
-        self.devices.insert(id, Device { name: name.clone(), vhci, btvirt, pending: Vec::new() });
+        self.devices.insert(
+            id,
+            Device {
+                name: name.clone(),
+                vhci,
+                btvirt,
+                pending: Vec::new(),
+            },
+        );
         for packet in early {
             self.room.on_host_packet(id, packet, Instant::now());
         }
@@ -177,11 +211,16 @@ impl Relay<'_> {
             sources.push((Ready::Host(*id), device.vhci.as_fd()));
             sources.push((Ready::Controller(*id), device.btvirt.as_fd()));
         }
-        let mut fds: Vec<PollFd<'_>> =
-            sources.iter().map(|(_, fd)| PollFd::from_borrowed_fd(*fd, PollFlags::IN)).collect();
+        let mut fds: Vec<PollFd<'_>> = sources
+            .iter()
+            .map(|(_, fd)| PollFd::from_borrowed_fd(*fd, PollFlags::IN))
+            .collect();
         let timeout = self.room.deadline().map(|at| {
             let left = at.saturating_duration_since(Instant::now());
-            Timespec { tv_sec: left.as_secs() as _, tv_nsec: left.subsec_nanos().into() }
+            Timespec {
+                tv_sec: left.as_secs() as _,
+                tv_nsec: left.subsec_nanos().into(),
+            }
         });
         match poll(&mut fds, timeout.as_ref()) {
             Ok(_) => {}
@@ -189,11 +228,17 @@ impl Relay<'_> {
             Err(e) => return Err(RelayError::Poll(e.into())),
         }
         let readable: Vec<bool> = fds.iter().map(|fd| !fd.revents().is_empty()).collect();
-        Ok(sources.into_iter().zip(readable).filter_map(|((ready, _), is)| is.then_some(ready)).collect())
+        Ok(sources
+            .into_iter()
+            .zip(readable)
+            .filter_map(|((ready, _), is)| is.then_some(ready))
+            .collect())
     }
 
     fn read_host(&mut self, id: Id) -> Result<(), RelayError> {
-        let Some(device) = self.devices.get(&id) else { return Ok(()) };
+        let Some(device) = self.devices.get(&id) else {
+            return Ok(());
+        };
         let mut packet = vec![0; READ_BYTES];
         match (&device.vhci).read(&mut packet) {
             Ok(0) => {}
@@ -202,23 +247,45 @@ impl Relay<'_> {
                 self.room.on_host_packet(id, packet, Instant::now());
             }
             Err(e) if e.kind() == ErrorKind::Interrupted => {}
-            Err(source) => return Err(RelayError::Host { name: device.name.clone(), source }),
+            Err(source) => {
+                return Err(RelayError::Host {
+                    name: device.name.clone(),
+                    source,
+                })
+            }
         }
         Ok(())
     }
 
     fn read_controller(&mut self, id: Id) -> Result<(), RelayError> {
-        let Some(device) = self.devices.get_mut(&id) else { return Ok(()) };
-        let failed = |name: &str, source| Err(RelayError::Controller { name: name.to_owned(), source });
+        let Some(device) = self.devices.get_mut(&id) else {
+            return Ok(());
+        };
+        let failed = |name: &str, source| {
+            Err(RelayError::Controller {
+                name: name.to_owned(),
+                source,
+            })
+        };
         let mut bytes = [0; READ_BYTES];
         match device.btvirt.read(&mut bytes) {
-            Ok(0) => return failed(&device.name, io::Error::new(ErrorKind::UnexpectedEof, "btvirt is gone")),
+            Ok(0) => {
+                return failed(
+                    &device.name,
+                    io::Error::new(ErrorKind::UnexpectedEof, "btvirt is gone"),
+                )
+            }
             Ok(n) => device.pending.extend_from_slice(&bytes[..n]),
             Err(e) if e.kind() == ErrorKind::Interrupted => return Ok(()),
             Err(e) => return failed(&device.name, e),
         }
-        let not_hci = |name: &str, source| RelayError::Hci { name: name.to_owned(), source };
-        while let Some(n) = hci::packet_bytes(&device.pending).map_err(|e| not_hci(&device.name, e))? {
+        let not_hci = |name: &str, source| RelayError::Hci {
+            name: name.to_owned(),
+            source,
+        };
+        while let Some(n) =
+            hci::packet_bytes(&device.pending).map_err(|e| not_hci(&device.name, e))?
+        {
             if device.pending.len() < n {
                 break;
             }
@@ -232,19 +299,32 @@ impl Relay<'_> {
         while let Some(output) = self.room.poll_output() {
             match output {
                 Output::Host(id, packet) => {
-                    let Some(device) = self.devices.get(&id) else { continue };
+                    let Some(device) = self.devices.get(&id) else {
+                        continue;
+                    };
                     // The kernel refuses packets while the device is down: nobody is there to hear them.
                     match (&device.vhci).write_all(&packet) {
-                        Err(e) if rustix::io::Errno::from_io_error(&e) != Some(rustix::io::Errno::NXIO) => {
-                            return Err(RelayError::Host { name: device.name.clone(), source: e });
+                        Err(e)
+                            if rustix::io::Errno::from_io_error(&e)
+                                != Some(rustix::io::Errno::NXIO) =>
+                        {
+                            return Err(RelayError::Host {
+                                name: device.name.clone(),
+                                source: e,
+                            });
                         }
                         _ => {}
                     }
                 }
                 Output::Controller(id, packet) => {
-                    let Some(device) = self.devices.get_mut(&id) else { continue };
+                    let Some(device) = self.devices.get_mut(&id) else {
+                        continue;
+                    };
                     let written = device.btvirt.write_all(&packet);
-                    written.map_err(|source| RelayError::Controller { name: device.name.clone(), source })?;
+                    written.map_err(|source| RelayError::Controller {
+                        name: device.name.clone(),
+                        source,
+                    })?;
                 }
             }
         }
@@ -256,7 +336,9 @@ impl Relay<'_> {
         socket.set_read_timeout(Some(CONTROL_TIMEOUT))?;
         socket.set_write_timeout(Some(CONTROL_TIMEOUT))?;
         let mut line = String::new();
-        BufReader::new(&socket).take(CONTROL_LINE_BYTES).read_line(&mut line)?;
+        BufReader::new(&socket)
+            .take(CONTROL_LINE_BYTES)
+            .read_line(&mut line)?;
         match self.request(line.trim()) {
             Ok(text) => writeln!(&socket, "ok {text}"),
             Err(text) => writeln!(&socket, "error {text}"),
@@ -268,12 +350,17 @@ impl Relay<'_> {
         let words: Vec<&str> = line.split_whitespace().collect();
         let id_of = |name: &str| {
             let found = self.devices.iter().find(|(_, device)| device.name == name);
-            found.map(|(id, _)| *id).ok_or_else(|| format!("there is no controller {name}"))
+            found
+                .map(|(id, _)| *id)
+                .ok_or_else(|| format!("there is no controller {name}"))
         };
         match *words.as_slice() {
             ["add"] => return self.add().map_err(|e| e.to_string()),
             ["list"] => {
-                let lines = self.devices.iter().map(|(id, d)| format!("{}: {}", d.name, self.room.describe(*id)));
+                let lines = self
+                    .devices
+                    .iter()
+                    .map(|(id, d)| format!("{}: {}", d.name, self.room.describe(*id)));
                 return Ok(lines.collect::<Vec<_>>().join("; "));
             }
             ["remove", name] => {
@@ -288,10 +375,14 @@ impl Relay<'_> {
                 return Ok(format!("{} links dropped", self.room.drop_links(id)));
             }
             ["pace", name, rate] => {
-                let rate = rate.parse().map_err(|_| format!("bytes per second is a whole number, not {rate}"))?;
+                let rate = rate
+                    .parse()
+                    .map_err(|_| format!("bytes per second is a whole number, not {rate}"))?;
                 self.room.set_pace(id_of(name)?, rate, Instant::now());
             }
-            _ => return Err(format!("unknown request \"{line}\"; known: add, remove, list, freeze, thaw, drop, pace")),
+            _ => return Err(format!(
+                "unknown request \"{line}\"; known: add, remove, list, freeze, thaw, drop, pace"
+            )),
         }
         Ok(String::new())
     }
