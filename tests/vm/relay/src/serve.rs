@@ -380,9 +380,11 @@ impl Relay<'_> {
                     .map_err(|_| format!("bytes per second is a whole number, not {rate}"))?;
                 self.room.set_pace(id_of(name)?, rate, Instant::now());
             }
-            _ => return Err(format!(
+            _ => {
+                return Err(format!(
                 "unknown request \"{line}\"; known: add, remove, list, freeze, thaw, drop, pace"
-            )),
+            ))
+            }
         }
         Ok(String::new())
     }
