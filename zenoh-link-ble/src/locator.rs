@@ -2,7 +2,7 @@
 //! typed value, or as an error that names the part that is wrong.
 use std::{fmt, time::Duration};
 
-use zenoh_protocol::core::{EndPoint, Locator};
+use zenoh_protocol::core::EndPoint;
 
 use crate::{
     address::{Address, AddressType, Psm},
@@ -209,11 +209,6 @@ pub fn is_name(text: &str) -> bool {
 
 fn is_name_byte(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.')
-}
-
-/// Whether a locator is of this protocol.
-pub fn is_ble(locator: &Locator) -> bool {
-    locator.protocol().as_str() == BLE_LOCATOR_PREFIX
 }
 
 /// An option's value where it is given, and what a wrong one is told.

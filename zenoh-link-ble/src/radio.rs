@@ -8,7 +8,7 @@ use std::{sync::Arc, time::Duration};
 use async_trait::async_trait;
 
 use crate::{
-    address::{AddressType, DeviceAddress, Psm},
+    address::{DeviceAddress, Psm},
     advertisement::Advertisement,
 };
 
@@ -236,15 +236,4 @@ pub trait Channel: Send + Sync {
 
     /// Closes both directions; the peer's `recv` fails. What was sent and is still queued may be lost.
     fn shutdown(&self);
-}
-
-/// Which address kind to try when discovery has not told: the other one.
-impl AddressType {
-    /// The other kind.
-    pub fn other(self) -> Self {
-        match self {
-            Self::Public => Self::Random,
-            Self::Random => Self::Public,
-        }
-    }
 }
