@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/quick
 
-.PHONY: help demo test test-kernels check fuzz router
+.PHONY: help demo test test-kernels check bench fuzz router
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -27,6 +27,10 @@ check: ## Formatters and linters of every language
 	cargo clippy --workspace --all-targets -- -D warnings
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
+
+bench: ## Comparisons, into benches/results/ (half an hour; BENCH="goodput idle" for some of them)
+	@scripts/setup test
+	@scripts/bench $(BENCH)
 
 fuzz: ## The fuzz targets, SECONDS_EACH=300 (needs the nightly toolchain and cargo-fuzz)
 	@scripts/fuzz $(or $(SECONDS_EACH),300)

@@ -34,13 +34,24 @@ class Robot:
         )
         self._process: subprocess.Popen | None = None
         self._dials: list[str] = []
+        self._listens: list[str] = []
 
-    def start(self, dials: list[str] | None = None, ble_options: str = "", wait: bool = True) -> "Robot":
-        """Starts the router; it dials the locators of `dials` (the same as before if left out)."""
+    def start(
+        self,
+        dials: list[str] | None = None,
+        ble_options: str = "",
+        wait: bool = True,
+        listens: list[str] | None = None,
+    ) -> "Robot":
+        """Starts the router; it dials `dials` and listens on `listens` too (the same as before if left out)."""
         if dials is not None:
             self._dials = dials
+        if listens is not None:
+            self._listens = listens
         command = [os.environ.get("RECT_ROUTER", "rect-router"), "-c", str(CONFIG)]
         command += ["-l", f"ble/{self._adapter}#name={self.name}{ble_options}", "-l", f"tcp/127.0.0.1:{self.port}"]
+        for locator in self._listens:
+            command += ["-l", locator]
         for locator in self._dials:
             command += ["-e", locator]
         self._process = start(command, self._log, self._environment)

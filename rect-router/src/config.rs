@@ -1,15 +1,18 @@
 //! Flags become a Zenoh configuration, in zenohd's order: the file or the whole-configuration `--cfg`, then each flag,
 //! then each `--cfg KEY:VALUE`. What zenohd answers with a panic or a warning is an error here.
 
-use std::{fs, io, path::PathBuf};
+mod error;
+mod login;
 
 use serde_json::Value;
 use validated_struct::InsertionError;
 use zenoh::{config::WhatAmI, Config};
 use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, PermissionsConf};
-use zenoh_link::ble::locator::{ConnectLocator, ListenLocator, LocatorError, BLE_LOCATOR_PREFIX};
+use zenoh_link::ble::locator::{is_ble, ConnectLocator, ListenLocator};
 use zenoh_util::LibSearchDirs;
 
+pub use self::error::ConfigError;
+use self::login::{log_in_as, logins};
 use crate::args::Args;
 
 /// The configuration that these flags ask for.
@@ -267,133 +270,20 @@ fn set<T>(result: Result<T, T>, key: &'static str, value: &str) -> Result<(), Co
     }
 }
 
-/// The file of those who may log in, if there is one.
-struct Logins {
-    path: PathBuf,
-    text: String,
-}
-
-fn logins(config: &Config) -> Result<Option<Logins>, ConfigError> {
-    let Some(path) = config
-        .transport
-        .auth
-        .usrpwd
-        .dictionary_file()
-        .as_ref()
-        .map(PathBuf::from)
-    else {
-        return Ok(None);
-    };
-    let text = fs::read_to_string(&path).map_err(|source| ConfigError::LoginFile {
-        path: path.clone(),
-        source,
-    })?;
-    // Zenoh takes an empty file for no login at all, and would let everyone in.
-    if text.trim().is_empty() {
-        return Err(ConfigError::NoLogins { path });
-    }
-    Ok(Some(Logins { path, text }))
-}
-
-fn log_in_as(config: &mut Config, user: &str, logins: Option<Logins>) -> Result<(), ConfigError> {
-    let Logins { path, text } = logins.ok_or_else(|| ConfigError::NoLoginFile {
-        user: user.to_owned(),
-    })?;
-    let password = text
-        .lines()
-        .filter_map(|line| line.split_once(':'))
-        .find(|(name, _)| name.trim() == user)
-        .map(|(_, password)| password.trim())
-        .ok_or_else(|| ConfigError::NoSuchLogin {
-            user: user.to_owned(),
-            path: path.clone(),
-        })?;
-    let login = serde_json::json!({ "user": user, "password": password, "dictionary_file": path });
-    config
-        .insert_json5("transport/auth/usrpwd", &login.to_string())
-        .map_err(|_| ConfigError::Refused {
-            key: "transport/auth/usrpwd",
-            value: user.to_owned(),
-        })
-}
-
 /// Zenoh would try a malformed `ble/` endpoint again and again; better to hear of it at once.
 fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
-    let is_ble = |endpoint: &EndPoint| endpoint.protocol().as_str() == BLE_LOCATOR_PREFIX;
     let wrong = |endpoint: &EndPoint, source| ConfigError::Ble {
         endpoint: endpoint.to_string(),
         source,
     };
-
-    for group in config.connect.endpoints.get(mode).into_iter().flatten() {
-        for endpoint in group.as_vec().into_iter().filter(is_ble) {
-            ConnectLocator::parse(&endpoint).map_err(|source| wrong(&endpoint, source))?;
-        }
+    let connect = config.connect.endpoints.get(mode).into_iter().flatten();
+    for endpoint in connect.flat_map(EndPoints::as_vec).filter(is_ble) {
+        ConnectLocator::parse(&endpoint).map_err(|source| wrong(&endpoint, source))?;
     }
-    for endpoint in config
-        .listen
-        .endpoints
-        .get(mode)
-        .into_iter()
-        .flatten()
-        .filter(|e| is_ble(e))
-    {
+    let listen = config.listen.endpoints.get(mode).into_iter().flatten();
+    for endpoint in listen.filter(|endpoint| is_ble(endpoint)) {
         ListenLocator::parse(endpoint).map_err(|source| wrong(endpoint, source))?;
     }
     Ok(())
-}
-
-/// What is wrong with the flags or the configuration file.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// Not there, not readable, or not a configuration: the cause says which.
-    #[error("configuration file {}", path.display())]
-    File { path: PathBuf, source: zenoh::Error },
-    /// `--cfg ':{...}'` is not a whole configuration.
-    #[error("--cfg with an empty key gives the whole configuration, and this is none")]
-    Whole { source: zenoh::Error },
-    /// Write it as KEY:VALUE.
-    #[error("--cfg {given}: not a KEY:VALUE pair; write for example --cfg 'scouting/multicast/enabled:false'")]
-    SettingWithoutColon { given: String },
-    /// Unknown key, or a value of the wrong kind.
-    #[error("--cfg {given}: {reason}")]
-    Setting { given: String, reason: String },
-    /// Not an identifier.
-    #[error("--id {given}: give 1 to 32 lowercase hexadecimal digits, the first not 0")]
-    Id { given: String, source: zenoh::Error },
-    /// Not an endpoint.
-    #[error("{flag} {given}: not an endpoint; write PROTOCOL/ADDRESS, for example tcp/127.0.0.1:7447 or ble/wombat-2")]
-    Endpoint {
-        flag: &'static str,
-        given: String,
-        source: zenoh::Error,
-    },
-    /// A `ble/` endpoint, from a flag or the file, that can never work.
-    #[error("{endpoint}")]
-    Ble {
-        endpoint: String,
-        source: LocatorError,
-    },
-    /// A plugin's name or path that can't be part of a configuration.
-    #[error("plugin setting {setting} can't be made")]
-    Plugin {
-        setting: String,
-        source: zenoh::Error,
-    },
-    /// A value that does not fit the rest of the configuration.
-    #[error("{key} can't be set to {value}")]
-    Refused { key: &'static str, value: String },
-    /// `--login-as` needs the file of users.
-    #[error("--login-as {user}: the configuration names no transport/auth/usrpwd/dictionary_file to take the password from")]
-    NoLoginFile { user: String },
-    /// Make one: one line `user:password`, readable by the router only.
-    #[error("login file {} (make one with a line `user:password` in it, see config/README.md)", path.display())]
-    LoginFile { path: PathBuf, source: io::Error },
-    /// Write a line into it, or take `dictionary_file` out of the configuration to do without logins.
-    #[error("login file {} is empty; write a line `user:password` into it, see config/README.md", path.display())]
-    NoLogins { path: PathBuf },
-    /// Add the line, or log in as another.
-    #[error("--login-as {user}: no line `{user}:password` in {}", path.display())]
-    NoSuchLogin { user: String, path: PathBuf },
 }

@@ -189,6 +189,11 @@ impl ListenLocator {
     }
 }
 
+/// Whether the endpoint is one of this link's.
+pub fn is_ble(endpoint: &EndPoint) -> bool {
+    endpoint.protocol().as_str() == BLE_LOCATOR_PREFIX
+}
+
 /// Whether `text` can name an adapter: `hci` and a number, or `sim...`.
 pub fn is_adapter(text: &str) -> bool {
     let hci = text

@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+import shutil
+import subprocess
 import time
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -70,9 +73,13 @@ def test_a_killed_peer_is_linked_again_when_it_is_back(robots, away_s):
         time.sleep(away_s)
         restarted = time.monotonic()
         one.start()
+        up_s = time.monotonic() - restarted
         with one.session() as here:
             Inbox(there, "rect/again", here).close()
-            print(f"away {away_s} s: the first message {time.monotonic() - restarted:.2f} s after the restart")
+            message_s = time.monotonic() - restarted
+            print(
+                f"away {away_s} s: the router is up {up_s:.2f} s after its start, a first message at {message_s:.2f} s"
+            )
 
 
 def test_an_adapter_switched_off_and_on_is_linked_again(robots):
@@ -100,14 +107,18 @@ def test_bluetoothd_killed_while_linked_leaves_the_link_alone_and_a_later_one_po
         wait_until("the two are linked again", 60, lambda: linked(one, two))
 
 
-def test_bluetoothd_killed_while_idle_is_no_end_of_listening(robots):
-    (one,) = robots(1)
+def test_bluetoothd_killed_while_idle_is_no_end_of_listening_nor_of_dialling(robots):
+    one, two = robots(2)
     one.start([])
+    two.start(["ble/nobody"])
     guest("bluetoothd", "kill")
     guest("bluetoothd", "start")
     for adapter in ("hci0", "hci1"):
         guest("adapter", "wait", adapter)
     wait_until("the listener is back", 30, lambda: "listens on hci0 again" in one.log())
+    two.kill()
+    two.start([f"ble/{one.name}"])
+    wait_until("the two are linked", 60, lambda: linked(one, two))
 
 
 def test_two_robots_that_dial_each_other_at_once_end_as_one_link(robots):
@@ -168,3 +179,30 @@ def test_no_bluetoothd_ends_the_router_with_its_reason(robots):
         guest("bluetoothd", "start")
         for adapter in ("hci0", "hci1"):
             guest("adapter", "wait", adapter)
+
+
+FORBIDDEN = """<busconfig><policy user="nobody"><deny send_destination="org.bluez"/></policy></busconfig>"""
+
+
+def test_a_user_who_may_not_use_bluetooth_is_told_how_to_be_let_in():
+    policy = Path("/etc/dbus-1/system.d/forbidden.conf")
+    policy.write_text(FORBIDDEN)
+    reload = [
+        "dbus-send",
+        "--system",
+        "--print-reply",
+        "--dest=org.freedesktop.DBus",
+        "/",
+        "org.freedesktop.DBus.ReloadConfig",
+    ]
+    guest(*reload)
+    try:
+        # Where this user can read it.
+        router = shutil.copy(os.environ["RECT_ROUTER"], "/tmp/router-of-nobody")
+        command = ["setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", router, "-l", "ble/hci0#name=x"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    finally:
+        policy.unlink()
+        guest(*reload)
+    assert done.returncode == 1, done.stderr
+    assert "sudo usermod -aG bluetooth" in done.stderr

@@ -4,6 +4,7 @@ mod channel;
 mod errors;
 mod scan;
 mod socket;
+mod stuck;
 mod watch;
 
 use std::sync::Arc;
@@ -16,6 +17,7 @@ use self::{
     channel::{BluezChannel, BluezListener},
     errors::{dbus_error, no_adapter},
     scan::BluezScan,
+    stuck::Refusals,
     watch::Watch,
 };
 use super::{
@@ -42,6 +44,7 @@ pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
         session: OnceCell::new(),
         watch: OnceCell::new(),
         pairing: Mutex::new(None),
+        refusals: Refusals::default(),
     }))
 }
 
@@ -51,6 +54,7 @@ struct BluezRadio {
     watch: OnceCell<Watch>,
     /// Kept while pairing may be asked for: BlueZ refuses to pair without an agent.
     pairing: Mutex<Option<bluer::agent::AgentHandle>>,
+    refusals: Refusals,
 }
 
 impl BluezRadio {
@@ -183,7 +187,16 @@ impl Radio for BluezRadio {
 
     async fn scan(&self) -> Result<Box<dyn Scan>, RadioError> {
         let adapter = self.adapter().await?;
-        Ok(Box::new(BluezScan::start(adapter).await?))
+        match BluezScan::start(adapter.clone()).await {
+            Ok(scan) => {
+                self.refusals.on_started();
+                Ok(Box::new(scan))
+            }
+            Err(error) => {
+                self.refusals.on_failed(&adapter, &error).await;
+                Err(dbus_error("scan")(error))
+            }
+        }
     }
 
     async fn listen(

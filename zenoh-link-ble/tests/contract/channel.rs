@@ -3,10 +3,10 @@ use std::time::Duration;
 
 use zenoh_link_ble::{
     address::{Address, AddressType, DeviceAddress, Psm},
-    radio::RadioError,
+    radio::{ChannelOptions, RadioError, Security},
 };
 
-use super::{advertisement, channel_pair, within, World, OPTIONS};
+use super::{advertisement, channel_pair, channel_pair_with, within, World, OPTIONS};
 
 pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World) {
     let sent = advertisement(Psm::new(0x91).expect("valid"), "wombat-7");
@@ -169,4 +169,52 @@ pub async fn an_sdu_over_the_channels_limit_is_refused(world: World) {
         matches!(refused, Err(RadioError::SduTooLarge { .. })),
         "{refused:?}"
     );
+}
+
+/// BlueZ's sockets report a connect too early (and bluer with them); a first SDU sent then is refused or lost.
+pub async fn a_connect_that_returns_can_send_at_once(world: World) {
+    let listener = world.b.listen(None, OPTIONS).await.expect("listens");
+    let _advertising = world
+        .b
+        .advertise(&advertisement(listener.psm(), "b"), "b")
+        .await
+        .expect("advertises");
+    let to = world.b.address().await.expect("has an address");
+    for round in 0..20 {
+        let dialling = async {
+            let near = world.a.connect(to, listener.psm(), OPTIONS).await;
+            let near = near.expect("connects");
+            near.send(b"hello").await.expect("sends at once");
+            let mut buffer = [0; 100];
+            let size = near.recv(&mut buffer).await.expect("receives");
+            assert_eq!(&buffer[..size], b"hello to you");
+        };
+        let answering = async {
+            let far = listener.accept().await.expect("accepts");
+            let mut buffer = [0; 100];
+            let size = far.recv(&mut buffer).await.expect("receives");
+            assert_eq!(&buffer[..size], b"hello");
+            far.send(b"hello to you").await.expect("sends");
+            // Until the dialler has read it and is gone.
+            let _ = far.recv(&mut buffer).await;
+        };
+        within(&format!("first words of round {round}"), async {
+            tokio::join!(dialling, answering)
+        })
+        .await;
+    }
+}
+
+pub async fn two_strangers_pair_where_the_channel_must_be_encrypted(world: World) {
+    let options = ChannelOptions {
+        security: Security::Medium,
+        ..OPTIONS
+    };
+    let (near, far, _listener) = channel_pair_with(&world, options).await;
+    near.send(b"in private").await.expect("sends");
+    let mut buffer = [0; 100];
+    let size = within("the sdu", far.recv(&mut buffer))
+        .await
+        .expect("receives");
+    assert_eq!(&buffer[..size], b"in private");
 }

@@ -44,7 +44,15 @@ pub fn advertisement(psm: Psm, name: &str) -> zenoh_link_ble::advertisement::Adv
 pub async fn channel_pair(
     world: &World,
 ) -> (Arc<dyn Channel>, Arc<dyn Channel>, Box<dyn ChannelListener>) {
-    let listener = within("listening", world.b.listen(None, OPTIONS))
+    channel_pair_with(world, OPTIONS).await
+}
+
+/// The same with options.
+pub async fn channel_pair_with(
+    world: &World,
+    options: ChannelOptions,
+) -> (Arc<dyn Channel>, Arc<dyn Channel>, Box<dyn ChannelListener>) {
+    let listener = within("listening", world.b.listen(None, options))
         .await
         .expect("listens");
     let _advertising = world
@@ -55,7 +63,7 @@ pub async fn channel_pair(
     let to = world.b.address().await.expect("has an address");
     let (near, far) = within("connecting", async {
         tokio::join!(
-            world.a.connect(to, listener.psm(), OPTIONS),
+            world.a.connect(to, listener.psm(), options),
             listener.accept()
         )
     })
@@ -76,6 +84,8 @@ macro_rules! for_each_scenario {
             a_psm_is_taken_once: channel,
             a_connect_that_is_given_up_leaves_nothing_behind: channel,
             several_channels_live_side_by_side: channel,
+            a_connect_that_returns_can_send_at_once: channel,
+            two_strangers_pair_where_the_channel_must_be_encrypted: channel,
             an_sdu_over_the_channels_limit_is_refused: channel,
             a_peer_is_found_by_name_and_batches_go_both_ways: link,
             a_peer_is_found_by_address: link,

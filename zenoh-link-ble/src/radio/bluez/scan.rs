@@ -33,11 +33,8 @@ struct Discovery {
 }
 
 impl Discovery {
-    async fn start(adapter: &Adapter) -> Result<Self, RadioError> {
-        let found = adapter
-            .discover_devices()
-            .await
-            .map_err(dbus_error("scan"))?;
+    async fn start(adapter: &Adapter) -> bluer::Result<Self> {
+        let found = adapter.discover_devices().await?;
         Ok(Self {
             adapter: adapter.clone(),
             found: found.boxed(),
@@ -75,7 +72,7 @@ pub(super) struct BluezScan {
 }
 
 impl BluezScan {
-    pub(super) async fn start(adapter: Adapter) -> Result<Self, RadioError> {
+    pub(super) async fn start(adapter: Adapter) -> bluer::Result<Self> {
         let filter = DiscoveryFilter {
             transport: DiscoveryTransport::Le,
             duplicate_data: true,
@@ -98,7 +95,10 @@ impl BluezScan {
         loop {
             let discovery = match &mut self.discovery {
                 Some(running) => running,
-                stopped => stopped.insert(Discovery::start(&self.adapter).await?),
+                stopped => {
+                    let started = Discovery::start(&self.adapter).await;
+                    stopped.insert(started.map_err(dbus_error("scan"))?)
+                }
             };
             let left = RESCAN.saturating_sub(discovery.started.elapsed());
             match tokio::time::timeout(left, discovery.next()).await {

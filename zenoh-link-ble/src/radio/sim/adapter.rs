@@ -85,6 +85,10 @@ pub(super) struct Dial {
 /// What an adapter has sent so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdapterStats {
+    /// SDUs that its channels took.
+    pub sdus: u64,
+    /// Their bytes, without what L2CAP and the link layer add.
+    pub sdu_bytes: u64,
     /// Bytes of its packets, headers included.
     pub bytes_on_air: u64,
     /// Packets, repeats included.

@@ -194,10 +194,16 @@ impl Air {
         let Some((connection, side)) = self.home(id, channel) else {
             return Ok(());
         };
+        let bytes = sdu.len() as u64;
         match connection.channels.get_mut(&channel) {
-            Some(channel) if channel.is_open(side) => channel.queue(side, sdu),
-            _ => Ok(()),
+            Some(channel) if channel.is_open(side) => channel.queue(side, sdu)?,
+            _ => return Ok(()),
         }
+        if let Some(adapter) = self.adapters.get_mut(&id) {
+            adapter.stats.sdus += 1;
+            adapter.stats.sdu_bytes += bytes;
+        }
+        Ok(())
     }
 
     fn took(&mut self, id: AdapterId, channel: ChannelId) -> Result<(), Violation> {

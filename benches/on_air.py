@@ -1,0 +1,85 @@
+"""What a message costs on the air, and what a link costs to come up, counted by the simulated air."""
+
+import statistics
+import threading
+import time
+
+import zenoh
+from robots import Robot, wait_until
+from room import Room, wait_for_link
+from table import Table
+
+SAMPLES = 200
+KEY = "rect/wombat-1/arm/angle"
+WANTED = 12
+LINK_UPS = 5
+
+
+def run() -> Table:
+    table = Table("Bytes on the air", ["what", "SDUs", "SDU bytes", "over the payload", "wanted"])
+    with Room("room") as room:
+        one = room.add_robot("wombat-1")
+        before = sent(room)
+        two = room.add_robot("wombat-2")
+        wait_for_link(one, two)
+        with one.session() as here, two.session() as there:
+            link_up = settled(room, before)
+            for size in (8, 100):
+                row(table, room, here, there, size)
+        table.add("a link comes up, both ways", f"{link_up[0]}", f"{link_up[1]}", "", "")
+        times = [link_up_s(two) for _ in range(LINK_UPS)]
+    table.notes = [
+        f"A sample: the mean of {SAMPLES}, one at a time, from a stock Python client's declared publisher to a stock "
+        "subscriber, `config/simulation.json5`. Below this L2CAP adds 6 bytes to an SDU of up to 245 bytes, the link "
+        "layer 10 to each of its packets (1M PHY).",
+        "A link comes up: hello, Zenoh's handshake, and what the routers tell each other about themselves.",
+        f"From the start of a router (process included) to its link: {statistics.median(times):.2f} s, "
+        f"the median of {LINK_UPS} ({min(times):.2f} to {max(times):.2f}).",
+    ]
+    return table
+
+
+def row(table: Table, room: Room, here: zenoh.Session, there: zenoh.Session, size: int) -> None:
+    arrived = threading.Semaphore(0)
+    subscriber = there.declare_subscriber(KEY, lambda _: arrived.release())
+    publisher = here.declare_publisher(KEY)
+    wait_until("a message gets through", 20, lambda: publisher.put(b"?") or arrived.acquire(timeout=0.1))
+    settled(room, (0, 0))
+    while arrived.acquire(blocking=False):
+        pass
+    before = sent(room, "sim-wombat-1")
+    for _ in range(SAMPLES):
+        publisher.put(bytes(size))
+        if not arrived.acquire(timeout=10):
+            raise SystemExit("on_air: a sample was lost")
+    after = sent(room, "sim-wombat-1")
+    sdus, in_bytes = (after[0] - before[0]) / SAMPLES, (after[1] - before[1]) / SAMPLES
+    over = in_bytes - size
+    table.add(f"a sample of {size} B", f"{sdus:.2f}", f"{in_bytes:.1f}", f"{over:.1f}", f"at most {WANTED}")
+    publisher.undeclare()
+    subscriber.undeclare()
+
+
+def sent(room: Room, adapter: str | None = None) -> tuple[int, int]:
+    """SDUs and their bytes so far: an adapter's, or all."""
+    stats = [a["stats"] for a in room.status()["adapters"] if adapter in (None, a["name"])]
+    return sum(s["sdus"] for s in stats), sum(s["sdu_bytes"] for s in stats)
+
+
+def settled(room: Room, before: tuple[int, int]) -> tuple[int, int]:
+    """What was sent since, once nothing more comes for a while: keep-alives are further apart than this."""
+    last, since = sent(room), time.monotonic()
+    while time.monotonic() - since < 0.5:
+        now = sent(room)
+        if now != last:
+            last, since = now, time.monotonic()
+        time.sleep(0.02)
+    return last[0] - before[0], last[1] - before[1]
+
+
+def link_up_s(robot: Robot) -> float:
+    robot.stop()
+    started = time.monotonic()
+    robot.start()
+    wait_until("linked", 20, lambda: bool(robot.ble_links()))
+    return time.monotonic() - started

@@ -1,0 +1,38 @@
+"""The two routers that are compared, with nothing but a local TCP listener."""
+
+import os
+import socket
+import subprocess
+from pathlib import Path
+
+from robots import free_port, wait_until
+
+PROGRAMS = {"rect-router": "RECT_ROUTER", "stock zenohd": "STOCK_ZENOHD"}
+
+
+class Router:
+    """One of `PROGRAMS`, running."""
+
+    def __init__(self, program: str, *arguments: str) -> None:
+        self.path = Path(os.environ[PROGRAMS[program]])
+        self._port = free_port()
+        self.endpoint = f"tcp/127.0.0.1:{self._port}"
+        command = [self.path, "-l", self.endpoint, "--no-multicast-scouting", *arguments]
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def __enter__(self) -> "Router":
+        wait_until(f"{self.path.name} is up", 20, self._accepts)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        self._process.wait(10)
+
+    def status(self, field: str) -> int:
+        """A number of /proc/<pid>/status: VmRSS (kB), Threads."""
+        text = Path(f"/proc/{self._process.pid}/status").read_text()
+        return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(f"{field}:"))
+
+    def _accepts(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self._port)) == 0

@@ -1,0 +1,43 @@
+"""`make bench`: each comparison in one run, side by side; tables are printed and kept in `benches/results/`."""
+
+import argparse
+import importlib
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "examples" / "demo"))
+
+BENCHES = {
+    "goodput": "Zenoh over two routers beside a raw L2CAP channel, on a real kernel's Bluetooth stack in the VM",
+    "round_trip": "a Zenoh query over two routers beside a bare channel's ping, on the simulated air",
+    "on_air": "bytes a message takes, bytes and time to bring a link up, on the simulated air",
+    "loopback": "rect-router beside stock zenohd on TCP loopback",
+    "idle": "memory, threads and size beside stock zenohd",
+}
+
+
+def main() -> int:
+    listed = "\n".join(f"  {name:<11} {text}" for name, text in BENCHES.items())
+    parser = argparse.ArgumentParser(
+        prog="scripts/bench", description=__doc__, epilog=listed, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("bench", nargs="*", choices=[[], *BENCHES], metavar="BENCH", help="which (none: all)")
+    parser.add_argument("--guest", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    results = HERE / "results"
+    for name in arguments.bench or BENCHES:
+        bench = importlib.import_module(name)
+        if arguments.guest:
+            bench.in_guest()
+            continue
+        print(f"== {name}: {BENCHES[name]}", flush=True)
+        table = bench.run()
+        print(table.text())
+        results.mkdir(exist_ok=True)
+        (results / f"{name}.md").write_text(table.markdown(f"scripts/bench {name}"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+//! Which controller's link is whose: joins the two ends that btvirt reports one by one, and takes them apart.
+
+use super::{controller::Link, Id, Room};
+use crate::{
+    hci::{self, Address, Handle},
+    room::{Output, FIRST_HANDLE},
+};
+
+impl Room {
+    pub(super) fn lowest_free_handle(&self, id: Id) -> Handle {
+        let Some(controller) = self.controllers.get(&id) else {
+            return FIRST_HANDLE;
+        };
+        (FIRST_HANDLE..)
+            .find(|handle| !controller.links.contains_key(handle))
+            .unwrap_or(FIRST_HANDLE)
+    }
+
+    /// The controller has no links any more and has told nobody: its peers wait out their supervision timeout.
+    pub(super) fn forget_links(&mut self, id: Id) {
+        let handles: Vec<Handle> = self
+            .controllers
+            .get(&id)
+            .into_iter()
+            .flat_map(|c| c.links.keys().copied())
+            .collect();
+        for handle in handles {
+            let other_end = self
+                .controllers
+                .get(&id)
+                .and_then(|c| c.links.get(&handle))
+                .and_then(|l| l.other_end);
+            self.on_disconnected(id, handle);
+            if let Some((other, other_handle)) = other_end {
+                self.on_disconnected(other, other_handle);
+                let event = hci::disconnection_complete(other_handle, hci::CONNECTION_TIMEOUT);
+                self.outputs.push_back(Output::Host(other, event));
+            }
+        }
+    }
+
+    pub(super) fn on_connected(&mut self, id: Id, handle: Handle, peer: Address) {
+        let other_end = self
+            .controllers
+            .iter()
+            .filter(|(i, c)| **i != id && c.is_at(&peer))
+            .find_map(|(i, c)| {
+                let mine = self.controllers.get(&id)?;
+                c.links
+                    .iter()
+                    .find(|(_, link)| link.other_end.is_none() && mine.is_at(&link.peer))
+                    .map(|(other_handle, _)| (*i, *other_handle))
+            });
+        self.edit(id, |c| {
+            c.links.insert(handle, Link { peer, other_end });
+        });
+        if let Some((other, other_handle)) = other_end {
+            self.edit(other, |c| {
+                if let Some(link) = c.links.get_mut(&other_handle) {
+                    link.other_end = Some((id, handle));
+                }
+            });
+        }
+    }
+
+    pub(super) fn on_disconnected(&mut self, id: Id, handle: Handle) {
+        let mut other_end = None;
+        self.edit(id, |c| {
+            other_end = c.links.remove(&handle).and_then(|link| link.other_end);
+            c.waiting
+                .retain(|packet| hci::acl_handle(packet) != Some(handle));
+            c.on_air
+                .take_if(|t| hci::acl_handle(&t.packet) == Some(handle));
+        });
+        if let Some((other, other_handle)) = other_end {
+            self.edit(other, |c| {
+                if let Some(link) = c.links.get_mut(&other_handle) {
+                    link.other_end = None;
+                }
+            });
+        }
+    }
+}
