@@ -23,7 +23,7 @@ use crate::{
 /// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
 const HALF_OPEN: usize = 8;
 /// How long to listen for another robot of the same name before taking it: several advertising intervals.
-const NAME_CHECK: Duration = Duration::from_millis(1000);
+const NAME_CHECK: Duration = Duration::from_millis(500);
 /// How often to look again at an adapter that is away, beside being told.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
