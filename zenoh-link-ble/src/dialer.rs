@@ -22,8 +22,9 @@ use crate::{
 pub(crate) const RECV_MTU: u16 = 16_384;
 /// How long one LE connect may take, at least and at most: it is tried only with a peer just heard, and while it is
 /// pending the Pi's Wi-Fi suffers (raspberrypi/linux#1444). It is drawn anew each time: the kernel does not advertise
-/// while it connects, so two robots that dial each other in step would wait for each other for ever.
-const CONNECT_TIMEOUT_MS: (u64, u64) = (1000, 4000);
+/// while it connects, so two robots that dial each other in step would wait for each other for ever. Never less than
+/// BlueZ's own advertising interval of 1.28 s, as the peer takes the connect only when it advertises next.
+const CONNECT_TIMEOUT_MS: (u64, u64) = (1500, 4000);
 
 /// Dials once. Waits for the peer to appear, at most `locator.timeout` altogether.
 pub(crate) async fn dial(

@@ -80,10 +80,10 @@ pub enum BleError {
     ShuttingDown,
 }
 
-/// The whole chain of causes in one line, as Zenoh prints it.
-pub(crate) fn into_zenoh(error: BleError) -> zenoh_result::Error {
+/// The whole chain of causes in one line.
+pub(crate) fn in_words(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
-    let mut source = std::error::Error::source(&error);
+    let mut source = error.source();
     while let Some(cause) = source {
         let cause_text = cause.to_string();
         if !text.ends_with(&cause_text) {
@@ -92,5 +92,10 @@ pub(crate) fn into_zenoh(error: BleError) -> zenoh_result::Error {
         }
         source = cause.source();
     }
-    zenoh_result::zerror!("{text}").into()
+    text
+}
+
+/// As Zenoh prints it.
+pub(crate) fn into_zenoh(error: BleError) -> zenoh_result::Error {
+    zenoh_result::zerror!("{}", in_words(&error)).into()
 }

@@ -18,7 +18,7 @@ use zenoh_protocol::{
 use zenoh_result::ZResult;
 
 use crate::{
-    error::{into_zenoh, BleError},
+    error::{in_words, into_zenoh, BleError},
     frame::{Bye, Frame, HEADER},
     links::LinkNumber,
     locator::BLE_LOCATOR_PREFIX,
@@ -63,6 +63,7 @@ pub(crate) struct LinkBle {
     receive: Mutex<Receive>,
     end: CancellationToken,
     closed: AtomicBool,
+    ended: AtomicBool,
 }
 
 struct Receive {
@@ -82,6 +83,7 @@ impl LinkBle {
         let src = Locator::new(BLE_LOCATOR_PREFIX, &adapter, format!("link={}", number.0))?;
         let dst = Locator::new(BLE_LOCATOR_PREFIX, &peer, "")?;
         let mtu = opened.mtu;
+        tracing::info!("ble: linked with {peer} by {adapter}");
         Ok(Arc::new(Self {
             node,
             number,
@@ -97,7 +99,16 @@ impl LinkBle {
             }),
             end: opened.end,
             closed: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
         }))
+    }
+
+    /// The link is of no use any more, even if Zenoh holds on to it for a while: the peer may be dialled again.
+    fn on_ended(&self, reason: &str) {
+        if !self.ended.swap(true, Ordering::AcqRel) {
+            tracing::info!("ble: the link with {} ended: {reason}", self.peer());
+            self.node.on_link_closed(self.number);
+        }
     }
 
     fn peer(&self) -> String {
@@ -230,7 +241,7 @@ impl LinkBle {
 impl Drop for LinkBle {
     fn drop(&mut self) {
         self.channel.shutdown();
-        self.node.on_link_closed(self.number);
+        self.on_ended("nobody needs it");
     }
 }
 
@@ -272,17 +283,17 @@ impl LinkUnicastTrait for LinkBle {
 
     async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
         let sent = self.send_batch(buffer).await;
-        if !matches!(sent, Ok(()) | Err(BleError::BatchTooLarge { .. })) {
-            self.node.on_link_closed(self.number);
+        match &sent {
+            Ok(()) | Err(BleError::BatchTooLarge { .. }) => {}
+            Err(error) => self.on_ended(&in_words(error)),
         }
         sent.map_err(into_zenoh)
     }
 
     async fn read(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<usize> {
         let received = self.receive_batch(buffer).await;
-        if received.is_err() {
-            // Zenoh may hold on to a broken link for a while; the peer may be dialled again from now on.
-            self.node.on_link_closed(self.number);
+        if let Err(error) = &received {
+            self.on_ended(&in_words(error));
         }
         received.map_err(into_zenoh)
     }
@@ -302,7 +313,7 @@ impl LinkUnicastTrait for LinkBle {
     async fn close(&self) -> ZResult<()> {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.finish().await;
-            self.node.on_link_closed(self.number);
+            self.on_ended("closed here");
         }
         Ok(())
     }

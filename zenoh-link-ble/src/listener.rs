@@ -10,7 +10,7 @@ use crate::{
     address::DeviceAddress,
     advertisement::Advertisement,
     dialer::RECV_MTU,
-    error::BleError,
+    error::{in_words, BleError},
     hello::{Hello, Opening, VERSION},
     link::{Framing, LinkBle, Opened},
     links::Verdict,
@@ -22,8 +22,11 @@ use crate::{
 
 /// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
 const HALF_OPEN: usize = 8;
-/// How long to listen for another robot of the same name before taking it: several advertising intervals.
+/// How long to listen for another robot of the same name before taking it: several of RECT's advertising intervals
+/// (`config/bluetooth.conf`), and short, since dialling waits for it.
 const NAME_CHECK: Duration = Duration::from_millis(500);
+/// How long to go on listening for it afterwards: longer than BlueZ's own interval of 1.28 s.
+const NAME_WATCH: Duration = Duration::from_millis(2000);
 /// How often to look again at an adapter that is away, beside being told.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
@@ -75,6 +78,30 @@ impl Listener {
     /// Two robots of one name would be dialled by turns: the second one to come finds out. The listener serves
     /// meanwhile, so that a robot that was away is back without delay.
     pub(crate) async fn check_name(&self) -> Result<(), BleError> {
+        match self.twin(NAME_CHECK).await {
+            Ok(Some(other)) => Err(self.name_taken(other)),
+            Ok(None) => Ok(()),
+            // The listener is up all the same: a robot that starts while its adapter is busy must not stay away.
+            Err(error) => {
+                tracing::warn!(
+                    "ble: whether another robot is called {} is not known: {}",
+                    self.name,
+                    in_words(&error)
+                );
+                Ok(())
+            }
+        }
+    }
+
+    /// Tells of a robot of the same name that is heard too late to be an error.
+    pub(crate) async fn watch_name(&self) {
+        if let Ok(Some(other)) = self.twin(NAME_WATCH).await {
+            tracing::error!("ble: {}", self.name_taken(other));
+        }
+    }
+
+    /// Another robot of this one's name, if one is heard within `limit`.
+    async fn twin(&self, limit: Duration) -> Result<Option<DeviceAddress>, BleError> {
         let own = self.adapter.radio.address().await?;
         let same_name = self.adapter.scanner.find(|sighting| {
             let other = sighting.advertisement.as_ref()?;
@@ -83,13 +110,14 @@ impl Listener {
                 && sighting.device.address != own.address;
             clash.then_some(sighting.device)
         });
-        match tokio::time::timeout(NAME_CHECK, same_name).await {
-            Ok(Ok(other)) => Err(BleError::NameTaken {
-                name: self.name.clone(),
-                other,
-            }),
-            Ok(Err(error)) => Err(error.into()),
-            Err(_) => Ok(()),
+        let heard = tokio::time::timeout(limit, same_name).await;
+        Ok(heard.ok().transpose()?)
+    }
+
+    fn name_taken(&self, other: DeviceAddress) -> BleError {
+        BleError::NameTaken {
+            name: self.name.clone(),
+            other,
         }
     }
 
@@ -186,8 +214,9 @@ impl Listener {
                     Err(error) if !complained => {
                         complained = true;
                         tracing::warn!(
-                            "ble: {} does not listen yet: {error}",
-                            self.locator.adapter
+                            "ble: {} does not listen yet: {}",
+                            self.locator.adapter,
+                            in_words(&error)
                         );
                     }
                     Err(_) => {}
@@ -213,7 +242,7 @@ impl Listener {
                 }
             }
             Ok(None) => {}
-            Err(error) => tracing::warn!("ble: no link with {peer}: {error}"),
+            Err(error) => tracing::warn!("ble: no link with {peer}: {}", in_words(&error)),
         }
     }
 

@@ -12,7 +12,7 @@ use zenoh_result::ZResult;
 
 use crate::{
     dialer::dial,
-    error::{into_zenoh, BleError},
+    error::{in_words, into_zenoh, BleError},
     hello::NodeId,
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, BLE_LOCATOR_PREFIX},
@@ -52,7 +52,8 @@ struct Listening {
     /// What a peer can dial: the name, not this machine's adapter.
     locator: Locator,
     // Dropping it ends the listener.
-    _task: AbortOnDropHandle<()>,
+    _serving: AbortOnDropHandle<()>,
+    _watching: AbortOnDropHandle<()>,
 }
 
 impl LinkManagerUnicastBle {
@@ -98,6 +99,7 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
                 let dialled = dial(&node, &locator).await;
                 if let Err(error) = &dialled {
                     // Zenoh tries again and says so at debug level only; a person wants to know why nothing comes.
+                    let error = in_words(error);
                     tracing::debug!("ble: no link to {}: {error}", locator.target);
                 }
                 dialled
@@ -120,15 +122,20 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
             .on_runtime(async move { Listener::start(node, locator, links).await })
             .await?;
         let serve = Arc::clone(&listener).serve(up);
-        let task = AbortOnDropHandle::new(self.runtime.spawn(serve));
-        self.on_runtime(async move { listener.check_name().await })
+        let serving = AbortOnDropHandle::new(self.runtime.spawn(serve));
+        let checked = Arc::clone(&listener);
+        self.on_runtime(async move { checked.check_name().await })
             .await?;
+        let watch = self
+            .runtime
+            .spawn(async move { listener.watch_name().await });
         listeners.insert(
             adapter,
             Listening {
                 endpoint,
                 locator: dialable.clone(),
-                _task: task,
+                _serving: serving,
+                _watching: AbortOnDropHandle::new(watch),
             },
         );
         Ok(dialable)

@@ -52,6 +52,10 @@ impl Node {
 
     pub(crate) fn on_link_closed(&self, link: LinkNumber) {
         self.links().on_closed(link);
+        // What was heard before says nothing now: the peer may have gone for good, and a connect would wait for it.
+        for adapter in lock(&self.adapters).values() {
+            adapter.scanner.forget();
+        }
         self.unlinked.notify_waiters();
     }
 

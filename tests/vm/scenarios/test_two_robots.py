@@ -63,23 +63,22 @@ def test_a_megabyte_arrives_intact(robots):
         assert hashlib.sha256(received).digest() == hashlib.sha256(MEGABYTE).digest()
 
 
-@pytest.mark.parametrize("away_s", [0.3, 10])
-def test_a_killed_peer_is_linked_again_when_it_is_back(robots, away_s):
-    one, two = pair(robots)
-    with two.session() as there:
-        one.kill()
-        wait_until("the end is noticed", 30, lambda: not two.ble_links())
+@pytest.mark.parametrize(("who", "away_s"), [("listener", 0.3), ("listener", 10), ("dialler", 0.3), ("dialler", 10)])
+def test_a_killed_peer_is_linked_again_when_it_is_back(robots, who, away_s):
+    listener, dialler = pair(robots)
+    gone, stays = (listener, dialler) if who == "listener" else (dialler, listener)
+    with stays.session() as there:
+        gone.kill()
+        wait_until("the end is noticed", 30, lambda: not stays.ble_links())
         # How long it is away is what this test is about; nothing is waited for.
         time.sleep(away_s)
         restarted = time.monotonic()
-        one.start()
+        gone.start()
         up_s = time.monotonic() - restarted
-        with one.session() as here:
+        with gone.session() as here:
             Inbox(there, "rect/again", here).close()
             message_s = time.monotonic() - restarted
-            print(
-                f"away {away_s} s: the router is up {up_s:.2f} s after its start, a first message at {message_s:.2f} s"
-            )
+            print(f"the {who} is up {up_s:.2f} s after its restart, its first message there at {message_s:.2f} s")
 
 
 def test_an_adapter_switched_off_and_on_is_linked_again(robots):

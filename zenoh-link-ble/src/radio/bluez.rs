@@ -31,7 +31,8 @@ use crate::{
 
 /// The adapter taken when none is named.
 const DEFAULT_ADAPTER: &str = "hci0";
-/// How often to advertise. BlueZ's default of 1.28 s would make finding a robot take seconds.
+/// How often to advertise. BlueZ's default of 1.28 s would make finding a robot take seconds. bluetoothd takes this from
+/// programs only if it runs with `--experimental`; `config/bluetooth.conf` says the same for all of them.
 const ADVERTISING_INTERVAL: (std::time::Duration, std::time::Duration) = (
     std::time::Duration::from_millis(100),
     std::time::Duration::from_millis(150),

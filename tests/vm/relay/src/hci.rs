@@ -1,5 +1,7 @@
 //! HCI packets in H4 framing, as far as the relay must understand them. Everything read here is checked for length.
 
+use std::time::Duration;
+
 use thiserror::Error;
 
 /// H4 packet types.
@@ -18,6 +20,7 @@ const HCI_RESET: u16 = 0x0c03;
 const DISCONNECT: u16 = 0x0406;
 const READ_BD_ADDR: u16 = 0x1009;
 const LE_SET_RANDOM_ADDRESS: u16 = 0x2005;
+const LE_SET_ADVERTISING_PARAMETERS: u16 = 0x2006;
 const LE_READ_BUFFER_SIZE: u16 = 0x2002;
 const LE_READ_BUFFER_SIZE_V2: u16 = 0x2060;
 
@@ -71,6 +74,8 @@ pub enum HostCommand {
     Reset,
     Disconnect,
     SetRandomAddress(Address),
+    /// The longest time between two advertising events.
+    SetAdvertisingInterval(Duration),
     Other,
 }
 
@@ -83,6 +88,11 @@ pub fn host_command(packet: &[u8]) -> HostCommand {
         (DISCONNECT, _) => HostCommand::Disconnect,
         (LE_SET_RANDOM_ADDRESS, [a, b, c, d, e, f]) => {
             HostCommand::SetRandomAddress([*a, *b, *c, *d, *e, *f])
+        }
+        // In units of 0.625 ms (Core Specification, Vol 4, Part E, 7.8.5).
+        (LE_SET_ADVERTISING_PARAMETERS, [_, _, low, high, ..]) => {
+            let units = u16::from_le_bytes([*low, *high]);
+            HostCommand::SetAdvertisingInterval(Duration::from_micros(625) * u32::from(units))
         }
         _ => HostCommand::Other,
     }

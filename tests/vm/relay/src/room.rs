@@ -3,6 +3,7 @@
 //! A controller sends one packet at a time; the packet arrives when its airtime at the set pace is over. The kernel
 //! learns only then that the buffer is free, so its own flow control follows the pace. Other packets pass at once.
 
+mod advertising;
 mod controller;
 mod links;
 #[cfg(test)]
@@ -21,10 +22,6 @@ use crate::hci::{self, ControllerEvent, Handle, HostCommand, Role};
 const CATCH_UP: Duration = Duration::from_millis(10);
 /// btvirt counts a controller's handles from here and gives out the lowest free one.
 const FIRST_HANDLE: Handle = 42;
-
-/// A real controller hears an advertiser at the next advertising event, btvirt's within microseconds of the command to
-/// scan: before the kernel takes reports at all, and, as the controller filters repetitions, never again.
-const ADVERTISING_DELAY: Duration = Duration::from_millis(50);
 
 /// One controller, for as long as it exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -52,7 +49,7 @@ pub struct Room {
     controllers: BTreeMap<Id, Controller>,
     buffers: Buffers,
     outputs: VecDeque<Output>,
-    /// Advertising reports on their way, with the time each is heard: in order, as the delay is the same for all.
+    /// Advertising reports on their way, with the time each is heard, in order.
     reports: VecDeque<(Instant, Id, Vec<u8>)>,
     next_id: u32,
 }
@@ -71,13 +68,7 @@ impl Room {
     pub fn add(&mut self, bytes_per_s: u32) -> Id {
         let id = Id(self.next_id);
         self.next_id += 1;
-        self.controllers.insert(
-            id,
-            Controller {
-                bytes_per_s,
-                ..Controller::default()
-            },
-        );
+        self.controllers.insert(id, Controller::new(bytes_per_s));
         id
     }
 
@@ -156,6 +147,9 @@ impl Room {
             }
             HostCommand::Disconnect => controller.disconnects.push_back(false),
             HostCommand::SetRandomAddress(address) => controller.random_address = Some(address),
+            HostCommand::SetAdvertisingInterval(interval) => {
+                controller.advertising_interval = interval;
+            }
             HostCommand::Other => {}
         }
         self.outputs.push_back(Output::Controller(id, packet));
@@ -189,17 +183,7 @@ impl Room {
             ControllerEvent::Disconnected { handle } => self.on_disconnected(id, handle),
             ControllerEvent::AdvertisingReport { from } => {
                 pass = false;
-                if !self
-                    .controllers
-                    .iter()
-                    .any(|(i, c)| c.frozen && (*i == id || c.is_at(&from)))
-                {
-                    self.reports.push_back((
-                        now + ADVERTISING_DELAY,
-                        id,
-                        std::mem::take(&mut packet),
-                    ));
-                }
+                self.on_advertising_report(id, from, std::mem::take(&mut packet), now);
             }
             ControllerEvent::Other => {}
         }
@@ -211,18 +195,7 @@ impl Room {
 
     /// Sends on what is due.
     pub fn on_time(&mut self, now: Instant) {
-        while self
-            .reports
-            .front()
-            .is_some_and(|(heard, ..)| *heard <= now)
-        {
-            let Some((_, id, report)) = self.reports.pop_front() else {
-                break;
-            };
-            if self.controllers.contains_key(&id) {
-                self.outputs.push_back(Output::Host(id, report));
-            }
-        }
+        self.hear_reports(now);
         let ids: Vec<Id> = self.controllers.keys().copied().collect();
         for id in ids {
             self.transmit_next(id, now);

@@ -7,8 +7,9 @@ use std::{
 
 use bluer::{Adapter, ErrorKind};
 
-/// An operation under way ends in less; only an adapter that is stuck refuses for so long.
-const STUCK_AFTER: Duration = Duration::from_secs(6);
+/// A scan that outlives its bluetoothd ends by itself after 10.24 s (DISCOV_LE_TIMEOUT in Linux' hci_core.h); only an
+/// adapter that is stuck refuses for longer.
+const STUCK_AFTER: Duration = Duration::from_secs(12);
 
 /// Since when one adapter refuses scans without a break.
 #[derive(Default)]

@@ -8,6 +8,9 @@ use std::{
 use super::Id;
 use crate::hci::{self, Address, Handle};
 
+/// A controller's own (Core Specification, Vol 4, Part E, 7.8.5).
+pub(super) const DEFAULT_ADVERTISING_INTERVAL: Duration = Duration::from_millis(1280);
+
 #[derive(Debug)]
 pub(super) struct Link {
     pub(super) peer: Address,
@@ -21,10 +24,12 @@ pub(super) struct Transmission {
     pub(super) ends: Instant,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Controller {
     pub(super) public_address: Option<Address>,
     pub(super) random_address: Option<Address>,
+    /// The longest time between two advertising events.
+    pub(super) advertising_interval: Duration,
     pub(super) links: BTreeMap<Handle, Link>,
     pub(super) waiting: VecDeque<Vec<u8>>,
     pub(super) bytes_per_s: u32,
@@ -36,6 +41,21 @@ pub(super) struct Controller {
 }
 
 impl Controller {
+    pub(super) fn new(bytes_per_s: u32) -> Self {
+        Self {
+            public_address: None,
+            random_address: None,
+            advertising_interval: DEFAULT_ADVERTISING_INTERVAL,
+            links: BTreeMap::new(),
+            waiting: VecDeque::new(),
+            bytes_per_s,
+            on_air: None,
+            frozen: false,
+            disconnects: VecDeque::new(),
+            sent_bytes: 0,
+        }
+    }
+
     pub(super) fn is_at(&self, address: &Address) -> bool {
         self.public_address.as_ref() == Some(address)
             || self.random_address.as_ref() == Some(address)

@@ -218,7 +218,9 @@ fn a_frozen_controller_s_advertising_is_not_heard() {
         [],
         "an advertisement is heard at its next interval"
     );
-    bed.room.on_time(bed.now + ADVERTISING_DELAY);
+    bed.room.on_time(bed.now + Duration::from_millis(639));
+    assert_eq!(bed.outputs(), []);
+    bed.room.on_time(bed.now + Duration::from_millis(640));
     assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], report)]);
 }
 
@@ -306,4 +308,29 @@ fn the_peers_of_a_controller_that_is_reset_see_a_supervision_timeout() {
         Output::Controller(bed.ids[0], hci::RESET.to_vec()),
     ];
     assert_eq!(bed.outputs(), expected);
+}
+
+#[test]
+fn who_advertises_more_often_is_heard_sooner() {
+    let mut bed = Bed::new(3, 0);
+    bed.outputs();
+    let report = |n| {
+        [
+            &[hci::EVENT, 0x3e, 12, 2, 1, 0, 0][..],
+            &address(n),
+            &[0, 0],
+        ]
+        .concat()
+    };
+    // 160 and 240 units of 0.625 ms.
+    bed.send(2, vec![hci::COMMAND, 0x06, 0x20, 4, 160, 0, 240, 0]);
+    bed.outputs();
+    for n in [1, 2] {
+        bed.room
+            .on_controller_packet(bed.ids[0], report(n), bed.now);
+    }
+    bed.room.on_time(bed.now + Duration::from_millis(75));
+    assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], report(2))]);
+    bed.room.on_time(bed.now + Duration::from_millis(640));
+    assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], report(1))]);
 }
