@@ -54,13 +54,26 @@ def test_a_robot_is_found_by_address_and_psm(robots):
     wait_until("the two are linked", 30, lambda: linked(one, two))
 
 
-def test_a_megabyte_arrives_intact(robots):
+@pytest.mark.parametrize("bytes_per_s", [100_000, 0])
+def test_a_megabyte_arrives_intact(robots, bytes_per_s):
+    if not bytes_per_s and os.environ["RECT_VM_DEBIAN"] == "11":
+        pytest.skip("Linux 5.10 throws away what comes faster than it is read: at a radio's pace it does not")
     one, two = pair(robots)
-    with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/bulk", here)
-        here.put("rect/bulk", MEGABYTE, congestion_control=zenoh.CongestionControl.BLOCK)
-        [received] = inbox.take(1)
-        assert hashlib.sha256(received).digest() == hashlib.sha256(MEGABYTE).digest()
+    paced(bytes_per_s)
+    try:
+        with one.session() as here, two.session() as there:
+            inbox = Inbox(there, "rect/bulk", here)
+            here.put("rect/bulk", MEGABYTE, congestion_control=zenoh.CongestionControl.BLOCK)
+            [received] = inbox.take(1)
+            assert hashlib.sha256(received).digest() == hashlib.sha256(MEGABYTE).digest()
+    finally:
+        paced(0)
+
+
+def paced(bytes_per_s: int) -> None:
+    """Both radios send so fast; 0: as fast as the emulation goes."""
+    for adapter in ("hci0", "hci1"):
+        guest("room", "pace", adapter, str(bytes_per_s))
 
 
 @pytest.mark.parametrize(("who", "away_s"), [("listener", 0.3), ("listener", 10), ("dialler", 0.3), ("dialler", 10)])

@@ -169,6 +169,9 @@ impl Radio for BluezRadio {
         name: &str,
     ) -> Result<Box<dyn AdvertisingGuard>, RadioError> {
         let adapter = self.adapter().await?;
+        // Linux 5.10 scans under a random address, which it cannot set while it advertises: an adapter that advertised
+        // first would refuse every scan. One scan before leaves an address behind; if it fails, so will the next.
+        let _first_scan = BluezScan::start(adapter.clone()).await;
         let data = advertisement.encode().to_vec();
         let advertisement = adv::Advertisement {
             advertisement_type: adv::Type::Peripheral,
