@@ -57,7 +57,7 @@ def test_a_robot_is_found_by_address_and_psm(robots):
 @pytest.mark.parametrize("bytes_per_s", [100_000, 0])
 def test_a_megabyte_arrives_intact(robots, bytes_per_s):
     if not bytes_per_s and os.environ["RECT_VM_DEBIAN"] == "11":
-        pytest.skip("Linux 5.10 throws away what comes faster than it is read: at a radio's pace it does not")
+        pytest.skip("Linux 5.10 throws away what comes faster than it is read; no radio is as fast as the emulation")
     one, two = pair(robots)
     paced(bytes_per_s)
     try:
