@@ -1,7 +1,7 @@
 """Goodput over a real kernel's Bluetooth stack whose radio is paced: a raw channel beside Zenoh over two routers.
 
-The pace is that of a Pi 3B (34 kB/s, packets of 27 bytes) and of a radio with long packets (100 kB/s), see
-`tests/vm/README.md`. Unpaced, the emulated CPU is what is measured; it is shown without a target.
+The pace is that of a Pi 3B (34 kB/s, packets of 27 bytes) and of a radio with long packets (100 kB/s), see README.md.
+Unpaced, the emulated CPU is what is measured; it is shown without a target.
 """
 
 import itertools
