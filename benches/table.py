@@ -36,4 +36,4 @@ class Table:
 def machine() -> str:
     with open("/proc/cpuinfo") as info:
         model = next((line.split(":", 1)[1].strip() for line in info if line.startswith("model name")), "unknown CPU")
-    return f"{os.cpu_count()} cores of {model}, Linux {platform.release()}"
+    return f"{os.cpu_count()} cores of {model}, Linux {platform.release().split('-')[0]}"
