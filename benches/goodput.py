@@ -6,17 +6,16 @@ Unpaced, the emulated CPU is what is measured; it is shown without a target.
 
 import itertools
 import json
-import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import zenoh
+from peers import bare_channel
 from robots import Robot, RobotError, wait_until
 from table import Table
 
@@ -79,24 +78,7 @@ def in_guest() -> None:
 
 def raw_rate(total: int, sdu_bytes: int) -> float:
     """kB/s of a bare SEQPACKET channel."""
-    with raw_server("hci1") as address:
-        command = [os.environ["RECT_CHANNEL"], "flood", "hci0", address, str(total), str(sdu_bytes)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    if done.returncode != 0:
-        raise RobotError(f"the raw channel failed: {done.stderr}")
-    return json.loads(done.stdout)["kb_per_s"]
-
-
-@contextmanager
-def raw_server(adapter: str, environment: dict[str, str] | None = None):
-    """A bare channel's other end; its address."""
-    command = [os.environ["RECT_CHANNEL"], "serve", adapter]
-    server = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-    try:
-        yield json.loads(server.stdout.readline())["address"]
-    finally:
-        server.terminate()
-        server.wait()
+    return bare_channel("flood", "hci0", "hci1", str(total), str(sdu_bytes))["kb_per_s"]
 
 
 def put_rates(total: int, folder: Path) -> dict[int, float]:

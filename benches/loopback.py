@@ -1,12 +1,10 @@
 """rect-router beside the published zenohd, on TCP loopback: one program's messages to another through one router."""
 
-import json
 import os
 import statistics
-import subprocess
 from contextlib import ExitStack
 
-from robots import RobotError
+from peers import figures_of
 from routers import PROGRAMS, Router
 from table import Table
 
@@ -48,7 +46,4 @@ def compare(table: Table, routers: list[Router], what: str, figure: str, mode: s
 
 def load(mode: str, router: Router, size: int) -> dict[str, float]:
     command = [os.environ["RECT_LOAD"], mode, router.endpoint, str(size), str(SECONDS)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    if done.returncode != 0:
-        raise RobotError(f"{' '.join(command)}: {done.stderr}")
-    return json.loads(done.stdout)
+    return figures_of(command)

@@ -1,13 +1,9 @@
 """A 20-byte question and answer over the simulated air: a bare channel beside a Zenoh query through two routers."""
 
-import json
-import os
 import statistics
-import subprocess
 import time
 
-from goodput import raw_server
-from robots import RobotError
+from peers import bare_channel
 from room import Room, wait_for_link
 from table import Table
 
@@ -55,12 +51,7 @@ def run() -> Table:
 
 
 def ping(room: Room) -> dict[str, float]:
-    with raw_server("sim-bare-2", room.environment()) as address:
-        command = [os.environ["RECT_CHANNEL"], "ping", "sim-bare-1", address, str(COUNT)]
-        done = subprocess.run(command, env=room.environment(), capture_output=True, text=True, timeout=120)
-    if done.returncode != 0:
-        raise RobotError(f"the bare channel failed: {done.stderr}")
-    return json.loads(done.stdout)
+    return bare_channel("ping", "sim-bare-1", "sim-bare-2", str(COUNT), environment=room.environment())
 
 
 def ask(querier) -> list[float]:

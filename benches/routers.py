@@ -1,11 +1,10 @@
 """The two routers that are compared, with nothing but a local TCP listener."""
 
 import os
-import socket
 import subprocess
 from pathlib import Path
 
-from robots import free_port, wait_until
+from robots import free_port, is_listening, wait_until
 
 PROGRAMS = {"rect-router": "RECT_ROUTER", "stock zenohd": "STOCK_ZENOHD"}
 
@@ -21,7 +20,7 @@ class Router:
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def __enter__(self) -> "Router":
-        wait_until(f"{self.path.name} is up", 20, self._accepts)
+        wait_until(f"{self.path.name} is up", 20, lambda: is_listening(self._port))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -32,7 +31,3 @@ class Router:
         """A number of /proc/<pid>/status: VmRSS (kB), Threads."""
         text = Path(f"/proc/{self._process.pid}/status").read_text()
         return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(f"{field}:"))
-
-    def _accepts(self) -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", self._port)) == 0

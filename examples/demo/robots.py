@@ -107,8 +107,7 @@ class Robot:
     def _accepts(self) -> bool:
         if self.ended():
             raise RobotError(f"the router of {self.name} ended: {self.log().strip().splitlines()[-1]}")
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+        return is_listening(self.port)
 
 
 class Inbox:
@@ -169,6 +168,11 @@ def wait_until(what: str, limit_s: float, holds: Callable[[], bool]) -> float:
             raise RobotError(f"not within {limit_s} s: {what}")
         time.sleep(0.05)
     return time.monotonic() - started
+
+
+def is_listening(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def free_port() -> int:

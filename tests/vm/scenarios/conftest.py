@@ -18,6 +18,13 @@ def guest(*command: str) -> str:
     return done.stdout.strip()
 
 
+def start_bluetoothd() -> None:
+    """Returns when both adapters are up."""
+    guest("bluetoothd", "start")
+    for adapter in ("hci0", "hci1"):
+        guest("adapter", "wait", adapter)
+
+
 def power(adapter: str, state: str) -> None:
     """Switches an adapter, with a supervisor as systemd is on a robot: BlueZ 5.66 was seen to crash at that."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from conftest import guest, power
+from conftest import guest, power, start_bluetoothd
 from robots import Inbox, Robot, RobotError, wait_until
 
 MEGABYTE = os.urandom(1_000_000)
@@ -109,9 +109,7 @@ def test_bluetoothd_killed_while_linked_leaves_the_link_alone_and_a_later_one_po
     with one.session() as here, two.session() as there:
         inbox = Inbox(there, "rect/again", here)
         guest("bluetoothd", "kill")
-        guest("bluetoothd", "start")
-        for adapter in ("hci0", "hci1"):
-            guest("adapter", "wait", adapter)
+        start_bluetoothd()
         inbox.wait_until_reached(here)
         two.kill()
         wait_until("the end is noticed", 30, lambda: not one.ble_links())
@@ -124,9 +122,7 @@ def test_bluetoothd_killed_while_idle_is_no_end_of_listening_nor_of_dialling(rob
     one.start([])
     two.start(["ble/nobody"])
     guest("bluetoothd", "kill")
-    guest("bluetoothd", "start")
-    for adapter in ("hci0", "hci1"):
-        guest("adapter", "wait", adapter)
+    start_bluetoothd()
     wait_until("the listener is back", 30, lambda: "listens on hci0 again" in one.log())
     two.kill()
     two.start([f"ble/{one.name}"])
@@ -188,9 +184,7 @@ def test_no_bluetoothd_ends_the_router_with_its_reason(robots):
             one.start([])
         assert "bluetoothd does not answer" in one.log() and "systemctl start bluetooth" in one.log()
     finally:
-        guest("bluetoothd", "start")
-        for adapter in ("hci0", "hci1"):
-            guest("adapter", "wait", adapter)
+        start_bluetoothd()
 
 
 FORBIDDEN = """<busconfig><policy user="nobody"><deny send_destination="org.bluez"/></policy></busconfig>"""

@@ -1,0 +1,27 @@
+"""The bare programs that the routers are compared with."""
+
+import json
+import os
+import subprocess
+
+from robots import RobotError
+
+
+def figures_of(command: list[str], environment: dict[str, str] | None = None) -> dict:
+    """What a program measured: the JSON it prints."""
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    if done.returncode != 0:
+        raise RobotError(f"{' '.join(command)}: {done.stderr}")
+    return json.loads(done.stdout)
+
+
+def bare_channel(mode: str, near: str, far: str, *arguments: str, environment: dict[str, str] | None = None) -> dict:
+    """`ping` or `flood` over a bare channel from one adapter to another."""
+    program = os.environ["RECT_CHANNEL"]
+    server = subprocess.Popen([program, "serve", far], env=environment, stdout=subprocess.PIPE, text=True)
+    try:
+        address = json.loads(server.stdout.readline())["address"]
+        return figures_of([program, mode, near, address, *arguments], environment)
+    finally:
+        server.terminate()
+        server.wait()
