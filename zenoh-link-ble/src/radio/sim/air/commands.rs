@@ -199,9 +199,9 @@ impl Air {
             Some(channel) if channel.is_open(side) => channel.queue(side, sdu)?,
             _ => return Ok(()),
         }
-        if let Some(adapter) = self.adapters.get_mut(&id) {
-            adapter.stats.sdus += 1;
-            adapter.stats.sdu_bytes += bytes;
+        if let Some(stats) = self.stats_mut(id) {
+            stats.sdus += 1;
+            stats.sdu_bytes += bytes;
         }
         Ok(())
     }

@@ -208,7 +208,7 @@ impl Air {
         }
     }
 
-    fn stats_mut(&mut self, adapter: AdapterId) -> Option<&mut AdapterStats> {
+    pub(super) fn stats_mut(&mut self, adapter: AdapterId) -> Option<&mut AdapterStats> {
         self.adapters.get_mut(&adapter).map(|a| &mut a.stats)
     }
 }
