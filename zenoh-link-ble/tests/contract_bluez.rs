@@ -2,6 +2,8 @@
 //! --test contract_bluez -- --test-threads=1`. `tests/vm/test` runs it in the VM; elsewhere it says why it does not run.
 mod contract;
 
+use std::process::Command;
+
 use contract::World;
 use zenoh_link_ble::radio::bluez;
 
@@ -16,6 +18,18 @@ fn world() -> Option<World> {
     Some(World {
         a: bluez::radio(Some(a)).expect("opens"),
         b: bluez::radio(Some(b)).expect("opens"),
+        lose_links: lose_links_of(a.to_owned()),
+    })
+}
+
+/// By the VM's emulated air (`tests/vm/guest/room`).
+fn lose_links_of(adapter: String) -> Box<dyn Fn() + Send + Sync> {
+    Box::new(move || {
+        let dropped = Command::new("room").args(["drop", &adapter]).output();
+        assert!(
+            dropped.is_ok_and(|done| done.status.success()),
+            "room drop {adapter}"
+        );
     })
 }
 

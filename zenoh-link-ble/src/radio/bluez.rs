@@ -2,6 +2,7 @@
 //! kernel sockets for channels. This file and its folder are the only ones that name `bluer`.
 mod channel;
 mod errors;
+mod packets;
 mod scan;
 mod socket;
 mod stuck;

@@ -68,6 +68,25 @@ pub async fn a_closed_channel_ends_the_peers_receive(world: World) {
     );
 }
 
+/// Also when sending was told the reason first, and nothing is left to tell whoever receives.
+pub async fn a_channel_that_is_down_says_so_however_often_it_is_asked(world: World) {
+    let (_near, far, _listener) = channel_pair(&world).await;
+    (world.lose_links)();
+    within("the end", async { while far.send(b"?").await.is_ok() {} }).await;
+    for _ in 0..3 {
+        let received = within("an answer", far.recv(&mut [0; 100])).await;
+        assert!(
+            matches!(received, Err(RadioError::ChannelDown { .. })),
+            "{received:?}"
+        );
+        let sent = within("an answer", far.send(b"?")).await;
+        assert!(
+            matches!(sent, Err(RadioError::ChannelDown { .. })),
+            "{sent:?}"
+        );
+    }
+}
+
 pub async fn a_dropped_channel_ends_the_peers_receive(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     drop(near);

@@ -15,6 +15,8 @@ use zenoh_link_ble::{
 pub struct World {
     pub a: Arc<dyn Radio>,
     pub b: Arc<dyn Radio>,
+    /// Ends what connects them as going out of range does, without a word of either side.
+    pub lose_links: Box<dyn Fn() + Send + Sync>,
 }
 
 pub const OPTIONS: ChannelOptions = ChannelOptions {
@@ -80,6 +82,7 @@ macro_rules! for_each_scenario {
             sdus_of_every_size_arrive_whole_and_in_order_both_ways: channel,
             a_closed_channel_ends_the_peers_receive: channel,
             a_dropped_channel_ends_the_peers_receive: channel,
+            a_channel_that_is_down_says_so_however_often_it_is_asked: channel,
             a_psm_without_a_listener_refuses: channel,
             a_psm_is_taken_once: channel,
             a_connect_that_is_given_up_leaves_nothing_behind: channel,

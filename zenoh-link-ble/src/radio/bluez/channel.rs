@@ -1,5 +1,5 @@
 //! Owns channels on kernel sockets: taking them, opening them, moving SDUs.
-use std::{net::Shutdown, sync::Arc};
+use std::sync::Arc;
 
 use async_trait::async_trait;
 use bluer::l2cap::{SeqPacket, SeqPacketListener};
@@ -7,6 +7,7 @@ use bluer::l2cap::{SeqPacket, SeqPacketListener};
 use super::{
     device_address,
     errors::{connect_error, socket_error},
+    packets::Packets,
     socket::{bound, connect},
 };
 use crate::{
@@ -60,7 +61,7 @@ impl ChannelListener for BluezListener {
             None,
         ))?;
         let peer = device_address(from.addr, from.addr_type);
-        Ok(Arc::new(BluezChannel::new(&self.adapter, peer, socket)?))
+        Ok(Arc::new(BluezChannel::new(&self.adapter, peer, &socket)?))
     }
 }
 
@@ -68,7 +69,7 @@ pub(super) struct BluezChannel {
     adapter: String,
     peer: DeviceAddress,
     send_mtu: usize,
-    socket: SeqPacket,
+    packets: Packets,
 }
 
 impl BluezChannel {
@@ -83,16 +84,17 @@ impl BluezChannel {
         let socket = connect(socket, peer, psm)
             .await
             .map_err(|error| connect_error(peer, psm, error))?;
-        Self::new(adapter, peer, socket)
+        Self::new(adapter, peer, &socket)
     }
 
-    fn new(adapter: &str, peer: DeviceAddress, socket: SeqPacket) -> Result<Self, RadioError> {
+    fn new(adapter: &str, peer: DeviceAddress, socket: &SeqPacket) -> Result<Self, RadioError> {
         let send_mtu = socket.send_mtu().map_err(|error| down(peer, error))?;
+        let packets = Packets::of(socket).map_err(|error| down(peer, error))?;
         Ok(Self {
             adapter: adapter.to_owned(),
             peer,
             send_mtu,
-            socket,
+            packets,
         })
     }
 }
@@ -119,7 +121,7 @@ impl Channel for BluezChannel {
             });
         }
         let sent = self
-            .socket
+            .packets
             .send(sdu)
             .await
             .map_err(|error| down(self.peer, error))?;
@@ -132,7 +134,7 @@ impl Channel for BluezChannel {
 
     async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError> {
         let size = self
-            .socket
+            .packets
             .recv(buffer)
             .await
             .map_err(|error| down(self.peer, error))?;
@@ -146,8 +148,7 @@ impl Channel for BluezChannel {
     }
 
     fn shutdown(&self) {
-        // It may be down already; there is nothing left to do then.
-        let _ = self.socket.shutdown(Shutdown::Both);
+        self.packets.shutdown();
     }
 }
 

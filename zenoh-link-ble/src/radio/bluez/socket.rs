@@ -5,12 +5,13 @@
 //! socket is registered once it is connecting, and handed to bluer anew once it is connected.
 use std::{
     io,
-    os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd},
+    os::fd::{AsRawFd, FromRawFd, IntoRawFd},
 };
 
 use bluer::l2cap::{FlowControl, SeqPacket, Socket, SocketAddr};
 use tokio::io::{unix::AsyncFd, Interest};
 
+use super::packets::{is_hung_up, is_writable};
 use crate::{
     address::{AddressType, DeviceAddress, Psm},
     radio::{ChannelOptions, Security},
@@ -61,26 +62,23 @@ pub(super) async fn connect(
     psm: Psm,
 ) -> io::Result<SeqPacket> {
     // SAFETY: `into_raw_fd` gives up the descriptor, which is open and owned by nobody else.
-    let socket = unsafe { OwnedFd::from_raw_fd(socket.into_raw_fd()) };
+    let socket = unsafe { socket2::Socket::from_raw_fd(socket.into_raw_fd()) };
     start_connect(&socket, peer, psm)?;
     // SAFETY: `socket` owns its descriptor and keeps the same one until it is taken back below.
     let connecting = unsafe { AsyncFd::register_with_interest(socket, Interest::WRITABLE) }?;
-    loop {
-        let mut ready = connecting.writable().await?;
-        if let Some(error) = pending_error(connecting.get_ref())? {
-            return Err(error);
-        }
-        if is_connected(connecting.get_ref()) {
-            break;
-        }
-        ready.clear_ready();
-    }
+    let connected = |socket: &socket2::Socket| match socket.take_error()? {
+        Some(error) => Err(error),
+        None if is_hung_up(socket) => Err(io::ErrorKind::NotConnected.into()),
+        None if is_writable(socket) => Ok(()),
+        None => Err(io::ErrorKind::WouldBlock.into()),
+    };
+    connecting.async_io(Interest::WRITABLE, connected).await?;
     let socket = connecting.into_inner();
     // SAFETY: the descriptor is given up here and owned by the new `SeqPacket` alone.
     unsafe { SeqPacket::from_raw_fd(socket.into_raw_fd()) }
 }
 
-fn start_connect(socket: &OwnedFd, peer: DeviceAddress, psm: Psm) -> io::Result<()> {
+fn start_connect(socket: &socket2::Socket, peer: DeviceAddress, psm: Psm) -> io::Result<()> {
     let mut address_reversed = peer.address.0;
     address_reversed.reverse();
     let to = SockaddrL2 {
@@ -109,39 +107,6 @@ fn start_connect(socket: &OwnedFd, peer: DeviceAddress, psm: Psm) -> io::Result<
         Some(libc::EINPROGRESS | libc::EAGAIN) => Ok(()),
         _ => Err(error),
     }
-}
-
-fn pending_error(socket: &OwnedFd) -> io::Result<Option<io::Error>> {
-    let mut code: libc::c_int = 0;
-    let mut size = size_of::<libc::c_int>() as libc::socklen_t;
-    // SAFETY: `code` and `size` are valid for writing and match the option's type.
-    let result = unsafe {
-        libc::getsockopt(
-            socket.as_raw_fd(),
-            libc::SOL_SOCKET,
-            libc::SO_ERROR,
-            std::ptr::from_mut(&mut code).cast(),
-            &mut size,
-        )
-    };
-    if result != 0 {
-        return Err(io::Error::last_os_error());
-    }
-    Ok((code != 0).then(|| io::Error::from_raw_os_error(code)))
-}
-
-/// Whether the channel is up: only then does the socket know its peer.
-fn is_connected(socket: &OwnedFd) -> bool {
-    let mut poll = libc::pollfd {
-        fd: socket.as_raw_fd(),
-        events: libc::POLLOUT,
-        revents: 0,
-    };
-    // SAFETY: one valid pollfd, and no waiting.
-    let ready = unsafe { libc::poll(&mut poll, 1, 0) };
-    ready == 1
-        && poll.revents & libc::POLLOUT != 0
-        && poll.revents & (libc::POLLHUP | libc::POLLERR) == 0
 }
 
 pub(super) fn bluer_kind(kind: AddressType) -> bluer::AddressType {
