@@ -203,19 +203,6 @@ pub fn acl_handle(packet: &[u8]) -> Option<Handle> {
     }
 }
 
-/// Gives an LE credit packet (Core Specification, Vol 3, Part A, 4.24) its identifier, if the kernel ran out of them:
-/// the peer's kernel drops it otherwise, and the channel stops. Debian 11's kernel of 2026 takes a new identifier for
-/// each and never gives one back (mended in bluez/bluetooth-next#310); robots of its family have older ones, which don't.
-pub fn mend_credits(packet: &mut [u8]) {
-    const LE_SIGNALLING: u16 = 0x0005;
-    const LE_CREDITS: u8 = 0x16;
-    if let [ACL, _, _, _, _, _, _, low, high, LE_CREDITS, ident @ 0, ..] = packet {
-        if u16::from_le_bytes([*low, *high]) == LE_SIGNALLING {
-            *ident = 1;
-        }
-    }
-}
-
 /// The packet as the peer's controller hands it over: its own handle, and "first, not flushable", which only a host
 /// may send, becomes "first".
 pub fn acl_for_peer(mut packet: Vec<u8>, handle: Handle) -> Vec<u8> {
@@ -304,26 +291,5 @@ mod tests {
             acl_for_peer(vec![ACL, 42, 0x10, 1, 0, 7], 43),
             [ACL, 43, 0x10, 1, 0, 7]
         );
-    }
-
-    #[test]
-    fn a_credit_packet_without_identifier_gets_one_and_nothing_else_does() {
-        let credits = |channel, code, ident| {
-            [
-                ACL, 42, 0, 12, 0, 8, 0, channel, 0, code, ident, 4, 0, 64, 0, 1, 0,
-            ]
-        };
-        let mended = |mut packet: [u8; 17]| {
-            mend_credits(&mut packet);
-            packet
-        };
-        assert_eq!(mended(credits(5, 0x16, 0)), credits(5, 0x16, 1));
-        for other in [
-            credits(5, 0x16, 7),
-            credits(5, 0x14, 0),
-            credits(64, 0x16, 0),
-        ] {
-            assert_eq!(mended(other), other);
-        }
     }
 }

@@ -130,12 +130,11 @@ impl Room {
     }
 
     /// The kernel sent this.
-    pub fn on_host_packet(&mut self, id: Id, mut packet: Vec<u8>, now: Instant) {
+    pub fn on_host_packet(&mut self, id: Id, packet: Vec<u8>, now: Instant) {
         let Some(controller) = self.controllers.get_mut(&id) else {
             return;
         };
         if packet.first() == Some(&hci::ACL) {
-            hci::mend_credits(&mut packet);
             // The kernel sends for known links and no more than there are buffers, so this queue is bounded by it.
             controller.waiting.push_back(packet);
             self.on_time(now);
