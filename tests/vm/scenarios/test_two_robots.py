@@ -94,6 +94,17 @@ def test_a_killed_peer_is_linked_again_when_it_is_back(robots, who, away_s):
             print(f"the {who} is up {up_s:.2f} s after its restart, its first message there at {message_s:.2f} s")
 
 
+def test_a_link_lost_without_a_word_is_made_again(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/again", here)
+        for _ in range(3):
+            links = one.log().count("linked with")
+            guest("room", "drop", "hci0")
+            took = wait_until("the two are linked again", 30, lambda n=links: one.log().count("linked with") > n)
+            print(f"linked again {took:.2f} s after the loss, first message {inbox.wait_until_reached(here):.2f} s later")
+
+
 def test_an_adapter_switched_off_and_on_is_linked_again(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
