@@ -8,7 +8,7 @@ mod socket;
 mod stuck;
 mod watch;
 
-use std::sync::Arc;
+use std::{future::Future, sync::Arc};
 
 use async_trait::async_trait;
 use bluer::{adv, Adapter, Session, Uuid};
@@ -183,8 +183,7 @@ impl Radio for BluezRadio {
             max_interval: Some(ADVERTISING_INTERVAL.1),
             ..Default::default()
         };
-        let handle = adapter
-            .advertise(advertisement)
+        let handle = to_the_end(async move { adapter.advertise(advertisement).await })
             .await
             .map_err(dbus_error("advertise"))?;
         Ok(Box::new(BluezAdvertising { _handle: handle }))
@@ -239,6 +238,17 @@ impl Radio for BluezRadio {
                 tracing::debug!(%peer, %error, "the connection stays");
             }
         }
+    }
+}
+
+/// Runs `asking` to its end even if the caller gives up. bluer forgets what it asked for when it is dropped in the middle:
+/// bluetoothd then scans or advertises for this process for good, and refuses to start a scan that runs already.
+async fn to_the_end<T: Send + 'static>(asking: impl Future<Output = T> + Send + 'static) -> T {
+    match tokio::spawn(asking).await {
+        Ok(answer) => answer,
+        Err(error) if error.is_panic() => std::panic::resume_unwind(error.into_panic()),
+        // The runtime ends, and this future with it.
+        Err(_) => std::future::pending().await,
     }
 }
 

@@ -31,6 +31,16 @@ pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World
     }
 }
 
+pub async fn a_scan_given_up_while_it_starts_leaves_nothing_behind(world: World) {
+    for given_up_after_ms in 0..40 {
+        let limit = Duration::from_millis(given_up_after_ms);
+        let _ = tokio::time::timeout(limit, world.a.scan()).await;
+    }
+    within("starting a scan", world.a.scan())
+        .await
+        .expect("the next scan starts");
+}
+
 pub async fn sdus_of_every_size_arrive_whole_and_in_order_both_ways(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     let limit = near.send_mtu().min(far.send_mtu()).min(4096);

@@ -79,6 +79,7 @@ macro_rules! for_each_scenario {
     ($run:ident) => {
         $run! {
             an_advertisement_is_seen_as_it_was_sent_and_seen_again: channel,
+            a_scan_given_up_while_it_starts_leaves_nothing_behind: channel,
             sdus_of_every_size_arrive_whole_and_in_order_both_ways: channel,
             a_closed_channel_ends_the_peers_receive: channel,
             a_dropped_channel_ends_the_peers_receive: channel,

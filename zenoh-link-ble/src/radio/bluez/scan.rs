@@ -11,7 +11,7 @@ use futures::{
     StreamExt,
 };
 
-use super::{device_address, errors::dbus_error};
+use super::{device_address, errors::dbus_error, to_the_end};
 use crate::{
     advertisement::{Advertisement, SERVICE_UUID},
     radio::{RadioError, Scan, Sighting},
@@ -34,13 +34,17 @@ struct Discovery {
 
 impl Discovery {
     async fn start(adapter: &Adapter) -> bluer::Result<Self> {
-        let found = adapter.discover_devices().await?;
-        Ok(Self {
-            adapter: adapter.clone(),
-            found: found.boxed(),
-            changed: SelectAll::new(),
-            started: Instant::now(),
+        let adapter = adapter.clone();
+        to_the_end(async move {
+            let found = adapter.discover_devices().await?.boxed();
+            Ok(Self {
+                adapter,
+                found,
+                changed: SelectAll::new(),
+                started: Instant::now(),
+            })
         })
+        .await
     }
 
     /// The next device found or changed; `None` when bluetoothd ended the discovery.
