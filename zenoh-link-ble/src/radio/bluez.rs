@@ -39,6 +39,10 @@ const ADVERTISING_INTERVAL: (std::time::Duration, std::time::Duration) = (
     std::time::Duration::from_millis(150),
 );
 
+/// How long a turn among several advertisements takes. Linux 5.10 advertises again after a link's end only when the turn
+/// is over, which by default takes 2 s; bluetoothd counts in seconds.
+const ADVERTISING_TURN: std::time::Duration = std::time::Duration::from_secs(1);
+
 /// The adapter of that name; left out, `hci0`. Nothing is asked of the system before the radio is used.
 pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
     Ok(Arc::new(BluezRadio {
@@ -181,6 +185,7 @@ impl Radio for BluezRadio {
             local_name: Some(name.to_owned()),
             min_interval: Some(ADVERTISING_INTERVAL.0),
             max_interval: Some(ADVERTISING_INTERVAL.1),
+            duration: Some(ADVERTISING_TURN),
             ..Default::default()
         };
         let handle = to_the_end(async move { adapter.advertise(advertisement).await })
