@@ -102,7 +102,8 @@ def test_a_link_lost_without_a_word_is_made_again(robots):
             links = one.log().count("linked with")
             guest("room", "drop", "hci0")
             took = wait_until("the two are linked again", 30, lambda n=links: one.log().count("linked with") > n)
-            print(f"linked again {took:.2f} s after the loss, first message {inbox.wait_until_reached(here):.2f} s later")
+            reached = inbox.wait_until_reached(here)
+            print(f"linked again {took:.2f} s after the loss, first message {reached:.2f} s later")
 
 
 def test_an_adapter_switched_off_and_on_is_linked_again(robots):
