@@ -2,7 +2,7 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinSet, time::Instant};
-use tokio_util::sync::CancellationToken;
+use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait, NewLinkChannelSender};
 
 use crate::{
@@ -37,6 +37,9 @@ pub(crate) struct Up {
     _advertising: Box<dyn AdvertisingGuard>,
 }
 
+/// Ends with the address of another robot of this one's name, if one is heard.
+pub(crate) type NameSearch = AbortOnDropHandle<Result<Option<DeviceAddress>, BleError>>;
+
 pub(crate) struct Listener {
     node: Arc<Node>,
     adapter: Arc<Adapter>,
@@ -46,21 +49,25 @@ pub(crate) struct Listener {
 }
 
 impl Listener {
-    /// Goes on the air; fails if it can't be done now. Links come once [`Listener::serve`] runs.
+    /// Goes on the air; fails if it can't be done now. Links come once [`Listener::serve`] runs. The search for another
+    /// robot of the same name begins with it: dialling waits for its end.
     pub(crate) async fn start(
         node: Arc<Node>,
         locator: ListenLocator,
         links: NewLinkChannelSender,
-    ) -> Result<(Arc<Self>, Up), BleError> {
+    ) -> Result<(Arc<Self>, Up, NameSearch), BleError> {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
-        let listener = Self {
+        let listener = Arc::new(Self {
             node,
             adapter,
             locator,
             name,
             links,
-        };
+        });
+        let searching = Arc::clone(&listener);
+        let search = tokio::spawn(async move { searching.twin(NAME_CHECK).await });
+        let search = AbortOnDropHandle::new(search);
         let up = listener.bring_up().await?;
         listener.node.on_listening(Listening {
             adapter: listener.locator.adapter.clone(),
@@ -72,17 +79,18 @@ impl Listener {
             listener.locator.adapter,
             up.channels.psm()
         );
-        Ok((Arc::new(listener), up))
+        Ok((listener, up, search))
     }
 
     /// Two robots of one name would be dialled by turns: the second one to come finds out. The listener serves
     /// meanwhile, so that a robot that was away is back without delay.
-    pub(crate) async fn check_name(&self) -> Result<(), BleError> {
-        match self.twin(NAME_CHECK).await {
-            Ok(Some(other)) => Err(self.name_taken(other)),
-            Ok(None) => Ok(()),
+    pub(crate) async fn check_name(&self, search: NameSearch) -> Result<(), BleError> {
+        match search.await {
+            Ok(Ok(Some(other))) => Err(self.name_taken(other)),
+            Ok(Ok(None)) => Ok(()),
+            Err(_) => Err(BleError::ShuttingDown),
             // The listener is up all the same: a robot that starts while its adapter is busy must not stay away.
-            Err(error) => {
+            Ok(Err(error)) => {
                 tracing::warn!(
                     "ble: whether another robot is called {} is not known: {}",
                     self.name,

@@ -118,13 +118,13 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
             return Err(into_zenoh(BleError::ListenerExists(adapter)));
         }
         let (node, links) = (Arc::clone(&self.node), self.links.clone());
-        let (listener, up) = self
+        let (listener, up, search) = self
             .on_runtime(async move { Listener::start(node, locator, links).await })
             .await?;
         let serve = Arc::clone(&listener).serve(up);
         let serving = AbortOnDropHandle::new(self.runtime.spawn(serve));
         let checked = Arc::clone(&listener);
-        self.on_runtime(async move { checked.check_name().await })
+        self.on_runtime(async move { checked.check_name(search).await })
             .await?;
         let watch = self
             .runtime
