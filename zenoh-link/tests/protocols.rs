@@ -33,38 +33,17 @@ async fn ws_carries_data() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn tls_carries_data() {
-    let certificates = Certificates::new();
-    let endpoint = format!("tls/localhost:{}", free_tcp_port());
-    carries_data(
-        &endpoint,
-        &endpoint,
-        &[("transport/link/tls", &certificates.settings())],
-    )
-    .await;
+    carries_data_encrypted(&format!("tls/localhost:{}", free_tcp_port())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn quic_carries_data() {
-    let certificates = Certificates::new();
-    let endpoint = format!("quic/localhost:{}", free_udp_port());
-    carries_data(
-        &endpoint,
-        &endpoint,
-        &[("transport/link/tls", &certificates.settings())],
-    )
-    .await;
+    carries_data_encrypted(&format!("quic/localhost:{}", free_udp_port())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn quic_datagrams_carry_data() {
-    let certificates = Certificates::new();
-    let endpoint = format!("quic/localhost:{}?rel=0", free_udp_port());
-    carries_data(
-        &endpoint,
-        &endpoint,
-        &[("transport/link/tls", &certificates.settings())],
-    )
-    .await;
+    carries_data_encrypted(&format!("quic/localhost:{}?rel=0", free_udp_port())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -101,6 +80,13 @@ async fn vsock_carries_data() {
         20_000 + u32::from(free_tcp_port())
     );
     carries_data(&endpoint, &endpoint, &[]).await;
+}
+
+/// The same with certificates of its own.
+async fn carries_data_encrypted(endpoint: &str) {
+    let certificates = Certificates::new();
+    let settings = certificates.settings();
+    carries_data(endpoint, endpoint, &[("transport/link/tls", &settings)]).await;
 }
 
 /// Two sessions, one listening and one connecting, hear each other: a small message and one that needs fragments.
