@@ -17,6 +17,7 @@ pub mod links;
 mod listener;
 pub mod locator;
 mod manager;
+mod namesake;
 mod node;
 mod opening;
 pub mod radio;

@@ -2,7 +2,7 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinSet, time::Instant};
-use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
+use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait, NewLinkChannelSender};
 
 use crate::{
@@ -15,6 +15,7 @@ use crate::{
     link::{Framing, LinkBle, Opened},
     links::Verdict,
     locator::ListenLocator,
+    namesake::{NameSearch, Namesake},
     node::{Listening, Node},
     opening::{agreed_mtu, answer, hear_hello, FirstSdu},
     radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
@@ -22,11 +23,6 @@ use crate::{
 
 /// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
 const HALF_OPEN: usize = 8;
-/// How long to listen for another robot of the same name before taking it: several of RECT's advertising intervals
-/// (`config/bluetooth.conf`), and short, since dialling waits for it.
-const NAME_CHECK: Duration = Duration::from_millis(500);
-/// How long to go on listening for it afterwards: longer than BlueZ's own interval of 1.28 s.
-const NAME_WATCH: Duration = Duration::from_millis(2000);
 /// How often to look again at an adapter that is away, beside being told.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
@@ -36,9 +32,6 @@ pub(crate) struct Up {
     channels: Box<dyn ChannelListener>,
     _advertising: Box<dyn AdvertisingGuard>,
 }
-
-/// Ends with the address of another robot of this one's name, if one is heard.
-pub(crate) type NameSearch = AbortOnDropHandle<Result<Option<DeviceAddress>, BleError>>;
 
 pub(crate) struct Listener {
     node: Arc<Node>,
@@ -65,9 +58,7 @@ impl Listener {
             name,
             links,
         });
-        let searching = Arc::clone(&listener);
-        let search = tokio::spawn(async move { searching.twin(NAME_CHECK).await });
-        let search = AbortOnDropHandle::new(search);
+        let search = listener.namesake().search();
         let up = listener.bring_up().await?;
         listener.node.on_listening(Listening {
             adapter: listener.locator.adapter.clone(),
@@ -103,23 +94,17 @@ impl Listener {
 
     /// Tells of a robot of the same name that is heard too late to be an error.
     pub(crate) async fn watch_name(&self) {
-        if let Ok(Some(other)) = self.twin(NAME_WATCH).await {
+        if let Ok(Some(other)) = self.namesake().watch().await {
             tracing::error!("ble: {}", self.name_taken(other));
         }
     }
 
-    /// Another robot of this one's name, if one is heard within `limit`.
-    async fn twin(&self, limit: Duration) -> Result<Option<DeviceAddress>, BleError> {
-        let own = self.adapter.radio.address().await?;
-        let same_name = self.adapter.scanner.find(|sighting| {
-            let other = sighting.advertisement.as_ref()?;
-            let clash = other.is_of(&self.name)
-                && other.incarnation != self.node.incarnation()
-                && sighting.device.address != own.address;
-            clash.then_some(sighting.device)
-        });
-        let heard = tokio::time::timeout(limit, same_name).await;
-        Ok(heard.ok().transpose()?)
+    fn namesake(&self) -> Namesake {
+        Namesake {
+            adapter: Arc::clone(&self.adapter),
+            name: self.name.clone(),
+            incarnation: self.node.incarnation(),
+        }
     }
 
     fn name_taken(&self, other: DeviceAddress) -> BleError {

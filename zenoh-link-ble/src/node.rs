@@ -1,9 +1,7 @@
 //! Owns what all listeners and dials of one Zenoh runtime share: who this node is, its links, its adapters.
-use std::{
-    collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-};
+use std::{collections::HashMap, sync::Arc};
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
 use crate::{
@@ -47,13 +45,13 @@ impl Node {
     }
 
     pub(crate) fn links(&self) -> MutexGuard<'_, Links> {
-        lock(&self.links)
+        self.links.lock()
     }
 
     pub(crate) fn on_link_closed(&self, link: LinkNumber) {
         self.links().on_closed(link);
         // What was heard before says nothing now: the peer may have gone for good, and a connect would wait for it.
-        for adapter in lock(&self.adapters).values() {
+        for adapter in self.adapters.lock().values() {
             adapter.scanner.forget();
         }
         self.unlinked.notify_waiters();
@@ -61,9 +59,9 @@ impl Node {
 
     /// The adapter of that name; left out, the one this node listens on, else the system's default.
     pub(crate) fn adapter(&self, name: Option<&str>) -> Result<Arc<Adapter>, RadioError> {
-        let listened = lock(&self.listening).first().map(|l| l.adapter.clone());
+        let listened = self.listening.lock().first().map(|l| l.adapter.clone());
         let name = name.map(str::to_owned).or(listened);
-        let mut adapters = lock(&self.adapters);
+        let mut adapters = self.adapters.lock();
         let key = name.clone().unwrap_or_default();
         if let Some(adapter) = adapters.get(&key) {
             return Ok(Arc::clone(adapter));
@@ -74,16 +72,17 @@ impl Node {
     }
 
     pub(crate) fn on_listening(&self, listening: Listening) {
-        lock(&self.listening).push(listening);
+        self.listening.lock().push(listening);
     }
 
     pub(crate) fn on_listening_ended(&self, adapter: &str) {
-        lock(&self.listening).retain(|l| l.adapter != adapter);
+        self.listening.lock().retain(|l| l.adapter != adapter);
     }
 
     /// The name this node goes by when it dials: its listener's; empty for one that does not listen.
     pub(crate) fn name(&self) -> String {
-        lock(&self.listening)
+        self.listening
+            .lock()
             .first()
             .map_or_else(String::new, |l| l.name.clone())
     }
@@ -92,8 +91,4 @@ impl Node {
     pub(crate) fn incarnation(&self) -> u16 {
         (self.id.0 & 0xffff) as u16
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,9 +1,7 @@
 //! Owns finding peers: one scan per adapter, shared by everyone who looks for somebody, running only while somebody does.
-use std::{
-    sync::{Arc, Mutex},
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
+use parking_lot::Mutex;
 use tokio::{sync::broadcast, time::Instant};
 
 use crate::{
@@ -72,7 +70,7 @@ impl Scanner {
         self: &Arc<Self>,
         wanted: impl Fn(&Sighting) -> Option<T>,
     ) -> Result<T, RadioError> {
-        if let Some(found) = self.recent().take(&wanted, Instant::now()) {
+        if let Some(found) = self.recent.lock().take(&wanted, Instant::now()) {
             return Ok(found);
         }
         loop {
@@ -95,15 +93,15 @@ impl Scanner {
 
     /// From now on only what is heard afterwards counts.
     pub(crate) fn forget(&self) {
-        self.recent().0.clear();
+        self.recent.lock().0.clear();
     }
 
     async fn subscribe(self: &Arc<Self>) -> Result<broadcast::Receiver<Sighting>, RadioError> {
-        if let Some(sender) = self.lock().as_ref() {
+        if let Some(sender) = self.running.lock().as_ref() {
             return Ok(sender.subscribe());
         }
         let mut scan = self.radio.scan().await?;
-        let mut running = self.lock();
+        let mut running = self.running.lock();
         if let Some(sender) = running.as_ref() {
             return Ok(sender.subscribe());
         }
@@ -116,7 +114,7 @@ impl Scanner {
                 tokio::select! {
                     sighting = scan.next() => match sighting {
                         Ok(sighting) => {
-                            scanner.recent().on_seen(&sighting, Instant::now());
+                            scanner.recent.lock().on_seen(&sighting, Instant::now());
                             if sender.send(sighting).is_err() && scanner.stop_if_idle(&sender) {
                                 return;
                             }
@@ -124,7 +122,7 @@ impl Scanner {
                         Err(error) => {
                             let (adapter, error) = (scanner.radio.name(), in_words(&error));
                             tracing::debug!("ble: the scan of {adapter} ended: {error}");
-                            scanner.lock().take();
+                            scanner.running.lock().take();
                             return;
                         }
                     },
@@ -141,24 +139,12 @@ impl Scanner {
 
     /// Takes the scan off if nobody looks any more; under the lock, so that nobody joins a scan that ends.
     fn stop_if_idle(&self, sender: &broadcast::Sender<Sighting>) -> bool {
-        let mut running = self.lock();
+        let mut running = self.running.lock();
         if sender.receiver_count() > 0 {
             return false;
         }
         running.take();
         true
-    }
-
-    fn recent(&self) -> std::sync::MutexGuard<'_, Recent> {
-        self.recent
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner)
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, Option<broadcast::Sender<Sighting>>> {
-        self.running
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }
 

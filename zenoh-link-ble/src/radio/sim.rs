@@ -1,6 +1,6 @@
 //! Owns the simulated air: Bluetooth LE as far as links notice it, without any Bluetooth.
 //!
-//! The model (`air`, and under it `connection`, `channel`, `phy`, `condition`) is told the time and does no I/O. It
+//! The model (`air`, and under it `connection`, `packet`, `channel`, `phy`, `condition`) is told the time and does no I/O. It
 //! works inside one process ([`SimAir`], in virtual time under tokio's paused clock), and between processes over a
 //! Unix socket that `rect air` serves ([`AirServer`], [`radio`]). [`SimRadio`] is the same adapter on either.
 //!
@@ -8,6 +8,7 @@
 //! air, drifting clocks, and channel hopping other than as chance.
 mod adapter;
 mod air;
+mod attachment;
 mod channel;
 mod channel_handle;
 mod condition;
@@ -17,6 +18,7 @@ mod guards;
 mod local;
 mod message;
 mod options;
+mod packet;
 mod phy;
 mod radio;
 mod remote;

@@ -1,11 +1,9 @@
 //! Owns the way out for an adapter that refuses every scan: seen when bluetoothd or a scanning program was killed, after
 //! which kernel and controller disagree about whether a scan runs, until the adapter is switched off and on.
-use std::{
-    sync::{Mutex, PoisonError},
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use bluer::{Adapter, ErrorKind};
+use parking_lot::Mutex;
 
 /// A scan that outlives its bluetoothd ends by itself after 10.24 s (DISCOV_LE_TIMEOUT in Linux' hci_core.h); only an
 /// adapter that is stuck refuses for longer.
@@ -17,7 +15,7 @@ pub(super) struct Refusals(Mutex<Option<Instant>>);
 
 impl Refusals {
     pub(super) fn on_started(&self) {
-        *self.since() = None;
+        *self.0.lock() = None;
     }
 
     /// Switches the adapter off and on if it has refused for too long and nobody is connected by it.
@@ -44,17 +42,13 @@ impl Refusals {
     }
 
     fn is_stuck(&self, now: Instant) -> bool {
-        let mut since = self.since();
+        let mut since = self.0.lock();
         let first = *since.get_or_insert(now);
         let is_stuck = now.duration_since(first) >= STUCK_AFTER;
         if is_stuck {
             *since = None;
         }
         is_stuck
-    }
-
-    fn since(&self) -> std::sync::MutexGuard<'_, Option<Instant>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

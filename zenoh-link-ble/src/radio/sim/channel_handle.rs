@@ -1,16 +1,14 @@
 //! Owns an open channel as the link sees it: room to send, SDUs to read, and the end.
-use std::{
-    collections::VecDeque,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-};
+use std::{collections::VecDeque, sync::Arc};
 
 use async_trait::async_trait;
+use parking_lot::Mutex;
 use tokio::sync::Notify;
 
 use super::{
+    attachment::Attachment,
     channel::has_room,
     message::{ChannelId, Command},
-    radio::Attachment,
 };
 use crate::{
     address::DeviceAddress,
@@ -146,7 +144,7 @@ impl SimChannel {
 impl ChannelFlow {
     /// The oldest SDU sent has arrived.
     pub(super) fn on_sent(&self, bytes: usize) {
-        let mut flow = self.flow();
+        let mut flow = self.inner.lock();
         flow.queued_bytes = flow.queued_bytes.saturating_sub(bytes);
         drop(flow);
         self.changed.notify_waiters();
@@ -154,7 +152,7 @@ impl ChannelFlow {
 
     /// An SDU came in.
     pub(super) fn on_received(&self, sdu: Vec<u8>) {
-        let mut flow = self.flow();
+        let mut flow = self.inner.lock();
         if !flow.is_down {
             flow.unread.push_back(sdu);
         }
@@ -164,13 +162,13 @@ impl ChannelFlow {
 
     /// The channel is down; what came before can still be read.
     pub(super) fn on_closed(&self) {
-        self.flow().is_down = true;
+        self.inner.lock().is_down = true;
         self.changed.notify_waiters();
     }
 
     /// This end is closed: what is unread is of no use any more.
     fn shut(&self) {
-        let mut flow = self.flow();
+        let mut flow = self.inner.lock();
         flow.is_down = true;
         flow.unread.clear();
         drop(flow);
@@ -184,14 +182,10 @@ impl ChannelFlow {
             let changed = self.changed.notified();
             tokio::pin!(changed);
             changed.as_mut().enable();
-            if let Some(found) = look(&mut self.flow()) {
+            if let Some(found) = look(&mut self.inner.lock()) {
                 return found;
             }
             changed.await;
         }
-    }
-
-    fn flow(&self) -> MutexGuard<'_, Flow> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -10,11 +10,8 @@ use super::{
     channel::Channel,
     message::ChannelId,
     options::{AirOptions, ESTABLISH_INTERVALS, SETUP_EVENTS},
+    packet::{Frame, Packet, Signal},
 };
-use crate::address::Psm;
-
-/// Every L2CAP frame begins with its length and channel.
-const L2CAP_HEADER_BYTES: usize = 4;
 
 /// The central's side of a connection: it sends first in every event.
 pub(super) const CENTRAL: usize = 0;
@@ -67,43 +64,6 @@ pub(super) struct Exchange {
     pub(super) ends_at: Duration,
     /// Whether each side's packet is heard by the other.
     pub(super) is_heard: [bool; 2],
-}
-
-/// A link-layer packet with data.
-#[derive(Debug)]
-pub(super) struct Packet {
-    pub(super) bytes: usize,
-    /// What arrives with it: the end of a frame.
-    pub(super) load: Option<Load>,
-    /// The SDU that is done with once this packet is acknowledged, and its size.
-    pub(super) completes: Option<(ChannelId, usize)>,
-    pub(super) is_delivered: bool,
-    pub(super) is_repeated: bool,
-}
-
-/// The end of an L2CAP frame.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum Load {
-    Signal(Signal),
-    Frame {
-        channel: ChannelId,
-        sdu: Option<Vec<u8>>,
-    },
-}
-
-/// A command of L2CAP's signalling channel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Signal {
-    ConnectRequest { channel: ChannelId, psm: Psm },
-    ConnectAnswer { channel: ChannelId, accepted: bool },
-    Disconnect { channel: ChannelId },
-    Credits { channel: ChannelId, frames: u32 },
-}
-
-#[derive(Debug)]
-struct Frame {
-    left_bytes: usize,
-    load: Load,
 }
 
 impl Connection {
@@ -222,39 +182,14 @@ impl Connection {
             Some(frame) => frame,
             None => self.next_frame(side)?,
         };
-        let bytes = frame.left_bytes.min(payload_bytes);
-        let left_bytes = frame.left_bytes - bytes;
-        let mut packet = Packet {
-            bytes,
-            load: None,
-            completes: None,
-            is_delivered: false,
-            is_repeated: false,
-        };
-        if left_bytes > 0 {
-            self.sides[side].frame = Some(Frame {
-                left_bytes,
-                ..frame
-            });
-        } else {
-            if let Load::Frame {
-                channel,
-                sdu: Some(sdu),
-            } = &frame.load
-            {
-                packet.completes = Some((*channel, sdu.len()));
-            }
-            packet.load = Some(frame.load);
-        }
+        let (packet, rest) = frame.cut(payload_bytes);
+        self.sides[side].frame = rest;
         Some(packet)
     }
 
     fn next_frame(&mut self, side: usize) -> Option<Frame> {
         if let Some(signal) = self.sides[side].signals.pop_front() {
-            return Some(Frame {
-                left_bytes: L2CAP_HEADER_BYTES + signal.bytes(),
-                load: Load::Signal(signal),
-            });
+            return Some(Frame::of_signal(signal));
         }
         let served = self.sides[side].served;
         let mut ready = self
@@ -266,13 +201,7 @@ impl Connection {
         let id = ready.find(|id| *id > served).unwrap_or(first);
         self.sides[side].served = id;
         let piece = self.channels.get_mut(&id)?.cut(side)?;
-        Some(Frame {
-            left_bytes: L2CAP_HEADER_BYTES + piece.bytes,
-            load: Load::Frame {
-                channel: id,
-                sdu: piece.sdu,
-            },
-        })
+        Some(Frame::of_piece(id, piece))
     }
 
     /// Bytes queued at `side`, for the status.
@@ -306,20 +235,10 @@ impl Side {
     }
 }
 
-impl Signal {
-    /// Its size: four bytes of code, identifier and length, then the parameters (Vol 3, Part A, 4).
-    fn bytes(self) -> usize {
-        match self {
-            Self::ConnectRequest { .. } | Self::ConnectAnswer { .. } => 4 + 10,
-            Self::Disconnect { .. } | Self::Credits { .. } => 4 + 4,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::radio::sim::message::RequestId;
+    use crate::radio::sim::{message::RequestId, packet::Load};
 
     fn connection(channels: u64) -> Connection {
         let mut connection = Connection::new(AdapterId(1), AdapterId(2), Duration::ZERO);

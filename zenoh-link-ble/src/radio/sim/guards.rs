@@ -6,9 +6,9 @@ use async_trait::async_trait;
 use tokio::sync::{mpsc, Mutex};
 
 use super::{
+    attachment::Attachment,
     channel_handle::SimChannel,
     message::{Command, RequestId},
-    radio::Attachment,
 };
 use crate::{
     address::Psm,

@@ -3,10 +3,11 @@
 use std::{
     collections::HashMap,
     future::pending,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
+    sync::{Arc, Weak},
     time::Duration,
 };
 
+use parking_lot::Mutex;
 use tokio::{
     sync::{mpsc, Notify},
     time::{sleep_until, Instant},
@@ -15,10 +16,11 @@ use tokio::{
 use super::{
     adapter::{address_of, AdapterStats},
     air::{AdapterId, Air, AirStatus, AttachError, NoSuchAdapter},
+    attachment::{Attachment, Carrier},
     condition::Condition,
     message::{Command, Event, Violation},
     options::AirOptions,
-    radio::{Attachment, Carrier, SimRadio},
+    radio::SimRadio,
 };
 use crate::radio::RadioError;
 
@@ -89,7 +91,7 @@ impl SimAir {
     #[allow(clippy::unused_async)]
     pub async fn radio(&self, name: &str) -> Result<Arc<SimRadio>, RadioError> {
         let known = {
-            let inner = self.shared.lock();
+            let inner = self.shared.inner.lock();
             inner.radios.get(name).and_then(Weak::upgrade)
         };
         if let Some(attachment) = known {
@@ -103,6 +105,7 @@ impl SimAir {
         let attachment = Arc::new(Attachment::new(name, address_of(name), Box::new(place)));
         let weak = Arc::downgrade(&attachment);
         self.shared
+            .inner
             .lock()
             .radios
             .insert(name.to_owned(), Weak::clone(&weak));
@@ -172,7 +175,7 @@ impl SimAir {
     pub(super) fn attach(&self, name: &str) -> Result<Attached, AttachError> {
         let (outbox, events) = mpsc::unbounded_channel();
         let now = self.elapsed();
-        let mut inner = self.shared.lock();
+        let mut inner = self.shared.inner.lock();
         let id = inner.air.attach(name, now)?;
         inner.outboxes.insert(id, outbox);
         inner.dispatch();
@@ -212,14 +215,14 @@ impl Carrier for Place {
 impl Drop for Place {
     fn drop(&mut self) {
         self.shared.act(|air, now| air.detach(self.id, now));
-        self.shared.lock().outboxes.remove(&self.id);
+        self.shared.inner.lock().outboxes.remove(&self.id);
     }
 }
 
 impl Shared {
     /// Does something to the model at this moment, and passes on what came of it.
     fn act<T>(&self, deed: impl FnOnce(&mut Air, Duration) -> T) -> T {
-        let mut inner = self.lock();
+        let mut inner = self.inner.lock();
         // Read under the lock, so that the model's time never goes back.
         let now = self.start.elapsed();
         let result = deed(&mut inner.air, now);
@@ -235,16 +238,11 @@ impl Shared {
 
     /// Does what is due, and tells when the driver is to do so again.
     fn drive(&self) -> Option<Instant> {
-        let mut inner = self.lock();
+        let mut inner = self.inner.lock();
         inner.air.poll(self.start.elapsed());
         inner.dispatch();
         inner.driver_wakes_at = inner.air.next_wakeup();
         inner.driver_wakes_at.map(|at| self.start + at)
-    }
-
-    // Nothing panics while it holds the lock.
-    fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

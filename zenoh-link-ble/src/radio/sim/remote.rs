@@ -3,10 +3,11 @@ use std::{
     collections::HashMap,
     io,
     path::{Path, PathBuf},
-    sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak},
+    sync::{Arc, LazyLock, Weak},
     time::Duration,
 };
 
+use parking_lot::Mutex;
 use tokio::{
     net::{
         unix::{OwnedReadHalf, OwnedWriteHalf},
@@ -21,8 +22,9 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 use super::{
     adapter::{address_of, check_name},
     air::AirStatus,
+    attachment::{Attachment, Carrier},
     message::Command,
-    radio::{Attachment, Carrier, SimRadio},
+    radio::SimRadio,
     socket::socket_path,
     wire::{self, Control, FromAir, ToAir, PROTOCOL},
 };
@@ -59,7 +61,7 @@ pub fn radio_at(path: &Path, name: &str) -> Result<Arc<SimRadio>, RadioError> {
         action: "using the simulated air outside of a tokio runtime",
         source: Box::new(error),
     })?;
-    let mut attachments = lock(&ATTACHMENTS);
+    let mut attachments = ATTACHMENTS.lock();
     attachments.retain(|_, attachment| attachment.strong_count() > 0);
     let key = (path.to_owned(), name.to_owned());
     if let Some(attachment) = attachments.get(&key).and_then(Weak::upgrade) {
@@ -135,13 +137,13 @@ enum Absence {
 
 impl Carrier for Remote {
     fn command(&self, command: Command) {
-        if let Line::Up(commands) = &*lock(&self.line) {
+        if let Line::Up(commands) = &*self.line.lock() {
             let _ = commands.send(command);
         }
     }
 
     fn absence(&self, adapter: &str) -> RadioError {
-        match &*lock(&self.line) {
+        match &*self.line.lock() {
             Line::Down(Absence::NoServer(error)) => no_server(&self.path, error),
             Line::Down(Absence::Refused(why)) => RadioError::NoAdapter {
                 adapter: adapter.to_owned(),
@@ -160,7 +162,7 @@ async fn keep_attached(path: &Path, name: &str, line: &Mutex<Line>, attachment: 
         let absence = match attach(path, name).await {
             Ok((from, to)) => {
                 let (sender, commands) = mpsc::unbounded_channel();
-                *lock(line) = Line::Up(sender);
+                *line.lock() = Line::Up(sender);
                 let Some(here) = attachment.upgrade() else {
                     return;
                 };
@@ -174,7 +176,7 @@ async fn keep_attached(path: &Path, name: &str, line: &Mutex<Line>, attachment: 
             }
             Err(absence) => absence,
         };
-        *lock(line) = Line::Down(absence);
+        *line.lock() = Line::Down(absence);
         let Some(here) = attachment.upgrade() else {
             return;
         };
@@ -259,9 +261,4 @@ fn no_server(path: &Path, error: &io::Error) -> RadioError {
         service: SERVICE,
         advice,
     }
-}
-
-// Nothing panics while it holds one of these.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

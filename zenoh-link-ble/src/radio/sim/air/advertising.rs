@@ -6,9 +6,10 @@ use crate::radio::sim::{
     adapter::Dial,
     air::AdapterId,
     channel::Channel,
-    connection::{Connection, Signal},
+    connection::Connection,
     message::{ChannelId, Event, Heard, RequestId},
     options::{ADVERTISING_DELAY, ADVERTISING_INTERVAL, SIGHTING_INTERVAL, TRANSMIT_WINDOW},
+    packet::Signal,
 };
 
 impl Air {

@@ -8,9 +8,10 @@ use crate::{
     radio::sim::{
         adapter::{Advertising, Dial, MAX_REQUESTS},
         air::AdapterId,
-        connection::{Connection, Signal},
+        connection::Connection,
         message::{ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation},
         options::{ADVERTISING_DELAY, MAX_NAME_BYTES, MIN_MTU},
+        packet::Signal,
     },
 };
 

@@ -5,8 +5,8 @@ use crate::{
     radio::sim::{
         air::AdapterId,
         channel::EndState,
-        connection::{Load, Signal},
         message::{ChannelId, ConnectFailure, Event},
+        packet::{Load, Signal},
     },
 };
 
