@@ -8,12 +8,12 @@ use crate::{
     adapter::Adapter,
     address::{DeviceAddress, Psm},
     error::BleError,
-    hello::{Hello, VERSION},
+    hello::{Hello, NodeId, VERSION},
     link::{Framing, LinkBle, Opened},
     links::LinkNumber,
     locator::{ConnectLocator, Target},
     node::Node,
-    opening::{agreed_mtu, say_hello},
+    opening::{agreed_mtu, own_window, say_hello},
     radio::{Channel, ChannelOptions, RadioError, Sighting},
 };
 
@@ -75,57 +75,65 @@ async fn dial_once(
         .find(|sighting| Seen::of(sighting, locator))
         .await?;
     node.links().on_seen(dialling.number, seen.device);
-    let opened = open(node, adapter, locator, &seen).await;
+    let opened = open(node, dialling.number, adapter, locator, &seen).await;
     let answered = matches!(opened, Ok(_) | Err(BleError::Refused { .. }));
     if !answered {
         adapter.radio.disconnect(seen.device).await;
     }
-    let (channel, framing, peer) = opened?;
-    let mtu = agreed_mtu(&channel, framing, locator.mtu, peer.as_ref().map(|p| p.mtu))?;
-    let end = CancellationToken::new();
+    let (channel, peer) = opened?;
+    let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref())?;
+    let replaced = CancellationToken::new();
     let device = channel.peer();
     dialling
-        .succeed(peer.as_ref(), device, end.clone())
+        .succeed(peer.as_ref(), device, replaced.clone())
         .map_err(|refusal| BleError::Refused {
             peer: device,
             refusal,
         })?;
     let opened = Opened {
+        framing: Framing::with(&channel, peer.as_ref(), None),
         channel,
-        framing,
         mtu,
+        queueing: locator.queueing,
         peer_name: peer.map_or_else(|| locator.target.to_string(), |p| p.name),
-        first: None,
-        end,
+        replaced,
     };
-    LinkBle::new(Arc::clone(node), dialling.number, opened).map_err(|error| BleError::Protocol {
-        peer: device,
-        what: error.to_string(),
-    })
+    let link = LinkBle::new(Arc::clone(node), dialling.number, opened).map_err(|error| {
+        BleError::Protocol {
+            peer: device,
+            what: error.to_string(),
+        }
+    })?;
+    node.pause(dialling.number).await;
+    // Zenoh gets no link that ended meanwhile.
+    link.check().map(|()| link)
 }
 
 /// Connects and says hello, if the peer is one for hellos.
 async fn open(
     node: &Arc<Node>,
+    dial: LinkNumber,
     adapter: &Adapter,
     locator: &ConnectLocator,
     seen: &Seen,
-) -> Result<(Arc<dyn Channel>, Framing, Option<Hello>), BleError> {
-    let channel = connect(adapter, locator, seen).await?;
+) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
+    let channel = connect((node.id, dial), adapter, locator, seen).await?;
     if locator.plain.unwrap_or(seen.plain) {
-        return Ok((channel, Framing::Plain, None));
+        return Ok((channel, None));
     }
     let own = Hello {
         version: VERSION,
         node: node.id,
         mtu: locator.mtu,
+        window: own_window(&channel),
         name: node.name(),
     };
     let peer = say_hello(&channel, own).await?;
-    Ok((channel, Framing::Rect, Some(peer)))
+    Ok((channel, Some(peer)))
 }
 
 async fn connect(
+    (node, dial): (NodeId, LinkNumber),
     adapter: &Adapter,
     locator: &ConnectLocator,
     seen: &Seen,
@@ -140,7 +148,7 @@ async fn connect(
         security: locator.security,
     };
     let connected = adapter.radio.connect(seen.device, seen.psm, options);
-    let limit = connect_timeout();
+    let limit = connect_timeout(node, dial);
     match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
         Err(_) => Err(BleError::Radio(RadioError::TimedOut {
@@ -150,11 +158,13 @@ async fn connect(
     }
 }
 
-fn connect_timeout() -> Duration {
+/// Chance by arithmetic, so that the same node does the same again in a test.
+fn connect_timeout(node: NodeId, dial: LinkNumber) -> Duration {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&node.0.to_le_bytes());
+    hasher.update(&dial.0.to_le_bytes());
     let (least, most) = CONNECT_TIMEOUT_MS;
-    // Without random numbers the longest will do.
-    let drawn = getrandom::u32().map_or(most, |n| least + u64::from(n) % (most - least));
-    Duration::from_millis(drawn)
+    Duration::from_millis(least + u64::from(hasher.finalize()) % (most - least))
 }
 
 fn already_linked(locator: &ConnectLocator) -> BleError {

@@ -1,6 +1,6 @@
 //! Owns the reasons for which a link cannot be made or ends, each with what to do about it; and the one place
 //! where they become Zenoh's error type.
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use crate::{address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError};
 
@@ -61,6 +61,9 @@ pub enum BleError {
         /// The other one's address.
         other: DeviceAddress,
     },
+    /// The link had ended, for that reason.
+    #[error(transparent)]
+    Ended(#[from] Arc<BleError>),
     /// A batch does not fit the link (a fault of the caller).
     #[error("a batch of {size} bytes is over the link's mtu of {mtu}")]
     BatchTooLarge {

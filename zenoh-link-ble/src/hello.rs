@@ -2,6 +2,8 @@
 //! who is who. Layout and rules: `PROTOCOL.md`.
 use std::fmt;
 
+use crate::lanes::credits::MIN_WINDOW;
+
 /// The first bytes of every hello, answer and refusal. Zenoh's own first message (InitSyn) has 0x01 in the low five
 /// bits of its first byte, `R` (0x52) has not: a plain peer is told apart by one byte.
 pub const MAGIC: [u8; 4] = *b"RECT";
@@ -37,6 +39,8 @@ pub struct Hello {
     pub node: NodeId,
     /// The largest Zenoh batch it takes, in bytes.
     pub mtu: u16,
+    /// What it takes unacknowledged, in bytes (`lanes::credits`).
+    pub window: u16,
     /// The name it goes by; may be empty.
     pub name: String,
 }
@@ -128,6 +132,9 @@ pub enum OpeningError {
     /// Its MTU is under [`MIN_MTU`].
     #[error("an mtu of {0} bytes is under the {MIN_MTU} that the handshake needs")]
     Mtu(u16),
+    /// Its window is under [`MIN_WINDOW`].
+    #[error("a window of {0} bytes is under the {MIN_WINDOW} that batches need")]
+    Window(u16),
     /// Its name is too long or not UTF-8.
     #[error("the name is not valid: at most {MAX_NAME} bytes of utf-8")]
     Name,
@@ -171,6 +178,7 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
     sdu.extend_from_slice(&[kind, hello.version]);
     sdu.extend_from_slice(&hello.node.0.to_le_bytes());
     sdu.extend_from_slice(&hello.mtu.to_le_bytes());
+    sdu.extend_from_slice(&hello.window.to_le_bytes());
     sdu.push(name.len() as u8);
     sdu.extend_from_slice(name);
 }
@@ -179,6 +187,7 @@ fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError
     let (&version, body) = body.split_first().ok_or(length.clone())?;
     let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
     let (&mtu, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
+    let (&window, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
     let (&name_length, body) = body.split_first().ok_or(length.clone())?;
     let name_length = usize::from(name_length);
     if name_length > MAX_NAME {
@@ -193,10 +202,15 @@ fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError
     if mtu < MIN_MTU {
         return Err(OpeningError::Mtu(mtu));
     }
+    let window = u16::from_le_bytes(window);
+    if window < MIN_WINDOW {
+        return Err(OpeningError::Window(window));
+    }
     Ok(Hello {
         version,
         node: NodeId(u64::from_le_bytes(node)),
         mtu,
+        window,
         name: name.to_owned(),
     })
 }
@@ -210,6 +224,7 @@ mod tests {
             version: 1,
             node: NodeId(0x0123_4567_89ab_cdef),
             mtu: 1000,
+            window: 12_000,
             name: name.to_owned(),
         }
     }
@@ -233,7 +248,7 @@ mod tests {
         let sdu = Opening::Hello(hello("ab")).encode();
         assert_eq!(
             sdu,
-            b"RECT\x01\x01\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\x02ab"
+            b"RECT\x01\x01\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\xe0\x2e\x02ab"
         );
     }
 
@@ -271,8 +286,11 @@ mod tests {
         let mut small = good.clone();
         small[14..16].copy_from_slice(&127u16.to_le_bytes());
         assert_eq!(Opening::decode(&small), Err(OpeningError::Mtu(127)));
-        assert_eq!(with(16, 30), Err(OpeningError::Name));
-        assert_eq!(with(17, 0xff), Err(OpeningError::Name));
+        let mut small = good.clone();
+        small[16..18].copy_from_slice(&511u16.to_le_bytes());
+        assert_eq!(Opening::decode(&small), Err(OpeningError::Window(511)));
+        assert_eq!(with(18, 30), Err(OpeningError::Name));
+        assert_eq!(with(19, 0xff), Err(OpeningError::Name));
     }
 
     #[test]

@@ -1,14 +1,13 @@
-//! Owns an open link: one Zenoh batch per SDU, both ways, until either side ends it.
+//! Owns an open link as Zenoh sees it, whichever way its batches go: by lanes, or bare to a plain peer.
 use std::{
     sync::{
         atomic::{AtomicBool, Ordering},
         Arc,
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use async_trait::async_trait;
-use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkAuthId, LinkUnicastTrait};
 use zenoh_protocol::{
@@ -18,27 +17,43 @@ use zenoh_protocol::{
 use zenoh_result::ZResult;
 
 use crate::{
+    ending::Ending,
     error::{in_words, into_zenoh, BleError},
-    frame::{Bye, Frame, HEADER},
+    hello::Hello,
+    lanes::Lane,
     links::LinkNumber,
-    locator::BLE_LOCATOR_PREFIX,
+    locator::{Queueing, BLE_LOCATOR_PREFIX},
     node::Node,
+    opening::own_window,
+    plain::Plain,
     radio::Channel,
+    status::LinkStatus,
+    traffic::{Tasks, Traffic, TrafficOptions},
 };
 
-/// How long a batch may wait for room in the controller and at the receiver before the link is given up. Zenoh's
-/// own lease (10 s) ends a silent link sooner; this bounds one whose receiver is alive but stuck.
-const SEND_TIMEOUT: Duration = Duration::from_secs(20);
-/// How long a closing side waits until the peer has taken what was sent before the goodbye.
-const LINGER: Duration = Duration::from_secs(2);
-
-/// How SDUs are framed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How a peer speaks.
 pub(crate) enum Framing {
-    /// One header byte, as `PROTOCOL.md` says.
-    Rect,
-    /// The bare batch, for peers without a hello.
-    Plain,
+    /// By lanes, as `PROTOCOL.md` says; the windows are what each side takes unacknowledged, in bytes.
+    Lanes { own_window: u16, peer_window: u16 },
+    /// Bare batches, for peers without a hello; the first one may have come already.
+    Plain { first: Option<Vec<u8>> },
+}
+
+impl Framing {
+    /// As a peer that said hello speaks, or one that did not.
+    pub(crate) fn with(
+        channel: &Arc<dyn Channel>,
+        peer: Option<&Hello>,
+        first: Option<Vec<u8>>,
+    ) -> Self {
+        match peer {
+            Some(peer) => Self::Lanes {
+                own_window: own_window(channel),
+                peer_window: peer.window,
+            },
+            None => Self::Plain { first },
+        }
+    }
 }
 
 /// What a link is made of once the opening is done.
@@ -46,203 +61,157 @@ pub(crate) struct Opened {
     pub channel: Arc<dyn Channel>,
     pub framing: Framing,
     pub mtu: u16,
+    pub queueing: Queueing,
     pub peer_name: String,
-    /// A batch that came before the link was made (a plain peer's first).
-    pub first: Option<Vec<u8>>,
-    pub end: CancellationToken,
+    /// Cancelled when a newer link replaces this one.
+    pub replaced: CancellationToken,
 }
 
 pub(crate) struct LinkBle {
-    node: Arc<Node>,
-    number: LinkNumber,
     channel: Arc<dyn Channel>,
-    framing: Framing,
+    batches: Batches,
     mtu: u16,
     src: Locator,
     dst: Locator,
-    receive: Mutex<Receive>,
-    end: CancellationToken,
-    closed: AtomicBool,
-    ended: AtomicBool,
+    number: LinkNumber,
+    since: Instant,
+    ending: Arc<Ending>,
+    linger: Duration,
+    is_closed: AtomicBool,
 }
 
-struct Receive {
-    sdu: Vec<u8>,
-    first: Option<Vec<u8>>,
+enum Batches {
+    Lanes {
+        traffic: Arc<Traffic>,
+        /// They end with the link.
+        _tasks: Tasks,
+    },
+    Plain(Plain),
 }
 
 impl LinkBle {
     pub(crate) fn new(node: Arc<Node>, number: LinkNumber, opened: Opened) -> ZResult<Arc<Self>> {
-        let adapter = opened.channel.adapter().to_owned();
-        let peer = if opened.peer_name.is_empty() {
-            opened.channel.peer().to_string()
+        let Opened {
+            channel,
+            framing,
+            mtu,
+            queueing,
+            peer_name,
+            replaced,
+        } = opened;
+        let adapter = channel.adapter().to_owned();
+        let peer = if peer_name.is_empty() {
+            channel.peer().to_string()
         } else {
-            opened.peer_name
+            peer_name
         };
         // The number tells this link from an earlier one with the same peer: Zenoh knows links by their locators.
         let src = Locator::new(BLE_LOCATOR_PREFIX, &adapter, format!("link={}", number.0))?;
         let dst = Locator::new(BLE_LOCATOR_PREFIX, &peer, "")?;
-        let mtu = opened.mtu;
         tracing::info!("ble: linked with {peer} by {adapter}");
-        Ok(Arc::new(Self {
-            node,
-            number,
-            channel: opened.channel,
-            framing: opened.framing,
+        let ending = Ending::of(Arc::clone(&node), number, peer.clone());
+        let batches = match framing {
+            Framing::Lanes {
+                own_window,
+                peer_window,
+            } => {
+                let options = TrafficOptions {
+                    bounds: queueing.bounds,
+                    mtu,
+                    own_window,
+                    peer_window,
+                };
+                let (channel, ending) = (Arc::clone(&channel), Arc::clone(&ending));
+                let (traffic, _tasks) = Traffic::start(channel, peer, options, ending, replaced);
+                Batches::Lanes { traffic, _tasks }
+            }
+            Framing::Plain { first } => {
+                Batches::Plain(Plain::new(Arc::clone(&channel), mtu, first, replaced))
+            }
+        };
+        let link = Arc::new(Self {
+            channel,
+            batches,
             mtu,
             src,
             dst,
-            receive: Mutex::new(Receive {
-                // One byte more than is allowed, so that a larger SDU shows instead of being cut.
-                sdu: vec![0; usize::from(mtu) + HEADER + 1],
-                first: opened.first,
-            }),
-            end: opened.end,
-            closed: AtomicBool::new(false),
-            ended: AtomicBool::new(false),
-        }))
+            number,
+            since: Instant::now(),
+            ending,
+            linger: queueing.linger,
+            is_closed: AtomicBool::new(false),
+        });
+        node.on_link_open(number, link.dst.address().as_str(), &link);
+        Ok(link)
     }
 
-    /// The link is of no use any more, even if Zenoh holds on to it for a while: the peer may be dialled again.
-    fn on_ended(&self, reason: &str) {
-        if !self.ended.swap(true, Ordering::AcqRel) {
-            tracing::info!("ble: the link with {} ended: {reason}", self.peer());
-            self.node.on_link_closed(self.number);
-        }
-    }
-
-    fn peer(&self) -> String {
-        self.dst.address().as_str().to_owned()
-    }
-
-    async fn send_batch(&self, batch: &[u8]) -> Result<(), BleError> {
-        if batch.is_empty() {
-            // Zenoh does this when it abandons a fragmented message; an empty SDU would end the channel.
-            return Ok(());
-        }
-        let mtu = usize::from(self.mtu);
-        if batch.len() > mtu {
-            return Err(BleError::BatchTooLarge {
-                size: batch.len(),
-                mtu,
-            });
-        }
-        match self.framing {
-            Framing::Plain => self.send_sdu(batch).await,
-            Framing::Rect => self.send_sdu(&Frame::Batch(batch).encode()).await,
+    /// Whether it still carries batches, as far as is known.
+    pub(crate) fn check(&self) -> Result<(), BleError> {
+        match &self.batches {
+            Batches::Lanes { traffic, .. } => traffic.check(),
+            Batches::Plain(_) => Ok(()),
         }
     }
 
-    async fn send_sdu(&self, sdu: &[u8]) -> Result<(), BleError> {
-        tokio::select! {
-            sent = tokio::time::timeout(SEND_TIMEOUT, self.channel.send(sdu)) => match sent {
-                Ok(sent) => Ok(sent?),
-                Err(_) => {
-                    self.channel.shutdown();
-                    Err(crate::radio::RadioError::TimedOut {
-                        action: "sending to a peer that takes nothing",
-                        limit: SEND_TIMEOUT,
-                    }
-                    .into())
-                }
-            },
-            () = self.end.cancelled() => Err(self.replaced()),
-        }
-    }
-
-    async fn receive_batch(&self, buffer: &mut [u8]) -> Result<usize, BleError> {
-        let mut receive = self.receive.lock().await;
-        if let Some(first) = receive.first.take() {
-            return self.deliver(&first, buffer);
-        }
-        let size = tokio::select! {
-            size = self.channel.recv(&mut receive.sdu) => size?,
-            () = self.end.cancelled() => return Err(self.replaced()),
-        };
-        let sdu = receive.sdu.get(..size).unwrap_or_default();
-        let batch = match self.framing {
-            Framing::Plain => Ok(sdu),
-            Framing::Rect => match Frame::decode(sdu) {
-                Ok(Frame::Batch(batch)) => Ok(batch),
-                Ok(Frame::Bye(bye)) => {
-                    self.channel.shutdown();
-                    return Err(BleError::ClosedByPeer {
-                        peer: self.peer(),
-                        reason: bye.reason(),
-                    });
-                }
-                Err(error) => Err(error.to_string()),
-            },
-        };
-        match batch {
-            Ok(batch) if batch.len() <= usize::from(self.mtu) => self.deliver(batch, buffer),
-            Ok(batch) => {
-                let what = format!(
-                    "a batch of {} bytes is over the mtu of {}",
-                    batch.len(),
-                    self.mtu
-                );
-                Err(self.broken(what).await)
+    /// What can be told of it.
+    pub(crate) fn status(&self) -> LinkStatus {
+        let (lanes, sent, received) = match &self.batches {
+            Batches::Lanes { traffic, .. } => {
+                let (lanes, sent, received) = traffic.status();
+                (Some(lanes), sent, received)
             }
-            Err(what) => Err(self.broken(what).await),
+            Batches::Plain(plain) => {
+                let (sent, received) = plain.counts();
+                (None, sent, received)
+            }
+        };
+        LinkStatus {
+            link: self.number.0,
+            peer: self.dst.address().as_str().to_owned(),
+            address: self.channel.peer().address.to_string(),
+            adapter: self.channel.adapter().to_owned(),
+            mtu: self.mtu,
+            up_s: self.since.elapsed().as_secs_f64(),
+            sent,
+            received,
+            lanes,
         }
     }
 
-    fn deliver(&self, batch: &[u8], buffer: &mut [u8]) -> Result<usize, BleError> {
+    async fn send_batch(&self, lane: Lane, batch: &[u8]) -> Result<(), BleError> {
+        match &self.batches {
+            Batches::Lanes { traffic, .. } => traffic.write(lane, batch).await,
+            Batches::Plain(plain) => plain.write(batch).await,
+        }
+    }
+
+    async fn receive_batch(&self, lane: Lane, buffer: &mut [u8]) -> Result<usize, BleError> {
+        let batch = match &self.batches {
+            Batches::Lanes { traffic, .. } => traffic.read(lane).await?,
+            Batches::Plain(plain) => plain.read().await?,
+        };
         let room = buffer
             .get_mut(..batch.len())
             .ok_or(BleError::BatchTooLarge {
                 size: batch.len(),
                 mtu: usize::from(self.mtu),
             })?;
-        room.copy_from_slice(batch);
+        room.copy_from_slice(&batch);
         Ok(batch.len())
-    }
-
-    async fn broken(&self, what: String) -> BleError {
-        self.say_bye(Bye::ProtocolError).await;
-        self.channel.shutdown();
-        BleError::Protocol {
-            peer: self.channel.peer(),
-            what,
-        }
-    }
-
-    fn replaced(&self) -> BleError {
-        self.channel.shutdown();
-        BleError::ClosedByPeer {
-            peer: self.peer(),
-            reason: Bye::Replaced.reason(),
-        }
-    }
-
-    /// Tells the peer, without waiting for room longer than a moment: the channel ends anyway.
-    async fn say_bye(&self, bye: Bye) {
-        if self.framing == Framing::Rect {
-            let sdu = Frame::Bye(bye).encode();
-            let _ = tokio::time::timeout(LINGER, self.channel.send(&sdu)).await;
-        }
-    }
-
-    /// Says goodbye and waits until the peer, having read everything before it, closes its end.
-    async fn finish(&self) {
-        self.say_bye(Bye::Closing).await;
-        if self.framing == Framing::Rect {
-            let drained = async {
-                let mut receive = self.receive.lock().await;
-                while self.channel.recv(&mut receive.sdu).await.is_ok() {}
-            };
-            let _ = tokio::time::timeout(LINGER, drained).await;
-        }
-        self.channel.shutdown();
     }
 }
 
 impl Drop for LinkBle {
     fn drop(&mut self) {
         self.channel.shutdown();
-        self.on_ended("nobody needs it");
+        self.ending.happens("nobody needs it");
+        self.ending.released();
     }
+}
+
+/// The lane of a priority. Zenoh names none during its handshake, and nobody reads without one after it.
+fn lane_of(priority: Option<Priority>) -> Lane {
+    Lane::of(priority.unwrap_or(Priority::Control))
 }
 
 #[async_trait]
@@ -267,6 +236,10 @@ impl LinkUnicastTrait for LinkBle {
         false
     }
 
+    fn supports_priorities(&self) -> bool {
+        matches!(self.batches, Batches::Lanes { .. })
+    }
+
     fn get_interface_names(&self) -> Vec<String> {
         vec![self.channel.adapter().to_owned()]
     }
@@ -281,19 +254,19 @@ impl LinkUnicastTrait for LinkBle {
         Ok(buffer.len())
     }
 
-    async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
-        let sent = self.send_batch(buffer).await;
+    async fn write_all(&self, buffer: &[u8], priority: Option<Priority>) -> ZResult<()> {
+        let sent = self.send_batch(lane_of(priority), buffer).await;
         match &sent {
             Ok(()) | Err(BleError::BatchTooLarge { .. }) => {}
-            Err(error) => self.on_ended(&in_words(error)),
+            Err(error) => self.ending.happens(&in_words(error)),
         }
         sent.map_err(into_zenoh)
     }
 
-    async fn read(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<usize> {
-        let received = self.receive_batch(buffer).await;
+    async fn read(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<usize> {
+        let received = self.receive_batch(lane_of(priority), buffer).await;
         if let Err(error) = &received {
-            self.on_ended(&in_words(error));
+            self.ending.happens(&in_words(error));
         }
         received.map_err(into_zenoh)
     }
@@ -311,9 +284,13 @@ impl LinkUnicastTrait for LinkBle {
     }
 
     async fn close(&self) -> ZResult<()> {
-        if !self.closed.swap(true, Ordering::AcqRel) {
-            self.finish().await;
-            self.on_ended("closed here");
+        if !self.is_closed.swap(true, Ordering::AcqRel) {
+            if let Batches::Lanes { traffic, .. } = &self.batches {
+                traffic.finish(self.linger).await;
+            }
+            self.channel.shutdown();
+            self.ending.happens("closed here");
+            self.ending.released();
         }
         Ok(())
     }

@@ -14,6 +14,7 @@ use crate::{
     address::DeviceAddress,
     hello::{Hello, NodeId, Refusal},
     locator::Target,
+    pause::{Pause, Pauses},
 };
 
 /// How long after this side's own dial went through a hello of the same peer still counts as crossing it.
@@ -42,6 +43,15 @@ struct Dial {
     cancel: CancellationToken,
 }
 
+/// How much is in the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Census {
+    /// Links that carry batches.
+    pub links: usize,
+    /// Dials that have not become a link yet.
+    pub dials: usize,
+}
+
 /// What to do with an incoming hello.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -58,6 +68,7 @@ pub struct Links {
     next: u64,
     established: HashMap<LinkNumber, Established>,
     dials: HashMap<LinkNumber, Dial>,
+    pauses: Pauses,
 }
 
 impl Links {
@@ -68,6 +79,7 @@ impl Links {
             next: 1,
             established: HashMap::new(),
             dials: HashMap::new(),
+            pauses: Pauses::default(),
         }
     }
 
@@ -165,6 +177,26 @@ impl Links {
     /// A link ended.
     pub fn on_closed(&mut self, link: LinkNumber) {
         self.established.remove(&link);
+        self.pauses.on_ended(link);
+    }
+
+    /// A link is ready for Zenoh: what it has to wait for. Zenoh has it once that is [`Pause::Over`].
+    pub fn on_ready(&mut self, link: LinkNumber, now: Instant) -> Pause {
+        let pause = self.pauses.now(now);
+        if pause == Pause::Over {
+            self.pauses.on_given(link);
+        }
+        pause
+    }
+
+    /// Zenoh has a link, however long it should have waited.
+    pub fn on_given(&mut self, link: LinkNumber) {
+        self.pauses.on_given(link);
+    }
+
+    /// Zenoh let a link go.
+    pub fn on_released(&mut self, link: LinkNumber, now: Instant) {
+        self.pauses.on_released(link, now);
     }
 
     /// Whether there is a link to that target.
@@ -173,6 +205,14 @@ impl Links {
             Target::Address(address) => link.device.address == *address,
             Target::Name(name) => link.name == *name,
         })
+    }
+
+    /// How many links and dials there are.
+    pub fn census(&self) -> Census {
+        Census {
+            links: self.established.len(),
+            dials: self.dials.len(),
+        }
     }
 
     fn refusal(
@@ -212,11 +252,12 @@ impl Links {
 
     /// Ends links to an earlier run of the same peer, or ones the peer has evidently lost.
     fn replace_stale(&mut self, node: Option<NodeId>, name: &str, device: DeviceAddress) {
-        self.established.retain(|_, link| {
+        self.established.retain(|number, link| {
             let same_name = !name.is_empty() && link.name == name && link.device == device;
             let stale = same_name || link.is_of(node, device);
             if stale {
                 link.end.cancel();
+                self.pauses.on_ended(*number);
             }
             !stale
         });
@@ -270,6 +311,7 @@ mod tests {
             version: 1,
             node,
             mtu: 1000,
+            window: 12_000,
             name: name.to_owned(),
         }
     }

@@ -17,7 +17,7 @@ use crate::{
     locator::ListenLocator,
     namesake::{NameSearch, Namesake},
     node::{Listening, Node},
-    opening::{agreed_mtu, answer, hear_hello, FirstSdu},
+    opening::{agreed_mtu, answer, hear_hello, own_window, FirstSdu},
     radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
 };
 
@@ -248,21 +248,15 @@ impl Listener {
             FirstSdu::Hello(hello) => (Some(hello), None),
             FirstSdu::Plain(batch) => (None, Some(batch)),
         };
-        let framing = if peer.is_some() {
-            Framing::Rect
-        } else {
-            Framing::Plain
-        };
-        let peer_mtu = peer.as_ref().map(|p| p.mtu);
-        let mtu = agreed_mtu(&channel, framing, self.locator.mtu, peer_mtu)?;
-        let end = CancellationToken::new();
+        let mtu = agreed_mtu(&channel, self.locator.mtu, peer.as_ref())?;
+        let replaced = CancellationToken::new();
         let (verdict, number) = self.node.links().on_hello(
             &self.name,
             peer.as_ref(),
             device,
             self.locator.max_links,
             Instant::now().into_std(),
-            end.clone(),
+            replaced.clone(),
         );
         let number = match (verdict, number) {
             (Verdict::Accept, Some(number)) => number,
@@ -280,11 +274,11 @@ impl Listener {
         };
         let opened = Opened {
             channel: Arc::clone(&channel),
-            framing,
+            framing: Framing::with(&channel, peer.as_ref(), first),
             mtu,
+            queueing: self.locator.queueing,
             peer_name: peer.as_ref().map_or_else(String::new, |p| p.name.clone()),
-            first,
-            end,
+            replaced,
         };
         let link = LinkBle::new(Arc::clone(&self.node), number, opened).map_err(|error| {
             self.node.on_link_closed(number);
@@ -298,11 +292,14 @@ impl Listener {
                 version: VERSION.min(peer.version),
                 node: self.node.id,
                 mtu: self.locator.mtu,
+                window: own_window(&channel),
                 name: self.name.clone(),
             };
             answer(&channel, Opening::Accept(own)).await?;
         }
-        Ok(Some(link))
+        self.node.pause(number).await;
+        // Zenoh gets no link that ended meanwhile.
+        link.check().map(|()| Some(link))
     }
 }
 

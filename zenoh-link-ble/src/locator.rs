@@ -4,18 +4,23 @@ use std::{fmt, time::Duration};
 
 use zenoh_protocol::core::EndPoint;
 
+use self::options::Options;
 use crate::{
     address::{Address, AddressType, Psm},
-    hello::{MAX_NAME, MIN_MTU},
+    hello::MAX_NAME,
+    lanes::scheduler::Bounds,
     radio::Security,
 };
+
+mod options;
 
 /// The protocol's name in a locator.
 pub const BLE_LOCATOR_PREFIX: &str = "ble";
 
-/// The largest Zenoh batch this side takes when `mtu=` is left out, in bytes. At 34 kB/s such a batch holds the radio
-/// for 30 ms, and its seven bytes of framing and L2CAP headers are under 1 %.
-pub const DEFAULT_MTU: u16 = 1000;
+/// The largest Zenoh batch this side takes when `mtu=` is left out, in bytes: with its framing it fills three K-frames of
+/// 247 bytes, each of which fills a packet of 251. At 34 kB/s it holds the radio for 22 ms; a smaller one costs more than
+/// 2 % in headers.
+pub const DEFAULT_MTU: u16 = 736;
 /// The largest `mtu=`, in bytes.
 pub const MAX_MTU: u16 = 8000;
 /// How many links a listener takes when `max_links=` is left out: what common controllers manage.
@@ -23,6 +28,33 @@ pub const DEFAULT_MAX_LINKS: usize = 7;
 /// How long a connect may take when `timeout=` is left out. Zenoh's own limit for opening a link
 /// (`transport/unicast/open_timeout`) is 10 s and includes its handshake.
 pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
+
+/// What may wait on a link when `queue=` and `droppable=` are left out. 16 MB are one message of the largest size that our
+/// configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
+pub const DEFAULT_BOUNDS: Bounds = Bounds {
+    bytes: 16 << 20,
+    droppable: Duration::from_millis(150),
+};
+/// How long a closing side waits for the peer to take what was sent before, when `linger=` is left out.
+pub const DEFAULT_LINGER: Duration = Duration::from_secs(5);
+
+/// How the batches of a link are queued. A plain peer has no queues.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Queueing {
+    /// `queue=`, in bytes, and `droppable=`, in milliseconds: what may wait on the link.
+    pub bounds: Bounds,
+    /// `linger=`, in milliseconds: how long a closing side waits until the peer has taken what was sent before.
+    pub linger: Duration,
+}
+
+impl Default for Queueing {
+    fn default() -> Self {
+        Self {
+            bounds: DEFAULT_BOUNDS,
+            linger: DEFAULT_LINGER,
+        }
+    }
+}
 
 /// Whom to dial.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,6 +89,8 @@ pub struct ConnectLocator {
     pub security: Security,
     /// `mtu=`, in bytes.
     pub mtu: u16,
+    /// `queue=`, `droppable=`, `linger=`.
+    pub queueing: Queueing,
     /// `timeout=`, in milliseconds: for finding, connecting and the hello together.
     pub timeout: Duration,
     /// `plain=true`: no hello and no framing, for a peer that speaks bare one-batch-per-SDU. Left out, as advertised.
@@ -76,6 +110,8 @@ pub struct ListenLocator {
     pub security: Security,
     /// `mtu=`, in bytes.
     pub mtu: u16,
+    /// `queue=`, `droppable=`, `linger=`.
+    pub queueing: Queueing,
     /// `max_links=`.
     pub max_links: usize,
 }
@@ -123,16 +159,28 @@ pub enum LocatorError {
     },
 }
 
-const CONNECT_OPTIONS: [&str; 7] = [
+const CONNECT_OPTIONS: [&str; 10] = [
     "adapter",
     "psm",
     "addr_type",
     "sec",
     "mtu",
+    "queue",
+    "droppable",
+    "linger",
     "timeout",
     "plain",
 ];
-const LISTEN_OPTIONS: [&str; 5] = ["name", "psm", "sec", "mtu", "max_links"];
+const LISTEN_OPTIONS: [&str; 8] = [
+    "name",
+    "psm",
+    "sec",
+    "mtu",
+    "queue",
+    "droppable",
+    "linger",
+    "max_links",
+];
 
 impl ConnectLocator {
     /// Reads an endpoint to connect to.
@@ -152,6 +200,7 @@ impl ConnectLocator {
             address_kind: options.address_kind()?,
             security: options.security()?,
             mtu: options.mtu()?,
+            queueing: options.queueing()?,
             timeout: options.timeout()?,
             plain: options.plain()?,
         })
@@ -172,6 +221,7 @@ impl ListenLocator {
             psm: options.psm()?,
             security: options.security()?,
             mtu: options.mtu()?,
+            queueing: options.queueing()?,
             max_links: options.max_links()?,
         })
     }
@@ -216,126 +266,6 @@ fn is_name_byte(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.')
 }
 
-/// An option's value where it is given, and what a wrong one is told.
-struct Options<'a>(Vec<(&'a str, &'a str)>);
-
-impl<'a> Options<'a> {
-    fn parse(
-        endpoint: &'a EndPoint,
-        side: &'static str,
-        known: &[&str],
-    ) -> Result<Self, LocatorError> {
-        let mut options = Vec::new();
-        let text = endpoint.config().as_str();
-        for part in text.split(';').filter(|part| !part.is_empty()) {
-            let (key, value) = part.split_once('=').unwrap_or((part, ""));
-            if !known.contains(&key) {
-                return Err(LocatorError::UnknownOption {
-                    key: key.to_owned(),
-                    side,
-                    known: known.join(", "),
-                });
-            }
-            options.push((key, value));
-        }
-        Ok(Self(options))
-    }
-
-    fn read<T>(
-        &self,
-        key: &'static str,
-        wanted: &'static str,
-        read: impl Fn(&str) -> Option<T>,
-    ) -> Result<Option<T>, LocatorError> {
-        let Some((_, value)) = self.0.iter().find(|(k, _)| *k == key) else {
-            return Ok(None);
-        };
-        read(value).map(Some).ok_or_else(|| LocatorError::Value {
-            key,
-            value: (*value).to_owned(),
-            wanted,
-        })
-    }
-
-    fn adapter(&self) -> Result<Option<String>, LocatorError> {
-        self.read(
-            "adapter",
-            "an adapter is named hci0, hci1, ... or sim-...",
-            |v| is_adapter(v).then(|| v.to_owned()),
-        )
-    }
-
-    fn name(&self) -> Result<Option<String>, LocatorError> {
-        self.read(
-            "name",
-            "a name has 1 to 29 letters, digits, `-`, `_` or `.`, and is not that of an adapter or an address",
-            |v| (is_name(v) && !is_adapter(v)).then(|| v.to_owned()),
-        )
-    }
-
-    fn psm(&self) -> Result<Option<Psm>, LocatorError> {
-        self.read("psm", "a psm is a number from 128 to 255", |v| {
-            v.parse().ok().and_then(Psm::new)
-        })
-    }
-
-    fn address_kind(&self) -> Result<Option<AddressType>, LocatorError> {
-        self.read("addr_type", "it is public or random", |v| match v {
-            "public" => Some(AddressType::Public),
-            "random" => Some(AddressType::Random),
-            _ => None,
-        })
-    }
-
-    fn security(&self) -> Result<Security, LocatorError> {
-        let level = self.read("sec", "it is low, medium or high", |v| match v {
-            "low" => Some(Security::Low),
-            "medium" => Some(Security::Medium),
-            "high" => Some(Security::High),
-            _ => None,
-        })?;
-        Ok(level.unwrap_or_default())
-    }
-
-    fn mtu(&self) -> Result<u16, LocatorError> {
-        let mtu = self.read(
-            "mtu",
-            "it is a number of bytes from 128 (what Zenoh's handshake needs) to 8000",
-            |v| {
-                v.parse()
-                    .ok()
-                    .filter(|mtu| (MIN_MTU..=MAX_MTU).contains(mtu))
-            },
-        )?;
-        Ok(mtu.unwrap_or(DEFAULT_MTU))
-    }
-
-    fn timeout(&self) -> Result<Duration, LocatorError> {
-        let timeout = self.read(
-            "timeout",
-            "it is a number of milliseconds from 100 to 60000",
-            |v| {
-                v.parse()
-                    .ok()
-                    .filter(|ms| (100..=60_000).contains(ms))
-                    .map(Duration::from_millis)
-            },
-        )?;
-        Ok(timeout.unwrap_or(DEFAULT_CONNECT_TIMEOUT))
-    }
-
-    fn plain(&self) -> Result<Option<bool>, LocatorError> {
-        self.read("plain", "it is true or false", |v| v.parse().ok())
-    }
-
-    fn max_links(&self) -> Result<usize, LocatorError> {
-        let links = self.read("max_links", "it is a number from 1 to 64", |v| {
-            v.parse().ok().filter(|n| (1..=64).contains(n))
-        })?;
-        Ok(links.unwrap_or(DEFAULT_MAX_LINKS))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -351,7 +281,7 @@ mod tests {
     #[test]
     fn an_address_with_every_option_is_read() {
         let read = connect(
-            "ble/DC:A6:32:01:02:03#adapter=hci1;psm=128;addr_type=random;sec=medium;mtu=500;timeout=3000;plain=true",
+            "ble/DC:A6:32:01:02:03#adapter=hci1;psm=128;addr_type=random;sec=medium;mtu=500;timeout=3000;plain=true;queue=100000;droppable=50;linger=1000",
         )
         .expect("valid");
         assert_eq!(read.target.to_string(), "DC:A6:32:01:02:03");
@@ -361,6 +291,9 @@ mod tests {
         assert_eq!(read.security, Security::Medium);
         assert_eq!(read.mtu, 500);
         assert_eq!(read.timeout, Duration::from_secs(3));
+        assert_eq!(read.queueing.bounds.bytes, 100_000);
+        assert_eq!(read.queueing.bounds.droppable, Duration::from_millis(50));
+        assert_eq!(read.queueing.linger, Duration::from_secs(1));
         assert_eq!(read.plain, Some(true));
     }
 
@@ -369,6 +302,7 @@ mod tests {
         let read = connect("ble/wombat-2").expect("valid");
         assert_eq!(read.target, Target::Name("wombat-2".to_owned()));
         assert_eq!((read.psm, read.adapter, read.plain), (None, None, None));
+        assert_eq!(read.queueing, Queueing::default());
         assert_eq!(
             (read.mtu, read.timeout),
             (DEFAULT_MTU, DEFAULT_CONNECT_TIMEOUT)
@@ -392,6 +326,12 @@ mod tests {
             "psm=255",
             "mtu=128",
             "mtu=8000",
+            "queue=65536",
+            "queue=67108864",
+            "droppable=20",
+            "droppable=10000",
+            "linger=0",
+            "linger=60000",
             "timeout=100",
             "timeout=60000",
         ] {
@@ -404,6 +344,12 @@ mod tests {
             "psm=x",
             "mtu=127",
             "mtu=8001",
+            "queue=65535",
+            "queue=67108865",
+            "droppable=19",
+            "droppable=10001",
+            "linger=60001",
+            "linger=-1",
             "timeout=99",
             "timeout=60001",
             "sec=none",

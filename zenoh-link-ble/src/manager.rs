@@ -14,10 +14,12 @@ use crate::{
     dialer::dial,
     error::{in_words, into_zenoh, BleError},
     hello::NodeId,
+    links::Census,
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, BLE_LOCATOR_PREFIX},
     node::Node,
     radio::{bluez, sim, Radio, RadioError},
+    status,
 };
 
 /// Tells Zenoh what kind of link `ble` is: unicast and reliable.
@@ -60,21 +62,30 @@ impl LinkManagerUnicastBle {
     /// A manager over this machine's radios: BlueZ's, and the simulated air's for adapters named `sim...`.
     pub fn new(links: NewLinkChannelSender) -> Self {
         let runtime: &Handle = &zenoh_runtime::ZRuntime::Acceptor;
-        Self::with_radios(links, runtime.clone(), open_radio)
+        Self::with_radios(links, runtime.clone(), random_node_id(), open_radio)
     }
 
-    /// A manager over radios of the caller's, with its tasks on `runtime`: for tests.
+    /// A manager over radios of the caller's, with its tasks on `runtime`: for tests. `node` must be no other's; whatever
+    /// this node leaves to chance follows from it.
     pub fn with_radios(
         links: NewLinkChannelSender,
         runtime: Handle,
+        node: NodeId,
         open_radio: impl Fn(Option<&str>) -> Result<Arc<dyn Radio>, RadioError> + Send + Sync + 'static,
     ) -> Self {
+        let node = Node::new(node, Box::new(open_radio));
+        status::add(&node);
         Self {
-            node: Node::new(random_node_id(), Box::new(open_radio)),
+            node,
             links,
             runtime,
             listeners: Mutex::default(),
         }
+    }
+
+    /// How many links and dials there are now.
+    pub fn census(&self) -> Census {
+        self.node.links().census()
     }
 
     /// Radio sockets and tasks belong to one runtime that lives as long as Zenoh, whoever calls.
@@ -99,8 +110,11 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
                 let dialled = dial(&node, &locator).await;
                 if let Err(error) = &dialled {
                     // Zenoh tries again and says so at debug level only; a person wants to know why nothing comes.
-                    let error = in_words(error);
-                    tracing::debug!("ble: no link to {}: {error}", locator.target);
+                    let words = in_words(error);
+                    tracing::debug!("ble: no link to {}: {words}", locator.target);
+                    if !matches!(error, BleError::AlreadyLinked { .. }) {
+                        node.on_failed_dial(&locator.target.to_string(), &words);
+                    }
                 }
                 dialled
             })

@@ -1,15 +1,23 @@
 //! Owns what all listeners and dials of one Zenoh runtime share: who this node is, its links, its adapters.
-use std::{collections::HashMap, sync::Arc};
+use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use parking_lot::{Mutex, MutexGuard};
-use tokio::sync::Notify;
+use tokio::{sync::Notify, time::Instant};
 
 use crate::{
     adapter::Adapter,
     hello::NodeId,
+    history::History,
+    link::LinkBle,
     links::{LinkNumber, Links},
+    pause::Pause,
     radio::{Radio, RadioError},
+    status::{NodeStatus, OpenLinks},
 };
+
+/// How long a link waits at most for those before it, should they end one after the other. Zenoh's own limit for opening
+/// a link is 10 s.
+const LONGEST_PAUSE: Duration = Duration::from_secs(3);
 
 /// Opens the radio of that name (`None`: the system's default one).
 pub(crate) type OpenRadio =
@@ -20,8 +28,12 @@ pub(crate) struct Node {
     links: Mutex<Links>,
     /// Told whenever a link ends.
     pub(crate) unlinked: Notify,
+    /// Told whenever Zenoh has let go of one.
+    released: Notify,
     adapters: Mutex<HashMap<String, Arc<Adapter>>>,
     listening: Mutex<Vec<Listening>>,
+    history: Mutex<History>,
+    open_links: Mutex<OpenLinks>,
     open_radio: Box<OpenRadio>,
 }
 
@@ -38,8 +50,11 @@ impl Node {
             id,
             links: Mutex::new(Links::new(id)),
             unlinked: Notify::new(),
+            released: Notify::new(),
             adapters: Mutex::default(),
             listening: Mutex::default(),
+            history: Mutex::default(),
+            open_links: Mutex::default(),
             open_radio,
         })
     }
@@ -48,13 +63,65 @@ impl Node {
         self.links.lock()
     }
 
+    pub(crate) fn on_link_open(&self, number: LinkNumber, peer: &str, link: &Arc<LinkBle>) {
+        self.history.lock().on_linked(peer);
+        self.open_links.lock().add(number, link);
+    }
+
+    pub(crate) fn on_link_ended(&self, number: LinkNumber, peer: &str, reason: &str) {
+        self.history
+            .lock()
+            .on_ended(peer, reason, Instant::now().into_std());
+        self.on_link_closed(number);
+    }
+
+    pub(crate) fn on_failed_dial(&self, target: &str, reason: &str) {
+        let mut history = self.history.lock();
+        history.on_failed_dial(target, reason, Instant::now().into_std());
+    }
+
+    pub(crate) fn status(&self) -> NodeStatus {
+        let links = self.open_links.lock().all();
+        NodeStatus {
+            name: self.name(),
+            links: links.iter().map(|link| link.status()).collect(),
+            peers: self.history.lock().status(Instant::now().into_std()),
+        }
+    }
+
     pub(crate) fn on_link_closed(&self, link: LinkNumber) {
         self.links().on_closed(link);
+        self.open_links.lock().remove(link);
         // What was heard before says nothing now: the peer may have gone for good, and a connect would wait for it.
         for adapter in self.adapters.lock().values() {
             adapter.scanner.forget();
         }
         self.unlinked.notify_waiters();
+    }
+
+    pub(crate) fn on_link_released(&self, link: LinkNumber) {
+        let now = Instant::now().into_std();
+        self.links().on_released(link, now);
+        self.released.notify_waiters();
+    }
+
+    /// Waits until Zenoh may have that link: see `pause`.
+    pub(crate) async fn pause(&self, link: LinkNumber) {
+        let pause = async {
+            loop {
+                let released = self.released.notified();
+                let pause = self.links().on_ready(link, Instant::now().into_std());
+                match pause {
+                    Pause::Over => return,
+                    Pause::Until(end) => tokio::time::sleep_until(end.into()).await,
+                    Pause::UntilReleased => released.await,
+                }
+            }
+        };
+        if tokio::time::timeout(LONGEST_PAUSE, pause).await.is_err() {
+            tracing::debug!("ble: links end so fast that Zenoh may miss a new one");
+            self.links().on_given(link);
+        }
     }
 
     /// The adapter of that name; left out, the one this node listens on, else the system's default.

@@ -3,9 +3,8 @@ use std::{sync::Arc, time::Duration};
 
 use crate::{
     error::BleError,
-    frame::HEADER,
     hello::{Hello, Opening, Refusal, MIN_MTU, VERSION},
-    link::Framing,
+    lanes::{credits, HEADER},
     radio::{Channel, RadioError},
 };
 
@@ -57,20 +56,25 @@ pub(crate) async fn answer(channel: &Arc<dyn Channel>, opening: Opening) -> Resu
     Ok(())
 }
 
-/// The MTU of the link: the smaller of what both take and what the channel carries.
+/// What this side takes unacknowledged: what its socket holds while nobody reads.
+pub(crate) fn own_window(channel: &Arc<dyn Channel>) -> u16 {
+    credits::window_of(channel.kept_unread_bytes())
+}
+
+/// The MTU of the link: the smallest of what both take, what the channel carries, and what both windows are good for.
 pub(crate) fn agreed_mtu(
     channel: &Arc<dyn Channel>,
-    framing: Framing,
     own: u16,
-    peer: Option<u16>,
+    peer: Option<&Hello>,
 ) -> Result<u16, BleError> {
-    let header = match framing {
-        Framing::Rect => HEADER,
-        Framing::Plain => 0,
-    };
+    let header = peer.map_or(0, |_| HEADER);
     let carried = channel.send_mtu().saturating_sub(header);
     let carried = u16::try_from(carried).unwrap_or(u16::MAX);
-    let mtu = own.min(peer.unwrap_or(own)).min(carried);
+    let taken = peer.map_or(own, |peer| {
+        let window = peer.window.min(own_window(channel));
+        own.min(peer.mtu).min(credits::largest_batch(window))
+    });
+    let mtu = taken.min(carried);
     if mtu < MIN_MTU {
         return Err(protocol(
             channel,

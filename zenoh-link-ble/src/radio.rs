@@ -226,9 +226,25 @@ pub trait Channel: Send + Sync {
     /// The largest SDU that can be sent, in bytes.
     fn send_mtu(&self) -> usize;
 
-    /// Sends one SDU (never an empty one: it would read as the end of the channel). Waits while the controller and
-    /// the receiver have no room.
-    async fn send(&self, sdu: &[u8]) -> Result<(), RadioError>;
+    /// How many bytes of received SDUs are surely kept while nobody calls `recv`, each counted with
+    /// [`PER_SDU`](crate::lanes::credits::PER_SDU) bytes more.
+    fn kept_unread_bytes(&self) -> usize;
+
+    /// Sends one SDU (never an empty one: it would read as the end of the channel) if the controller and the receiver have
+    /// room; `false`: try again when [`Channel::has_room`] says so. What it has taken cannot be overtaken, so it takes no
+    /// more than it needs to keep the radio busy.
+    fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError>;
+
+    /// Resolves when [`Channel::try_send`] may have got room since it said `false`, or fails now.
+    async fn has_room(&self);
+
+    /// Sends one SDU; waits for room.
+    async fn send(&self, sdu: &[u8]) -> Result<(), RadioError> {
+        while !self.try_send(sdu)? {
+            self.has_room().await;
+        }
+        Ok(())
+    }
 
     /// Receives one SDU into `buffer` and tells its size. Fails when the channel is down, or with
     /// [`RadioError::SduTooLarge`] when it does not fit.

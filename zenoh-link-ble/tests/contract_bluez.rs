@@ -1,6 +1,10 @@
 //! The link contract on the kernel's own Bluetooth stack: `RECT_BLUEZ_ADAPTERS=hci0,hci1 cargo test -p zenoh-link-ble
 //! --test contract_bluez -- --test-threads=1`. `tests/vm/test` runs it in the VM; elsewhere it says why it does not run.
 mod contract;
+mod shared {
+    pub mod peer;
+    pub mod raw;
+}
 
 use std::process::Command;
 

@@ -1,5 +1,9 @@
 //! The link contract on the simulated air, in virtual time: `cargo test -p zenoh-link-ble --test contract_sim`.
 mod contract;
+mod shared {
+    pub mod peer;
+    pub mod raw;
+}
 
 use contract::World;
 use zenoh_link_ble::radio::sim::{AirOptions, Condition, SimAir};

@@ -31,7 +31,7 @@ pub use self::{
     air::{AdapterStatus, AirStatus, AttachError, LinkStatus, NoSuchAdapter},
     condition::{Condition, ConditionError},
     local::SimAir,
-    options::{AirOptions, AirOptionsError, RECEIVE_BUFFER_BYTES, SEND_QUEUE_BYTES},
+    options::{AirOptions, AirOptionsError, RECEIVE_BUFFER_BYTES},
     phy::{LlPayload, LlPayloadError, Phy, PhyError},
     radio::SimRadio,
     remote::{control, radio, radio_at, ControlError},

@@ -1,70 +1,11 @@
 //! What Zenoh may expect of a `ble` link.
-use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::runtime::Handle;
-use zenoh_link_ble::{radio::Radio, LinkManagerUnicastBle};
-use zenoh_link_commons::{LinkManagerUnicastTrait, LinkUnicast};
-use zenoh_result::ZResult;
+use tokio::time::Instant;
+use zenoh_link_commons::LinkManagerUnicastTrait;
 
-use super::{within, World};
-
-/// A node as Zenoh has one: a link manager, and the links that came in.
-pub struct Peer {
-    pub manager: Arc<LinkManagerUnicastBle>,
-    incoming: flume::Receiver<LinkUnicast>,
-}
-
-impl Peer {
-    pub fn on(radio: &Arc<dyn Radio>) -> Self {
-        let (sender, incoming) = flume::unbounded();
-        let radio = Arc::clone(radio);
-        let open = move |_: Option<&str>| Ok(Arc::clone(&radio));
-        let manager = LinkManagerUnicastBle::with_radios(sender, Handle::current(), open);
-        Self {
-            manager: Arc::new(manager),
-            incoming,
-        }
-    }
-
-    /// Listens on the radio that it was made with, whatever its name.
-    pub async fn listens_as(self, options: &str) -> Self {
-        self.try_listen(options).await.expect("listens");
-        self
-    }
-
-    pub async fn try_listen(&self, options: &str) -> ZResult<()> {
-        let endpoint = format!("ble/hci0#{options}").parse().expect("an endpoint");
-        within("listening", self.manager.new_listener(endpoint))
-            .await
-            .map(|_| ())
-    }
-
-    pub async fn dials(&self, locator: &str) -> ZResult<LinkUnicast> {
-        let endpoint = locator.parse().expect("an endpoint");
-        within("dialling", self.manager.new_link(endpoint)).await
-    }
-
-    pub async fn incoming(&self) -> LinkUnicast {
-        within("the incoming link", self.incoming.recv_async())
-            .await
-            .expect("the manager lives")
-    }
-
-    pub fn no_more_incoming(&self) -> bool {
-        self.incoming.is_empty()
-    }
-}
-
-pub async fn says(from: &LinkUnicast, to: &LinkUnicast, batch: &[u8]) {
-    within("writing", from.write_all(batch, None))
-        .await
-        .expect("writes");
-    let mut buffer = vec![0; 9000];
-    let size = within("reading", to.read(&mut buffer, None))
-        .await
-        .expect("reads");
-    assert_eq!(&buffer[..size], batch);
-}
+use super::World;
+use crate::shared::peer::{says, within, Peer};
 
 pub async fn a_peer_is_found_by_name_and_batches_go_both_ways(world: World) {
     let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
@@ -134,6 +75,31 @@ pub async fn a_link_opens_again_after_it_was_closed(world: World) {
             within("closing", async { tokio::join!(closing.close(), reading) }).await;
         closed.expect("closes");
     }
+}
+
+pub async fn a_link_waits_until_zenoh_let_the_ended_one_go_and_computed_its_routes(world: World) {
+    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+    let a = Peer::on(&world.a);
+    let near = a.dials("ble/wombat-2").await.expect("dials");
+    let ended = b.incoming().await;
+    let reading = async {
+        let end = ended.read(&mut [0; 2000], None).await;
+        assert!(end.is_err(), "the other side sees the end");
+    };
+    within("closing", async { tokio::join!(near.close(), reading) })
+        .await
+        .0
+        .expect("closes");
+
+    let near = a.dials("ble/wombat-2").await.expect("dials");
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    assert!(b.no_more_incoming(), "Zenoh holds the ended one still");
+    ended.close().await.expect("closes");
+    let released = Instant::now();
+    let far = b.incoming().await;
+    // Zenoh computes its routes at most every 100 ms, and some time goes by until it gets to it.
+    assert!(released.elapsed() >= Duration::from_millis(200));
+    says(&near, &far, b"there").await;
 }
 
 pub async fn what_was_sent_before_close_arrives(world: World) {

@@ -1,15 +1,18 @@
 //! The link contract: what must hold on every radio. `contract_sim.rs` runs it on the simulated air in virtual time,
 //! `contract_bluez.rs` on the kernel's own stack (in the VM: `tests/vm/test`).
 pub mod channel;
+pub mod flooding;
 pub mod link;
 pub mod misbehaving;
 
-use std::{future::Future, sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use zenoh_link_ble::{
     address::Psm,
-    radio::{Channel, ChannelListener, ChannelOptions, Radio, Security},
+    radio::{Channel, ChannelListener, ChannelOptions, Radio},
 };
+
+use crate::shared::{peer::within, raw::OPTIONS};
 
 /// Two radios in range of each other.
 pub struct World {
@@ -17,18 +20,6 @@ pub struct World {
     pub b: Arc<dyn Radio>,
     /// Ends what connects them as going out of range does, without a word of either side.
     pub lose_links: Box<dyn Fn() + Send + Sync>,
-}
-
-pub const OPTIONS: ChannelOptions = ChannelOptions {
-    recv_mtu: 4096,
-    security: Security::Low,
-};
-
-/// Bounds a step, so that a hang is a failure that says where.
-pub async fn within<T>(what: &str, step: impl Future<Output = T>) -> T {
-    tokio::time::timeout(Duration::from_secs(20), step)
-        .await
-        .unwrap_or_else(|_| panic!("{what} took longer than 20 s"))
 }
 
 /// An advertisement of a test listener.
@@ -95,6 +86,7 @@ macro_rules! for_each_scenario {
             a_peer_is_found_by_address: link,
             two_nodes_that_dial_each_other_at_once_make_one_link: link,
             a_link_opens_again_after_it_was_closed: link,
+            a_link_waits_until_zenoh_let_the_ended_one_go_and_computed_its_routes: link,
             what_was_sent_before_close_arrives: link,
             an_empty_write_is_no_end_of_the_link: link,
             the_smaller_mtu_of_both_sides_counts: link,
@@ -103,7 +95,17 @@ macro_rules! for_each_scenario {
             a_listener_ends_when_it_is_deleted_and_can_start_again: link,
             a_plain_peer_without_hello_is_served: misbehaving,
             garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_notice: misbehaving,
+            a_listener_that_answers_wrongly_or_not_at_all_is_given_up: misbehaving,
             an_oversize_batch_ends_the_link_with_its_reason: misbehaving,
+            a_repeated_sdu_ends_the_link_with_its_reason: misbehaving,
+            a_skipped_sdu_ends_the_link_with_its_reason: misbehaving,
+            an_unknown_kind_lane_or_size_ends_the_link_with_its_reason: misbehaving,
+            an_acknowledgement_of_what_was_never_sent_ends_the_link: misbehaving,
+            an_acknowledgement_taken_back_ends_the_link: misbehaving,
+            what_comes_after_a_goodbye_is_not_delivered: misbehaving,
+            a_peer_that_talks_on_after_this_sides_goodbye_does_not_hold_up_the_end: misbehaving,
+            a_peer_that_floods_a_lane_nobody_reads_is_held_to_a_bound: flooding,
+            a_peer_may_fill_every_lane_and_nothing_is_lost_when_they_are_read: flooding,
         }
     };
 }

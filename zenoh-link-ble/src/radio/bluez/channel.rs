@@ -17,6 +17,9 @@ use crate::{
 
 /// Incoming channels the kernel holds until they are taken.
 const BACKLOG: u32 = 8;
+/// How much of a socket's receive buffer a byte of an SDU takes at most, where it is counted with 24 bytes more
+/// (`PER_SDU`): the kernel takes some 770 bytes for a K-frame, and K-frames have 23 bytes where packets have 27.
+const BUFFER_PER_BYTE: usize = 34;
 
 pub(super) struct BluezListener {
     adapter: String,
@@ -69,6 +72,7 @@ pub(super) struct BluezChannel {
     adapter: String,
     peer: DeviceAddress,
     send_mtu: usize,
+    kept_unread_bytes: usize,
     packets: Packets,
 }
 
@@ -90,10 +94,14 @@ impl BluezChannel {
     fn new(adapter: &str, peer: DeviceAddress, socket: &SeqPacket) -> Result<Self, RadioError> {
         let send_mtu = socket.send_mtu().map_err(|error| down(peer, error))?;
         let packets = Packets::of(socket).map_err(|error| down(peer, error))?;
+        let receive_buffer_bytes = packets
+            .widen_receive_buffer()
+            .map_err(|error| down(peer, error))?;
         Ok(Self {
             adapter: adapter.to_owned(),
             peer,
             send_mtu,
+            kept_unread_bytes: receive_buffer_bytes / BUFFER_PER_BYTE,
             packets,
         })
     }
@@ -113,23 +121,30 @@ impl Channel for BluezChannel {
         self.send_mtu
     }
 
-    async fn send(&self, sdu: &[u8]) -> Result<(), RadioError> {
+    fn kept_unread_bytes(&self) -> usize {
+        self.kept_unread_bytes
+    }
+
+    fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError> {
         if sdu.len() > self.send_mtu {
             return Err(RadioError::SduTooLarge {
                 size: sdu.len(),
                 limit: self.send_mtu,
             });
         }
-        let sent = self
-            .packets
-            .send(sdu)
-            .await
-            .map_err(|error| down(self.peer, error))?;
-        if sent == sdu.len() {
-            return Ok(());
+        match self.packets.try_send(sdu) {
+            Ok(sent) if sent == sdu.len() => Ok(true),
+            Ok(sent) => {
+                let cut = format!("{sent} of {} bytes of an sdu sent", sdu.len());
+                Err(down(self.peer, std::io::Error::other(cut)))
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => Ok(false),
+            Err(error) => Err(down(self.peer, error)),
         }
-        let cut = std::io::Error::other(format!("{sent} of {} bytes of an sdu sent", sdu.len()));
-        Err(down(self.peer, cut))
+    }
+
+    async fn has_room(&self) {
+        self.packets.has_room().await;
     }
 
     async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError> {

@@ -1,15 +1,19 @@
 //! Owns the simulated air: who is on it, what is due next, and the faults a test can inject. It does no I/O and has no
 //! clock: it is told the time, which counts from its start.
 //!
-//! How it does what is due is in its parts: [`commands`] (what adapters ask for), [`advertising`] (advertisements and
+//! What is due when is in [`due`], how it does it in the other parts: [`commands`] (what adapters ask for), [`advertising`] (advertisements and
 //! the connections that come of them), [`exchange`] (packets of connections), [`delivery`] (what arrives).
 mod advertising;
 mod commands;
 mod delivery;
+mod due;
 mod exchange;
 mod status;
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -18,11 +22,12 @@ use super::{
     condition::{Condition, Figures},
     connection::Connection,
     dice::Dice,
-    message::{ChannelId, Event, RequestId},
-    options::{AirOptions, LINGER},
+    message::{ChannelId, Event},
+    options::AirOptions,
 };
 use crate::radio::AdapterState;
 
+use self::due::{Agenda, Due};
 pub use self::status::{AdapterStatus, AirStatus, LinkStatus};
 
 /// An adapter while it is attached.
@@ -62,7 +67,11 @@ pub struct Air {
     last_connection: u32,
     last_channel: u64,
     is_cut: bool,
-    cuts: Vec<(String, String)>,
+    /// Packets that still arrive before everything is cut.
+    cut_after: Option<u64>,
+    /// Who does not hear whom, by name: both ways round.
+    cuts: BTreeMap<String, BTreeSet<String>>,
+    agenda: Agenda,
     events: Vec<Happened>,
 }
 
@@ -75,16 +84,6 @@ pub struct Happened {
     pub adapter: AdapterId,
     /// What.
     pub event: Event,
-}
-
-/// What the air does next. Of what is due at the same time, the first of this list comes first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Due {
-    ExchangeEnd(ConnectionId),
-    GiveUp(ConnectionId, usize),
-    Anchor(ConnectionId),
-    Advertise(AdapterId, RequestId),
-    LingerEnd(ConnectionId),
 }
 
 impl Air {
@@ -103,7 +102,9 @@ impl Air {
             last_connection: 0,
             last_channel: 0,
             is_cut: false,
-            cuts: Vec::new(),
+            cut_after: None,
+            cuts: BTreeMap::new(),
+            agenda: Agenda::default(),
             events: Vec::new(),
         }
     }
@@ -123,11 +124,6 @@ impl Air {
             }
         }
         self.now = self.now.max(now);
-    }
-
-    /// When `poll` has something to do.
-    pub fn next_wakeup(&self) -> Option<Duration> {
-        self.next_due().map(|(at, _)| at)
     }
 
     /// What has happened since the last call, in order.
@@ -199,16 +195,28 @@ impl Air {
         self.is_cut = true;
     }
 
+    /// As [`Air::cut`], at the moment when so many more packets with data have arrived (0: now). A packet counts once,
+    /// whatever it carries: a part of an SDU, or a command of L2CAP. The answer in the same exchange is not heard.
+    pub fn cut_after(&mut self, packets: u64, now: Duration) {
+        self.poll(now);
+        self.is_cut |= packets == 0;
+        self.cut_after = Some(packets).filter(|packets| *packets > 0);
+    }
+
     /// These two do not hear each other any more. They need not be on the air yet.
     pub fn cut_between(&mut self, a: &str, b: &str, now: Duration) {
         self.poll(now);
-        self.cuts.push((a.to_owned(), b.to_owned()));
+        for (one, other) in [(a, b), (b, a)] {
+            let deaf_to = self.cuts.entry(one.to_owned()).or_default();
+            deaf_to.insert(other.to_owned());
+        }
     }
 
     /// Everybody hears everybody again.
     pub fn restore(&mut self, now: Duration) {
         self.poll(now);
         self.is_cut = false;
+        self.cut_after = None;
         self.cuts.clear();
     }
 
@@ -217,37 +225,6 @@ impl Air {
         self.poll(now);
         self.options.condition = condition;
         self.figures = condition.figures();
-    }
-
-    fn next_due(&self) -> Option<(Duration, Due)> {
-        let connections = self.connections.iter().flat_map(|(id, connection)| {
-            let exchange = connection
-                .exchange
-                .as_ref()
-                .map(|exchange| (exchange.ends_at, Due::ExchangeEnd(*id)));
-            let linger = connection
-                .idle_since
-                .map(|since| (since + LINGER, Due::LingerEnd(*id)));
-            let give_up = [0, 1].into_iter().filter_map(|side| {
-                let at = connection.gives_up_at(side, &self.options);
-                connection.sides[side]
-                    .is_up
-                    .then_some((at, Due::GiveUp(*id, side)))
-            });
-            let anchor = (connection.anchor, Due::Anchor(*id));
-            exchange
-                .into_iter()
-                .chain(linger)
-                .chain(give_up)
-                .chain([anchor])
-        });
-        let advertisements = self.adapters.iter().flat_map(|(id, adapter)| {
-            adapter
-                .advertisements
-                .iter()
-                .map(|(request, advertising)| (advertising.next, Due::Advertise(*id, *request)))
-        });
-        connections.chain(advertisements).min()
     }
 
     fn find(&self, name: &str) -> Result<AdapterId, NoSuchAdapter> {
@@ -263,10 +240,12 @@ impl Air {
         let (Some(a), Some(b)) = (self.adapters.get(&a), self.adapters.get(&b)) else {
             return false;
         };
-        let is_between = |(x, y): &(String, String)| {
-            (*x == a.name && *y == b.name) || (*x == b.name && *y == a.name)
-        };
-        a.is_on() && b.is_on() && !self.is_cut && !self.cuts.iter().any(is_between)
+        a.is_on() && b.is_on() && !self.is_cut && !self.is_cut_between(&a.name, &b.name)
+    }
+
+    /// Whether what one sends does not get to the other, wherever they are and whether they are on.
+    fn is_cut_between(&self, a: &str, b: &str) -> bool {
+        self.cuts.get(a).is_some_and(|deaf_to| deaf_to.contains(b))
     }
 
     fn tell(&mut self, adapter: AdapterId, event: Event) {

@@ -8,7 +8,9 @@ use tokio::sync::{mpsc, oneshot, watch};
 use super::{
     channel_handle::{ChannelFlow, SimChannel},
     guards::SimListener,
-    message::{ChannelId, Command, ConnectFailure, Event, Heard, ListenFailure, RequestId},
+    message::{
+        ChannelId, Command, ConnectFailure, Event, Heard, ListenFailure, RequestId, SendLimits,
+    },
 };
 use crate::{
     address::{DeviceAddress, Psm},
@@ -90,9 +92,9 @@ impl Attachment {
                 channel,
                 psm,
                 peer,
-                send_mtu,
+                limits,
             } => {
-                let incoming = self.opened(channel, peer, send_mtu);
+                let incoming = self.opened(channel, peer, limits);
                 let listener = self.book.lock().listeners.get(&psm).cloned();
                 // Without a listener (any more) the channel is dropped, which closes it.
                 if let Some((_, listener)) = listener {
@@ -102,13 +104,13 @@ impl Attachment {
             Event::Connected {
                 request,
                 channel,
-                send_mtu,
+                limits,
             } => {
                 let dialling = self.book.lock().dials.remove(&request);
                 match dialling {
                     Some(Dialling { peer, answer }) => {
                         // Dropped, and so closed, when nobody waits any more.
-                        let _ = answer.send(Ok(self.opened(channel, peer, send_mtu)));
+                        let _ = answer.send(Ok(self.opened(channel, peer, limits)));
                     }
                     None => self.command(Command::Close { channel }),
                 }
@@ -184,10 +186,15 @@ impl Attachment {
         }
     }
 
-    fn opened(self: &Arc<Self>, id: ChannelId, peer: DeviceAddress, send_mtu: u16) -> SimChannel {
+    fn opened(
+        self: &Arc<Self>,
+        id: ChannelId,
+        peer: DeviceAddress,
+        limits: SendLimits,
+    ) -> SimChannel {
         let flow = Arc::new(ChannelFlow::default());
         self.book.lock().flows.insert(id, Arc::clone(&flow));
-        SimChannel::new(Arc::clone(self), id, peer, usize::from(send_mtu), flow)
+        SimChannel::new(Arc::clone(self), id, peer, limits, flow)
     }
 
     fn flow(&self, channel: ChannelId) -> Option<Arc<ChannelFlow>> {

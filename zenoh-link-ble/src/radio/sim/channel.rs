@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 
 use super::{
-    message::{RequestId, Violation},
-    options::{RECEIVE_BUFFER_BYTES, SEND_QUEUE_BYTES},
+    message::{RequestId, SendLimits, Violation},
+    options::RECEIVE_BUFFER_BYTES,
 };
 
 /// Every SDU begins with its length.
@@ -16,6 +16,7 @@ const SDU_HEADER_BYTES: usize = 2;
 pub(super) struct Channel {
     pub(super) ends: [ChannelEnd; 2],
     mps: usize,
+    ahead_bytes: usize,
 }
 
 /// One end of a channel.
@@ -43,7 +44,7 @@ pub(super) enum EndState {
 #[derive(Debug, Default)]
 struct SendQueue {
     sdus: VecDeque<Outgoing>,
-    /// Bytes of SDUs whose last packet is not acknowledged, those in `sdus` included.
+    /// Bytes of SDUs that are not acknowledged, those in `sdus` included.
     unacknowledged_bytes: usize,
     credits: u32,
 }
@@ -72,13 +73,21 @@ struct ReceiveBuffer {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Piece {
     pub(super) bytes: usize,
+    /// How many of them are the SDU's own, not its header's.
+    pub(super) sdu_bytes: usize,
     /// The SDU, with its last piece.
     pub(super) sdu: Option<Vec<u8>>,
 }
 
 impl Channel {
     /// A channel that the end on `side` asks for.
-    pub(super) fn opening(side: usize, request: RequestId, recv_mtu: u16, mps: u16) -> Self {
+    pub(super) fn opening(
+        side: usize,
+        request: RequestId,
+        recv_mtu: u16,
+        mps: u16,
+        ahead_bytes: usize,
+    ) -> Self {
         let end = |state, recv_mtu| ChannelEnd {
             state,
             recv_mtu,
@@ -90,6 +99,7 @@ impl Channel {
         Self {
             ends,
             mps: usize::from(mps),
+            ahead_bytes,
         }
     }
 
@@ -114,8 +124,9 @@ impl Channel {
         if sdu.is_empty() || sdu.len() > usize::from(self.ends[1 - side].recv_mtu) {
             return Err(Violation::SduSize);
         }
+        let limits = self.send_limits(side);
         let sending = &mut self.ends[side].sending;
-        if !has_room(sending.unacknowledged_bytes, sdu.len()) {
+        if !limits.has_room(sending.unacknowledged_bytes) {
             return Err(Violation::NoRoom);
         }
         sending.unacknowledged_bytes += sdu.len();
@@ -138,6 +149,8 @@ impl Channel {
         let credits = sending.credits.checked_sub(1)?;
         let oldest = sending.sdus.front_mut()?;
         let bytes = oldest.left_bytes.min(self.mps);
+        let header_left = oldest.left_bytes.saturating_sub(oldest.sdu.len());
+        let sdu_bytes = bytes - header_left.min(bytes);
         oldest.left_bytes -= bytes;
         let sdu = if oldest.left_bytes == 0 {
             sending.sdus.pop_front().map(|outgoing| outgoing.sdu)
@@ -145,10 +158,14 @@ impl Channel {
             None
         };
         sending.credits = credits;
-        Some(Piece { bytes, sdu })
+        Some(Piece {
+            bytes,
+            sdu_bytes,
+            sdu,
+        })
     }
 
-    /// The last packet of an SDU from `side` was acknowledged. False when nobody waits for it any more.
+    /// So many bytes of SDUs from `side` were acknowledged. False when nobody waits for it any more.
     pub(super) fn acknowledged(&mut self, side: usize, bytes: usize) -> bool {
         let end = &mut self.ends[side];
         end.sending.unacknowledged_bytes = end.sending.unacknowledged_bytes.saturating_sub(bytes);
@@ -224,20 +241,18 @@ impl Channel {
         self.ends[side].state == EndState::Closed
     }
 
-    /// The largest SDU that `side` may send.
-    pub(super) fn send_mtu(&self, side: usize) -> u16 {
-        self.ends[1 - side].recv_mtu
+    /// What `side` may send.
+    pub(super) fn send_limits(&self, side: usize) -> SendLimits {
+        SendLimits {
+            sdu_bytes: self.ends[1 - side].recv_mtu,
+            ahead_bytes: self.ahead_bytes,
+        }
     }
 
     /// Bytes queued at `side`, for the status.
     pub(super) fn queued_bytes(&self, side: usize) -> usize {
         self.ends[side].sending.unacknowledged_bytes
     }
-}
-
-/// Whether an SDU may join a send queue. One SDU may always be under way, however large.
-pub(super) fn has_room(queued_bytes: usize, sdu_bytes: usize) -> bool {
-    queued_bytes == 0 || queued_bytes + sdu_bytes <= SEND_QUEUE_BYTES
 }
 
 impl ReceiveBuffer {
@@ -280,7 +295,7 @@ mod tests {
     use super::*;
 
     fn open(mps: u16, recv_mtu: u16) -> Channel {
-        let mut channel = Channel::opening(0, RequestId(1), recv_mtu, mps);
+        let mut channel = Channel::opening(0, RequestId(1), recv_mtu, mps, 2000);
         channel.accept(1, recv_mtu);
         channel.confirm(0);
         channel
@@ -293,6 +308,8 @@ mod tests {
         let pieces: Vec<_> = std::iter::from_fn(|| channel.cut(0)).collect();
         let sizes: Vec<_> = pieces.iter().map(|piece| piece.bytes).collect();
         assert_eq!(sizes, [100, 100, 52]);
+        let of_sdu: Vec<_> = pieces.iter().map(|piece| piece.sdu_bytes).collect();
+        assert_eq!(of_sdu, [98, 100, 52]);
         assert_eq!(pieces[2].sdu, Some(vec![7; 250]));
     }
 
@@ -310,7 +327,7 @@ mod tests {
         channel.queue(0, vec![0; 60000]).expect("alone");
         assert_eq!(channel.queue(0, vec![0; 1]), Err(Violation::NoRoom));
         assert!(channel.acknowledged(0, 60000));
-        channel.queue(0, vec![0; 8000]).expect("room again");
+        channel.queue(0, vec![0; 2000]).expect("room again");
     }
 
     #[test]

@@ -7,8 +7,8 @@ use tokio::sync::Notify;
 
 use super::{
     attachment::Attachment,
-    channel::has_room,
-    message::{ChannelId, Command},
+    message::{ChannelId, Command, SendLimits},
+    options::KEPT_UNREAD_BYTES,
 };
 use crate::{
     address::DeviceAddress,
@@ -20,7 +20,7 @@ pub(super) struct SimChannel {
     attachment: Arc<Attachment>,
     id: ChannelId,
     peer: DeviceAddress,
-    send_mtu: usize,
+    limits: SendLimits,
     flow: Arc<ChannelFlow>,
 }
 
@@ -49,34 +49,43 @@ impl Channel for SimChannel {
     }
 
     fn send_mtu(&self) -> usize {
-        self.send_mtu
+        usize::from(self.limits.sdu_bytes)
     }
 
-    async fn send(&self, sdu: &[u8]) -> Result<(), RadioError> {
-        if sdu.is_empty() || sdu.len() > self.send_mtu {
+    fn kept_unread_bytes(&self) -> usize {
+        KEPT_UNREAD_BYTES
+    }
+
+    fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError> {
+        if sdu.is_empty() || sdu.len() > self.send_mtu() {
             return Err(RadioError::SduTooLarge {
                 size: sdu.len(),
-                limit: self.send_mtu,
+                limit: self.send_mtu(),
             });
         }
-        self.flow
-            .wait(|flow| {
-                if flow.is_down {
-                    return Some(false);
-                }
-                has_room(flow.queued_bytes, sdu.len()).then(|| {
-                    flow.queued_bytes += sdu.len();
-                    true
-                })
-            })
-            .await
-            .then(|| {
-                self.attachment.command(Command::Send {
-                    channel: self.id,
-                    sdu: sdu.to_vec(),
-                });
-            })
-            .ok_or_else(|| self.down())
+        let mut flow = self.flow.inner.lock();
+        if flow.is_down {
+            return Err(self.down());
+        }
+        let has_room = self.limits.has_room(flow.queued_bytes);
+        if has_room {
+            flow.queued_bytes += sdu.len();
+        }
+        drop(flow);
+        if has_room {
+            self.attachment.command(Command::Send {
+                channel: self.id,
+                sdu: sdu.to_vec(),
+            });
+        }
+        Ok(has_room)
+    }
+
+    async fn has_room(&self) {
+        let has_room = |flow: &mut Flow| {
+            (flow.is_down || self.limits.has_room(flow.queued_bytes)).then_some(())
+        };
+        self.flow.wait(has_room).await;
     }
 
     async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError> {
@@ -121,14 +130,14 @@ impl SimChannel {
         attachment: Arc<Attachment>,
         id: ChannelId,
         peer: DeviceAddress,
-        send_mtu: usize,
+        limits: SendLimits,
         flow: Arc<ChannelFlow>,
     ) -> Self {
         Self {
             attachment,
             id,
             peer,
-            send_mtu,
+            limits,
             flow,
         }
     }

@@ -140,6 +140,18 @@ impl Connection {
         }
     }
 
+    /// Whether nothing is on its way or waits for it, so that events bring nothing but that both are still there.
+    pub(super) fn is_quiet(&self) -> bool {
+        let has_nothing = |side: usize| {
+            let this = &self.sides[side];
+            this.in_flight.is_none()
+                && this.frame.is_none()
+                && this.signals.is_empty()
+                && !self.channels.values().any(|channel| channel.is_ready(side))
+        };
+        !self.is_terminating && has_nothing(CENTRAL) && has_nothing(PERIPHERAL)
+    }
+
     /// Whether `side` has more to send than what is in flight.
     pub(super) fn has_more(&self, side: usize) -> bool {
         let this = &self.sides[side];
@@ -246,7 +258,7 @@ mod tests {
             connection.on_good_event();
         }
         for id in 1..=channels {
-            let mut channel = Channel::opening(CENTRAL, RequestId(1), 1000, 247);
+            let mut channel = Channel::opening(CENTRAL, RequestId(1), 1000, 247, 2000);
             channel.accept(PERIPHERAL, 1000);
             channel.confirm(CENTRAL);
             connection.channels.insert(ChannelId(id), channel);
@@ -281,7 +293,9 @@ mod tests {
         let short = packets(&mut connection, 27);
         assert_eq!(short.len(), 10);
         assert_eq!(short[9].bytes, 251 - 9 * 27);
-        assert_eq!(short[9].completes, Some((ChannelId(1), 245)));
+        assert_eq!(short[0].completes, Some((ChannelId(1), 27 - 6)));
+        let done = short.iter().filter_map(|packet| packet.completes);
+        assert_eq!(done.map(|(_, bytes)| bytes).sum::<usize>(), 245);
         assert!(short[8].load.is_none());
     }
 

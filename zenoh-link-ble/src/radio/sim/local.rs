@@ -125,6 +125,12 @@ impl SimAir {
         self.shared.act(|air, now| air.cut(now));
     }
 
+    /// The same, at the moment when so many more packets with data have arrived (0: now). Every packet of an SDU counts, and
+    /// every command of L2CAP (asking for a channel, the answer, credits, the end); one that is repeated counts once.
+    pub fn cut_after(&self, packets: u64) {
+        self.shared.act(|air, now| air.cut_after(packets, now));
+    }
+
     /// Everybody hears everybody again.
     pub fn restore(&self) {
         self.shared.act(|air, now| air.restore(now));

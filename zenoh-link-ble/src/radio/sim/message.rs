@@ -84,6 +84,23 @@ pub enum Command {
     },
 }
 
+/// How much one end of a channel may send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SendLimits {
+    /// The largest SDU the peer takes, in bytes.
+    pub sdu_bytes: u16,
+    /// How many bytes of SDUs the controller takes ahead of the air: `send` waits while there are more.
+    pub ahead_bytes: usize,
+}
+
+impl SendLimits {
+    /// Whether another SDU may join so many bytes that wait: the socket has room for one, as soon as the controller has all
+    /// of the one before.
+    pub fn has_room(self, queued_bytes: usize) -> bool {
+        queued_bytes <= self.ahead_bytes
+    }
+}
+
 /// What the air tells an adapter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {
@@ -107,8 +124,8 @@ pub enum Event {
         psm: Psm,
         /// Who dialled.
         peer: DeviceAddress,
-        /// The largest SDU the peer takes, in bytes.
-        send_mtu: u16,
+        /// How much may be sent.
+        limits: SendLimits,
     },
     /// A channel asked for is open.
     Connected {
@@ -116,8 +133,8 @@ pub enum Event {
         request: RequestId,
         /// The channel.
         channel: ChannelId,
-        /// The largest SDU the peer takes, in bytes.
-        send_mtu: u16,
+        /// How much may be sent.
+        limits: SendLimits,
     },
     /// A channel asked for will not be.
     ConnectFailed {
@@ -126,7 +143,7 @@ pub enum Event {
         /// Why.
         why: ConnectFailure,
     },
-    /// The oldest SDU queued on the channel has arrived: so many bytes have room again.
+    /// The oldest of what is queued on the channel has arrived: so many bytes have room again.
     Sent {
         /// The channel.
         channel: ChannelId,

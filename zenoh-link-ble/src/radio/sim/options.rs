@@ -6,11 +6,16 @@ use super::{
     phy::{LlPayload, Phy},
 };
 
-/// How many bytes of SDUs wait at the sender until `send` waits too; about what a Linux socket takes before it does.
-pub const SEND_QUEUE_BYTES: usize = 8 * 1024;
+/// How many packets a controller takes ahead of the air. What it took cannot be overtaken by what is more urgent.
+const CONTROLLER_PACKETS: usize = 4;
+/// The least a controller takes ahead, in bytes: eight of the shortest packets.
+const CONTROLLER_BYTES: usize = 8 * 27;
 
 /// How many bytes of unread SDUs a receiver keeps before it gives no more credits (a kernel's `SO_RCVBUF`).
 pub const RECEIVE_BUFFER_BYTES: usize = 64 * 1024;
+
+/// How much of that a link may count on: as on Linux with its default settings. (Here nothing would be lost beyond it.)
+pub const KEPT_UNREAD_BYTES: usize = 12_500;
 
 /// The smallest receive MTU an LE channel may have (Core Specification, Vol 3, Part A, 4.22).
 pub const MIN_MTU: u16 = 23;
@@ -102,6 +107,11 @@ impl AirOptions {
             return Err(AirOptionsError::Mps(self.mps));
         }
         Ok(())
+    }
+
+    /// How many bytes a controller takes ahead.
+    pub(super) fn ahead_bytes(&self) -> usize {
+        CONTROLLER_BYTES.max(CONTROLLER_PACKETS * self.pdu.bytes())
     }
 
     /// The nearest values that a Bluetooth link could have (Core Specification, Vol 6, Part B, 4.5.1 and 4.5.2).

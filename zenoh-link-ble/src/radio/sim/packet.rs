@@ -12,7 +12,7 @@ pub(super) struct Packet {
     pub(super) bytes: usize,
     /// What arrives with it: the end of a frame.
     pub(super) load: Option<Load>,
-    /// The SDU that is done with once this packet is acknowledged, and its size.
+    /// Whose bytes are done with once this packet is acknowledged, and how many.
     pub(super) completes: Option<(ChannelId, usize)>,
     pub(super) is_delivered: bool,
     pub(super) is_repeated: bool,
@@ -41,6 +41,10 @@ pub(super) enum Signal {
 #[derive(Debug)]
 pub(super) struct Frame {
     pub(super) left_bytes: usize,
+    /// Whose SDU it is part of.
+    channel: Option<ChannelId>,
+    /// Bytes of headers at its beginning.
+    header_bytes: usize,
     load: Load,
 }
 
@@ -48,6 +52,8 @@ impl Frame {
     pub(super) fn of_signal(signal: Signal) -> Self {
         Self {
             left_bytes: L2CAP_HEADER_BYTES + signal.bytes(),
+            channel: None,
+            header_bytes: 0,
             load: Load::Signal(signal),
         }
     }
@@ -55,6 +61,8 @@ impl Frame {
     pub(super) fn of_piece(channel: ChannelId, piece: Piece) -> Self {
         Self {
             left_bytes: L2CAP_HEADER_BYTES + piece.bytes,
+            channel: Some(channel),
+            header_bytes: L2CAP_HEADER_BYTES + piece.bytes - piece.sdu_bytes,
             load: Load::Frame {
                 channel,
                 sdu: piece.sdu,
@@ -65,23 +73,23 @@ impl Frame {
     /// Its next packet of at most `payload_bytes`, and the rest; what the frame carries arrives with its last packet.
     pub(super) fn cut(self, payload_bytes: usize) -> (Packet, Option<Self>) {
         let bytes = self.left_bytes.min(payload_bytes);
+        let headers = self.header_bytes.min(bytes);
         let mut packet = Packet {
             bytes,
             load: None,
-            completes: None,
+            completes: self.channel.map(|channel| (channel, bytes - headers)),
             is_delivered: false,
             is_repeated: false,
         };
         let left_bytes = self.left_bytes - bytes;
         if left_bytes > 0 {
-            return (packet, Some(Self { left_bytes, ..self }));
-        }
-        if let Load::Frame {
-            channel,
-            sdu: Some(sdu),
-        } = &self.load
-        {
-            packet.completes = Some((*channel, sdu.len()));
+            let header_bytes = self.header_bytes - headers;
+            let rest = Self {
+                left_bytes,
+                header_bytes,
+                ..self
+            };
+            return (packet, Some(rest));
         }
         packet.load = Some(self.load);
         (packet, None)

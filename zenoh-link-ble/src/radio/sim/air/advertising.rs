@@ -1,12 +1,12 @@
 //! Owns advertising events: who hears them, and the connections that initiators make of them.
 use std::time::Duration;
 
-use super::{Air, ConnectionId};
+use super::{due::Due, Air, ConnectionId};
 use crate::radio::sim::{
     adapter::Dial,
     air::AdapterId,
     channel::Channel,
-    connection::Connection,
+    connection::{Connection, CENTRAL, PERIPHERAL},
     message::{ChannelId, Event, Heard, RequestId},
     options::{ADVERTISING_DELAY, ADVERTISING_INTERVAL, SIGHTING_INTERVAL, TRANSMIT_WINDOW},
     packet::Signal,
@@ -32,10 +32,16 @@ impl Air {
         };
         let others: Vec<_> = self.adapters.keys().copied().collect();
         for other in others {
-            if other != advertiser && self.is_in_range(other, advertiser) {
+            if other != advertiser && self.listens(other) && self.is_in_range(other, advertiser) {
                 self.on_advertisement_near(other, (advertiser, request), &heard);
             }
         }
+    }
+
+    /// Whether an adapter has an ear for advertisements.
+    fn listens(&self, id: AdapterId) -> bool {
+        let adapter = self.adapters.get(&id);
+        adapter.is_some_and(|adapter| adapter.scan.is_some() || !adapter.dials.is_empty())
     }
 
     fn on_advertisement_near(
@@ -93,6 +99,13 @@ impl Air {
         let id = ConnectionId(self.last_connection);
         self.connections
             .insert(id, Connection::new(central, peripheral, anchor));
+        for due in [
+            Due::Anchor(id),
+            Due::GiveUp(id, CENTRAL),
+            Due::GiveUp(id, PERIPHERAL),
+        ] {
+            self.plan(due);
+        }
         self.open_dialled(id, central, peripheral);
         // Whoever was dialling the other way round uses the same connection.
         self.open_dialled(id, peripheral, central);
@@ -129,7 +142,13 @@ impl Air {
         };
         self.last_channel += 1;
         let channel = ChannelId(self.last_channel);
-        let opening = Channel::opening(side, request, dial.recv_mtu, self.options.mps);
+        let opening = Channel::opening(
+            side,
+            request,
+            dial.recv_mtu,
+            self.options.mps,
+            self.options.ahead_bytes(),
+        );
         connection.channels.insert(channel, opening);
         connection.idle_since = None;
         let psm = dial.psm;

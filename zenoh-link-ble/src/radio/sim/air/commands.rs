@@ -1,7 +1,7 @@
 //! Owns what adapters ask of the air. Every command is checked: an adapter may live in a process that misbehaves.
 use std::time::Duration;
 
-use super::Air;
+use super::{due::Due, Air};
 use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
@@ -95,6 +95,7 @@ impl Air {
             next,
         };
         adapter.advertisements.insert(request, advertising);
+        self.plan(Due::Advertise(id, request));
         Ok(())
     }
 

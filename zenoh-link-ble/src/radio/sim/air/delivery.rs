@@ -1,5 +1,5 @@
 //! Owns what happens when packets arrive, and when they no longer do.
-use super::{Air, ConnectionId};
+use super::{due::Due, Air, ConnectionId};
 use crate::{
     address::Psm,
     radio::sim::{
@@ -20,12 +20,26 @@ impl Air {
             return;
         };
         // A repeated packet whose acknowledgement was lost arrives twice; the second one is dropped.
-        packet.is_delivered = true;
+        let is_new = !std::mem::replace(&mut packet.is_delivered, true);
         let receiver = 1 - side;
         match packet.load.take() {
             None => {}
             Some(Load::Signal(signal)) => self.on_signal(id, receiver, signal),
             Some(Load::Frame { channel, sdu }) => self.on_frame(id, receiver, channel, sdu),
+        }
+        if is_new {
+            self.count_down_to_cut();
+        }
+    }
+
+    /// A packet has arrived; it may be the last one.
+    fn count_down_to_cut(&mut self) {
+        if let Some(left) = &mut self.cut_after {
+            *left -= 1;
+            if *left == 0 {
+                self.cut_after = None;
+                self.is_cut = true;
+            }
         }
     }
 
@@ -119,7 +133,7 @@ impl Air {
         let accepted = match (recv_mtu, peer) {
             (Some(recv_mtu), Some(peer)) => {
                 end.accept(side, *recv_mtu);
-                let send_mtu = end.send_mtu(side);
+                let limits = end.send_limits(side);
                 self.events.push(super::Happened {
                     at: self.now,
                     adapter: here,
@@ -127,7 +141,7 @@ impl Air {
                         channel,
                         psm,
                         peer,
-                        send_mtu,
+                        limits,
                     },
                 });
                 true
@@ -156,11 +170,11 @@ impl Air {
         };
         if accepted {
             end.confirm(side);
-            let send_mtu = end.send_mtu(side);
+            let limits = end.send_limits(side);
             let event = Event::Connected {
                 request,
                 channel,
-                send_mtu,
+                limits,
             };
             self.tell(adapter, event);
         } else {
@@ -228,11 +242,10 @@ impl Air {
 
     /// Forgets a channel that neither end needs; a connection without channels goes soon.
     pub(super) fn settle(&mut self, channel: ChannelId) {
-        let Some(connection) = self
-            .homes
-            .get(&channel)
-            .and_then(|id| self.connections.get_mut(id))
-        else {
+        let Some(id) = self.homes.get(&channel).copied() else {
+            return;
+        };
+        let Some(connection) = self.connections.get_mut(&id) else {
             return;
         };
         if connection
@@ -244,6 +257,7 @@ impl Air {
             self.homes.remove(&channel);
             if connection.channels.is_empty() {
                 connection.idle_since = Some(self.now);
+                self.plan(Due::LingerEnd(id));
             }
         }
     }

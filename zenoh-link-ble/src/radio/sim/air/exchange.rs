@@ -1,7 +1,7 @@
 //! Owns connection events: which connection has the radios, which packets meet, and which of them are lost.
 use std::time::Duration;
 
-use super::{Air, ConnectionId};
+use super::{due::Due, Air, ConnectionId};
 use crate::radio::sim::{
     adapter::AdapterStats,
     air::AdapterId,
@@ -50,11 +50,15 @@ impl Air {
         let Some(exchange) = connection.exchange.take() else {
             return;
         };
+        let mut is_peripheral_heard = false;
         for side in [CENTRAL, PERIPHERAL] {
             let Some(connection) = self.connections.get_mut(&id) else {
                 return;
             };
-            let is_heard = exchange.is_heard[side] && connection.sides[1 - side].is_up;
+            // What is on the air when everything is cut is lost.
+            let is_heard =
+                exchange.is_heard[side] && connection.sides[1 - side].is_up && !self.is_cut;
+            is_peripheral_heard = side == PERIPHERAL && is_heard;
             if is_heard {
                 connection.losses_in_row = 0;
                 connection.on_heard(1 - side, now);
@@ -63,13 +67,13 @@ impl Air {
                 connection.losses_in_row += 1;
             }
         }
-        if exchange.is_heard[PERIPHERAL] {
+        if is_peripheral_heard {
             // Its header acknowledges what the central sent.
             self.acknowledge(id, CENTRAL);
         }
         if self.goes_on(id) {
             self.start_exchange(id);
-        } else if exchange.is_heard[PERIPHERAL] {
+        } else if is_peripheral_heard {
             if let Some(connection) = self.connections.get_mut(&id) {
                 connection.on_good_event();
             }
@@ -113,6 +117,7 @@ impl Air {
         if let Some(connection) = self.connections.get_mut(&id) {
             connection.exchange = Some(exchange);
         }
+        self.plan(Due::ExchangeEnd(id));
     }
 
     /// Whether the event has room and reason for another exchange.
@@ -184,9 +189,17 @@ impl Air {
 
     /// One side left in good order and says so, until the other hears it.
     fn terminate(&mut self, id: ConnectionId) {
-        let is_lost = self.dice.chance(self.figures.event_hit)
-            || self.is_lost(TERMINATE_BYTES)
-            || self.is_cut;
+        let Some(connection) = self.connections.get(&id) else {
+            return;
+        };
+        // The one that left may be off, or gone for good: its controller's last word is still on its way.
+        let names = connection.sides.each_ref().map(|side| {
+            let adapter = self.adapters.get(&side.adapter);
+            adapter.map_or("", |adapter| adapter.name.as_str())
+        });
+        let is_cut = self.is_cut || self.is_cut_between(names[CENTRAL], names[PERIPHERAL]);
+        let is_lost =
+            self.dice.chance(self.figures.event_hit) || self.is_lost(TERMINATE_BYTES) || is_cut;
         let Some(connection) = self.connections.get(&id) else {
             return;
         };

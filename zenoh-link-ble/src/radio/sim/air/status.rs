@@ -97,9 +97,19 @@ impl Air {
             condition: self.options.condition,
             phy: self.options.phy,
             is_cut: self.is_cut,
-            cuts: self.cuts.clone(),
+            cuts: self.cut_pairs(),
             adapters: adapters.collect(),
             links: links.collect(),
         }
+    }
+
+    /// Each pair once.
+    fn cut_pairs(&self) -> Vec<(String, String)> {
+        let both_ways = self.cuts.iter().flat_map(|(one, deaf_to)| {
+            deaf_to
+                .iter()
+                .map(move |other| (one.clone(), other.clone()))
+        });
+        both_ways.filter(|(one, other)| one <= other).collect()
     }
 }

@@ -5,7 +5,7 @@ use super::*;
 use crate::{
     address::Psm,
     advertisement::Advertisement,
-    radio::sim::message::{Command, ConnectFailure},
+    radio::sim::message::{Command, ConnectFailure, RequestId},
 };
 
 const A: AdapterId = AdapterId(1);
@@ -88,24 +88,46 @@ fn connected(seed: u64, condition: Condition) -> (Air, ChannelId) {
     (air, channel)
 }
 
-/// All that happens in five seconds while A sends as fast as it may and B reads at once.
+/// When to look at the air again.
+type Step = fn(&mut Air) -> Option<Duration>;
+
+/// Whenever anything is due.
+fn every_step(air: &mut Air) -> Option<Duration> {
+    air.next_due().map(|(at, _)| at)
+}
+
 fn trace(seed: u64, condition: Condition) -> Vec<Happened> {
+    trace_by(|air| air.next_wakeup(), seed, condition)
+}
+
+/// All that happens in five seconds while A sends as fast as it may and B reads at once; then the air is cut.
+fn trace_by(step: Step, seed: u64, condition: Condition) -> Vec<Happened> {
     let (mut air, channel) = connected(seed, condition);
     let mut trace = Vec::new();
-    let send = |air: &mut Air, now| {
-        let sdu = vec![1; 700];
-        air.command(A, Command::Send { channel, sdu }, now)
-            .expect("room");
+    let limit = AirOptions::default().ahead_bytes();
+    let mut queued = 0;
+    let mut fill = |air: &mut Air, now, sent: usize| {
+        queued -= sent;
+        while queued <= limit {
+            queued += 700;
+            let sdu = vec![1; 700];
+            air.command(A, Command::Send { channel, sdu }, now)
+                .expect("room");
+        }
     };
-    for _ in 0..10 {
-        let now = air.now;
-        send(&mut air, now);
-    }
-    while let Some(next) = air.next_wakeup().filter(|next| *next < ms(5000)) {
+    let now = air.now;
+    fill(&mut air, now, 0);
+    while let Some(next) = step(&mut air).filter(|next| *next < ms(9000)) {
+        if next > ms(6000) && !air.is_cut {
+            air.cut(ms(6000));
+            continue;
+        }
         air.poll(next);
         for happened in air.drain() {
+            assert_eq!(happened.at, next, "told late");
             match happened.event {
-                Event::Sent { .. } => send(&mut air, next),
+                _ if next > ms(5000) => {}
+                Event::Sent { bytes, .. } => fill(&mut air, next, bytes),
                 Event::Received { .. } => {
                     air.command(B, Command::Took { channel }, next)
                         .expect("was there");
@@ -127,16 +149,37 @@ fn the_same_seed_gives_the_same_events_and_another_does_not() {
 }
 
 #[test]
+fn whoever_looks_only_when_there_may_be_something_misses_nothing() {
+    for condition in Condition::ALL {
+        let all = trace_by(every_step, 5, condition);
+        assert!(trace(5, condition) == all, "{condition}");
+        let is_end = |h: &Happened| matches!(h.event, Event::Closed { .. });
+        let ends = all.iter().filter(|h| is_end(h)).count();
+        assert_eq!(ends, 2, "{condition}: both sides are told of the cut");
+    }
+}
+
+#[test]
+fn a_quiet_link_wants_to_be_looked_at_once_in_a_supervision_timeout() {
+    let (mut air, _) = connected(1, Condition::Room);
+    air.poll(ms(1000));
+    let mut looks = 0;
+    while let Some(next) = air.next_wakeup().filter(|next| *next <= ms(61_000)) {
+        air.poll(next);
+        looks += 1;
+    }
+    assert!((30..=62).contains(&looks), "{looks} in a minute");
+}
+
+#[test]
 fn nothing_changes_when_polls_come_late() {
     let (mut exact, _) = connected(3, Condition::Wall);
     let (mut late, _) = connected(3, Condition::Wall);
-    let mut events = Vec::new();
-    while let Some(next) = exact.next_wakeup().filter(|next| *next <= ms(10_000)) {
+    while let Some(next) = every_step(&mut exact).filter(|next| *next <= ms(10_000)) {
         exact.poll(next);
-        events.extend(exact.drain());
     }
     late.poll(ms(10_000));
-    assert_eq!(late.drain(), events);
+    assert_eq!(late.drain(), exact.drain());
     assert_eq!(late.stats("sim-a"), exact.stats("sim-a"));
 }
 
@@ -205,6 +248,44 @@ fn a_link_lost_before_it_is_made_fails_the_connect() {
     let why = ConnectFailure::LinkLost;
     let request = request(7);
     assert_eq!(failed.event, Event::ConnectFailed { request, why });
+}
+
+#[test]
+fn a_cut_after_so_many_packets_lets_them_arrive_and_nothing_more() {
+    let sdus_that_arrive = |packets| {
+        let (mut air, channel) = connected(1, Condition::Room);
+        let now = air.now;
+        air.cut_after(packets, now);
+        for (from, sdu) in [(A, vec![1; 700]), (B, vec![2; 20]), (A, vec![3; 20])] {
+            air.command(from, Command::Send { channel, sdu }, now)
+                .expect("room");
+        }
+        air.poll(now + ms(1000));
+        let received = |h: Happened| match h.event {
+            Event::Received { sdu, .. } => Some(sdu[0]),
+            _ => None,
+        };
+        air.drain()
+            .into_iter()
+            .filter_map(received)
+            .collect::<Vec<_>>()
+    };
+    // An SDU of 700 bytes takes three packets; the peripheral's answer comes after the first of them.
+    let by_packets: Vec<_> = (0..=6).map(sdus_that_arrive).collect();
+    let wanted: [&[u8]; 7] = [&[], &[], &[2], &[2], &[2, 1], &[2, 1, 3], &[2, 1, 3]];
+    assert_eq!(by_packets, wanted);
+}
+
+#[test]
+fn who_is_out_of_range_is_not_told_that_a_peer_leaves() {
+    let (mut air, channel) = connected(1, Condition::Desk);
+    let now = air.now;
+    air.cut_between("sim-b", "sim-a", now);
+    air.power("sim-b", false, now).expect("is there");
+    let closed = until(&mut air, now + ms(3000), |h| {
+        h.event == Event::Closed { channel }
+    });
+    assert!(closed.at > now + ms(1900), "{:?}", closed.at - now);
 }
 
 #[test]

@@ -1,0 +1,138 @@
+//! Owns the bytes of an SDU after the opening: head, check, body. Layout: `PROTOCOL.md`.
+use super::{
+    check::{self, Fault},
+    Lane, HEADER,
+};
+
+const BATCH: u8 = 0;
+const ACK: u8 = 1;
+const STOP: u8 = 2;
+const GO: u8 = 3;
+const BYE: u8 = 4;
+
+/// What an SDU says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content<'a> {
+    /// One Zenoh batch, never empty.
+    Batch(Lane, &'a [u8]),
+    /// The total of what the receiver's reader has taken, see `credits`.
+    Ack(u16),
+    /// The receiver holds enough of that lane: nothing more of it until it says so.
+    Stop(Lane),
+    /// It takes more.
+    Go(Lane),
+    /// The end of the link, with its reason.
+    Bye(u8),
+}
+
+/// Why an SDU is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SduError {
+    /// Shorter than its kind needs, or longer.
+    #[error("an sdu of {0} bytes")]
+    Size(usize),
+    /// Its kind or lane is unknown.
+    #[error("an sdu of unknown kind {0:#04x}")]
+    Head(u8),
+    /// It is not the one that was due.
+    #[error(transparent)]
+    Fault(#[from] Fault),
+}
+
+impl Content<'_> {
+    /// As an SDU, its check still open.
+    pub fn encode(&self) -> Vec<u8> {
+        let with_body = |kind: u8, lane: u8, body: &[u8]| {
+            let mut sdu = Vec::with_capacity(HEADER + body.len());
+            sdu.extend_from_slice(&[kind << 4 | lane, 0, 0]);
+            sdu.extend_from_slice(body);
+            sdu
+        };
+        match self {
+            Self::Batch(lane, batch) => with_body(BATCH, lane.number(), batch),
+            Self::Ack(total) => with_body(ACK, 0, &total.to_le_bytes()),
+            Self::Stop(lane) => with_body(STOP, lane.number(), &[]),
+            Self::Go(lane) => with_body(GO, lane.number(), &[]),
+            Self::Bye(reason) => with_body(BYE, 0, &[*reason]),
+        }
+    }
+}
+
+/// Puts in the check, as the SDU of that number.
+pub fn seal(number: u32, sdu: &mut [u8]) {
+    if let [head, low, high, body @ ..] = sdu {
+        [*low, *high] = check::of(number, *head, body);
+    }
+}
+
+/// Takes the SDU of that number apart.
+pub fn open(number: u32, sdu: &[u8]) -> Result<Content<'_>, SduError> {
+    let [head, low, high, body @ ..] = sdu else {
+        return Err(SduError::Size(sdu.len()));
+    };
+    check::verify(number, *head, [*low, *high], body)?;
+    let lane = Lane::new(head & 0x0f).ok_or(SduError::Head(*head))?;
+    let kind = head >> 4;
+    if matches!(kind, ACK | BYE) && lane.number() != 0 {
+        return Err(SduError::Head(*head));
+    }
+    match (kind, body) {
+        (BATCH, [_, ..]) => Ok(Content::Batch(lane, body)),
+        (ACK, [low, high]) => Ok(Content::Ack(u16::from_le_bytes([*low, *high]))),
+        (STOP, []) => Ok(Content::Stop(lane)),
+        (GO, []) => Ok(Content::Go(lane)),
+        (BYE, [reason]) => Ok(Content::Bye(*reason)),
+        (BATCH | ACK | STOP | GO | BYE, _) => Err(SduError::Size(sdu.len())),
+        _ => Err(SduError::Head(*head)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sealed(number: u32, mut sdu: Vec<u8>) -> Vec<u8> {
+        seal(number, &mut sdu);
+        sdu
+    }
+
+    #[test]
+    fn every_sdu_reads_back_as_it_was_written() {
+        let lane = Lane::new(5).expect("valid");
+        for (number, content) in [
+            Content::Batch(lane, b"x"),
+            Content::Ack(4711),
+            Content::Stop(lane),
+            Content::Go(lane),
+            Content::Bye(3),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            let sdu = sealed(number as u32, content.encode());
+            assert_eq!(open(number as u32, &sdu), Ok(content));
+        }
+    }
+
+    #[test]
+    fn what_is_no_sdu_is_refused() {
+        assert_eq!(open(0, &[]), Err(SduError::Size(0)));
+        assert_eq!(open(0, &[0, 0]), Err(SduError::Size(2)));
+        for (sdu, error) in [
+            (vec![0x05, 0, 0], SduError::Size(3)),
+            (vec![0x10, 0, 0, 1], SduError::Size(4)),
+            (vec![0x15, 0, 0, 1, 1], SduError::Head(0x15)),
+            (vec![0x25, 0, 0, 1], SduError::Size(4)),
+            (vec![0x41, 0, 0, 1], SduError::Head(0x41)),
+            (vec![0x08, 0, 0, 1], SduError::Head(0x08)),
+            (vec![0x50, 0, 0, 1], SduError::Head(0x50)),
+        ] {
+            assert_eq!(open(0, &sealed(0, sdu)), Err(error));
+        }
+        let lost = sealed(
+            4,
+            Content::Batch(Lane::new(0).expect("valid"), b"x").encode(),
+        );
+        assert_eq!(open(1, &lost), Err(SduError::Fault(Fault::Lost(3))));
+    }
+}

@@ -1,0 +1,115 @@
+//! Owns the batches of a plain peer (a microcontroller without hello): one bare batch per SDU, as they come.
+use std::{sync::Arc, time::Duration};
+
+use tokio::sync::Mutex;
+use tokio_util::sync::CancellationToken;
+
+use crate::{
+    bye::Bye,
+    error::BleError,
+    lanes::report::Count,
+    radio::{Channel, RadioError},
+};
+
+/// How long a batch may wait for room in the controller and at the receiver before the link is given up.
+const SEND_TIMEOUT: Duration = Duration::from_secs(20);
+
+pub(crate) struct Plain {
+    channel: Arc<dyn Channel>,
+    mtu: usize,
+    receive: Mutex<Receive>,
+    replaced: CancellationToken,
+    counts: parking_lot::Mutex<(Count, Count)>,
+}
+
+struct Receive {
+    sdu: Vec<u8>,
+    /// A batch that came before the link was made.
+    first: Option<Vec<u8>>,
+}
+
+impl Plain {
+    pub(crate) fn new(
+        channel: Arc<dyn Channel>,
+        mtu: u16,
+        first: Option<Vec<u8>>,
+        replaced: CancellationToken,
+    ) -> Self {
+        let mtu = usize::from(mtu);
+        Self {
+            channel,
+            mtu,
+            receive: Mutex::new(Receive {
+                // One byte more than is allowed, so that a larger SDU shows instead of being cut.
+                sdu: vec![0; mtu + 1],
+                first,
+            }),
+            replaced,
+            counts: parking_lot::Mutex::default(),
+        }
+    }
+
+    /// What was sent and received.
+    pub(crate) fn counts(&self) -> (Count, Count) {
+        *self.counts.lock()
+    }
+
+    pub(crate) async fn write(&self, batch: &[u8]) -> Result<(), BleError> {
+        if batch.is_empty() {
+            // Zenoh does this when it abandons a fragmented message; an empty SDU would end the channel.
+            return Ok(());
+        }
+        if batch.len() > self.mtu {
+            return Err(BleError::BatchTooLarge {
+                size: batch.len(),
+                mtu: self.mtu,
+            });
+        }
+        let sending = tokio::time::timeout(SEND_TIMEOUT, self.channel.send(batch));
+        tokio::select! {
+            sent = sending => match sent {
+                Ok(sent) => {
+                    sent?;
+                    self.counts.lock().0.count(batch.len());
+                    Ok(())
+                }
+                Err(_) => Err(BleError::Radio(RadioError::TimedOut {
+                    action: "sending to a peer that takes nothing",
+                    limit: SEND_TIMEOUT,
+                })),
+            },
+            () = self.replaced.cancelled() => Err(self.closed_by_newer()),
+        }
+    }
+
+    pub(crate) async fn read(&self) -> Result<Vec<u8>, BleError> {
+        let batch = self.receive().await?;
+        self.counts.lock().1.count(batch.len());
+        Ok(batch)
+    }
+
+    async fn receive(&self) -> Result<Vec<u8>, BleError> {
+        let mut receive = self.receive.lock().await;
+        if let Some(first) = receive.first.take() {
+            return Ok(first);
+        }
+        let size = tokio::select! {
+            size = self.channel.recv(&mut receive.sdu) => size?,
+            () = self.replaced.cancelled() => return Err(self.closed_by_newer()),
+        };
+        if size > self.mtu {
+            return Err(BleError::Protocol {
+                peer: self.channel.peer(),
+                what: format!("a batch of {size} bytes is over the mtu of {}", self.mtu),
+            });
+        }
+        Ok(receive.sdu.get(..size).unwrap_or_default().to_vec())
+    }
+
+    fn closed_by_newer(&self) -> BleError {
+        BleError::ClosedByPeer {
+            peer: self.channel.peer().to_string(),
+            reason: Bye::Replaced.reason(),
+        }
+    }
+}
