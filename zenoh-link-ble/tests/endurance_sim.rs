@@ -1,0 +1,11 @@
+//! What many reconnects, and a day, leave behind, on the simulated air in virtual time:
+//! `cargo test -p zenoh-link-ble --profile quick --test endurance_sim -- --nocapture`.
+mod endurance {
+    mod day;
+    mod reconnects;
+}
+mod shared {
+    pub mod heap;
+    pub mod pair;
+    pub mod peer;
+}
