@@ -2,6 +2,7 @@
 //! then each `--cfg KEY:VALUE`. What zenohd answers with a panic or a warning is an error here.
 
 mod error;
+mod fit;
 mod login;
 
 use serde_json::Value;
@@ -278,12 +279,20 @@ fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
         source,
     };
     let connect = config.connect.endpoints.get(mode).into_iter().flatten();
+    let mut has_ble = false;
     for endpoint in connect.flat_map(EndPoints::as_vec).filter(is_ble) {
         ConnectLocator::parse(&endpoint).map_err(|source| wrong(&endpoint, source))?;
+        has_ble = true;
     }
     let listen = config.listen.endpoints.get(mode).into_iter().flatten();
     for endpoint in listen.filter(|endpoint| is_ble(endpoint)) {
         ListenLocator::parse(endpoint).map_err(|source| wrong(endpoint, source))?;
+        has_ble = true;
+    }
+    if has_ble {
+        for advice in fit::advice(config) {
+            tracing::warn!("for a bluetooth link {advice} (config/README.md)");
+        }
     }
     Ok(())
 }

@@ -11,6 +11,7 @@ mod logging;
 mod message;
 mod router;
 mod signals;
+mod status;
 mod version;
 
 fn main() -> ExitCode {

@@ -11,7 +11,7 @@ use std::{
 
 use zenoh::{Config, Session, Wait};
 
-use crate::signals;
+use crate::{signals, status};
 
 /// How long peers are given to take note that the router ends.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -33,6 +33,7 @@ pub fn run(config: Config) -> Result<(), RouterError> {
         Ok(Event::Opened(opened)) => opened?,
         _ => return Ok(()),
     };
+    status::serve(&session).map_err(RouterError::Open)?;
     tracing::info!("rect-router is up, with id {}", session.zid());
 
     match next.recv() {

@@ -4,6 +4,7 @@ mod support;
 
 use std::time::{Duration, Instant};
 
+use serde_json::Value;
 use support::{arrives, client, repository, Air, Router};
 use zenoh::{Session, Wait};
 
@@ -35,18 +36,36 @@ fn two_wombats_exchange_messages_over_ble_and_the_admin_space_shows_the_link() {
 
     let about = admin(&here, "@/a1/router");
     assert!(about.contains("ble/"), "no ble link in {about}");
+    let status: Value = serde_json::from_str(&admin(&here, "@/a1/router/ble")).expect("JSON");
+    let link = &status[0]["links"][0];
+    assert_eq!(link["peer"], "wombat-2", "{status:#}");
+    assert!(link["sent"]["bytes"].as_u64() > Some(100), "{status:#}");
+    let lanes = link["lanes"]["lanes"].as_array().expect("lanes in use");
+    let data = lanes.iter().find(|lane| lane["priority"] == "Data");
+    let received = &data.expect("messages have gone")["received"];
+    assert!(received["sdus"].as_u64() > Some(0), "{status:#}");
+    assert_eq!(status[0]["peers"][0]["links"], 1, "{status:#}");
 }
 
 #[test]
 fn a_wombat_that_comes_back_is_linked_again() {
     let air = Air::new();
     let (one, here) = wombat(&air, 1, &[]);
-    let (_two, there) = wombat(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let dial = "ble/wombat-1#adapter=sim-wombat-2";
+    let (_two, there) = wombat(&air, 2, &["-i", "a2", "-e", dial]);
     let there = client(&there);
     assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
     drop(one);
     let (_one, here) = wombat(&air, 1, &[]);
     assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
+    let status: Value = serde_json::from_str(&admin(&there, "@/a2/router/ble")).expect("JSON");
+    let peer = &status[0]["peers"][0];
+    assert_eq!(
+        (&peer["peer"], &peer["links"]),
+        (&"wombat-1".into(), &2.into()),
+        "{status:#}"
+    );
+    assert!(peer["last_end"]["reason"].is_string(), "{status:#}");
 }
 
 #[test]

@@ -1,0 +1,28 @@
+//! Owns what the router tells of its Bluetooth links in the admin space: `@/<zid>/router/ble`, one JSON object for each
+//! Zenoh runtime of the process. Who may read it is decided by Zenoh's access control, as for the rest of `@/**`.
+
+use zenoh::{bytes::Encoding, query::Query, Session, Wait};
+use zenoh_link::ble::status::nodes;
+
+/// Answers until the session is closed.
+pub fn serve(session: &Session) -> zenoh::Result<()> {
+    let key = format!("@/{}/router/ble", session.zid());
+    let key_of_answer = key.clone();
+    let queryable = session
+        .declare_queryable(key)
+        .callback(move |query| answer(&query, &key_of_answer));
+    queryable.background().wait()
+}
+
+fn answer(query: &Query, key: &str) {
+    let replied = match serde_json::to_vec(&nodes()) {
+        Ok(status) => query
+            .reply(key, status)
+            .encoding(Encoding::APPLICATION_JSON)
+            .wait(),
+        Err(error) => query.reply_err(error.to_string()).wait(),
+    };
+    if let Err(error) = replied {
+        tracing::debug!("who asked for the ble links got no answer: {error}");
+    }
+}
