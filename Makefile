@@ -28,8 +28,8 @@ check: ## Formatters and linters of every language
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
 
-bench: ## Comparisons, into benches/results/ (half an hour; BENCH="goodput idle" for some of them)
-	@scripts/setup test
+bench: ## Comparisons, into benches/results/ (an hour; BENCH="goodput idle" for some of them)
+	@scripts/setup bench
 	@scripts/bench $(BENCH)
 
 fuzz: ## The fuzz targets, SECONDS_EACH=300 (needs the nightly toolchain and cargo-fuzz)

@@ -7,19 +7,17 @@ Unpaced, the emulated CPU is what is measured; it is shown without a target.
 import itertools
 import json
 import statistics
-import subprocess
-import sys
 import tempfile
 import threading
 import time
 from pathlib import Path
 
 import zenoh
+from guest import figures_of, set_pace
 from peers import bare_channel
 from robots import Robot, RobotError, wait_until
 from table import Table
 
-ROOT = Path(__file__).resolve().parents[1]
 PACES = [34_000, 100_000, 0]
 SDU_BYTES = [500, 1000, 2000, 4000]
 PAYLOAD_BYTES = [100, 1000, 4000, 16_000, 100_000]
@@ -30,16 +28,7 @@ WANTED = 0.97
 
 
 def run() -> Table:
-    command = ["tests/vm/run", "--timeout", "1500", "--", sys.executable, "benches/run.py", "--guest", "goodput"]
-    guest = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    figures = []
-    for line in guest.stdout:
-        if line.startswith("{"):
-            figures.append(json.loads(line))
-        else:
-            print(line, end="", flush=True)
-    if guest.wait() != 0:
-        raise SystemExit(f"goodput: the run in the VM failed (exit status {guest.returncode})")
+    figures = figures_of("goodput", 1500)
     table = Table(
         "Goodput on a real kernel's Bluetooth stack: Zenoh put over two routers beside a raw L2CAP channel",
         ["pace", "raw, best SDU", *(f"put {size} B" for size in PAYLOAD_BYTES)],
@@ -65,8 +54,7 @@ def run() -> Table:
 
 def in_guest() -> None:
     for pace in PACES:
-        for adapter in ("hci0", "hci1"):
-            subprocess.run(["room", "pace", adapter, str(pace)], check=True)
+        set_pace(["hci0", "hci1"], pace)
         total = pace * SECONDS or UNPACED_BYTES
         for n in range(ROUNDS):
             print(f"pace {pace or 'none'}, round {n + 1} of {ROUNDS}", flush=True)

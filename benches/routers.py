@@ -10,14 +10,17 @@ PROGRAMS = {"rect-router": "RECT_ROUTER", "stock zenohd": "STOCK_ZENOHD"}
 
 
 class Router:
-    """One of `PROGRAMS`, running."""
+    """One of `PROGRAMS`, running; what it warns of goes to `log`."""
 
-    def __init__(self, program: str, *arguments: str) -> None:
+    def __init__(self, program: str, *arguments: str, log: Path = Path(os.devnull)) -> None:
         self.path = Path(os.environ[PROGRAMS[program]])
         self._port = free_port()
         self.endpoint = f"tcp/127.0.0.1:{self._port}"
         command = [self.path, "-l", self.endpoint, "--no-multicast-scouting", *arguments]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        with log.open("a") as out:
+            environment = os.environ | {"RUST_LOG": "warn"}
+            self._process = subprocess.Popen(command, env=environment, stdout=out, stderr=subprocess.STDOUT)
+        self.pid = self._process.pid
 
     def __enter__(self) -> "Router":
         wait_until(f"{self.path.name} is up", 20, lambda: is_listening(self._port))
@@ -28,6 +31,10 @@ class Router:
         self._process.wait(10)
 
     def status(self, field: str) -> int:
-        """A number of /proc/<pid>/status: VmRSS (kB), Threads."""
-        text = Path(f"/proc/{self._process.pid}/status").read_text()
-        return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(f"{field}:"))
+        return status(self.pid, field)
+
+
+def status(pid: int, field: str) -> int:
+    """A number of /proc/<pid>/status: VmRSS (kB), VmHWM (kB, the most it ever was), Threads."""
+    text = Path(f"/proc/{pid}/status").read_text()
+    return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(f"{field}:"))

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -22,11 +23,20 @@ class RobotError(Exception):
 class Robot:
     """A router with a `ble/` listener under its name and a local TCP port for its programs."""
 
-    def __init__(self, name: str, adapter: str, log: Path, environment: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        adapter: str,
+        log: Path,
+        environment: dict[str, str] | None = None,
+        arguments: tuple[str, ...] = (),
+    ) -> None:
+        """`arguments`: more of them for its router."""
         self.name = name
         self.port = free_port()
         self._adapter = adapter
         self._log = log
+        self._arguments = arguments
         self._environment = (
             os.environ
             | {"RUST_LOG": "warn,rect_router=info,zenoh_link_ble=debug,zenoh::net::runtime::orchestrator=debug"}
@@ -50,6 +60,7 @@ class Robot:
             self._listens = listens
         command = [os.environ.get("RECT_ROUTER", "rect-router"), "-c", str(CONFIG)]
         command += ["-l", f"ble/{self._adapter}#name={self.name}{ble_options}", "-l", f"tcp/127.0.0.1:{self.port}"]
+        command += self._arguments
         for locator in self._listens:
             command += ["-l", locator]
         for locator in self._dials:
@@ -69,6 +80,15 @@ class Robot:
             self._process.wait()
             self._process = None
 
+    def freeze(self) -> None:
+        """Its router does nothing more, and nothing tells the others."""
+        if self._process:
+            self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        if self._process:
+            self._process.send_signal(signal.SIGCONT)
+
     def stop(self) -> None:
         if self._process:
             self._process.terminate()
@@ -78,16 +98,17 @@ class Robot:
                 self.kill()
             self._process = None
 
+    def pid(self) -> int:
+        if self._process is None:
+            raise RobotError(f"the router of {self.name} is not running")
+        return self._process.pid
+
     def ended(self) -> bool:
         return self._process is None or self._process.poll() is not None
 
     def session(self) -> zenoh.Session:
         """A stock client at this robot's router."""
-        config = zenoh.Config()
-        config.insert_json5("mode", '"client"')
-        config.insert_json5("connect/endpoints", json.dumps([f"tcp/127.0.0.1:{self.port}"]))
-        config.insert_json5("scouting/multicast/enabled", "false")
-        return zenoh.open(config)
+        return open_client(f"tcp/127.0.0.1:{self.port}")
 
     def ble_links(self) -> list[str]:
         """The names of the peers of its `ble/` links, as its admin space shows them (`ble/wombat-2?rel=1`)."""
@@ -151,6 +172,17 @@ class Inbox:
         with self._arrived:
             self._payloads.append(payload)
             self._arrived.notify_all()
+
+
+def open_client(locator: str, **settings: object) -> zenoh.Session:
+    """A stock client at that locator; `settings` of Zenoh's, with `__` between the parts of their names."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([locator]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    for key, value in settings.items():
+        config.insert_json5(key.replace("__", "/"), json.dumps(value))
+    return zenoh.open(config)
 
 
 def start(command: list[str], log: Path, environment: dict[str, str]) -> subprocess.Popen:

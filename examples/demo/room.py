@@ -35,10 +35,10 @@ class Room:
         else:
             print(f"The routers' logs are in {self._folder}")
 
-    def add_robot(self, name: str) -> Robot:
-        """A robot's router; it dials every robot that is there already."""
-        robot = Robot(name, f"sim-{name}", self._folder / f"{name}.log", self._environment)
-        robot.start([f"ble/{other.name}" for other in self._robots])
+    def add_robot(self, name: str, dial_options: str = "", arguments: tuple[str, ...] = ()) -> Robot:
+        """A robot's router; it dials every robot that is there already, with those options of the locator."""
+        robot = Robot(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
+        robot.start([f"ble/{other.name}{dial_options}" for other in self._robots])
         self._robots.append(robot)
         return robot
 

@@ -1,0 +1,30 @@
+"""A bench's part that runs in the VM with a real kernel's Bluetooth stack: `in_guest` of its module."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def figures_of(bench: str, limit_s: int, controllers: int = 2) -> list[dict]:
+    """The JSON lines that `in_guest` prints; its other lines are shown."""
+    command = ["tests/vm/run", "--timeout", str(limit_s), "--controllers", str(controllers), "--"]
+    command += [sys.executable, "benches/run.py", "--guest", bench]
+    guest = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    figures = []
+    for line in guest.stdout:
+        if line.startswith("{"):
+            figures.append(json.loads(line))
+        else:
+            print(line, end="", flush=True)
+    if guest.wait() != 0:
+        raise SystemExit(f"{bench}: the run in the VM failed (exit status {guest.returncode})")
+    return figures
+
+
+def set_pace(adapters: list[str], bytes_per_s: int) -> None:
+    """In the guest."""
+    for adapter in adapters:
+        subprocess.run(["room", "pace", adapter, str(bytes_per_s)], check=True)

@@ -1,0 +1,100 @@
+"""Two routers with one slow link between them: what the benches of a slow link compare."""
+
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+from robots import open_client
+from room import Room, wait_for_link
+from routers import Router, status
+from shaper import Shaper
+
+PEERS = ["lanes", "plain link", "stock over TCP"]
+INTERVAL_MS = 30
+
+
+@dataclass
+class Pair:
+    near: Callable[[], zenoh.Session]
+    """A new program at one router, whose messages cross the link ..."""
+    far: Callable[[], zenoh.Session]
+    """... to one at the other."""
+    far_socket: str
+    """Where one more program reaches the other: a local socket, which takes little that is not read."""
+    carried: Callable[[], int]
+    """Bytes that the link carried so far, both ways."""
+    links: Callable[[], int]
+    """How often the link was made."""
+    complaints: Callable[[], list[str]]
+    """What the routers warned of."""
+    pids: list[int]
+
+    def memory_mb(self, field: str) -> list[float]:
+        """VmRSS or VmHWM of each router."""
+        return [status(pid, field) / 1000 for pid in self.pids]
+
+
+@contextmanager
+def pair(peer: str, pdu: int, raw_bytes_per_s: float, *settings: str) -> Iterator[Pair]:
+    """One of `PEERS`; `settings` as `--cfg` takes them."""
+    arguments = tuple(part for setting in settings for part in ("--cfg", setting))
+    with tempfile.TemporaryDirectory() as folder:
+        if peer == "stock over TCP":
+            with tcp_pair(raw_bytes_per_s, Path(folder), arguments) as made:
+                yield made
+        else:
+            with ble_pair(pdu, "#plain=true" if peer == "plain link" else "", Path(folder), arguments) as made:
+                yield made
+
+
+def room(pdu: int) -> Room:
+    return Room("desk", "--pdu", str(pdu), "--interval", f"{INTERVAL_MS}ms")
+
+
+@contextmanager
+def ble_pair(pdu: int, dial_options: str, folder: Path, arguments: tuple[str, ...]) -> Iterator[Pair]:
+    socket = f"unixsock-stream/{folder}/far.sock"
+    with room(pdu) as air:
+        # The second dials the first, and is given the first's messages.
+        one = air.add_robot("wombat-1", arguments=arguments)
+        two = air.add_robot("wombat-2", dial_options, ("-l", socket, *arguments))
+        wait_for_link(one, two)
+        yield Pair(
+            near=one.session,
+            far=two.session,
+            far_socket=socket,
+            carried=lambda: sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"]),
+            links=lambda: two.log().count("ble: linked with"),
+            complaints=lambda: complaints(one.log() + two.log()),
+            pids=[one.pid(), two.pid()],
+        )
+
+
+@contextmanager
+def tcp_pair(bytes_per_s: float, folder: Path, arguments: tuple[str, ...]) -> Iterator[Pair]:
+    logs = [folder / "near.log", folder / "far.log"]
+    socket = f"unixsock-stream/{folder}/far.sock"
+    with ExitStack() as stack:
+        near = stack.enter_context(Router("stock zenohd", *arguments, log=logs[0]))
+        shaper = stack.enter_context(Shaper(bytes_per_s, int(near.endpoint.rsplit(":", 1)[1])))
+        dial = ["-e", f"tcp/127.0.0.1:{shaper.port}", "-l", socket]
+        far = stack.enter_context(Router("stock zenohd", *dial, *arguments, log=logs[1]))
+        yield Pair(
+            near=lambda: open_client(near.endpoint),
+            far=lambda: open_client(far.endpoint),
+            far_socket=socket,
+            carried=lambda: shaper.carried,
+            links=lambda: shaper.connections,
+            complaints=lambda: complaints("".join(log.read_text() for log in logs)),
+            pids=[near.pid, far.pid],
+        )
+
+
+def complaints(log: str) -> list[str]:
+    """What it says, without when and where."""
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in log.splitlines()]
+    return [re.sub(r"^.*?\w: ", "", line)[:100] for line in lines if " WARN " in line or "ERROR " in line]

@@ -1,0 +1,77 @@
+"""A TCP hop that carries so many bytes per second each way, for programs that are to be compared on the same rate.
+
+What it holds itself is little, so that a message waits where the compared programs put it: 1000 bytes "on the air", and
+in each of its socket buffers what 8 kB allow for (twice that by the kernel's count, its own bookkeeping included).
+Segments are as on an Ethernet, not the loopback's 64 kB, which would blow up the senders' buffers. The programs' own
+sockets are as they make them.
+"""
+
+import socket
+import threading
+import time
+
+from robots import RobotError
+
+CHUNK_BYTES = 1000
+BUFFER_BYTES = 8192
+SEGMENT_BYTES = 1448
+# What a sleep that took too long may make up for.
+SLACK_S = 0.005
+
+
+class Shaper:
+    """Listens on `port`, and joins what connects there with 127.0.0.1:`target`."""
+
+    def __init__(self, bytes_per_s: float, target: int) -> None:
+        self._bytes_per_s = bytes_per_s
+        self._target = target
+        self.carried = 0
+        self.connections = 0
+        self._listener = small_socket()
+        self._listener.bind(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+
+    def __enter__(self) -> "Shaper":
+        self._listener.listen()
+        threading.Thread(target=self._accept, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                one, _ = self._listener.accept()
+            except OSError:  # the listener was closed
+                return
+            other = small_socket()
+            try:
+                other.connect(("127.0.0.1", self._target))
+            except OSError as error:
+                raise RobotError(f"nothing listens behind the shaper: {error}") from error
+            self.connections += 1
+            for source, sink in ((one, other), (other, one)):
+                source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+        free_at = time.monotonic()
+        try:
+            while chunk := source.recv(CHUNK_BYTES):
+                free_at = max(free_at, time.monotonic() - SLACK_S) + len(chunk) / self._bytes_per_s
+                time.sleep(max(0.0, free_at - time.monotonic()))
+                sink.sendall(chunk)
+                self.carried += len(chunk)
+        except OSError:
+            pass  # one of the two is gone
+        for end in (source, sink):
+            end.close()
+
+
+def small_socket() -> socket.socket:
+    small = socket.socket()
+    small.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+    small.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
+    small.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, SEGMENT_BYTES)
+    return small

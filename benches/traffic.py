@@ -1,0 +1,176 @@
+"""What stock clients send over a slow link: urgent messages all along, and something large beside them."""
+
+import contextlib
+import statistics
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import zenoh
+from robots import RobotError, wait_until
+from zenoh import CongestionControl, Priority
+
+PERIOD_S = 0.05
+FRAME_BYTES = 20_000
+FRAMES_PER_S = 20
+# A link that carries less than this share of its rate for so long has nothing of the bulk left to carry.
+STALLED_SHARE = 0.2
+STALLED_S = 10
+# How long what is still on its way may take after the end.
+STRAGGLERS_S = 5
+
+
+@dataclass
+class Load:
+    """What became of the large part."""
+
+    kb_per_s: float
+    faults: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+
+class Urgent:
+    """16 bytes every 50 ms, with Zenoh's priority for them; their ages on arrival."""
+
+    def __init__(self, here: zenoh.Session, there: zenoh.Session) -> None:
+        self.ages_s: list[float] = []
+        self.sent = 0
+        self._ended = threading.Event()
+        key = "rect/wombat-1/stop"
+        self._arrives = Arrival(there, key, self._on_message)
+        self._publisher = here.declare_publisher(
+            key, priority=Priority.REAL_TIME, congestion_control=CongestionControl.BLOCK, express=True
+        )
+        self._arrives.wait_for_first(self._publisher)
+        self._thread = threading.Thread(target=self._send, daemon=True)
+
+    def __enter__(self) -> "Urgent":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        ended = time.monotonic()
+        while len(self.ages_s) < self.sent and time.monotonic() - ended < STRAGGLERS_S:
+            time.sleep(PERIOD_S)
+
+    def _on_message(self, payload: bytes) -> None:
+        self.ages_s.append(time.monotonic() - struct.unpack("<dd", payload)[0])
+
+    def _send(self) -> None:
+        # A message's age counts from when it was due: one that a blocked put held up is late too.
+        due = time.monotonic()
+        while not self._ended.is_set():
+            self.sent += 1
+            self._publisher.put(struct.pack("<dd", due, 0))
+            due += PERIOD_S
+            self._ended.wait(max(0.0, due - time.monotonic()))
+
+
+class Arrival:
+    """A subscriber; a single byte says that the way is open, everything else is passed on."""
+
+    def __init__(self, there: zenoh.Session, key: str, on_payload: Callable[[bytes], None]) -> None:
+        self._is_open = threading.Event()
+        self._on_payload = on_payload
+        self._subscriber = there.declare_subscriber(key, self._on_sample)
+
+    def wait_for_first(self, publisher: zenoh.Publisher) -> None:
+        wait_until("a message gets through", 30, lambda: publisher.put(b"?") or self._is_open.is_set())
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if len(payload) == 1:
+            self._is_open.set()
+        else:
+            self._on_payload(payload)
+
+
+def bulk(here: zenoh.Session, there: zenoh.Session, sizes: list[int], stall: Callable[[], bool]) -> Load:
+    """One sender for each of `sizes`, all at once; from the first put to the last arrival."""
+    senders = [Sender(here, there, f"rect/wombat-1/bulk/{n}") for n in range(len(sizes))]
+    started = time.monotonic()
+    for sender, size in zip(senders, sizes, strict=True):
+        sender.put(size)
+    while not all(sender.arrived for sender in senders) and not stall():
+        time.sleep(PERIOD_S)
+    arrived = [arrival for sender in senders for arrival in sender.arrived]
+    if not arrived:
+        return Load(0.0, ["bulk lost"])
+    took = max(at for at, _ in arrived) - started
+    lost = len(sizes) - len(arrived)
+    faults = [f"{lost} of {len(sizes)} bulks lost"] if lost else []
+    return Load(sum(size for _, size in arrived) / took / 1000, faults)
+
+
+class Sender:
+    """A program's thread that puts something large."""
+
+    def __init__(self, here: zenoh.Session, there: zenoh.Session, key: str, priority: Priority = Priority.DATA) -> None:
+        self.arrived: list[tuple[float, int]] = []
+        self._arrival = Arrival(there, key, lambda payload: self.arrived.append((time.monotonic(), len(payload))))
+        self._publisher = here.declare_publisher(key, priority=priority, congestion_control=CongestionControl.BLOCK)
+        self._arrival.wait_for_first(self._publisher)
+
+    def put(self, size: int) -> None:
+        threading.Thread(target=self._put, args=(bytes(size),), daemon=True).start()
+
+    def _put(self, payload: bytes) -> None:
+        # What failed shows in what arrives.
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.put(payload)
+
+
+def camera(here: zenoh.Session, there: zenoh.Session, seconds: float) -> Load:
+    """Frames that may be dropped, more of them than the link carries."""
+    ages_s: list[float] = []
+    last = 0.0
+
+    def on_frame(payload: bytes) -> None:
+        nonlocal last
+        last = time.monotonic()
+        ages_s.append(last - struct.unpack("<d", payload[:8])[0])
+
+    key = "rect/wombat-1/camera"
+    arrives = Arrival(there, key, on_frame)
+    publisher = here.declare_publisher(key, congestion_control=CongestionControl.DROP)
+    arrives.wait_for_first(publisher)
+    started = due = time.monotonic()
+    while due - started < seconds:
+        publisher.put(struct.pack("<d", time.monotonic()) + bytes(FRAME_BYTES - 8))
+        due += 1 / FRAMES_PER_S
+        time.sleep(max(0.0, due - time.monotonic()))
+    whole = len(ages_s)
+    if not whole:
+        return Load(0.0, ["no frame arrived"])
+    took = last - started
+    time.sleep(2)
+    oldest = max(ages_s)
+    remark = (
+        f"{whole} of {seconds * FRAMES_PER_S:.0f} frames, age p50 {statistics.median(ages_s):.2f}, max {oldest:.2f} s"
+    )
+    return Load(whole * FRAME_BYTES / took / 1000, ["old frames"] if oldest > 1 else [], [remark])
+
+
+class Stall:
+    """Whether a link that has something to carry does not."""
+
+    def __init__(self, carried: Callable[[], int], bytes_per_s: float) -> None:
+        self._carried = carried
+        self._least = bytes_per_s * STALLED_SHARE * STALLED_S
+        self._since = time.monotonic()
+        self._before = carried()
+
+    def __call__(self) -> bool:
+        if time.monotonic() - self._since < STALLED_S:
+            return False
+        before, self._before, self._since = self._before, self._carried(), time.monotonic()
+        return self._before - before < self._least
+
+
+def percentile(values: list[float], share: float) -> float:
+    if not values:
+        raise RobotError("there is nothing to take a percentile of")
+    return sorted(values)[min(len(values) - 1, int(len(values) * share))]
