@@ -33,7 +33,7 @@ pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
 /// configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
 pub const DEFAULT_BOUNDS: Bounds = Bounds {
     bytes: 16 << 20,
-    droppable: Duration::from_millis(150),
+    droppable: Duration::from_millis(100),
 };
 /// How long a closing side waits for the peer to take what was sent before, when `linger=` is left out.
 pub const DEFAULT_LINGER: Duration = Duration::from_secs(5);

@@ -42,8 +42,10 @@ pub struct Flight {
     sdus: VecDeque<Sdu>,
     costs: [u16; LANES],
     limit: u16,
-    /// Two of the largest SDUs: one on the air, one to follow it.
+    /// Three of the largest SDUs: one on the air, one to follow it, one while an acknowledgement comes back.
     floor: u16,
+    /// One of the largest SDUs.
+    step: u16,
     window: u16,
     /// What an SDU takes that waits for none.
     base: Option<Duration>,
@@ -53,12 +55,13 @@ pub struct Flight {
 impl Flight {
     /// `largest`: the cost of the largest SDU. `window`: the most that may be on its way, in bytes.
     pub fn new(largest: u16, window: u16) -> Self {
-        let floor = largest.saturating_mul(2).min(window);
+        let floor = largest.saturating_mul(3).min(window);
         Self {
             sdus: VecDeque::new(),
             costs: [0; LANES],
-            limit: floor.saturating_mul(2).min(window),
+            limit: floor,
             floor,
+            step: largest,
             window,
             base: None,
             round: None,
@@ -83,8 +86,7 @@ impl Flight {
         if let Some(of_lane) = self.costs.get_mut(lane.index()) {
             *of_lane = of_lane.saturating_add(cost);
         }
-        let is_full =
-            self.on_its_way(Lane::last()) + u32::from(self.floor / 2) > u32::from(self.limit);
+        let is_full = self.on_its_way(Lane::last()) + u32::from(self.step) > u32::from(self.limit);
         if let Some(round) = self.round.as_mut() {
             round.was_full |= is_full;
         }
@@ -137,7 +139,7 @@ impl Flight {
     fn think(&mut self, least: Duration) {
         let base = self.base.unwrap_or(least);
         if least <= base + WAIT {
-            self.limit = self.limit.saturating_add(self.floor / 2).min(self.window);
+            self.limit = self.limit.saturating_add(self.step).min(self.window);
         } else if self.limit > self.floor {
             self.limit = (self.limit - self.limit / LESS).max(self.floor);
         } else {
@@ -233,7 +235,7 @@ mod tests {
                 way.flood(ms(3000));
                 let share = way.flood(ms(10_000)) / (10.0 * rate);
                 assert!(share > 0.98, "{rate} B/s, {besides:?}: {share}");
-                let most = besides.as_secs_f64() + 0.010 + 3.5 * f64::from(COST) / rate;
+                let most = besides.as_secs_f64() + 0.010 + 4.5 * f64::from(COST) / rate;
                 assert!(
                     way.limit_s() < most,
                     "{rate} B/s, {besides:?}: {} s",
@@ -263,7 +265,7 @@ mod tests {
         assert!(share > 0.95, "slower: {share}");
         way.besides = ms(2);
         way.flood(ms(5000));
-        assert!(way.limit_s() < 0.045, "quicker: {} s", way.limit_s());
+        assert!(way.limit_s() < 0.050, "quicker: {} s", way.limit_s());
     }
 
     #[test]
