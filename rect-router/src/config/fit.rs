@@ -22,7 +22,7 @@ const RULES: [Rule; 4] = [
     Rule {
         key: "transport/link/tx/queue/size/data",
         fits: |value| value.as_u64() >= Some(8),
-        wanted: "16",
+        wanted: "8",
         otherwise: "a program's large message holds up its urgent ones",
     },
     Rule {
