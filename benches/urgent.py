@@ -24,7 +24,7 @@ from traffic import Load, Stall, Urgent, bulk, camera, percentile
 # What the link layer's packets carry, and about how much that is. 27 bytes: a Raspberry Pi 3B.
 RATES = {"34 kB/s": 27, "100 kB/s": 251}
 RAW_BYTES, RAW_SDUS = 300_000, [1000, 2000, 4000]
-MTU_BYTES = 1000
+MTU_BYTES = 736
 MB = 1_000_000
 CAMERA_S = 30
 IDLE_S = 60
