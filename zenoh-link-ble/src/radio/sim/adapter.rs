@@ -115,6 +115,11 @@ mod seconds {
 }
 
 impl Adapter {
+    /// Whether it has an ear for advertisements.
+    pub(super) fn listens(&self) -> bool {
+        self.scan.is_some() || !self.dials.is_empty()
+    }
+
     pub(super) fn new(name: &str) -> Self {
         Self {
             name: name.to_owned(),

@@ -1,8 +1,9 @@
 //! Owns the simulated air: who is on it, what is due next, and the faults a test can inject. It does no I/O and has no
 //! clock: it is told the time, which counts from its start.
 //!
-//! What is due when is in [`due`], how it does it in the other parts: [`commands`] (what adapters ask for), [`advertising`] (advertisements and
-//! the connections that come of them), [`exchange`] (packets of connections), [`delivery`] (what arrives).
+//! What is due when is in [`due`], how it does it in the other parts: [`commands`] (what adapters ask for),
+//! [`advertising`] (advertisements and the connections that come of them), [`exchange`] (packets of connections),
+//! [`delivery`] (what arrives).
 mod advertising;
 mod commands;
 mod delivery;

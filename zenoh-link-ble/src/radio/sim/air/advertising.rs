@@ -30,18 +30,13 @@ impl Air {
             name: advertising.name.clone(),
             rssi_dbm: self.figures.rssi_dbm,
         };
-        let others: Vec<_> = self.adapters.keys().copied().collect();
+        let listeners = self.adapters.iter().filter(|(_, a)| a.listens());
+        let others: Vec<_> = listeners.map(|(id, _)| *id).collect();
         for other in others {
-            if other != advertiser && self.listens(other) && self.is_in_range(other, advertiser) {
+            if other != advertiser && self.is_in_range(other, advertiser) {
                 self.on_advertisement_near(other, (advertiser, request), &heard);
             }
         }
-    }
-
-    /// Whether an adapter has an ear for advertisements.
-    fn listens(&self, id: AdapterId) -> bool {
-        let adapter = self.adapters.get(&id);
-        adapter.is_some_and(|adapter| adapter.scan.is_some() || !adapter.dials.is_empty())
     }
 
     fn on_advertisement_near(

@@ -5,7 +5,7 @@ use std::{
 };
 
 use super::{Air, ConnectionId};
-use crate::radio::sim::{air::AdapterId, message::RequestId, options::LINGER};
+use crate::radio::sim::{adapter::Adapter, air::AdapterId, message::RequestId, options::LINGER};
 
 /// What the air does next. Of what is due at the same time, the first of this list comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -66,8 +66,7 @@ impl Air {
             let ends = [0, 1].map(|side| Some(Due::GiveUp(*id, side)));
             events.into_iter().chain(ends).flatten()
         });
-        let mut adapters = self.adapters.values();
-        let is_listened_to = adapters.any(|a| a.scan.is_some() || !a.dials.is_empty());
+        let is_listened_to = self.adapters.values().any(Adapter::listens);
         let advertisers = self.adapters.iter().filter(|_| is_listened_to);
         let advertisements = advertisers.flat_map(|(id, adapter)| {
             let requests = adapter.advertisements.keys();
