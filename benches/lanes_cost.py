@@ -6,13 +6,13 @@ There the emulated processor is the limit, and whatever a router does shows in f
 import json
 import statistics
 import tempfile
-import time
 from pathlib import Path
 
 import zenoh
 from goodput import put_rate
 from guest import figures_of, set_pace
 from robots import Robot, wait_until
+from round_trip import ask
 from table import Table
 
 ROUNDS = 7
@@ -73,15 +73,9 @@ def measured(one: Robot, two: Robot) -> dict[str, float]:
 
 
 def asked(here: zenoh.Session, there: zenoh.Session) -> list[float]:
-    """Milliseconds from a query to its answer."""
     key = "rect/wombat-2/bench"
     service = there.declare_queryable(key, lambda query: query.reply(key, PAYLOAD))
     querier = here.declare_querier(key, timeout=5)
-    times = []
-    while len(times) < ASKED:
-        started = time.perf_counter()
-        answers = [reply for reply in querier.get(payload=PAYLOAD) if reply.ok is not None]
-        if answers:  # none at the very first, while the service becomes known
-            times.append((time.perf_counter() - started) * 1000)
+    times = ask(querier, PAYLOAD, ASKED)
     service.undeclare()
     return times

@@ -3,6 +3,7 @@
 import statistics
 import time
 
+import zenoh
 from peers import bare_channel
 from room import Room, wait_for_link
 from table import Table
@@ -30,7 +31,7 @@ def run() -> Table:
                 querier = here.declare_querier(KEY, timeout=5)
                 for _ in range(ROUNDS):
                     bare.append(ping(room))
-                    asked.append(ask(querier))
+                    asked.append(ask(querier, PAYLOAD, COUNT))
                     ratios.append(percentile(asked[-1], 0.5) / bare[-1]["p50_ms"])
                 service.undeclare()
         every = [t for times in asked for t in times]
@@ -54,11 +55,12 @@ def ping(room: Room) -> dict[str, float]:
     return bare_channel("ping", "sim-bare-1", "sim-bare-2", str(COUNT), environment=room.environment())
 
 
-def ask(querier) -> list[float]:
+def ask(querier: zenoh.Querier, payload: bytes, count: int) -> list[float]:
+    """Milliseconds from a query to its answer, for so many that were answered."""
     times = []
-    while len(times) < COUNT:
+    while len(times) < count:
         started = time.perf_counter()
-        answers = [reply for reply in querier.get(payload=PAYLOAD) if reply.ok is not None]
+        answers = [reply for reply in querier.get(payload=payload) if reply.ok is not None]
         if answers:  # none at the very first, while the service becomes known
             times.append((time.perf_counter() - started) * 1000)
     return times
