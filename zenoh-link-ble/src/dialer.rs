@@ -117,7 +117,8 @@ async fn open(
     locator: &ConnectLocator,
     seen: &Seen,
 ) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
-    let channel = connect((node.id, dial), adapter, locator, seen).await?;
+    let limit = connect_timeout(node.id, dial);
+    let channel = connect(adapter, locator, seen, limit).await?;
     if locator.plain.unwrap_or(seen.plain) {
         return Ok((channel, None));
     }
@@ -133,10 +134,10 @@ async fn open(
 }
 
 async fn connect(
-    (node, dial): (NodeId, LinkNumber),
     adapter: &Adapter,
     locator: &ConnectLocator,
     seen: &Seen,
+    limit: Duration,
 ) -> Result<Arc<dyn Channel>, BleError> {
     let _one_at_a_time = adapter
         .connecting
@@ -148,7 +149,6 @@ async fn connect(
         security: locator.security,
     };
     let connected = adapter.radio.connect(seen.device, seen.psm, options);
-    let limit = connect_timeout(node, dial);
     match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
         Err(_) => Err(BleError::Radio(RadioError::TimedOut {

@@ -17,7 +17,7 @@ use crate::{
     locator::ListenLocator,
     namesake::{NameSearch, Namesake},
     node::{Listening, Node},
-    opening::{agreed_mtu, answer, hear_hello, own_window, FirstSdu},
+    opening::{agreed_mtu, answer, hear_hello, own_window, until_closed, FirstSdu},
     radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
 };
 
@@ -263,8 +263,8 @@ impl Listener {
             (Verdict::Refuse(refusal), _) => {
                 if peer.is_some() {
                     answer(&channel, Opening::Refuse(refusal)).await?;
-                    // The peer closes once it has read the answer; closing first could overtake it.
-                    let gone = async { while channel.recv(&mut [0; 1024]).await.is_ok() {} };
+                    // The peer closes once it has read the answer.
+                    let gone = until_closed(&channel);
                     let _ = tokio::time::timeout(Duration::from_secs(1), gone).await;
                 }
                 tracing::info!("ble: {device} is refused: {refusal}");

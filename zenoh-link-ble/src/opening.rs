@@ -2,6 +2,7 @@
 use std::{sync::Arc, time::Duration};
 
 use crate::{
+    dialer::RECV_MTU,
     error::BleError,
     hello::{Hello, Opening, Refusal, MIN_MTU, VERSION},
     lanes::{credits, HEADER},
@@ -54,6 +55,13 @@ pub(crate) async fn answer(channel: &Arc<dyn Channel>, opening: Opening) -> Resu
         .await
         .map_err(|_| timed_out())??;
     Ok(())
+}
+
+/// Throws away what still comes until the channel is down, whatever its size: closing first could overtake this side's
+/// last word.
+pub(crate) async fn until_closed(channel: &Arc<dyn Channel>) {
+    let mut sdu = vec![0; usize::from(RECV_MTU)];
+    while channel.recv(&mut sdu).await.is_ok() {}
 }
 
 /// What this side takes unacknowledged: what its socket holds while nobody reads.

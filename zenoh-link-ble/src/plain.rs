@@ -1,5 +1,5 @@
 //! Owns the batches of a plain peer (a microcontroller without hello): one bare batch per SDU, as they come.
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
@@ -8,11 +8,9 @@ use crate::{
     bye::Bye,
     error::BleError,
     lanes::report::Count,
-    radio::{Channel, RadioError},
+    radio::Channel,
+    traffic::{takes_nothing, SEND_TIMEOUT},
 };
-
-/// How long a batch may wait for room in the controller and at the receiver before the link is given up.
-const SEND_TIMEOUT: Duration = Duration::from_secs(20);
 
 pub(crate) struct Plain {
     channel: Arc<dyn Channel>,
@@ -73,10 +71,7 @@ impl Plain {
                     self.counts.lock().0.count(batch.len());
                     Ok(())
                 }
-                Err(_) => Err(BleError::Radio(RadioError::TimedOut {
-                    action: "sending to a peer that takes nothing",
-                    limit: SEND_TIMEOUT,
-                })),
+                Err(_) => Err(takes_nothing()),
             },
             () = self.replaced.cancelled() => Err(self.closed_by_newer()),
         }

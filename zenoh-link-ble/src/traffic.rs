@@ -8,7 +8,6 @@ use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 
 use crate::{
     bye::Bye,
-    dialer::RECV_MTU,
     ending::Ending,
     error::{in_words, BleError},
     lanes::{
@@ -18,13 +17,14 @@ use crate::{
         sdu::SduError,
         Change, Lane, Lanes, HEADER, LANES,
     },
+    opening::until_closed,
     radio::{Channel, RadioError},
     status::LanesStatus,
 };
 
 /// How long an SDU may wait for room in the controller, or for the peer to acknowledge any before it, until the link is
 /// given up. Zenoh's own lease (10 s) ends a silent link sooner; this bounds one whose radio is alive but takes nothing.
-const SEND_TIMEOUT: Duration = Duration::from_secs(20);
+pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(20);
 /// How long a goodbye after an error may take: the channel ends anyway.
 const LAST_WORD: Duration = Duration::from_millis(500);
 
@@ -45,7 +45,7 @@ pub(crate) struct Traffic {
     mtu: usize,
     state: Mutex<State>,
     to_send: Notify,
-    room: [Notify; LANES],
+    room: Notify,
     arrived: [Notify; LANES],
     ending: Arc<Ending>,
     /// Cancelled when the link has ended.
@@ -107,7 +107,7 @@ impl Traffic {
             ending,
             state: Mutex::new(State { lanes, end: None }),
             to_send: Notify::new(),
-            room: Default::default(),
+            room: Notify::new(),
             arrived: Default::default(),
             over: CancellationToken::new(),
         });
@@ -130,6 +130,7 @@ impl Traffic {
             });
         }
         loop {
+            let room = self.room.notified();
             {
                 let mut state = self.state.lock();
                 state.check()?;
@@ -137,7 +138,7 @@ impl Traffic {
                     break;
                 }
             }
-            self.unless_over(self.room[lane.index()].notified()).await;
+            self.unless_over(room).await;
         }
         self.to_send.notify_one();
         Ok(())
@@ -207,7 +208,7 @@ impl Traffic {
                 Ok(Sent::Sdu(Next::Batch(_))) => {
                     held_up = None;
                     // Whatever the lane: the bound is one for all of them.
-                    self.room.iter().for_each(Notify::notify_one);
+                    self.room.notify_waiters();
                 }
                 Ok(Sent::Sdu(Next::Signal)) => {}
                 Ok(Sent::Sdu(Next::Bye)) => return,
@@ -299,10 +300,8 @@ impl Traffic {
         };
         self.state.lock().lanes.abort(bye.code());
         self.to_send.notify_one();
-        // The peer closes when it has read the goodbye; what still comes may be of any size that the channel takes.
-        let mut sdu = vec![0; usize::from(RECV_MTU)];
-        let closed = async { while self.channel.recv(&mut sdu).await.is_ok() {} };
-        let _ = tokio::time::timeout(LAST_WORD, closed).await;
+        // The peer closes when it has read the goodbye.
+        let _ = tokio::time::timeout(LAST_WORD, until_closed(&self.channel)).await;
     }
 
     fn closed_by_peer(&self, bye: Bye) -> BleError {
@@ -321,7 +320,8 @@ impl Traffic {
     }
 }
 
-fn takes_nothing() -> BleError {
+/// It has waited for [`SEND_TIMEOUT`].
+pub(crate) fn takes_nothing() -> BleError {
     BleError::Radio(RadioError::TimedOut {
         action: "sending to a peer that takes nothing",
         limit: SEND_TIMEOUT,

@@ -150,7 +150,7 @@ impl Scheduler {
         }
     }
 
-    /// Puts a batch on its lane. `false`: there is no room; ask again when something of the lane went out.
+    /// Puts a batch on its lane. `false`: there is no room; ask again when something went out.
     /// An empty batch goes nowhere: Zenoh writes one when it gives up a message half-way, and what waits of that message
     /// is of no use any more.
     pub fn push(&mut self, lane: Lane, batch: &[u8], now: Instant) -> bool {
