@@ -136,6 +136,54 @@ def test_an_adapter_switched_off_and_on_is_linked_again(robots):
         print(f"first message {inbox.wait_until_reached(here):.2f} s after the adapter was on")
 
 
+def test_adapters_that_come_back_under_other_numbers_are_linked_again(robots):
+    one, two = pair(robots)
+    addresses = [guest("adapter", "address", f"hci{n}") for n in range(2)]
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/again", here)
+        try:
+            for name, address in zip(guest("room", "swap", "hci0", "hci1").split(), addresses, strict=True):
+                guest("adapter", "wait", name)
+                assert guest("adapter", "address", name) == address
+            print(f"first message {inbox.wait_until_reached(here):.2f} s after both adapters were on")
+        finally:
+            guest("room", "swap", "hci0", "hci1")
+
+
+def test_a_computer_that_slept_is_linked_again(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/again", here)
+        # The kernel tells Bluetooth to go to sleep, freezes all processes for 5 s, and wakes everything up.
+        Path("/sys/power/pm_test").write_text("freezer")
+        Path("/sys/power/state").write_text("freeze")
+        print(f"first message {inbox.wait_until_reached(here):.2f} s after the sleep")
+
+
+def test_a_clock_that_is_set_leaves_the_link_alone(robots):
+    one, two = pair(robots)
+    with one.session() as here, two.session() as there:
+        inbox = Inbox(there, "rect/again", here)
+        now = time.time()
+        try:
+            for years in (10, -1):
+                time.clock_settime(time.CLOCK_REALTIME, now + years * 365 * 86400)
+                inbox.wait_until_reached(here)
+        finally:
+            time.clock_settime(time.CLOCK_REALTIME, now)
+        assert one.log().count("linked with") == 1, "still the first link"
+
+
+def test_a_router_that_may_asks_for_a_connections_timing(robots):
+    folder = Path("/sys/kernel/debug/bluetooth/hci0")
+    figures = {"conn_min_interval": 24, "conn_max_interval": 40, "supervision_timeout": 42}
+    # Linux's own; the longest interval first, as it may not be under the shortest.
+    for name in sorted(figures):
+        (folder / name).write_text(str(figures[name]))
+    pair(robots)
+    assert [int((folder / name).read_text()) for name in figures] == [6, 12, 200]
+
+
 def test_bluetoothd_killed_while_linked_leaves_the_link_alone_and_a_later_one_possible(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:

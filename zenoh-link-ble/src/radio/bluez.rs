@@ -2,10 +2,12 @@
 //! kernel sockets for channels. This file and its folder are the only ones that name `bluer`.
 mod channel;
 mod errors;
+mod identity;
 mod packets;
 mod scan;
 mod socket;
 mod stuck;
+mod timing;
 mod watch;
 
 use std::{future::Future, sync::Arc};
@@ -17,8 +19,10 @@ use tokio::sync::{Mutex, OnceCell};
 use self::{
     channel::{BluezChannel, BluezListener},
     errors::{dbus_error, no_adapter},
+    identity::Identity,
     scan::BluezScan,
     stuck::Refusals,
+    timing::Timing,
     watch::Watch,
 };
 use super::{
@@ -46,7 +50,8 @@ const ADVERTISING_TURN: std::time::Duration = std::time::Duration::from_secs(1);
 /// The adapter of that name; left out, `hci0`. Nothing is asked of the system before the radio is used.
 pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
     Ok(Arc::new(BluezRadio {
-        name: name.unwrap_or(DEFAULT_ADAPTER).to_owned(),
+        identity: Arc::new(Identity::new(name.unwrap_or(DEFAULT_ADAPTER))),
+        timing: Timing::default(),
         session: OnceCell::new(),
         watch: OnceCell::new(),
         pairing: Mutex::new(None),
@@ -55,7 +60,8 @@ pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
 }
 
 struct BluezRadio {
-    name: String,
+    identity: Arc<Identity>,
+    timing: Timing,
     session: OnceCell<Session>,
     watch: OnceCell<Watch>,
     /// Kept while pairing may be asked for: BlueZ refuses to pair without an agent.
@@ -75,19 +81,21 @@ impl BluezRadio {
     /// The adapter, known to exist and to be powered.
     async fn adapter(&self) -> Result<Adapter, RadioError> {
         let session = self.session().await?;
-        let adapter = session
-            .adapter(&self.name)
-            .map_err(dbus_error("use the adapter"))?;
-        match adapter.is_powered().await {
-            Ok(true) => Ok(adapter),
-            Ok(false) => Err(RadioError::AdapterOff {
-                adapter: self.name.clone(),
+        let found = async {
+            let adapter = self.identity.find(session).await?;
+            let is_powered = adapter.is_powered().await?;
+            Ok((adapter, is_powered))
+        };
+        match found.await {
+            Ok((adapter, true)) => Ok(adapter),
+            Ok((adapter, false)) => Err(RadioError::AdapterOff {
+                adapter: adapter.name().to_owned(),
             }),
             Err(error) => match dbus_error("use the adapter")(error) {
                 error @ (RadioError::NoService { .. } | RadioError::NotPermitted { .. }) => {
                     Err(error)
                 }
-                _ => Err(no_adapter(&self.name, session).await),
+                _ => Err(no_adapter(&self.identity.name(), session).await),
             },
         }
     }
@@ -125,20 +133,11 @@ fn confirming_agent() -> bluer::agent::Agent {
 #[async_trait]
 impl Radio for BluezRadio {
     fn name(&self) -> &str {
-        &self.name
+        self.identity.given()
     }
 
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
-        let adapter = self.adapter().await?;
-        let address = adapter
-            .address()
-            .await
-            .map_err(dbus_error("ask the adapter's address"))?;
-        let kind = adapter
-            .address_type()
-            .await
-            .map_err(dbus_error("ask the adapter's address"))?;
-        Ok(device_address(address, kind))
+        own_address(&self.adapter().await?).await
     }
 
     async fn state(&self) -> AdapterState {
@@ -154,7 +153,7 @@ impl Radio for BluezRadio {
             .watch
             .get_or_try_init(|| async {
                 let session = self.session().await?;
-                Watch::start(session.clone(), self.name.clone()).await
+                Watch::start(session.clone(), Arc::clone(&self.identity)).await
             })
             .await;
         match watch {
@@ -165,7 +164,7 @@ impl Radio for BluezRadio {
     }
 
     fn epoch(&self) -> u64 {
-        self.watch.get().map_or(0, Watch::epoch)
+        self.watch.get().map_or(0, Watch::epoch) + self.identity.moves()
     }
 
     async fn advertise(
@@ -214,10 +213,11 @@ impl Radio for BluezRadio {
         options: ChannelOptions,
     ) -> Result<Box<dyn ChannelListener>, RadioError> {
         self.ensure_agent(&options).await?;
-        let own = self.address().await?;
-        Ok(Box::new(BluezListener::start(
-            &self.name, own, psm, options,
-        )?))
+        let adapter = self.adapter().await?;
+        self.timing.ask(adapter.name());
+        let own = own_address(&adapter).await?;
+        let listener = BluezListener::start(adapter.name(), own, psm, options)?;
+        Ok(Box::new(listener))
     }
 
     async fn connect(
@@ -227,8 +227,10 @@ impl Radio for BluezRadio {
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError> {
         self.ensure_agent(&options).await?;
-        let own = self.address().await?;
-        let channel = BluezChannel::connect(&self.name, own, peer, psm, options).await?;
+        let adapter = self.adapter().await?;
+        self.timing.ask(adapter.name());
+        let own = own_address(&adapter).await?;
+        let channel = BluezChannel::connect(adapter.name(), own, peer, psm, options).await?;
         Ok(Arc::new(channel))
     }
 
@@ -262,6 +264,18 @@ struct BluezAdvertising {
 }
 
 impl AdvertisingGuard for BluezAdvertising {}
+
+async fn own_address(adapter: &Adapter) -> Result<DeviceAddress, RadioError> {
+    let address = adapter
+        .address()
+        .await
+        .map_err(dbus_error("ask the adapter's address"))?;
+    let kind = adapter
+        .address_type()
+        .await
+        .map_err(dbus_error("ask the adapter's address"))?;
+    Ok(device_address(address, kind))
+}
 
 fn device_address(address: bluer::Address, kind: bluer::AddressType) -> DeviceAddress {
     DeviceAddress {

@@ -30,8 +30,9 @@ struct Args {
 enum Command {
     /// Run the relay until it is killed.
     Serve(serve::Options),
-    /// Send one request to a running relay and print its answer: `add`, `remove hciN`, `list`, `freeze hciN` (radio
-    /// silence), `thaw hciN`, `drop hciN` (its links are lost: supervision timeout at both ends), `pace hciN BYTES_PER_S`.
+    /// Send one request to a running relay and print its answer: `add`, `remove hciN`, `swap hciN hciM` (both pulled, and
+    /// plugged in the other way round), `list`, `freeze hciN` (radio silence), `thaw hciN`, `drop hciN` (its links are
+    /// lost: supervision timeout at both ends), `pace hciN BYTES_PER_S`.
     Ctl { request: Vec<String> },
 }
 

@@ -136,16 +136,39 @@ enum Ready {
 }
 
 impl Relay<'_> {
-    /// Creates one more kernel device; returns its name.
+    /// Creates one more controller and its kernel device; returns its name.
     fn add(&mut self) -> Result<String, RelayError> {
-        let vhci_error = |source| RelayError::Vhci { path: VHCI, source };
-        let path = &self.options.btvirt;
-        let btvirt_error = |source| RelayError::Btvirt {
-            path: path.clone(),
-            source,
+        let connected = UnixStream::connect(&self.options.btvirt);
+        self.plug(connected.map_err(|source| self.btvirt_error(source))?)
+    }
+
+    /// Two controllers lose their kernel devices and get new ones, each under the other's number where the kernel gives out
+    /// the lowest. Returns the names of what was `one` and `other`.
+    fn swap(&mut self, one: Id, other: Id) -> Result<String, RelayError> {
+        let mut unplug = |id| {
+            self.room.remove(id);
+            self.devices.remove(&id).map(|device| device.btvirt)
         };
-        let btvirt = UnixStream::connect(path).map_err(btvirt_error)?;
-        wake(&btvirt).map_err(btvirt_error)?;
+        let (one, other) = (unplug(one), unplug(other));
+        let mut names = Vec::new();
+        for btvirt in [other, one].into_iter().flatten() {
+            names.push(self.plug(btvirt)?);
+        }
+        names.reverse();
+        Ok(names.join(" "))
+    }
+
+    fn btvirt_error(&self, source: io::Error) -> RelayError {
+        RelayError::Btvirt {
+            path: self.options.btvirt.clone(),
+            source,
+        }
+    }
+
+    /// Creates a kernel device for a controller; returns its name.
+    fn plug(&mut self, btvirt: UnixStream) -> Result<String, RelayError> {
+        let vhci_error = |source| RelayError::Vhci { path: VHCI, source };
+        wake(&btvirt).map_err(|source| self.btvirt_error(source))?;
         let vhci = OpenOptions::new()
             .read(true)
             .write(true)
@@ -368,6 +391,10 @@ impl Relay<'_> {
                 self.room.remove(id);
                 self.devices.remove(&id);
             }
+            ["swap", one, other] => {
+                let (one, other) = (id_of(one)?, id_of(other)?);
+                return self.swap(one, other).map_err(|e| e.to_string());
+            }
             ["freeze", name] => self.room.freeze(id_of(name)?),
             ["thaw", name] => self.room.thaw(id_of(name)?, Instant::now()),
             ["drop", name] => {
@@ -382,7 +409,7 @@ impl Relay<'_> {
             }
             _ => {
                 return Err(format!(
-                "unknown request \"{line}\"; known: add, remove, list, freeze, thaw, drop, pace"
+                "unknown request \"{line}\"; known: add, remove, swap, list, freeze, thaw, drop, pace"
             ))
             }
         }

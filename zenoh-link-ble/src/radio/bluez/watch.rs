@@ -1,9 +1,11 @@
 //! Owns the watch over an adapter: its power, its coming and going, and restarts of bluetoothd.
+use std::sync::Arc;
+
 use bluer::{AdapterEvent, AdapterProperty, Session, SessionEvent};
 use futures::StreamExt;
 use tokio::{sync::watch, task::JoinHandle};
 
-use super::errors::dbus_error;
+use super::{errors::dbus_error, identity::Identity};
 use crate::radio::RadioError;
 
 pub(super) struct Watch {
@@ -13,7 +15,10 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    pub(super) async fn start(session: Session, name: String) -> Result<Self, RadioError> {
+    pub(super) async fn start(
+        session: Session,
+        identity: Arc<Identity>,
+    ) -> Result<Self, RadioError> {
         let mut of_session = session
             .events()
             .await
@@ -22,7 +27,7 @@ impl Watch {
         let (sender, changes) = watch::channel(0);
         let task = tokio::spawn(async move {
             loop {
-                let mut of_adapter = match session.adapter(&name) {
+                let mut of_adapter = match session.adapter(&identity.name()) {
                     Ok(adapter) => match adapter.events().await {
                         Ok(events) => events.boxed(),
                         Err(_) => futures::stream::pending().boxed(),
@@ -32,12 +37,13 @@ impl Watch {
                 loop {
                     tokio::select! {
                         event = of_session.next() => match event {
-                            Some(SessionEvent::AdapterAdded(who)) if who == name => {
-                                sender.send_modify(|epoch| *epoch += 1);
-                                // A new object of that name: watch it instead of the old one.
+                            Some(SessionEvent::AdapterAdded(name)) => {
+                                let is_ours = name == identity.name();
+                                sender.send_modify(|epoch| *epoch += u64::from(is_ours));
+                                // A new object, of that name or of another: watch it instead of the old one.
                                 break;
                             }
-                            Some(SessionEvent::AdapterRemoved(who)) if who == name => {
+                            Some(SessionEvent::AdapterRemoved(name)) if name == identity.name() => {
                                 sender.send_modify(|epoch| *epoch += 1);
                             }
                             Some(_) => {}

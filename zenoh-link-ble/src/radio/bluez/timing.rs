@@ -1,0 +1,116 @@
+//! Owns asking for a connection's timing: how often its two ends meet, and how long a silent one is kept. The kernel holds
+//! both per adapter; bluetoothd sets them from its `main.conf`, and root may in debugfs. No socket option does.
+use std::{
+    fs, io,
+    path::Path,
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+const DEBUGFS: &str = "/sys/kernel/debug/bluetooth";
+const MAIN_CONF: &str = "/etc/bluetooth/main.conf";
+
+struct Figure {
+    /// In debugfs (Linux, net/bluetooth/hci_debugfs.c).
+    file: &'static str,
+    /// In `main.conf`.
+    key: &'static str,
+    /// What Linux begins with (net/bluetooth/hci_core.c): any other value was chosen by somebody.
+    default: u16,
+    wanted: u16,
+}
+
+/// As in `config/bluetooth.conf`. The shortest interval comes first: it may not be over the longest.
+const FIGURES: [Figure; 3] = [
+    Figure {
+        file: "conn_min_interval",
+        key: "MinConnectionInterval",
+        default: 24,
+        wanted: 6,
+    },
+    Figure {
+        file: "conn_max_interval",
+        key: "MaxConnectionInterval",
+        default: 40,
+        wanted: 12,
+    },
+    Figure {
+        file: "supervision_timeout",
+        key: "ConnectionSupervisionTimeout",
+        default: 42,
+        wanted: 200,
+    },
+];
+
+/// Whether the user was told.
+#[derive(Default)]
+pub(super) struct Timing(AtomicBool);
+
+impl Timing {
+    /// Asks for what suits robots, for connections made from now on, where the adapter still has Linux's own figures.
+    /// Says once what to do where this process may not ask.
+    pub(super) fn ask(&self, adapter: &str) {
+        let Err(error) = set(&Path::new(DEBUGFS).join(adapter)) else {
+            return;
+        };
+        if is_configured(&fs::read_to_string(MAIN_CONF).unwrap_or_default()) {
+            return;
+        }
+        if !self.0.swap(true, Ordering::Relaxed) {
+            tracing::info!(
+                "ble: {adapter}: connection interval and supervision timeout are left as they are ({error}). With \
+                 RECT's config/bluetooth.conf as {MAIN_CONF} links answer faster and hold better"
+            );
+        }
+    }
+}
+
+fn set(folder: &Path) -> io::Result<()> {
+    for figure in &FIGURES {
+        let file = folder.join(figure.file);
+        if fs::read_to_string(&file)?.trim() == figure.default.to_string() {
+            fs::write(&file, figure.wanted.to_string())?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether bluetoothd sets all of it.
+fn is_configured(main_conf: &str) -> bool {
+    let keys = || main_conf.lines().filter_map(|line| line.split_once('='));
+    FIGURES
+        .iter()
+        .all(|figure| keys().any(|(key, _)| key.trim() == figure.key))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OURS: &str = include_str!("../../../../config/bluetooth.conf");
+
+    #[test]
+    fn what_somebody_chose_is_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let write = |file: &str, text: &str| fs::write(folder.path().join(file), text);
+        let read = |file: &str| fs::read_to_string(folder.path().join(file)).expect("a file");
+        write("conn_min_interval", "24\n").expect("written");
+        write("conn_max_interval", "80\n").expect("written");
+        assert!(set(folder.path()).is_err(), "one file is missing");
+        write("supervision_timeout", "42\n").expect("written");
+        set(folder.path()).expect("all there");
+        assert_eq!(read("conn_min_interval"), "6");
+        assert_eq!(read("conn_max_interval"), "80\n");
+        assert_eq!(read("supervision_timeout"), "200");
+    }
+
+    #[test]
+    fn our_configuration_says_the_same() {
+        assert!(is_configured(OURS));
+        for figure in &FIGURES {
+            let line = format!("{} = {}", figure.key, figure.wanted);
+            assert!(OURS.lines().any(|l| l == line), "{line}");
+        }
+        assert!(!is_configured("#MinConnectionInterval=6\n"));
+        assert!(!is_configured(""));
+    }
+}
