@@ -5,6 +5,9 @@ use zenoh_link_ble::advertisement::Advertisement;
 
 fuzz_target!(|data: &[u8]| {
     if let Ok(advertisement) = Advertisement::decode(data) {
-        assert_eq!(Advertisement::decode(&advertisement.encode()), Ok(advertisement));
+        assert_eq!(
+            Advertisement::decode(&advertisement.encode()),
+            Ok(advertisement)
+        );
     }
 });

@@ -113,11 +113,26 @@ pub enum Next {
     Bye,
 }
 
+/// How far a link's end has come.
+enum End {
+    NotYet,
+    /// Nothing more is taken; this is the goodbye.
+    Closing(Vec<u8>),
+    /// The goodbye is sent.
+    Over,
+}
+
+impl End {
+    fn closing(reason: u8) -> Self {
+        Self::Closing(Content::Bye(reason).encode())
+    }
+}
+
 /// The sending side of a link.
 pub struct Scheduler {
     lanes: [OutLane; LANES],
     signals: VecDeque<Vec<u8>>,
-    bye: Option<Vec<u8>>,
+    end: End,
     bounds: Bounds,
     allowance: Allowance,
     flight: Flight,
@@ -141,7 +156,7 @@ impl Scheduler {
                 given_up: 0,
             }),
             signals: VecDeque::new(),
-            bye: None,
+            end: End::NotYet,
             bounds,
             flight: Flight::new(cost(mtu), allowance.window()),
             allowance,
@@ -150,7 +165,7 @@ impl Scheduler {
         }
     }
 
-    /// Puts a batch on its lane. `false`: there is no room; ask again when something went out.
+    /// Puts a batch on its lane. `false`: there is no room, ask again when something went out; or the link is closing.
     /// An empty batch goes nowhere: Zenoh writes one when it gives up a message half-way, and what waits of that message
     /// is of no use any more.
     pub fn push(&mut self, lane: Lane, batch: &[u8], now: Instant) -> bool {
@@ -162,17 +177,18 @@ impl Scheduler {
         let droppable = self.droppable_bytes();
         let all: usize = self.lanes.iter().map(|out| out.bytes).sum();
         let most = self.bounds.bytes;
+        let is_closing = !matches!(self.end, End::NotYet);
         let (out, size) = (self.lane(lane), Waiting::bytes_of(HEADER + batch.len()));
         let fits = out.bytes + size <= OWN_BYTES || all + size <= most;
-        let has_room = fits && out.may_begin(piece, droppable);
-        if has_room {
+        let is_taken = !is_closing && fits && out.may_begin(piece, droppable);
+        if is_taken {
             out.push(Waiting {
                 sdu: Content::Batch(lane, batch).encode(),
                 piece,
                 since: now,
             });
         }
-        has_room
+        is_taken
     }
 
     /// Sends a signal to the peer, before all batches.
@@ -195,8 +211,9 @@ impl Scheduler {
 
     /// The link ends: what waits goes out, then the goodbye.
     pub fn close(&mut self, reason: u8) {
-        let bye = || Content::Bye(reason).encode();
-        self.bye.get_or_insert_with(bye);
+        if matches!(self.end, End::NotYet) {
+            self.end = End::closing(reason);
+        }
     }
 
     /// What to send now. It is the next as long as [`Scheduler::on_sent`] does not say that it went; something more urgent
@@ -222,7 +239,7 @@ impl Scheduler {
         self.number = self.number.wrapping_add(1);
         match sent {
             Next::Signal => drop(self.signals.pop_front()),
-            Next::Bye => self.bye = None,
+            Next::Bye => self.end = End::Over,
             Next::Batch(lane) => {
                 let out = self.lane(lane);
                 if let Some(batch) = out.queue.pop_front() {
@@ -247,7 +264,7 @@ impl Scheduler {
             out.queue.clear();
             out.bytes = 0;
         }
-        self.bye = Some(Content::Bye(reason).encode());
+        self.end = End::closing(reason);
     }
 
     /// What went out on a lane, and what waits.
@@ -278,6 +295,9 @@ impl Scheduler {
     }
 
     fn choose(&self) -> Option<Next> {
+        if matches!(self.end, End::Over) {
+            return None;
+        }
         if !self.signals.is_empty() {
             return Some(Next::Signal);
         }
@@ -289,13 +309,17 @@ impl Scheduler {
             out.next_cost().is_some_and(has_room)
         };
         let batch = Lane::all().find(may_send).map(Next::Batch);
-        batch.or_else(|| (self.bye.is_some() && self.is_empty()).then_some(Next::Bye))
+        let may_end = || matches!(self.end, End::Closing(_)) && self.is_empty();
+        batch.or_else(|| may_end().then_some(Next::Bye))
     }
 
     fn sdu_of(&mut self, next: Next) -> Option<&mut [u8]> {
         match next {
             Next::Signal => self.signals.front_mut().map(Vec::as_mut_slice),
-            Next::Bye => self.bye.as_deref_mut(),
+            Next::Bye => match &mut self.end {
+                End::Closing(bye) => Some(bye),
+                End::NotYet | End::Over => None,
+            },
             Next::Batch(lane) => {
                 let waiting = self.lane(lane).queue.front_mut()?;
                 Some(&mut waiting.sdu)

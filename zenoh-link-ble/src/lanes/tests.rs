@@ -178,6 +178,8 @@ fn a_goodbye_goes_when_everything_else_has_gone() {
     assert_eq!(pair.take(5), Some(b"first".to_vec()));
     let more = pair.into.on_sdu(&[0; 10], pair.now);
     assert_eq!(more, Err(Violation::AfterBye));
+    assert!(!pair.push(1, b"too late"));
+    assert_eq!(sent(&mut pair.out, pair.now), None, "nothing follows it");
 }
 
 #[test]
