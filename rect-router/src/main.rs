@@ -1,7 +1,8 @@
 //! `rect-router`: a router that takes zenohd's flags and configuration files and speaks Bluetooth LE.
 //!
 //! Here is the order of things only: flags become a configuration (`config.rs`), the configuration a running router
-//! (`router.rs`), and a signal the end of it (`signals.rs`). Whatever is wrong is said once, on stderr.
+//! (`router.rs`) with its threads (`threads.rs`), and a signal the end of it (`signals.rs`). Whatever is wrong is said
+//! once, on stderr.
 
 use std::process::ExitCode;
 
@@ -12,9 +13,11 @@ mod message;
 mod router;
 mod signals;
 mod status;
+mod threads;
 mod version;
 
 fn main() -> ExitCode {
+    threads::set();
     let args = args::parse();
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,

@@ -16,7 +16,7 @@ const RULES: [Rule; 4] = [
     Rule {
         key: "transport/link/tx/queue/congestion_control/block/wait_before_close",
         fits: |value| value.as_i64() >= Some(30_000_000),
-        wanted: "600000000 (microseconds)",
+        wanted: "60000000 (microseconds)",
         otherwise: "a message larger than what waits for the radio closes the link",
     },
     Rule {
