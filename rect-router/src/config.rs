@@ -4,6 +4,7 @@
 mod error;
 mod fit;
 mod login;
+mod settings;
 
 use serde_json::Value;
 use validated_struct::InsertionError;
@@ -14,10 +15,11 @@ use zenoh_util::LibSearchDirs;
 
 pub use self::error::ConfigError;
 use self::login::{log_in_as, logins};
+pub use self::settings::Settings;
 use crate::args::Args;
 
-/// The configuration that these flags ask for.
-pub fn from_args(args: &Args) -> Result<Config, ConfigError> {
+/// The configuration that these flags ask for, and RECT's own settings, which Zenoh does not see.
+pub fn from_args(args: &Args) -> Result<(Config, Option<Settings>), ConfigError> {
     let settings = args
         .cfg
         .iter()
@@ -37,8 +39,31 @@ pub fn from_args(args: &Args) -> Result<Config, ConfigError> {
         log_in_as(&mut config, user, logins)?;
     }
     check_ble_endpoints(&config)?;
+    let settings = settings::take(&mut config)?;
     tracing::debug!("Config: {}", without_secrets(&config));
-    Ok(config)
+    Ok((config, settings))
+}
+
+/// Adds endpoints to those that the router dials.
+pub fn dial(
+    config: &mut Config,
+    endpoints: impl Iterator<Item = String>,
+) -> Result<(), ConfigError> {
+    let mode = config.mode().unwrap_or(WhatAmI::Router);
+    let mut all = config
+        .connect
+        .endpoints
+        .get(mode)
+        .cloned()
+        .unwrap_or_default();
+    for one in endpoints {
+        all.push(endpoint("slot", &one)?);
+    }
+    set(
+        config.connect.endpoints.set(all),
+        "connect/endpoints",
+        "as given",
+    )
 }
 
 /// The configuration as text for the log, its passwords and private keys struck out.

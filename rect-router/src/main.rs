@@ -6,10 +6,15 @@
 
 use std::process::ExitCode;
 
+use self::robot::Robot;
+
 mod args;
 mod config;
+mod connections;
 mod logging;
 mod message;
+mod registry;
+mod robot;
 mod router;
 mod signals;
 mod status;
@@ -31,8 +36,11 @@ fn main() -> ExitCode {
 fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error>> {
     logging::start()?;
     tracing::info!("rect-router {}", version::long());
-    let config = config::from_args(args)?;
+    let (mut config, settings) = config::from_args(args)?;
+    let robot = settings
+        .map(|settings| Robot::prepare(settings, &mut config))
+        .transpose()?;
     tracing::info!("Initial conf: {}", config::without_secrets(&config));
-    router::run(config)?;
+    router::run(config, robot)?;
     Ok(())
 }

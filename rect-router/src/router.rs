@@ -11,7 +11,7 @@ use std::{
 
 use zenoh::{Config, Session, Wait};
 
-use crate::{signals, status};
+use crate::{robot::Robot, signals, status};
 
 /// How long peers are given to take note that the router ends.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -22,8 +22,8 @@ enum Event {
     StopAsked,
 }
 
-/// Runs a router until a signal ends it.
-pub fn run(config: Config) -> Result<(), RouterError> {
+/// Runs a router until a signal ends it; `robot`: what RECT adds to it.
+pub fn run(config: Config, robot: Option<Robot>) -> Result<(), RouterError> {
     let (events, next) = mpsc::channel();
     signals::watch(events.clone(), || Event::StopAsked).map_err(RouterError::System)?;
 
@@ -34,6 +34,10 @@ pub fn run(config: Config) -> Result<(), RouterError> {
         _ => return Ok(()),
     };
     status::serve(&session).map_err(RouterError::Open)?;
+    let _running = robot
+        .map(|robot| robot.start(&session))
+        .transpose()
+        .map_err(RouterError::Open)?;
     tracing::info!("rect-router is up, with id {}", session.zid());
 
     match next.recv() {

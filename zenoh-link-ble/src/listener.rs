@@ -3,7 +3,7 @@ use std::{sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinSet, time::Instant};
 use tokio_util::sync::CancellationToken;
-use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait, NewLinkChannelSender};
+use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
 use crate::{
     adapter::Adapter,
@@ -38,7 +38,6 @@ pub(crate) struct Listener {
     adapter: Arc<Adapter>,
     locator: ListenLocator,
     name: String,
-    links: NewLinkChannelSender,
 }
 
 impl Listener {
@@ -47,7 +46,6 @@ impl Listener {
     pub(crate) async fn start(
         node: Arc<Node>,
         locator: ListenLocator,
-        links: NewLinkChannelSender,
     ) -> Result<(Arc<Self>, Up, NameSearch), BleError> {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
@@ -56,7 +54,6 @@ impl Listener {
             adapter,
             locator,
             name,
-            links,
         });
         let search = listener.namesake().search();
         let up = listener.bring_up().await?;
@@ -226,7 +223,8 @@ impl Listener {
             Ok(Some(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
                 if self
-                    .links
+                    .node
+                    .new_links
                     .send_async(LinkUnicast::from(link))
                     .await
                     .is_err()

@@ -44,7 +44,6 @@ impl LocatorInspector for BleLocatorInspector {
 /// Makes and takes `ble` links for one Zenoh runtime.
 pub struct LinkManagerUnicastBle {
     node: Arc<Node>,
-    links: NewLinkChannelSender,
     runtime: Handle,
     listeners: Mutex<HashMap<String, Listening>>,
 }
@@ -59,10 +58,17 @@ struct Listening {
 }
 
 impl LinkManagerUnicastBle {
-    /// A manager over this machine's radios: BlueZ's, and the simulated air's for adapters named `sim...`.
+    /// A manager over this machine's radios: BlueZ's, and the simulated air's for adapters named `sim...`. Those with the
+    /// same channel are of one Zenoh runtime, and are one node to its peers.
     pub fn new(links: NewLinkChannelSender) -> Self {
         let runtime: &Handle = &zenoh_runtime::ZRuntime::Acceptor;
-        Self::with_radios(links, runtime.clone(), random_node_id(), open_radio)
+        let is_of_runtime = |node: &Node| node.new_links.same_channel(&links);
+        let make = || Node::new(random_node_id(), links.clone(), Box::new(open_radio));
+        Self {
+            node: status::find_or_add(is_of_runtime, make),
+            runtime: runtime.clone(),
+            listeners: Mutex::default(),
+        }
     }
 
     /// A manager over radios of the caller's, with its tasks on `runtime`: for tests. `node` must be no other's; whatever
@@ -73,11 +79,9 @@ impl LinkManagerUnicastBle {
         node: NodeId,
         open_radio: impl Fn(Option<&str>) -> Result<Arc<dyn Radio>, RadioError> + Send + Sync + 'static,
     ) -> Self {
-        let node = Node::new(node, Box::new(open_radio));
-        status::add(&node);
+        let node = Node::new(node, links, Box::new(open_radio));
         Self {
-            node,
-            links,
+            node: status::find_or_add(|_| false, || node),
             runtime,
             listeners: Mutex::default(),
         }
@@ -131,9 +135,9 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
         if listeners.contains_key(&adapter) {
             return Err(into_zenoh(BleError::ListenerExists(adapter)));
         }
-        let (node, links) = (Arc::clone(&self.node), self.links.clone());
+        let node = Arc::clone(&self.node);
         let (listener, up, search) = self
-            .on_runtime(async move { Listener::start(node, locator, links).await })
+            .on_runtime(async move { Listener::start(node, locator).await })
             .await?;
         let serve = Arc::clone(&listener).serve(up);
         let serving = AbortOnDropHandle::new(self.runtime.spawn(serve));

@@ -3,6 +3,7 @@ use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::{sync::Notify, time::Instant};
+use zenoh_link_commons::NewLinkChannelSender;
 
 use crate::{
     adapter::Adapter,
@@ -25,6 +26,8 @@ pub(crate) type OpenRadio =
 
 pub(crate) struct Node {
     pub(crate) id: NodeId,
+    /// Where Zenoh takes new links: the same channel for all that one runtime makes.
+    pub(crate) new_links: NewLinkChannelSender,
     links: Mutex<Links>,
     /// Told whenever a link ends.
     pub(crate) unlinked: Notify,
@@ -45,9 +48,14 @@ pub(crate) struct Listening {
 }
 
 impl Node {
-    pub(crate) fn new(id: NodeId, open_radio: Box<OpenRadio>) -> Arc<Self> {
+    pub(crate) fn new(
+        id: NodeId,
+        new_links: NewLinkChannelSender,
+        open_radio: Box<OpenRadio>,
+    ) -> Arc<Self> {
         Arc::new(Self {
             id,
+            new_links,
             links: Mutex::new(Links::new(id)),
             unlinked: Notify::new(),
             released: Notify::new(),

@@ -99,11 +99,21 @@ pub fn nodes() -> Vec<NodeStatus> {
     nodes.iter().map(|node| node.status()).collect()
 }
 
-/// Puts a node on the list.
-pub(crate) fn add(node: &Arc<Node>) {
+/// The node on the list that is the one meant, or a new one.
+pub(crate) fn find_or_add(
+    is_it: impl Fn(&Node) -> bool,
+    make: impl FnOnce() -> Arc<Node>,
+) -> Arc<Node> {
     let mut nodes = NODES.lock();
     nodes.retain(|node| node.strong_count() > 0);
-    nodes.push(Arc::downgrade(node));
+    let mut there = nodes.iter().filter_map(Weak::upgrade);
+    if let Some(node) = there.find(|node| is_it(node)) {
+        return node;
+    }
+    drop(there);
+    let node = make();
+    nodes.push(Arc::downgrade(&node));
+    node
 }
 
 /// The open links of a node.

@@ -1,8 +1,8 @@
-//! Drop-in for the published crate `zenoh-link` 1.10.2: every link of Zenoh's, and `ble`.
+//! Drop-in for the published crate `zenoh-link` 1.10.2: every link of Zenoh's, `ble` and `slot`.
 //!
 //! Zenoh's links are a closed enum (zenoh#2707), so a new one gets in only by standing where this crate stands:
 //! `[patch.crates-io] zenoh-link = { path = "zenoh-link" }`. Here is a table and no more; a link's work is done in its
-//! own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`). What Zenoh calls of the published crate exists here under the
+//! own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`, `zenoh-link-slot`). What Zenoh calls of the published crate exists here under the
 //! same name, and so does everything else public in it; `tests/` holds the proof.
 
 use std::{collections::HashMap, sync::Arc};
@@ -56,6 +56,8 @@ link_table! {
     Vscock: zenoh_link_vsock as vsock, VSOCK_LOCATOR_PREFIX, VsockLocatorInspector, LinkManagerUnicastVsock;
 
     Ble: zenoh_link_ble as ble, BLE_LOCATOR_PREFIX, BleLocatorInspector, LinkManagerUnicastBle;
+
+    Slot: zenoh_link_slot as slot, SLOT_LOCATOR_PREFIX, SlotLocatorInspector, LinkManagerUnicastSlot;
 }
 
 /// Every link there is, whether or not this build has it.
@@ -66,6 +68,8 @@ pub enum LinkKind {
     Quic,
     QuicDatagram,
     Serial,
+    /// `slot/`: a peer chosen while the router runs.
+    Slot,
     Tcp,
     Tls,
     Udp,

@@ -41,6 +41,9 @@ pub enum ConfigError {
         setting: String,
         source: zenoh::Error,
     },
+    /// RECT's own settings.
+    #[error("plugins/rect: {reason} (config/README.md)")]
+    Settings { reason: String },
     /// A value that does not fit the rest of the configuration.
     #[error("{key} can't be set to {value}")]
     Refused { key: &'static str, value: String },

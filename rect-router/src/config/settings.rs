@@ -1,0 +1,111 @@
+//! Owns RECT's own settings, `plugins/rect` in the configuration: what a robot is called and which connections it has.
+//! They are taken out of it, or Zenoh would look for a plugin of that name.
+use std::path::PathBuf;
+
+use serde::Deserialize;
+use zenoh::Config;
+
+use super::ConfigError;
+
+const KEY: &str = "plugins/rect";
+/// A slot that is not used costs a wake-up in ten seconds.
+const DEFAULT_MAX_CONNECTIONS: usize = 32;
+const MAX_CONNECTIONS: usize = 1000;
+
+/// `plugins: { rect: { ... } }`
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// The team, the first part of all its keys; default `rect`.
+    #[serde(default = "default_fleet")]
+    pub fleet: String,
+    /// This robot's name, the second part.
+    pub robot: String,
+    /// The file of named connections; left out, there are none.
+    pub connections: Option<PathBuf>,
+    /// How many there may be, 1 to 1000; default 32.
+    #[serde(default = "default_max_connections")]
+    pub max_connections: usize,
+}
+
+fn default_fleet() -> String {
+    "rect".to_owned()
+}
+
+fn default_max_connections() -> usize {
+    DEFAULT_MAX_CONNECTIONS
+}
+
+/// Takes them out; `None`: RECT adds nothing to this router.
+pub fn take(config: &mut Config) -> Result<Option<Settings>, ConfigError> {
+    let refused = |reason: String| ConfigError::Settings { reason };
+    let given = config.get_json(KEY).unwrap_or_default();
+    if matches!(given.as_str(), "" | "null") {
+        return Ok(None);
+    }
+    let settings: Settings =
+        serde_json::from_str(&given).map_err(|error| refused(error.to_string()))?;
+    for (key, name) in [("fleet", &settings.fleet), ("robot", &settings.robot)] {
+        if !is_chunk(name) {
+            let wanted = "1 to 64 letters, digits, `-`, `_` or `.`";
+            return Err(refused(format!("{key} {name:?} is to be {wanted}")));
+        }
+    }
+    if !(1..=MAX_CONNECTIONS).contains(&settings.max_connections) {
+        let given = settings.max_connections;
+        return Err(refused(format!(
+            "max_connections {given} is to be 1 to {MAX_CONNECTIONS}"
+        )));
+    }
+    config
+        .remove(KEY)
+        .map_err(|error| refused(error.to_string()))?;
+    Ok(Some(settings))
+}
+
+/// Whether it can be a part of a key by itself.
+fn is_chunk(name: &str) -> bool {
+    let is_known = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.');
+    (1..=64).contains(&name.len()) && name.bytes().all(is_known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn taken(text: &str) -> Result<Option<Settings>, ConfigError> {
+        let mut config = Config::from_json5(text).expect("valid");
+        let settings = take(&mut config)?;
+        assert!(take(&mut config)?.is_none(), "taken out");
+        Ok(settings)
+    }
+
+    #[test]
+    fn what_is_left_out_has_a_default() {
+        assert_eq!(taken("{}").expect("none"), None);
+        let settings = taken(r#"{ plugins: { rect: { robot: "wombat-1" } } }"#);
+        let expected = Settings {
+            fleet: "rect".into(),
+            robot: "wombat-1".into(),
+            connections: None,
+            max_connections: DEFAULT_MAX_CONNECTIONS,
+        };
+        assert_eq!(settings.expect("valid"), Some(expected));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, named) in [
+            ("{}", "robot"),
+            ("{ robot: 'a/b' }", "a/b"),
+            ("{ robot: '**' }", "**"),
+            ("{ robot: 'a', fleet: '' }", "fleet"),
+            ("{ robot: 'a', fleat: 'b' }", "fleat"),
+            ("{ robot: 'a', max_connections: 0 }", "max_connections"),
+            ("{ robot: 'a', max_connections: 1001 }", "max_connections"),
+        ] {
+            let error = taken(&format!("{{ plugins: {{ rect: {text} }} }}")).expect_err(text);
+            assert!(error.to_string().contains(named), "{error}");
+        }
+    }
+}

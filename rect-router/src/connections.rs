@@ -1,0 +1,200 @@
+//! Owns the named connections of a router: which are wanted, and what changes when others are.
+mod connection;
+mod file;
+mod observed;
+mod spec;
+mod watcher;
+
+use std::{
+    collections::BTreeMap,
+    fmt,
+    path::Path,
+    sync::{Arc, OnceLock},
+};
+
+use parking_lot::Mutex;
+use zenoh_link_slot::Slots;
+
+use self::{
+    connection::{Connection, Dialled},
+    spec::Spec,
+};
+pub use self::{
+    connection::{Ends, Snapshot, Trouble},
+    file::FileError,
+    observed::Traffic,
+    watcher::Watching,
+};
+
+/// The named connections of one Zenoh runtime.
+pub struct Connections {
+    slots: Arc<Slots>,
+    by_name: Mutex<BTreeMap<String, Entry>>,
+    on_change: OnceLock<Box<dyn Fn() + Send + Sync>>,
+}
+
+struct Entry {
+    slot: usize,
+    connection: Arc<Connection>,
+}
+
+/// What became different; all others keep their links.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Changes {
+    /// New names.
+    pub added: Vec<String>,
+    /// Names that are gone.
+    pub removed: Vec<String>,
+    /// Names that lead elsewhere, or otherwise.
+    pub changed: Vec<String>,
+}
+
+impl Connections {
+    /// None yet, and room for `most`.
+    pub fn new(most: usize) -> Arc<Self> {
+        Arc::new(Self {
+            slots: Slots::new(most),
+            by_name: Mutex::default(),
+            on_change: OnceLock::new(),
+        })
+    }
+
+    /// What Zenoh has to dial for them.
+    pub fn endpoints(&self) -> impl Iterator<Item = String> + '_ {
+        self.slots.endpoints()
+    }
+
+    /// Takes the connections of a file; on an error nothing changes.
+    pub fn load(&self, path: &Path) -> Result<Changes, FileError> {
+        let wanted = file::read(path, self.slots.count())?;
+        let changes = self.apply(wanted);
+        if changes != Changes::default() {
+            self.on_change.get().inspect(|on_change| on_change());
+        }
+        Ok(changes)
+    }
+
+    /// Calls `on_change` whenever a file brought something new. One is told, the first that asks.
+    pub fn on_change(&self, on_change: impl Fn() + Send + Sync + 'static) {
+        let _ = self.on_change.set(Box::new(on_change));
+    }
+
+    /// Takes a file's connections again whenever it changes, until the watching is dropped.
+    pub fn watch(self: &Arc<Self>, path: &Path) -> notify::Result<Watching> {
+        Watching::start(path, Arc::clone(self))
+    }
+
+    /// What is known of each, by name.
+    pub fn snapshots(&self) -> Vec<Snapshot> {
+        let connections: Vec<_> = {
+            let by_name = self.by_name.lock();
+            by_name
+                .values()
+                .map(|entry| Arc::clone(&entry.connection))
+                .collect()
+        };
+        connections
+            .iter()
+            .map(|connection| connection.snapshot())
+            .collect()
+    }
+
+    /// From now on these, of different names, and no more than there is room for.
+    fn apply(&self, wanted: Vec<Spec>) -> Changes {
+        let mut changes = Changes::default();
+        let mut by_name = self.by_name.lock();
+        by_name.retain(|name, entry| {
+            let is_wanted = wanted.iter().any(|spec| spec.name == *name);
+            if !is_wanted {
+                changes.removed.push(name.clone());
+                self.slots.set(entry.slot, None);
+                entry.connection.end();
+            }
+            is_wanted
+        });
+        for spec in wanted {
+            let name = spec.name.clone();
+            let slot = match by_name.get(&name) {
+                Some(entry) if *entry.connection.spec() == spec => continue,
+                Some(entry) => {
+                    changes.changed.push(name.clone());
+                    entry.slot
+                }
+                None => {
+                    let is_free = |slot: &usize| by_name.values().all(|entry| entry.slot != *slot);
+                    let Some(slot) = (0..self.slots.count()).find(is_free) else {
+                        continue;
+                    };
+                    changes.added.push(name.clone());
+                    slot
+                }
+            };
+            let connection = Connection::new(spec);
+            let dialled = Dialled(Arc::clone(&connection));
+            self.slots.set(slot, Some(Arc::new(dialled)));
+            if let Some(before) = by_name.insert(name, Entry { slot, connection }) {
+                before.connection.end();
+            }
+        }
+        changes
+    }
+}
+
+impl fmt::Display for Changes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts = [
+            ("added", &self.added),
+            ("removed", &self.removed),
+            ("changed", &self.changed),
+        ];
+        let told: Vec<_> = parts
+            .iter()
+            .filter(|(_, names)| !names.is_empty())
+            .map(|(what, names)| format!("{what} {}", names.join(", ")))
+            .collect();
+        match told.is_empty() {
+            true => f.write_str("as before"),
+            false => f.write_str(&told.join("; ")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{spec::Written, *};
+
+    fn spec(name: &str, address: &str) -> Spec {
+        let written = Written {
+            name: name.into(),
+            method: "ble".into(),
+            address: address.into(),
+            ..Written::default()
+        };
+        Spec::of(written).expect("valid")
+    }
+
+    #[test]
+    fn only_what_differs_changes() {
+        let connections = Connections::new(3);
+        let names = || -> Vec<_> {
+            let snapshots = connections.snapshots();
+            snapshots
+                .iter()
+                .map(|s| format!("{}>{}", s.spec.name, s.spec.endpoint))
+                .collect()
+        };
+        let changes = connections.apply(vec![spec("b", "two"), spec("a", "one")]);
+        assert_eq!(changes.to_string(), "added b, a");
+        let changes = connections.apply(vec![spec("a", "one"), spec("b", "two")]);
+        assert_eq!(changes.to_string(), "as before");
+        let changes = connections.apply(vec![
+            spec("b", "three"),
+            spec("c", "four"),
+            spec("d", "five"),
+        ]);
+        assert_eq!(changes.to_string(), "added c, d; removed a; changed b");
+        assert_eq!(names(), ["b>ble/three", "c>ble/four", "d>ble/five"]);
+        assert_eq!(connections.apply(Vec::new()).to_string(), "removed b, c, d");
+        assert!(names().is_empty());
+    }
+}

@@ -1,0 +1,68 @@
+//! Owns the watch over a connections file: what changes in it takes effect, what is wrong in it is told and changes nothing.
+use std::{
+    path::Path,
+    sync::{
+        mpsc::{self, Receiver, RecvTimeoutError},
+        Arc,
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use notify::{Event, RecommendedWatcher, RecursiveMode, Watcher};
+
+use super::Connections;
+use crate::message;
+
+/// An editor writes in several steps: the file is read when it has been left alone for so long,
+const QUIET: Duration = Duration::from_millis(100);
+/// or after so long all the same.
+const LONGEST: Duration = Duration::from_secs(1);
+
+/// Watches until it is dropped.
+pub struct Watching {
+    /// Its end is the end of the thread.
+    _watcher: RecommendedWatcher,
+}
+
+impl Watching {
+    /// Watches the folder: an editor, and whoever changes a file safely, puts a new file in its place.
+    pub(super) fn start(path: &Path, connections: Arc<Connections>) -> notify::Result<Self> {
+        let path = std::path::absolute(path)?;
+        let (events, changed) = mpsc::channel();
+        let watched = path.clone();
+        let mut watcher = notify::recommended_watcher(move |event: notify::Result<Event>| {
+            let is_it =
+                event.is_ok_and(|event| !event.kind.is_access() && event.paths.contains(&watched));
+            if is_it {
+                let _ = events.send(());
+            }
+        })?;
+        let folder = path.parent().unwrap_or(Path::new("/"));
+        watcher.watch(folder, RecursiveMode::NonRecursive)?;
+        thread::Builder::new()
+            .name("connections".to_owned())
+            .spawn(move || follow(&path, &connections, &changed))?;
+        Ok(Self { _watcher: watcher })
+    }
+}
+
+fn follow(path: &Path, connections: &Connections, changed: &Receiver<()>) {
+    while changed.recv().is_ok() {
+        let first = Instant::now();
+        while first.elapsed() < LONGEST {
+            match changed.recv_timeout(QUIET) {
+                Ok(()) => {}
+                Err(RecvTimeoutError::Timeout) => break,
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+        match connections.load(path) {
+            Ok(changes) => tracing::info!("{}: {changes}", path.display()),
+            Err(error) => tracing::error!(
+                "{}; the connections stay as they were",
+                message::with_causes(&error)
+            ),
+        }
+    }
+}

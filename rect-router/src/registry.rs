@@ -1,0 +1,235 @@
+//! Owns the registry of a robot: which connections there are, to whom, how many. Zenoh queryables answer, changes are
+//! published under the same key, and a liveliness token tells that the robot is there. `docs/registry.md` has the keys.
+mod document;
+mod presence;
+mod selector;
+mod uptime;
+
+use std::{
+    collections::HashMap,
+    sync::{
+        mpsc::{self, Receiver, RecvTimeoutError},
+        Arc,
+    },
+    thread,
+    time::{Duration, SystemTime},
+};
+
+use serde::Serialize;
+use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
+use zenoh_link::ble::status::{nodes, LinkStatus};
+
+use self::{
+    document::{peers, Connection, Counts, PeerId, State, Trouble},
+    presence::Presence,
+    selector::Selector,
+    uptime::Uptime,
+};
+use crate::{
+    config::Settings,
+    connections::{self, Connections, Ends, Snapshot, Traffic},
+};
+
+/// Several changes within so long are published as one.
+const TOGETHER: Duration = Duration::from_millis(50);
+
+/// Answers until its session is closed; publishes until it is dropped.
+pub struct Registry {
+    _presence: Arc<Presence>,
+    _changed: mpsc::Sender<()>,
+}
+
+/// What the answers are made of.
+struct Sources {
+    session: Session,
+    connections: Arc<Connections>,
+    presence: Arc<Presence>,
+    uptime: Arc<Uptime>,
+}
+
+impl Registry {
+    /// Declares what the settings' robot has to say.
+    pub fn serve(
+        session: &Session,
+        settings: &Settings,
+        connections: Arc<Connections>,
+    ) -> zenoh::Result<Self> {
+        let (changed, changes) = mpsc::channel();
+        let own = format!("{}/{}/@rect", settings.fleet, settings.robot);
+        let presence = Presence::start(session, &settings.fleet, &settings.robot)?;
+        let uptime = Uptime::start(session, changed.clone())?;
+        let (on_change, told) = (changed.clone(), connections.clone());
+        told.on_change(move || {
+            // Who publishes is gone only when the router ends.
+            let _ = on_change.send(());
+        });
+        let sources = Arc::new(Sources {
+            session: session.clone(),
+            connections,
+            presence: Arc::clone(&presence),
+            uptime,
+        });
+        sources.answer(&own, "connections", |connections, _| connections)?;
+        sources.answer(&own, "connections/count", |connections, _| {
+            Counts::of(&connections)
+        })?;
+        sources.answer(&own, "peers", |connections, selector| {
+            let mut peers = peers(connections);
+            peers.retain(|peer| selector.takes_peer(peer));
+            peers
+        })?;
+        thread::Builder::new()
+            .name("registry".to_owned())
+            .spawn(move || publish(&sources, &format!("{own}/connections"), &changes))?;
+        Ok(Self {
+            _presence: presence,
+            _changed: changed,
+        })
+    }
+}
+
+impl Sources {
+    /// `what`: the key under the robot's own; `make`: the document from the connections asked for.
+    fn answer<T: Serialize>(
+        self: &Arc<Self>,
+        own: &str,
+        what: &str,
+        make: impl Fn(Vec<Connection>, &Selector) -> T + Send + Sync + 'static,
+    ) -> zenoh::Result<()> {
+        let (sources, key) = (Arc::clone(self), format!("{own}/{what}"));
+        let key_of_answer = key.clone();
+        let on_query = move |query: Query| {
+            let made = Selector::parse(query.parameters()).and_then(|selector| {
+                let mut connections = sources.connections();
+                connections.retain(|connection| selector.takes(connection));
+                serde_json::to_vec(&make(connections, &selector)).map_err(|e| e.to_string())
+            });
+            let replied = match made {
+                Ok(json) => query
+                    .reply(&key_of_answer, json)
+                    .encoding(Encoding::APPLICATION_JSON)
+                    .wait(),
+                Err(wrong) => query.reply_err(wrong).encoding(Encoding::TEXT_PLAIN).wait(),
+            };
+            if let Err(error) = replied {
+                tracing::debug!("who asked the registry got no answer: {error}");
+            }
+        };
+        let queryable = self.session.declare_queryable(key).callback(on_query);
+        queryable.background().wait()
+    }
+
+    /// All that are wanted, by name, and all others that are there.
+    fn connections(&self) -> Vec<Connection> {
+        let links: Vec<Link> = self.session.info().links().wait().collect();
+        let mut by_ends: HashMap<_, _> = links
+            .iter()
+            .map(|link| (Ends::of(link.src(), link.dst()), link))
+            .collect();
+        let ble: Vec<LinkStatus> = nodes().into_iter().flat_map(|node| node.links).collect();
+        let mut connections = Vec::new();
+        for snapshot in self.connections.snapshots() {
+            let mut link = None;
+            for ends in &snapshot.ends {
+                link = by_ends.remove(ends).or(link);
+            }
+            connections.push(self.named(snapshot, link, &ble));
+        }
+        let mut others: Vec<_> = by_ends
+            .into_values()
+            .map(|link| self.other(link, &ble))
+            .collect();
+        others.sort_by(|a, b| (&a.method, &a.address).cmp(&(&b.method, &b.address)));
+        connections.extend(others);
+        connections
+    }
+
+    fn named(&self, snapshot: Snapshot, link: Option<&Link>, ble: &[LinkStatus]) -> Connection {
+        let trouble = |trouble: connections::Trouble| Trouble {
+            what: trouble.what,
+            ago_s: SystemTime::now()
+                .duration_since(trouble.at)
+                .map_or(0.0, |ago| ago.as_secs_f64()),
+        };
+        let radio = link.and_then(|link| radio_of(link, ble));
+        Connection {
+            name: Some(snapshot.spec.name),
+            method: snapshot.spec.method,
+            address: snapshot.spec.endpoint.address().as_str().to_owned(),
+            state: link.map_or(State::Connecting, |_| State::Connected),
+            peer: link.map(|link| self.peer(link)),
+            up_s: link
+                .and(snapshot.since)
+                .map(|since| since.elapsed().as_secs_f64()),
+            sent: Some(snapshot.sent),
+            received: Some(snapshot.received),
+            round_trip_ms: radio.and_then(round_trip_ms),
+            linked: Some(snapshot.linked),
+            failed: Some(snapshot.failed),
+            last_error: snapshot.last_error.map(trouble),
+        }
+    }
+
+    fn other(&self, link: &Link, ble: &[LinkStatus]) -> Connection {
+        let radio = radio_of(link, ble);
+        let traffic = |count: zenoh_link::ble::status::Count| Traffic {
+            batches: count.sdus,
+            bytes: count.bytes,
+        };
+        Connection {
+            name: None,
+            method: link.dst().protocol().as_str().to_owned(),
+            address: link.dst().address().as_str().to_owned(),
+            state: State::Connected,
+            peer: Some(self.peer(link)),
+            up_s: self
+                .uptime
+                .of(&Ends::of(link.src(), link.dst()))
+                .map(|up| up.as_secs_f64()),
+            sent: radio.map(|radio| traffic(radio.sent)),
+            received: radio.map(|radio| traffic(radio.received)),
+            round_trip_ms: radio.and_then(round_trip_ms),
+            linked: None,
+            failed: None,
+            last_error: None,
+        }
+    }
+
+    fn peer(&self, link: &Link) -> PeerId {
+        let id = link.zid().to_string();
+        let robot = self.presence.robot_of(&id);
+        PeerId { id, robot }
+    }
+}
+
+fn radio_of<'a>(link: &Link, ble: &'a [LinkStatus]) -> Option<&'a LinkStatus> {
+    if link.dst().protocol().as_str() != "ble" {
+        return None;
+    }
+    ble.iter()
+        .find(|radio| radio.peer == link.dst().address().as_str())
+}
+
+fn round_trip_ms(radio: &LinkStatus) -> Option<f64> {
+    radio.lanes.as_ref()?.round_trip_ms
+}
+
+/// Publishes the connections after each change, until nobody can tell of one any more.
+fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
+    while changes.recv().is_ok() {
+        loop {
+            match changes.recv_timeout(TOGETHER) {
+                Ok(()) => {}
+                Err(RecvTimeoutError::Timeout) => break,
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+        let Ok(json) = serde_json::to_vec(&sources.connections()) else {
+            continue;
+        };
+        let put = sources.session.put(key, json);
+        if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
+            tracing::debug!("the change of connections was not published: {error}");
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! Owns what the registry says: connections and peers, as JSON that any Zenoh tool shows.
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::connections::Traffic;
+
+/// Whether a connection carries messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum State {
+    /// It does.
+    Connected,
+    /// It is wanted, and dialled until it does.
+    Connecting,
+}
+
+impl State {
+    /// By its name.
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "connected" => Some(Self::Connected),
+            "connecting" => Some(Self::Connecting),
+            _ => None,
+        }
+    }
+}
+
+/// A connection that is wanted or there.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Connection {
+    /// As the file names it; `null`: one that the other side made, or that has no name.
+    pub name: Option<String>,
+    /// `ble`, `tcp`, `udp`, ...
+    pub method: String,
+    /// Whom or where, without the method.
+    pub address: String,
+    /// Whether it carries messages.
+    pub state: State,
+    /// Who is at the other end, once that is known.
+    pub peer: Option<PeerId>,
+    /// For how long it has been there, in seconds.
+    pub up_s: Option<f64>,
+    /// What went out, where it is counted.
+    pub sent: Option<Traffic>,
+    /// What came, where it is counted.
+    pub received: Option<Traffic>,
+    /// There and back, in milliseconds, where it is measured.
+    pub round_trip_ms: Option<f64>,
+    /// How often it was made.
+    pub linked: Option<u64>,
+    /// Attempts that came to nothing since then.
+    pub failed: Option<u64>,
+    /// What went wrong last.
+    pub last_error: Option<Trouble>,
+}
+
+/// Somebody at the other end.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PeerId {
+    /// Zenoh's identifier.
+    pub id: String,
+    /// The robot's name, for one of RECT.
+    pub robot: Option<String>,
+}
+
+/// What went wrong.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Trouble {
+    /// In words.
+    pub what: String,
+    /// Seconds ago.
+    pub ago_s: f64,
+}
+
+/// Somebody, with the connections there are to it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Peer {
+    /// Who.
+    #[serde(flatten)]
+    pub peer: PeerId,
+    /// All that are asked for.
+    pub connections: Vec<Connection>,
+}
+
+/// How many there are.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Of all methods.
+    #[serde(flatten)]
+    pub all: Count,
+    /// Of each; those a robot commonly has are always there.
+    pub methods: BTreeMap<String, Count>,
+}
+
+/// Of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Count {
+    /// Wanted or there.
+    pub total: usize,
+    /// There.
+    pub connected: usize,
+}
+
+impl Counts {
+    /// Of these.
+    pub fn of(connections: &[Connection]) -> Self {
+        let common = ["ble", "tcp", "udp"].map(|method| (method.to_owned(), Count::default()));
+        let mut counts = Self {
+            all: Count::default(),
+            methods: common.into(),
+        };
+        for connection in connections {
+            let of_method = counts.methods.entry(connection.method.clone()).or_default();
+            for count in [&mut counts.all, of_method] {
+                count.total += 1;
+                count.connected += usize::from(connection.state == State::Connected);
+            }
+        }
+        counts
+    }
+}
+
+/// Each peer once, with its connections.
+pub fn peers(connections: Vec<Connection>) -> Vec<Peer> {
+    let mut peers: BTreeMap<String, Peer> = BTreeMap::new();
+    for connection in connections {
+        let Some(peer) = connection.peer.clone() else {
+            continue;
+        };
+        let entry = peers.entry(peer.id.clone()).or_insert_with(|| Peer {
+            peer,
+            connections: Vec::new(),
+        });
+        entry.connections.push(connection);
+    }
+    peers.into_values().collect()
+}

@@ -1,0 +1,301 @@
+//! Named connections from a file, and the registry that tells of them: `cargo test -p rect-router --test connections`
+
+mod support;
+
+use std::{
+    fs,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+
+use serde_json::{json, Value};
+use support::{arrives, client, repository, Air, Router};
+use zenoh::{Session, Wait};
+
+/// A robot's router on the air, with a file of connections.
+struct Wombat {
+    router: Router,
+    endpoint: String,
+    file: PathBuf,
+}
+
+impl Wombat {
+    fn start(air: &Air, folder: &tempfile::TempDir, number: u32, connections: &Value) -> Self {
+        let file = folder.path().join(format!("connections-{number}.json"));
+        fs::write(&file, connections.to_string()).expect("written");
+        let config = repository().join("config/simulation.json5");
+        let settings = json!({ "robot": format!("wombat-{number}"), "connections": &file, "max_connections": 4 });
+        let mut router = Router::start_on(
+            air,
+            &[
+                "-c",
+                &config.display().to_string(),
+                "-l",
+                "tcp/127.0.0.1:0",
+                "-l",
+                &format!("ble/sim-wombat-{number}#name=wombat-{number}"),
+                "--cfg",
+                &format!("plugins/rect:{settings}"),
+            ],
+        );
+        let endpoint = router.listener();
+        router.up();
+        Self {
+            router,
+            endpoint,
+            file,
+        }
+    }
+
+    fn port(&self) -> u64 {
+        let (_, port) = self.endpoint.rsplit_once(':').expect("a port");
+        port.parse().expect("a number")
+    }
+
+    /// As an editor or a careful program would: a new file in the place of the old one.
+    fn write(&self, connections: &Value) {
+        let new = self.file.with_extension("new");
+        fs::write(&new, connections.to_string()).expect("written");
+        fs::rename(&new, &self.file).expect("renamed");
+    }
+}
+
+fn file(connections: &[Value]) -> Value {
+    json!({ "connections": connections })
+}
+
+fn tcp(name: &str, port: u64) -> Value {
+    json!({ "name": name, "method": "tcp", "address": "127.0.0.1", "port": port })
+}
+
+fn ble(name: &str, robot: &str) -> Value {
+    json!({ "name": name, "method": "ble", "address": robot })
+}
+
+/// What the registry answers, or the error that it answers.
+fn ask(session: &Session, selector: &str) -> Result<Value, String> {
+    let deadline = Instant::now() + support::DEADLINE;
+    loop {
+        assert!(Instant::now() < deadline, "{selector} is not answered");
+        let replies = session.get(selector).timeout(Duration::from_secs(5)).wait();
+        let reply = replies.expect("a query").into_iter().next();
+        match reply.map(|reply| reply.into_result()) {
+            Some(Ok(sample)) => {
+                return Ok(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON"))
+            }
+            Some(Err(error)) => {
+                return Err(String::from_utf8_lossy(&error.payload().to_bytes()).into_owned())
+            }
+            None => {}
+        }
+    }
+}
+
+/// Asks until the answer is what it should be.
+fn answers(session: &Session, selector: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+    let deadline = Instant::now() + support::DEADLINE;
+    loop {
+        let answer = ask(session, selector).expect("an answer");
+        if is_so(&answer) {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{selector}: still {answer:#}");
+    }
+}
+
+fn connected(answer: &Value) -> usize {
+    let all = answer.as_array().expect("a list");
+    all.iter().filter(|one| one["state"] == "connected").count()
+}
+
+#[test]
+fn the_registry_answers_the_six_questions() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let three = Wombat::start(&air, &folder, 3, &file(&[]));
+    let two = Wombat::start(&air, &folder, 2, &file(&[]));
+    let connections = file(&[
+        ble("radio", "wombat-2"),
+        tcp("base", three.port()),
+        tcp("nobody", 1),
+    ]);
+    let one = Wombat::start(&air, &folder, 1, &connections);
+    let here = client(&one.endpoint);
+    let registry = "rect/wombat-1/@rect";
+    let by_name = |name: &str| format!("{registry}/connections?name={name}");
+    let is_known =
+        |answer: &Value| connected(answer) == 1 && answer[0]["peer"]["robot"].is_string();
+
+    // All available connections, those of one name, those of one method.
+    let radio = answers(&here, &by_name("radio"), is_known);
+    assert_eq!(radio[0]["peer"]["robot"], "wombat-2", "{radio:#}");
+    assert_eq!(radio[0]["address"], "wombat-2", "{radio:#}");
+    assert!(radio[0]["sent"]["bytes"].as_u64() > Some(0), "{radio:#}");
+    let base = answers(&here, &by_name("base"), is_known);
+    assert_eq!(base[0]["peer"]["robot"], "wombat-3", "{base:#}");
+    assert!(base[0]["received"]["bytes"].as_u64() > Some(0), "{base:#}");
+    assert!(base[0]["up_s"].as_f64() > Some(0.0), "{base:#}");
+    let nobody = answers(&here, &by_name("nobody"), |all| {
+        all[0]["failed"].as_u64() > Some(0)
+    });
+    assert_eq!(nobody[0]["state"], "connecting", "{nobody:#}");
+    assert!(nobody[0]["last_error"]["what"].is_string(), "{nobody:#}");
+    let by_method = ask(&here, &format!("{registry}/connections?method=ble")).expect("an answer");
+    assert_eq!(by_method.as_array().map(Vec::len), Some(1), "{by_method:#}");
+
+    // How many of each method, and in total: this program is one more.
+    let count = ask(&here, &format!("{registry}/connections/count")).expect("an answer");
+    let expected = json!({ "total": 4, "connected": 3, "methods": {
+        "ble": { "total": 1, "connected": 1 },
+        "tcp": { "total": 3, "connected": 2 },
+        "udp": { "total": 0, "connected": 0 },
+    } });
+    assert_eq!(count, expected);
+
+    // All connections of one peer, the peers that have a given connection, those with more than one.
+    let of_peer = ask(&here, &format!("{registry}/connections?peer=wombat-3")).expect("an answer");
+    assert_eq!(of_peer[0]["name"], "base", "{of_peer:#}");
+    let with = ask(&here, &format!("{registry}/peers?name=radio")).expect("an answer");
+    assert_eq!(with[0]["robot"], "wombat-2", "{with:#}");
+    let several = ask(&here, &format!("{registry}/peers?min_connections=2")).expect("an answer");
+    assert_eq!(several, json!([]));
+
+    // The other robots tell of the same links, under their own names.
+    let there = ask(&here, "rect/wombat-2/@rect/connections?method=ble").expect("an answer");
+    assert_eq!(there[0]["peer"]["robot"], "wombat-1", "{there:#}");
+    assert_eq!(there[0]["name"], Value::Null, "{there:#}");
+    drop(two);
+}
+
+#[test]
+fn a_changed_file_takes_effect_and_leaves_the_other_links_alone() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let three = Wombat::start(&air, &folder, 3, &file(&[]));
+    let two = Wombat::start(&air, &folder, 2, &file(&[]));
+    let one = Wombat::start(&air, &folder, 1, &file(&[ble("radio", "wombat-2")]));
+    let (here, there) = (client(&one.endpoint), client(&two.endpoint));
+    let third = client(&three.endpoint);
+    let registry = "rect/wombat-1/@rect/connections";
+    let changes = here
+        .declare_subscriber(registry)
+        .wait()
+        .expect("a subscription");
+    assert!(arrives(&here, &there, "rect/wombat-1/kept"));
+    let kept = there
+        .declare_subscriber("rect/wombat-1/number")
+        .wait()
+        .expect("a subscription");
+    assert!(arrives(&here, &there, "rect/wombat-1/number"));
+    let mut sent = 0_u32;
+    let mut goes_on = || {
+        here.put("rect/wombat-1/number", sent.to_le_bytes())
+            .wait()
+            .expect("a put");
+        sent += 1;
+    };
+    let states = |wanted: &'static [(&str, &str)]| {
+        move |answer: &Value| {
+            let all = answer.as_array().expect("a list");
+            let named: Vec<_> = all
+                .iter()
+                .filter_map(|one| Some((one["name"].as_str()?, one["state"].as_str()?)))
+                .collect();
+            named == wanted
+        }
+    };
+
+    // Added,
+    one.write(&file(&[
+        ble("radio", "wombat-2"),
+        tcp("base", three.port()),
+    ]));
+    goes_on();
+    answers(
+        &here,
+        registry,
+        states(&[("base", "connected"), ("radio", "connected")]),
+    );
+    assert!(arrives(&here, &third, "rect/wombat-1/added"));
+    // changed to lead nowhere,
+    goes_on();
+    one.write(&file(&[ble("radio", "wombat-2"), tcp("base", 1)]));
+    answers(
+        &here,
+        registry,
+        states(&[("base", "connecting"), ("radio", "connected")]),
+    );
+    answers(
+        &third,
+        "rect/wombat-3/@rect/connections/count?peer=wombat-1",
+        |count| count["total"] == 0,
+    );
+    // wrong,
+    goes_on();
+    fs::write(&one.file, "{ \"connections\": [\n  { \"name\": ").expect("written");
+    let mut one = one;
+    let said = one.router.wait_for("connections-1.json:2:");
+    assert!(said.contains("the connections stay as they were"), "{said}");
+    answers(
+        &here,
+        registry,
+        states(&[("base", "connecting"), ("radio", "connected")]),
+    );
+    // and removed.
+    goes_on();
+    one.write(&file(&[ble("radio", "wombat-2")]));
+    answers(&here, registry, states(&[("radio", "connected")]));
+    goes_on();
+
+    for number in 0..sent {
+        let arrived = loop {
+            let sample = kept
+                .recv_timeout(support::DEADLINE)
+                .expect("no session ends");
+            let payload = sample.expect("in time").payload().to_bytes().into_owned();
+            // Not one of `arrives`.
+            if let Ok(bytes) = payload.try_into() {
+                break u32::from_le_bytes(bytes);
+            }
+        };
+        assert_eq!(arrived, number, "a link that nobody changed lost a message");
+    }
+    let link = ask(&here, &format!("{registry}?name=radio")).expect("an answer");
+    assert_eq!(link[0]["linked"], 1, "{link:#}");
+    assert!(
+        changes.try_recv().expect("open").is_some(),
+        "changes are published"
+    );
+}
+
+#[test]
+fn a_wrong_file_or_question_is_told_and_the_router_runs_on() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let many: Vec<_> = (0..10_000)
+        .map(|n| ble(&format!("r{n}"), &format!("r{n}")))
+        .collect();
+    let mut one = Wombat::start(&air, &folder, 1, &file(&many));
+    let here = client(&one.endpoint);
+    let log = one.router.drained().join("\n");
+    assert!(
+        log.contains("one connection too many: there may be 4"),
+        "{log}"
+    );
+    let registry = "rect/wombat-1/@rect/connections";
+    for (question, named) in [
+        (format!("{registry}?metod=ble"), "`metod` is unknown"),
+        (
+            format!("{registry}/count?state=up"),
+            "connected or connecting",
+        ),
+        (
+            "rect/wombat-1/@rect/peers?min_connections=x".to_owned(),
+            "min_connections=x",
+        ),
+    ] {
+        let error = ask(&here, &question).expect_err("wrong");
+        assert!(error.contains(named), "{question}: {error}");
+    }
+    one.write(&file(&[ble("b", "wombat-2")]));
+    answers(&here, &format!("{registry}?name=b"), |all| {
+        all.as_array().map(Vec::len) == Some(1)
+    });
+}
