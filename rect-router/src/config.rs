@@ -13,7 +13,7 @@ use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, Permi
 use zenoh_link::ble::locator::{is_ble, ConnectLocator, ListenLocator};
 use zenoh_util::LibSearchDirs;
 
-pub use self::error::ConfigError;
+pub(crate) use self::error::ConfigError;
 use self::login::{log_in_as, logins};
 pub use self::settings::Settings;
 use crate::args::Args;
@@ -34,12 +34,15 @@ pub fn from_args(args: &Args) -> Result<(Config, Option<Settings>), ConfigError>
     for setting in settings.iter().filter(|s| !s.key.is_empty()) {
         setting.apply(&mut config)?;
     }
-    let logins = logins(&config)?;
-    if let Some(user) = &args.login_as {
-        log_in_as(&mut config, user, logins)?;
-    }
-    check_ble_endpoints(&config)?;
     let settings = settings::take(&mut config)?;
+    if let Some(settings) = &settings {
+        listen(&mut config, &settings.listen)?;
+    }
+    let of_settings = settings
+        .as_ref()
+        .and_then(|settings| settings.login_as.as_deref());
+    log_in(&mut config, args.login_as.as_deref().or(of_settings))?;
+    check_ble_endpoints(&config)?;
     tracing::debug!("Config: {}", without_secrets(&config));
     Ok((config, settings))
 }
@@ -47,7 +50,7 @@ pub fn from_args(args: &Args) -> Result<(Config, Option<Settings>), ConfigError>
 /// Adds endpoints to those that the router dials.
 pub fn dial(
     config: &mut Config,
-    endpoints: impl Iterator<Item = String>,
+    endpoints: impl IntoIterator<Item = impl AsRef<str>>,
 ) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let mut all = config
@@ -57,13 +60,44 @@ pub fn dial(
         .cloned()
         .unwrap_or_default();
     for one in endpoints {
-        all.push(endpoint("slot", &one)?);
+        all.push(endpoint("connect", one.as_ref())?);
     }
     set(
         config.connect.endpoints.set(all),
         "connect/endpoints",
         "as given",
     )
+}
+
+/// Adds endpoints to those that the router listens on.
+pub fn listen(
+    config: &mut Config,
+    endpoints: impl IntoIterator<Item = impl AsRef<str>>,
+) -> Result<(), ConfigError> {
+    let mode = config.mode().unwrap_or(WhatAmI::Router);
+    let mut all = config
+        .listen
+        .endpoints
+        .get(mode)
+        .cloned()
+        .unwrap_or_default();
+    for one in endpoints {
+        all.push(endpoint("listen", one.as_ref())?);
+    }
+    set(
+        config.listen.endpoints.set(all),
+        "listen/endpoints",
+        "as given",
+    )
+}
+
+/// Checks the login file, if there is one, and shows the password of `user` wherever this router dials.
+pub fn log_in(config: &mut Config, user: Option<&str>) -> Result<(), ConfigError> {
+    let logins = logins(config)?;
+    match user {
+        Some(user) => log_in_as(config, user, logins),
+        None => Ok(()),
+    }
 }
 
 /// The configuration as text for the log, its passwords and private keys struck out.
@@ -297,7 +331,7 @@ fn set<T>(result: Result<T, T>, key: &'static str, value: &str) -> Result<(), Co
 }
 
 /// Zenoh would try a malformed `ble/` endpoint again and again; better to hear of it at once.
-fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
+pub fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let wrong = |endpoint: &EndPoint, source| ConfigError::Ble {
         endpoint: endpoint.to_string(),

@@ -3,21 +3,25 @@ mod connection;
 mod file;
 mod observed;
 mod spec;
+mod store;
 mod watcher;
 
 use std::{
     collections::BTreeMap,
-    fmt,
-    path::Path,
+    fmt, io,
+    path::{Path, PathBuf},
     sync::{Arc, OnceLock},
 };
 
 use parking_lot::Mutex;
+use serde::Serialize;
 use zenoh_link_slot::Slots;
 
 use self::{
     connection::{Connection, Dialled},
+    file::Mistake,
     spec::Spec,
+    store::{revision, Store},
 };
 pub use self::{
     connection::{Ends, Snapshot, Trouble},
@@ -28,6 +32,10 @@ pub use self::{
 
 /// The named connections of one Zenoh runtime.
 pub struct Connections {
+    /// The file they are from.
+    path: PathBuf,
+    /// Held while it is replaced, so that one change follows the other.
+    store: Mutex<Store>,
     slots: Arc<Slots>,
     by_name: Mutex<BTreeMap<String, Entry>>,
     on_change: OnceLock<Box<dyn Fn() + Send + Sync>>,
@@ -39,7 +47,7 @@ struct Entry {
 }
 
 /// What became different; all others keep their links.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Changes {
     /// New names.
     pub added: Vec<String>,
@@ -50,9 +58,11 @@ pub struct Changes {
 }
 
 impl Connections {
-    /// None yet, and room for `most`.
-    pub fn new(most: usize) -> Arc<Self> {
+    /// None yet, and room for `most`; they are to come from the file `path`.
+    pub fn new(path: &Path, most: usize) -> Arc<Self> {
         Arc::new(Self {
+            path: path.to_owned(),
+            store: Mutex::new(Store::new(path)),
             slots: Slots::new(most),
             by_name: Mutex::default(),
             on_change: OnceLock::new(),
@@ -64,14 +74,41 @@ impl Connections {
         self.slots.endpoints()
     }
 
-    /// Takes the connections of a file; on an error nothing changes.
-    pub fn load(&self, path: &Path) -> Result<Changes, FileError> {
-        let wanted = file::read(path, self.slots.count())?;
-        let changes = self.apply(wanted);
-        if changes != Changes::default() {
-            self.on_change.get().inspect(|on_change| on_change());
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Takes the connections of the file; on an error nothing changes.
+    pub fn load(&self) -> Result<Changes, FileError> {
+        let wanted = file::read(&self.path, self.slots.count())?;
+        Ok(self.apply(wanted))
+    }
+
+    /// The file's text and its revision.
+    pub fn text(&self) -> io::Result<(String, String)> {
+        let text = self.store.lock().read()?;
+        let revision = revision(&text);
+        Ok((text, revision))
+    }
+
+    /// Puts a new text into the file and takes its connections, if `expected` is the revision of what is there; tells the
+    /// new revision. On an error nothing changes.
+    pub fn replace(
+        &self,
+        text: &str,
+        expected: Option<&str>,
+    ) -> Result<(Changes, String), ReplaceError> {
+        let wanted = file::parse(text, self.slots.count())?;
+        let store = self.store.lock();
+        if let Some(expected) = expected {
+            let now = revision(&store.read()?);
+            if now != expected {
+                return Err(ReplaceError::Outdated { now });
+            }
         }
-        Ok(changes)
+        store.replace(text)?;
+        Ok((self.apply(wanted), revision(text)))
     }
 
     /// Calls `on_change` whenever a file brought something new. One is told, the first that asks.
@@ -80,8 +117,8 @@ impl Connections {
     }
 
     /// Takes a file's connections again whenever it changes, until the watching is dropped.
-    pub fn watch(self: &Arc<Self>, path: &Path) -> notify::Result<Watching> {
-        Watching::start(path, Arc::clone(self))
+    pub fn watch(self: &Arc<Self>) -> notify::Result<Watching> {
+        Watching::start(Arc::clone(self))
     }
 
     /// What is known of each, by name.
@@ -101,6 +138,14 @@ impl Connections {
 
     /// From now on these, of different names, and no more than there is room for.
     fn apply(&self, wanted: Vec<Spec>) -> Changes {
+        let changes = self.change(wanted);
+        if changes != Changes::default() {
+            self.on_change.get().inspect(|on_change| on_change());
+        }
+        changes
+    }
+
+    fn change(&self, wanted: Vec<Spec>) -> Changes {
         let mut changes = Changes::default();
         let mut by_name = self.by_name.lock();
         by_name.retain(|name, entry| {
@@ -140,6 +185,23 @@ impl Connections {
     }
 }
 
+/// Why a text is not taken.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplaceError {
+    /// Something in it.
+    #[error("the new connections, {0}")]
+    Mistake(#[from] Mistake),
+    /// Read it, and change what is there now.
+    #[error("somebody else changed the connections: their revision is {now} now, read them again")]
+    Outdated {
+        /// Of what is there.
+        now: String,
+    },
+    /// The system does not let it be written.
+    #[error("the file of connections can't be written: {0}")]
+    Unwritable(#[from] io::Error),
+}
+
 impl fmt::Display for Changes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let parts = [
@@ -175,7 +237,7 @@ mod tests {
 
     #[test]
     fn only_what_differs_changes() {
-        let connections = Connections::new(3);
+        let connections = Connections::new(Path::new("/nowhere"), 3);
         let names = || -> Vec<_> {
             let snapshots = connections.snapshots();
             snapshots

@@ -6,20 +6,7 @@
 
 use std::process::ExitCode;
 
-use self::robot::Robot;
-
-mod args;
-mod config;
-mod connections;
-mod logging;
-mod message;
-mod registry;
-mod robot;
-mod router;
-mod signals;
-mod status;
-mod threads;
-mod version;
+use rect_router::{args, config, logging, message, robot::Robot, router, threads, version};
 
 fn main() -> ExitCode {
     threads::set();
@@ -33,7 +20,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error>> {
+fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
     logging::start()?;
     tracing::info!("rect-router {}", version::long());
     let (mut config, settings) = config::from_args(args)?;

@@ -41,46 +41,53 @@ pub struct Registry {
 
 /// What the answers are made of.
 struct Sources {
-    session: Session,
-    connections: Arc<Connections>,
+    /// All that have links, the one that answers first.
+    sessions: Vec<Session>,
+    connections: Option<Arc<Connections>>,
     presence: Arc<Presence>,
     uptime: Arc<Uptime>,
 }
 
 impl Registry {
-    /// Declares what the settings' robot has to say.
+    /// Declares what the settings' robot has to say, about the links of all `sessions`, on the first of them.
     pub fn serve(
-        session: &Session,
+        sessions: Vec<Session>,
+        own: &str,
         settings: &Settings,
-        connections: Arc<Connections>,
+        connections: Option<Arc<Connections>>,
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
-        let own = format!("{}/{}/@rect", settings.fleet, settings.robot);
+        let Some(session) = sessions.first() else {
+            return Err("there is no session to answer on".into());
+        };
         let presence = Presence::start(session, &settings.fleet, &settings.robot)?;
-        let uptime = Uptime::start(session, changed.clone())?;
-        let (on_change, told) = (changed.clone(), connections.clone());
-        told.on_change(move || {
-            // Who publishes is gone only when the router ends.
-            let _ = on_change.send(());
-        });
+        let uptime = Uptime::start(&sessions, &changed)?;
+        if let Some(connections) = &connections {
+            let on_change = changed.clone();
+            connections.on_change(move || {
+                // Who publishes is gone only when the router ends.
+                let _ = on_change.send(());
+            });
+        }
         let sources = Arc::new(Sources {
-            session: session.clone(),
+            sessions,
             connections,
             presence: Arc::clone(&presence),
             uptime,
         });
-        sources.answer(&own, "connections", |connections, _| connections)?;
-        sources.answer(&own, "connections/count", |connections, _| {
+        sources.answer(own, "connections", |connections, _| connections)?;
+        sources.answer(own, "connections/count", |connections, _| {
             Counts::of(&connections)
         })?;
-        sources.answer(&own, "peers", |connections, selector| {
+        sources.answer(own, "peers", |connections, selector| {
             let mut peers = peers(connections);
             peers.retain(|peer| selector.takes_peer(peer));
             peers
         })?;
+        let key = format!("{own}/connections");
         thread::Builder::new()
             .name("registry".to_owned())
-            .spawn(move || publish(&sources, &format!("{own}/connections"), &changes))?;
+            .spawn(move || publish(&sources, &key, &changes))?;
         Ok(Self {
             _presence: presence,
             _changed: changed,
@@ -115,20 +122,32 @@ impl Sources {
                 tracing::debug!("who asked the registry got no answer: {error}");
             }
         };
-        let queryable = self.session.declare_queryable(key).callback(on_query);
-        queryable.background().wait()
+        match self.sessions.first() {
+            Some(session) => session
+                .declare_queryable(key)
+                .callback(on_query)
+                .background()
+                .wait(),
+            None => Ok(()),
+        }
     }
 
     /// All that are wanted, by name, and all others that are there.
     fn connections(&self) -> Vec<Connection> {
-        let links: Vec<Link> = self.session.info().links().wait().collect();
+        let own: Vec<_> = self.sessions.iter().map(Session::zid).collect();
+        let mut links: Vec<Link> = Vec::new();
+        for session in &self.sessions {
+            let of_others = |link: &Link| !own.contains(link.zid());
+            links.extend(session.info().links().wait().filter(of_others));
+        }
         let mut by_ends: HashMap<_, _> = links
             .iter()
             .map(|link| (Ends::of(link.src(), link.dst()), link))
             .collect();
         let ble: Vec<LinkStatus> = nodes().into_iter().flat_map(|node| node.links).collect();
         let mut connections = Vec::new();
-        for snapshot in self.connections.snapshots() {
+        let named = self.connections.as_ref();
+        for snapshot in named.map_or_else(Vec::new, |named| named.snapshots()) {
             let mut link = None;
             for ends in &snapshot.ends {
                 link = by_ends.remove(ends).or(link);
@@ -227,7 +246,10 @@ fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
         let Ok(json) = serde_json::to_vec(&sources.connections()) else {
             continue;
         };
-        let put = sources.session.put(key, json);
+        let Some(session) = sources.sessions.first() else {
+            return;
+        };
+        let put = session.put(key, json);
         if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
             tracing::debug!("the change of connections was not published: {error}");
         }

@@ -1,10 +1,12 @@
-//! Owns what RECT adds to a router for one robot: its named connections, and the registry that tells of them.
+//! Owns what RECT adds to a router for one robot: its named connections, the registry that tells of them, the service that
+//! changes them.
 use std::sync::Arc;
 
 use zenoh::{Config, Session};
 
 use crate::{
-    config::{self, ConfigError, Settings},
+    config::{self, Settings},
+    config_service,
     connections::{Connections, Watching},
     message,
     registry::Registry,
@@ -12,8 +14,10 @@ use crate::{
 
 /// A robot whose router does not run yet.
 pub struct Robot {
+    /// The start of its keys.
+    own: String,
     settings: Settings,
-    connections: Arc<Connections>,
+    connections: Option<Arc<Connections>>,
 }
 
 /// Dropping it ends what it stands for.
@@ -24,42 +28,50 @@ pub struct Running {
 
 impl Robot {
     /// Makes room in the configuration for connections that come while the router runs.
-    pub fn prepare(settings: Settings, config: &mut Config) -> Result<Self, ConfigError> {
-        let connections = Connections::new(settings.max_connections);
-        if settings.connections.is_some() {
+    pub fn prepare(settings: Settings, config: &mut Config) -> zenoh::Result<Self> {
+        let file = settings.connections.as_ref();
+        let connections = file.map(|path| Connections::new(path, settings.max_connections));
+        if let Some(connections) = &connections {
             config::dial(config, connections.endpoints())?;
         }
         Ok(Self {
+            own: format!("{}/{}/@rect", settings.fleet, settings.robot),
             settings,
             connections,
         })
     }
 
     /// Dials the connections of the file and answers questions. A file that can't be taken is no reason not to: whoever
-    /// mends it may need this router for it.
-    pub fn start(self, session: &Session) -> zenoh::Result<Running> {
+    /// mends it may need this router for it. `sessions`: of this process, with links to tell of; the first answers.
+    pub fn start(self, sessions: Vec<Session>) -> zenoh::Result<Running> {
         let mut watching = None;
-        if let Some(path) = &self.settings.connections {
-            match self.connections.load(path) {
-                Ok(changes) => tracing::info!("{}: {changes}", path.display()),
-                Err(error) => tracing::error!(
-                    "{}; there are no named connections until it is mended",
-                    message::with_causes(&error)
-                ),
-            }
-            match self.connections.watch(path) {
-                Ok(watch) => watching = Some(watch),
-                Err(error) => tracing::error!(
-                    "{}: changes are not noticed: {}",
-                    path.display(),
-                    message::with_causes(&error)
-                ),
-            }
+        if let (Some(connections), Some(session)) = (&self.connections, sessions.first()) {
+            watching = begin(connections);
+            config_service::serve(session, &self.own, Arc::clone(connections))?;
         }
-        let registry = Registry::serve(session, &self.settings, self.connections)?;
+        let registry = Registry::serve(sessions, &self.own, &self.settings, self.connections)?;
         Ok(Running {
             _watching: watching,
             _registry: registry,
         })
     }
+}
+
+/// Dials what is in the file, and whatever will be.
+fn begin(connections: &Arc<Connections>) -> Option<Watching> {
+    let path = connections.path().display();
+    match connections.load() {
+        Ok(changes) => tracing::info!("{path}: {changes}"),
+        Err(error) => tracing::error!(
+            "{}; there are no named connections until it is mended",
+            message::with_causes(&error)
+        ),
+    }
+    connections
+        .watch()
+        .inspect_err(|error| {
+            let why = message::with_causes(error);
+            tracing::error!("{path}: changes are not noticed: {why}");
+        })
+        .ok()
 }

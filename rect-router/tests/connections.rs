@@ -2,15 +2,11 @@
 
 mod support;
 
-use std::{
-    fs,
-    path::PathBuf,
-    time::{Duration, Instant},
-};
+use std::{fs, path::PathBuf};
 
 use serde_json::{json, Value};
-use support::{arrives, client, repository, Air, Router};
-use zenoh::{Session, Wait};
+use support::{answers, arrives, ask, client, repository, Air, Router};
+use zenoh::Wait;
 
 /// A robot's router on the air, with a file of connections.
 struct Wombat {
@@ -72,37 +68,6 @@ fn ble(name: &str, robot: &str) -> Value {
     json!({ "name": name, "method": "ble", "address": robot })
 }
 
-/// What the registry answers, or the error that it answers.
-fn ask(session: &Session, selector: &str) -> Result<Value, String> {
-    let deadline = Instant::now() + support::DEADLINE;
-    loop {
-        assert!(Instant::now() < deadline, "{selector} is not answered");
-        let replies = session.get(selector).timeout(Duration::from_secs(5)).wait();
-        let reply = replies.expect("a query").into_iter().next();
-        match reply.map(|reply| reply.into_result()) {
-            Some(Ok(sample)) => {
-                return Ok(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON"))
-            }
-            Some(Err(error)) => {
-                return Err(String::from_utf8_lossy(&error.payload().to_bytes()).into_owned())
-            }
-            None => {}
-        }
-    }
-}
-
-/// Asks until the answer is what it should be.
-fn answers(session: &Session, selector: &str, is_so: impl Fn(&Value) -> bool) -> Value {
-    let deadline = Instant::now() + support::DEADLINE;
-    loop {
-        let answer = ask(session, selector).expect("an answer");
-        if is_so(&answer) {
-            return answer;
-        }
-        assert!(Instant::now() < deadline, "{selector}: still {answer:#}");
-    }
-}
-
 fn connected(answer: &Value) -> usize {
     let all = answer.as_array().expect("a list");
     all.iter().filter(|one| one["state"] == "connected").count()
@@ -159,11 +124,78 @@ fn the_registry_answers_the_six_questions() {
     let several = ask(&here, &format!("{registry}/peers?min_connections=2")).expect("an answer");
     assert_eq!(several, json!([]));
 
+    check_docs(|query| ask(&here, &format!("rect/wombat-1/@rect/{query}")).expect("an answer"));
+
     // The other robots tell of the same links, under their own names.
     let there = ask(&here, "rect/wombat-2/@rect/connections?method=ble").expect("an answer");
     assert_eq!(there[0]["peer"]["robot"], "wombat-1", "{there:#}");
     assert_eq!(there[0]["name"], Value::Null, "{there:#}");
     drop(two);
+}
+
+/// What `docs/registry.md` shows: each of R9's questions, and its query.
+const QUESTIONS: [(&str, &str); 6] = [
+    ("How many by BLE, TCP, UDP?", "connections/count"),
+    ("All connections of one client", "connections?peer=wombat-3"),
+    ("All clients with a given connection", "peers?name=radio"),
+    ("All available connections", "connections"),
+    (
+        "How many are there now?",
+        "connections/count?state=connected",
+    ),
+    (
+        "More than one to the same client?",
+        "peers?min_connections=2",
+    ),
+];
+
+/// The table in the docs is what the registry answers.
+fn check_docs(ask: impl Fn(&str) -> Value) {
+    let mut table = String::from("| question | query | answer |\n|---|---|---|\n");
+    for (question, query) in QUESTIONS {
+        let answer = in_short(&ask(query)).replace("\",\"", "\", \"");
+        table += &format!("| {question} | `{query}` | `{answer}` |\n");
+    }
+    let path = repository().join("docs/registry.md");
+    let docs = fs::read_to_string(&path).expect("the docs");
+    let (begin, end) = ("<!-- questions -->\n", "<!-- /questions -->");
+    let (before, rest) = docs.split_once(begin).expect("a beginning");
+    let (shown, after) = rest.split_once(end).expect("an end");
+    if std::env::var_os("RECT_UPDATE_DOCS").is_some() {
+        fs::write(&path, format!("{before}{begin}{table}{end}{after}")).expect("written");
+    } else {
+        assert_eq!(shown, table, "RECT_UPDATE_DOCS=1 writes it anew");
+    }
+}
+
+/// What does not differ from run to run, in the order of the fields.
+fn in_short(answer: &Value) -> String {
+    let connection = |one: &Value| {
+        let robot = &one["peer"]["robot"];
+        format!(
+            "{{ name: {}, method: {}, state: {}, peer: {robot} }}",
+            one["name"], one["method"], one["state"]
+        )
+    };
+    let Some(list) = answer.as_array() else {
+        return answer.to_string();
+    };
+    let mut items: Vec<String> = list
+        .iter()
+        .map(|one| match one["connections"].as_array() {
+            Some(all) => {
+                let all: Vec<_> = all.iter().map(connection).collect();
+                format!(
+                    "{{ robot: {}, connections: [{}] }}",
+                    one["robot"],
+                    all.join(", ")
+                )
+            }
+            None => connection(one),
+        })
+        .collect();
+    items.sort();
+    format!("[{}]", items.join(", ").replace('"', ""))
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Deserialize;
+use serde_json::Value;
 use zenoh::Config;
 
 use super::ConfigError;
@@ -26,6 +27,13 @@ pub struct Settings {
     /// How many there may be, 1 to 1000; default 32.
     #[serde(default = "default_max_connections")]
     pub max_connections: usize,
+    /// Further listeners, such as `ble/hci0#name=wombat-1`: in a stock zenohd those of Bluetooth belong here.
+    #[serde(default)]
+    pub listen: Vec<String>,
+    /// As whom of the login file to log in where one has to; under `rect-router`, the same as its `--login-as`.
+    pub login_as: Option<String>,
+    /// In a stock zenohd: its listener that RECT connects to, such as `tcp/127.0.0.1:7447`; left out, its first.
+    pub host: Option<String>,
 }
 
 fn default_fleet() -> String {
@@ -36,30 +44,42 @@ fn default_max_connections() -> usize {
     DEFAULT_MAX_CONNECTIONS
 }
 
-/// Takes them out; `None`: RECT adds nothing to this router.
-pub fn take(config: &mut Config) -> Result<Option<Settings>, ConfigError> {
-    let refused = |reason: String| ConfigError::Settings { reason };
-    let given = config.get_json(KEY).unwrap_or_default();
-    if matches!(given.as_str(), "" | "null") {
-        return Ok(None);
-    }
-    let settings: Settings =
-        serde_json::from_str(&given).map_err(|error| refused(error.to_string()))?;
-    for (key, name) in [("fleet", &settings.fleet), ("robot", &settings.robot)] {
-        if !is_chunk(name) {
-            let wanted = "1 to 64 letters, digits, `-`, `_` or `.`";
-            return Err(refused(format!("{key} {name:?} is to be {wanted}")));
+impl Settings {
+    /// Reads and checks them.
+    pub fn parse(mut given: Value) -> Result<Self, ConfigError> {
+        let refused = |reason: String| ConfigError::Settings { reason };
+        if let Some(fields) = given.as_object_mut() {
+            // Zenoh's own, about the loading of a plugin.
+            fields.retain(|key, _| !key.starts_with("__"));
         }
+        let settings: Self =
+            serde_json::from_value(given).map_err(|error| refused(error.to_string()))?;
+        for (key, name) in [("fleet", &settings.fleet), ("robot", &settings.robot)] {
+            if !is_chunk(name) {
+                let wanted = "1 to 64 letters, digits, `-`, `_` or `.`";
+                return Err(refused(format!("{key} {name:?} is to be {wanted}")));
+            }
+        }
+        if !(1..=MAX_CONNECTIONS).contains(&settings.max_connections) {
+            let given = settings.max_connections;
+            return Err(refused(format!(
+                "max_connections {given} is to be 1 to {MAX_CONNECTIONS}"
+            )));
+        }
+        Ok(settings)
     }
-    if !(1..=MAX_CONNECTIONS).contains(&settings.max_connections) {
-        let given = settings.max_connections;
-        return Err(refused(format!(
-            "max_connections {given} is to be 1 to {MAX_CONNECTIONS}"
-        )));
-    }
-    config
-        .remove(KEY)
-        .map_err(|error| refused(error.to_string()))?;
+}
+
+/// Takes them out of a configuration; `None`: RECT adds nothing to this router.
+pub fn take(config: &mut Config) -> Result<Option<Settings>, ConfigError> {
+    let given = config.get_json(KEY).unwrap_or_default();
+    let settings = match serde_json::from_str(&given) {
+        Ok(Value::Null) | Err(_) => return Ok(None),
+        Ok(given) => Settings::parse(given)?,
+    };
+    config.remove(KEY).map_err(|error| ConfigError::Settings {
+        reason: error.to_string(),
+    })?;
     Ok(Some(settings))
 }
 
@@ -89,6 +109,9 @@ mod tests {
             robot: "wombat-1".into(),
             connections: None,
             max_connections: DEFAULT_MAX_CONNECTIONS,
+            listen: Vec::new(),
+            login_as: None,
+            host: None,
         };
         assert_eq!(settings.expect("valid"), Some(expected));
     }

@@ -88,6 +88,10 @@ pub fn read(path: &Path, most: usize) -> Result<Vec<Spec>, FileError> {
 
 /// The connections of a text; `most`: how many there may be.
 pub fn parse(text: &str, most: usize) -> Result<Vec<Spec>, Mistake> {
+    if text.len() as u64 > MAX_BYTES {
+        let what = format!("these are more than {MAX_BYTES} bytes");
+        return Err(at(text, 0, what));
+    }
     let reader = Reader { text, most };
     let parsed = parse_to_ast(text, &Default::default(), &json_with_comments())
         .map_err(|error| reader.wrong(error.range(), error.kind().to_string()))?;
@@ -344,6 +348,55 @@ mod tests {
         assert!(mistake(&file(&[BASE, BASE])).starts_with("3:1: base is in line 2"));
         let other = BASE.replace("base", "other");
         assert!(mistake(&file(&[BASE, &other])).starts_with("3:1: other leads where"));
+    }
+
+    /// An editor that knows the schema and the router agree.
+    #[test]
+    fn the_schema_says_the_same() {
+        let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+        let text = |name| std::fs::read_to_string(config.join(name)).expect("a file");
+        let schema = serde_json::from_str(&text("connections.schema.json")).expect("JSON");
+        let schema = jsonschema::validator_for(&schema).expect("a schema");
+        let agree = |text: &str| {
+            let document = jsonc_parser::parse_to_serde_value(text, &json_with_comments());
+            let ours = parse(text, MOST);
+            let theirs = schema.is_valid(&document.expect("JSON"));
+            assert_eq!(ours.is_ok(), theirs, "{text}: {ours:?}");
+            theirs
+        };
+        assert!(agree(&text("connections.json")));
+        let one = |fields: &str| agree(&file(&[&format!("{{{fields}}}")]));
+        assert!(one(
+            r#""name": "a", "method": "ble", "address": "b", "psm": 128, "options": {"mtu": 500}"#
+        ));
+        assert!(one(
+            r#""name": "a", "method": "udp", "address": "::1", "port": 1"#
+        ));
+        assert!(one(
+            r#""name": "a", "method": "unixsock-stream", "address": "/run/a""#
+        ));
+        for wrong in [
+            r#""name": "a", "method": "ble""#,
+            r#""name": "", "method": "ble", "address": "b""#,
+            r#""name": "a b", "method": "ble", "address": "b""#,
+            r#""name": 1, "method": "ble", "address": "b""#,
+            r#""name": "a", "method": "tpc", "address": "b", "port": 1"#,
+            r#""name": "a", "method": "tcp", "address": "b""#,
+            r#""name": "a", "method": "tcp", "address": "b", "port": 0"#,
+            r#""name": "a", "method": "tcp", "address": "b", "port": 65536"#,
+            r#""name": "a", "method": "tcp", "address": "b", "port": "1""#,
+            r#""name": "a", "method": "tcp", "address": "b", "port": 1, "psm": 128"#,
+            r#""name": "a", "method": "ble", "address": "b", "port": 1"#,
+            r#""name": "a", "method": "ble", "address": "b", "psm": 127"#,
+            r#""name": "a", "method": "ble", "address": "b c""#,
+            r#""name": "a", "method": "ble", "address": """#,
+            r#""name": "a", "method": "ble", "address": "b", "more": 1"#,
+            r#""name": "a", "method": "ble", "address": "b", "options": []"#,
+            r#""name": "a", "method": "ble", "address": "b", "options": {"mtu": null}"#,
+        ] {
+            assert!(!one(wrong), "{wrong}");
+        }
+        assert!(!agree("{}") && !agree("[]") && !agree(r#"{"connections": [], "more": 1}"#));
     }
 
     #[test]

@@ -27,8 +27,8 @@ pub struct Watching {
 
 impl Watching {
     /// Watches the folder: an editor, and whoever changes a file safely, puts a new file in its place.
-    pub(super) fn start(path: &Path, connections: Arc<Connections>) -> notify::Result<Self> {
-        let path = std::path::absolute(path)?;
+    pub(super) fn start(connections: Arc<Connections>) -> notify::Result<Self> {
+        let path = std::path::absolute(connections.path())?;
         let (events, changed) = mpsc::channel();
         let watched = path.clone();
         let mut watcher = notify::recommended_watcher(move |event: notify::Result<Event>| {
@@ -42,12 +42,12 @@ impl Watching {
         watcher.watch(folder, RecursiveMode::NonRecursive)?;
         thread::Builder::new()
             .name("connections".to_owned())
-            .spawn(move || follow(&path, &connections, &changed))?;
+            .spawn(move || follow(&connections, &changed))?;
         Ok(Self { _watcher: watcher })
     }
 }
 
-fn follow(path: &Path, connections: &Connections, changed: &Receiver<()>) {
+fn follow(connections: &Connections, changed: &Receiver<()>) {
     while changed.recv().is_ok() {
         let first = Instant::now();
         while first.elapsed() < LONGEST {
@@ -57,8 +57,8 @@ fn follow(path: &Path, connections: &Connections, changed: &Receiver<()>) {
                 Err(RecvTimeoutError::Disconnected) => return,
             }
         }
-        match connections.load(path) {
-            Ok(changes) => tracing::info!("{}: {changes}", path.display()),
+        match connections.load() {
+            Ok(changes) => tracing::info!("{}: {changes}", connections.path().display()),
             Err(error) => tracing::error!(
                 "{}; the connections stay as they were",
                 message::with_causes(&error)

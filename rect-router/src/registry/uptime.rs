@@ -16,9 +16,16 @@ pub struct Uptime(Mutex<HashMap<Ends, Instant>>);
 
 impl Uptime {
     /// `changed` is told whenever a link comes or goes.
-    pub fn start(session: &Session, changed: Sender<()>) -> zenoh::Result<Arc<Self>> {
+    pub fn start(sessions: &[Session], changed: &Sender<()>) -> zenoh::Result<Arc<Self>> {
         let uptime = Arc::<Self>::default();
-        let heard = Arc::clone(&uptime);
+        for session in sessions {
+            uptime.follow(session, changed.clone())?;
+        }
+        Ok(uptime)
+    }
+
+    fn follow(self: &Arc<Self>, session: &Session, changed: Sender<()>) -> zenoh::Result<()> {
+        let heard = Arc::clone(self);
         let on_event = move |event: LinkEvent| {
             let link = event.link();
             let ends = Ends::of(link.src(), link.dst());
@@ -31,8 +38,7 @@ impl Uptime {
         };
         let info = session.info();
         let listener = info.link_events_listener().history(true);
-        listener.callback(on_event).background().wait()?;
-        Ok(uptime)
+        listener.callback(on_event).background().wait()
     }
 
     /// How long the link between these is there.

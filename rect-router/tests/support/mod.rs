@@ -14,6 +14,7 @@ use nix::{
     sys::signal::{kill, Signal},
     unistd::Pid,
 };
+use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SOCKET_VARIABLE};
 
@@ -122,7 +123,7 @@ impl Router {
     }
 
     /// The configuration in use, as the log shows it.
-    pub fn configuration(&mut self) -> serde_json::Value {
+    pub fn configuration(&mut self) -> Value {
         let text = self.wait_for("Initial conf: ");
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
     }
@@ -264,6 +265,37 @@ pub fn arrives(from: &Session, to: &Session, key: &str) -> bool {
         }
     }
     false
+}
+
+/// What the registry answers, or the error that it answers.
+pub fn ask(session: &Session, selector: &str) -> Result<Value, String> {
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        assert!(Instant::now() < deadline, "{selector} is not answered");
+        let replies = session.get(selector).timeout(Duration::from_secs(5)).wait();
+        let reply = replies.expect("a query").into_iter().next();
+        match reply.map(|reply| reply.into_result()) {
+            Some(Ok(sample)) => {
+                return Ok(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON"))
+            }
+            Some(Err(error)) => {
+                return Err(String::from_utf8_lossy(&error.payload().to_bytes()).into_owned())
+            }
+            None => {}
+        }
+    }
+}
+
+/// Asks until the answer is what it should be.
+pub fn answers(session: &Session, selector: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        let answer = ask(session, selector).expect("an answer");
+        if is_so(&answer) {
+            return answer;
+        }
+        assert!(Instant::now() < deadline, "{selector}: still {answer:#}");
+    }
 }
 
 /// The repository.

@@ -1,0 +1,16 @@
+//! What RECT makes of a Zenoh router, for its two hosts: `rect-router` (`main.rs`) and the plugin in a stock zenohd
+//! (`plugin/`). A robot's named connections and its registry are one code for both.
+
+pub mod args;
+pub mod config;
+mod config_service;
+mod connections;
+pub mod logging;
+pub mod message;
+mod registry;
+pub mod robot;
+pub mod router;
+mod signals;
+pub mod status;
+pub mod threads;
+pub mod version;

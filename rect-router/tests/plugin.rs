@@ -1,0 +1,172 @@
+//! RECT as a plugin of an unmodified zenohd, on the simulated air: `cargo test -p rect-router --test plugin`
+//!
+//! Needs `cargo build --profile quick -p zenoh-plugin-rect` and `scripts/build-stock-zenohd`.
+
+mod support;
+
+use std::path::PathBuf;
+
+use serde_json::{json, Value};
+use support::{answers, arrives, built_with, cache, client, skip, Air, Router};
+
+/// Who carries RECT.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Host {
+    RectRouter,
+    StockZenohd,
+}
+use Host::{RectRouter, StockZenohd};
+
+/// A stock zenohd and the plugin.
+fn zenohd_and_plugin() -> Option<(PathBuf, PathBuf)> {
+    let profile = std::env::var("RECT_PROFILE").unwrap_or_else(|_| "quick".to_owned());
+    let zenohd = cache().join("stock-zenohd/bin/zenohd");
+    let plugin = built_with(&profile).join("libzenoh_plugin_rect.so");
+    if zenohd.exists() && plugin.exists() {
+        return Some((zenohd, plugin));
+    }
+    skip(&format!(
+        "no {} or {}; see this file's beginning",
+        zenohd.display(),
+        plugin.display()
+    ));
+    None
+}
+
+/// The same settings for both hosts. The endpoint is for programs.
+fn wombat(air: &Air, host: Host, number: u32, more: &Value) -> (Router, String) {
+    let mut settings = json!({
+        "robot": format!("wombat-{number}"),
+        "listen": [format!("ble/sim-wombat-{number}#name=wombat-{number}")],
+    });
+    for (key, value) in more.as_object().into_iter().flatten() {
+        settings[key] = value.clone();
+    }
+    let settings = cfg(&settings);
+    let common = ["-l", "tcp/127.0.0.1:0", "--no-multicast-scouting"];
+    let common = common
+        .into_iter()
+        .chain(settings.iter().map(String::as_str));
+    let mut router = match (host, zenohd_and_plugin()) {
+        (StockZenohd, Some((zenohd, plugin))) => {
+            let plugin = format!("rect:{}", plugin.display());
+            let args: Vec<_> = ["-P", &plugin].into_iter().chain(common).collect();
+            Router::start_program_on(air, &zenohd, &args)
+        }
+        _ => Router::start_on(air, &common.collect::<Vec<_>>()),
+    };
+    let endpoint = router.listener();
+    if host == RectRouter {
+        // The one of Bluetooth is logged first.
+        return match endpoint.starts_with("tcp/") {
+            true => (router, endpoint),
+            false => {
+                let endpoint = router.listener();
+                (router, endpoint)
+            }
+        };
+    }
+    (router, endpoint)
+}
+
+/// As flags, one by one: `-P` has put something there too.
+fn cfg(settings: &Value) -> Vec<String> {
+    let fields = settings.as_object().into_iter().flatten();
+    let flag = |(key, value): (&String, &Value)| {
+        ["--cfg".to_owned(), format!("plugins/rect/{key}:{value}")]
+    };
+    fields.flat_map(flag).collect()
+}
+
+/// A file of one connection, to `wombat-1` by Bluetooth.
+fn to_first(folder: &tempfile::TempDir) -> Value {
+    let path = folder.path().join("connections.json");
+    let connections = json!({ "connections": [
+        { "name": "first", "method": "ble", "address": "wombat-1" },
+    ] });
+    std::fs::write(&path, connections.to_string()).expect("written");
+    json!({ "connections": path })
+}
+
+#[test]
+fn every_pairing_of_hosts_exchanges_messages_and_tells_of_its_connections() {
+    if zenohd_and_plugin().is_none() {
+        return;
+    }
+    for (first, second) in [
+        (RectRouter, RectRouter),
+        (RectRouter, StockZenohd),
+        (StockZenohd, RectRouter),
+        (StockZenohd, StockZenohd),
+    ] {
+        println!("{first:?} and {second:?}");
+        let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+        let (_one, here) = wombat(&air, first, 1, &json!({}));
+        let (_two, there) = wombat(&air, second, 2, &to_first(&folder));
+        let (here, there) = (client(&here), client(&there));
+        assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
+        assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
+        // Each side is asked from the other one.
+        let is_linked = |answer: &Value| {
+            answer[0]["state"] == "connected" && answer[0]["peer"]["robot"].is_string()
+        };
+        let asked = |robot: &str| format!("rect/{robot}/@rect/connections?method=ble");
+        let of_second = answers(&here, &asked("wombat-2"), is_linked);
+        assert_eq!(of_second[0]["name"], "first", "{of_second:#}");
+        assert_eq!(of_second[0]["peer"]["robot"], "wombat-1", "{of_second:#}");
+        let of_first = answers(&there, &asked("wombat-1"), is_linked);
+        assert_eq!(of_first[0]["peer"]["robot"], "wombat-2", "{of_first:#}");
+        // Programs on the host's own listener are connections too.
+        let programs = "rect/wombat-2/@rect/connections?method=tcp";
+        answers(&here, programs, |answer| {
+            answer.as_array().is_some_and(|all| !all.is_empty())
+        });
+    }
+}
+
+#[test]
+fn either_side_may_restart() {
+    if zenohd_and_plugin().is_none() {
+        return;
+    }
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let settings = to_first(&folder);
+    let (one, _) = wombat(&air, StockZenohd, 1, &json!({}));
+    let (two, there) = wombat(&air, StockZenohd, 2, &settings);
+    let session = client(&there);
+    drop(one);
+    let (_one, here) = wombat(&air, StockZenohd, 1, &json!({}));
+    assert!(arrives(&session, &client(&here), "rect/wombat-2/x"));
+    drop((session, two));
+    let (_two, there) = wombat(&air, StockZenohd, 2, &settings);
+    assert!(arrives(&client(&here), &client(&there), "rect/wombat-1/x"));
+}
+
+#[test]
+fn what_keeps_the_plugin_from_starting_is_said_and_the_host_runs_on() {
+    let Some((zenohd, plugin)) = zenohd_and_plugin() else {
+        return;
+    };
+    let air = Air::new();
+    let plugin = format!("rect:{}", plugin.display());
+    let start = |settings: &Value, listen: &str| {
+        let settings = cfg(settings);
+        let args = ["-P", &plugin, "--no-multicast-scouting", "--cfg", listen];
+        let settings = settings.iter().map(String::as_str);
+        let args: Vec<_> = args.into_iter().chain(settings).collect();
+        Router::start_program_on(&air, &zenohd, &args)
+    };
+    let tcp = "listen/endpoints:['tcp/127.0.0.1:0']";
+    let mut wrong = start(&json!({ "robot": "a", "listen": ["ble/nowhere"] }), tcp);
+    let endpoint = wrong.listener();
+    let said = wrong.wait_for("rect: can't start: ");
+    assert!(said.contains("`nowhere` is not an adapter"), "{said}");
+    client(&endpoint);
+    let mut alone = start(&json!({ "robot": "a" }), "listen/endpoints:[]");
+    let said = alone.wait_for("rect: this zenohd listens nowhere");
+    assert!(said.contains("-l tcp/127.0.0.1:7447"), "{said}");
+    // A plugin that is required and can't even read its settings ends zenohd, as any other does.
+    let mut unread = start(&json!({ "robot": "a b" }), tcp);
+    unread.exit();
+    assert!(unread.full_log().contains("robot \"a b\""));
+}
