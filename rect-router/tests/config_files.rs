@@ -171,6 +171,7 @@ fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
         assert!(arrives(&one, &two, "rect/wombat-1/arm/angle"));
         assert!(arrives(&one, &two, "something/else"));
         assert!(arrives(&one, &two, "rect/wombat-1/@rect/state"));
+        assert!(arrives(&one, &two, "rect/wombat-1/@rect/@config/x"));
         assert!(answers(&one, "@/abc/router"), "{name}: the admin space");
     }
 }
@@ -194,6 +195,8 @@ fn robots_get_the_fleets_data_and_no_more() {
     );
 
     let all = two.declare_subscriber("**").wait().expect("a subscription");
+    let config = two.declare_subscriber("rect/*/@rect/@config/**");
+    let config = config.wait().expect("a subscription");
     let deadline = std::time::Instant::now() + support::DEADLINE;
     loop {
         assert!(
@@ -201,12 +204,16 @@ fn robots_get_the_fleets_data_and_no_more() {
             "nothing arrives at `**`"
         );
         one.put("private/key", "not for you").wait().expect("a put");
+        one.put("rect/wombat-1/@rect/@config/connections", "not by you")
+            .wait()
+            .expect("a put");
         one.put("rect/wombat-1/mark", "for you")
             .wait()
             .expect("a put");
         // In order: had the first put passed, it would be here first.
         if let Ok(Some(sample)) = all.recv_timeout(Duration::from_millis(200)) {
             assert_eq!(sample.key_expr().as_str(), "rect/wombat-1/mark");
+            assert!(config.try_recv().expect("open").is_none());
             return;
         }
     }

@@ -6,7 +6,7 @@ use std::{fs, path::PathBuf};
 
 use serde_json::{json, Value};
 use support::{answers, arrives, ask, client, repository, Air, Router};
-use zenoh::Wait;
+use zenoh::{Session, Wait};
 
 /// A robot's router on the air, with a file of connections.
 struct Wombat {
@@ -330,4 +330,67 @@ fn a_wrong_file_or_question_is_told_and_the_router_runs_on() {
     answers(&here, &format!("{registry}?name=b"), |all| {
         all.as_array().map(Vec::len) == Some(1)
     });
+}
+
+/// Asks with a payload, as a change is asked for.
+fn change(session: &Session, selector: &str, text: &str) -> Result<Value, String> {
+    let replies = session.get(selector).payload(text).wait().expect("a query");
+    let reply = replies.into_iter().next().expect("an answer");
+    match reply.into_result() {
+        Ok(sample) => Ok(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON")),
+        Err(error) => Err(String::from_utf8_lossy(&error.payload().to_bytes()).into_owned()),
+    }
+}
+
+#[test]
+fn connections_are_read_and_changed_by_a_query_from_another_robot() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let two = Wombat::start(&air, &folder, 2, &file(&[]));
+    let mut one = Wombat::start(&air, &folder, 1, &file(&[ble("radio", "wombat-2")]));
+    let there = client(&two.endpoint);
+    let key = "rect/wombat-1/@rect/@config/connections";
+    let before = ask(&there, key).expect("an answer");
+    assert!(
+        before["text"]
+            .as_str()
+            .is_some_and(|text| text.contains("radio")),
+        "{before:#}"
+    );
+    let revision = before["revision"].as_str().expect("a revision");
+
+    let wanted = format!(
+        "// by query\n{}",
+        file(&[ble("radio", "wombat-2"), tcp("base", 1)])
+    );
+    let changed = change(
+        &there,
+        &format!("{key}?expect={revision};by=wombat-2"),
+        &wanted,
+    );
+    let changed = changed.expect("changed");
+    assert_eq!(changed["added"], json!(["base"]), "{changed:#}");
+    one.router
+        .wait_for("the connections are changed by wombat-2: added base");
+    assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
+    let registry = "rect/wombat-1/@rect/connections?name=base";
+    assert_eq!(
+        ask(&there, registry).expect("an answer")[0]["state"],
+        "connecting"
+    );
+
+    // A second one who has read the same, nonsense, and what is too much: nothing changes.
+    let outdated = change(
+        &there,
+        &format!("{key}?expect={revision}"),
+        "{\"connections\": []}",
+    );
+    assert!(outdated.is_err_and(|e| e.contains(changed["revision"].as_str().expect("text"))));
+    let wrong = change(&there, key, "{\"connections\": [\n  {\"name\": \"a\"}]}");
+    assert!(wrong.is_err_and(|e| e.contains("2:3: method is missing")));
+    let blanks = " ".repeat(2 << 20);
+    let too_much = change(&client(&one.endpoint), key, &blanks);
+    assert!(too_much.is_err_and(|e| e.contains("more than 1048576 bytes")));
+    let unknown = change(&there, &format!("{key}?expects=1"), "{\"connections\": []}");
+    assert!(unknown.is_err_and(|e| e.contains("`expects` is unknown")));
+    assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
 }

@@ -1,6 +1,6 @@
 //! RECT as a plugin of an unmodified zenohd, on the simulated air: `cargo test -p rect-router --test plugin`
 //!
-//! Needs `cargo build --profile quick -p zenoh-plugin-rect` and `scripts/build-stock-zenohd`.
+//! Needs `RECT_PROFILE=quick scripts/build-plugins` and `scripts/build-stock-zenohd`.
 
 mod support;
 

@@ -1,6 +1,6 @@
 //! Stock Zenoh with RECT and RECT with stock Zenoh: its REST plugin in rect-router, `ble/` in the published zenohd.
 //!
-//! Needs release builds, made by `scripts/build-rest-plugin` and `scripts/build-stock-zenohd-with-ble`:
+//! Needs release builds, made by `scripts/build-plugins` and `scripts/build-stock-zenohd-with-ble`:
 //! `cargo test -p rect-router --test stock` (RECT_PROFILE, as given to the script, if not `release`)
 
 mod support;
@@ -25,7 +25,7 @@ fn router_and_plugin() -> Option<(PathBuf, PathBuf)> {
         return Some(built);
     }
     skip(&format!(
-        "no {} with its router; run scripts/build-rest-plugin",
+        "no {} with its router; run scripts/build-plugins",
         built.1.display()
     ));
     None

@@ -1,1 +1,1 @@
-//! Nothing: the dependencies are what is wanted (`scripts/build-rest-plugin`).
+//! Nothing: the dependencies are what is wanted (`scripts/build-plugins`).
