@@ -11,7 +11,7 @@ from pathlib import Path
 import zenoh
 from goodput import put_rate
 from guest import figures_of, set_pace
-from robots import Robot, wait_until
+from robots import Robot, RobotError, wait_until
 from round_trip import ask
 from table import Table
 
@@ -24,7 +24,10 @@ LINKS = {"lanes": ("wombat-1", "hci0", "hci1", ""), "plain": ("wombat-3", "hci2"
 
 
 def run() -> Table:
-    rounds = figures_of("lanes_cost", 600, controllers=4)
+    figures = figures_of("lanes_cost", 1200, controllers=4)
+    rounds = [one for one in figures if one["plain"]]
+    if not rounds:
+        raise SystemExit("lanes_cost: the plain link lost messages in every round: there is nothing to compare with")
     table = Table(
         "What lanes cost on a link that is not the limit: beside a plain link, on a real kernel's stack without a pace",
         ["what", *LINKS, "lanes to plain", "wanted"],
@@ -39,6 +42,8 @@ def run() -> Table:
         f"Medians of {ROUNDS} rounds by turns; the ratio is the median of the rounds' own, its middle half in "
         f"brackets. Throughput: stock clients, from the first put to the last arrival. Round trip: {ASKED} queries "
         f"of {len(PAYLOAD)} bytes each.",
+        f"In {len(figures) - len(rounds)} of {len(figures)} rounds the plain link lost messages (the kernel drops what "
+        "a router does not read in time); they are left out. Lanes lost none.",
     ]
     return table
 
@@ -51,7 +56,7 @@ def in_guest() -> None:
             print(f"  round {n + 1} of {ROUNDS}", flush=True)
             # By turns in going first.
             order = list(LINKS) if n % 2 else list(reversed(LINKS))
-            figures = {link: measured(*robots[link]) for link in order}
+            figures = {link: measured_or_lost(link, *robots[link]) for link in order}
             print(json.dumps(figures), flush=True)
         for robot in (robot for two in robots.values() for robot in two):
             robot.stop()
@@ -63,6 +68,17 @@ def linked(link: str, folder: Path) -> tuple[Robot, Robot]:
     two = Robot(f"{name}-far", far, folder / f"{far}.log").start([f"ble/{name}{options}"])
     wait_until(f"linked: {link}", 30, lambda: bool(one.ble_links() and two.ble_links()))
     return one, two
+
+
+def measured_or_lost(link: str, one: Robot, two: Robot) -> dict[str, float] | None:
+    """None: a plain link loses messages now and then, which is what lanes are for."""
+    try:
+        return measured(one, two)
+    except RobotError as error:
+        if link != "plain":
+            raise
+        print(f"  {link}: {error}", flush=True)
+        return None
 
 
 def measured(one: Robot, two: Robot) -> dict[str, float]:

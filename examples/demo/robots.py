@@ -58,17 +58,20 @@ class Robot:
             self._dials = dials
         if listens is not None:
             self._listens = listens
-        command = [os.environ.get("RECT_ROUTER", "rect-router"), "-c", str(CONFIG)]
-        command += ["-l", f"ble/{self._adapter}#name={self.name}{ble_options}", "-l", f"tcp/127.0.0.1:{self.port}"]
-        command += self._arguments
-        for locator in self._listens:
-            command += ["-l", locator]
-        for locator in self._dials:
-            command += ["-e", locator]
+        command = self._command(f"ble/{self._adapter}#name={self.name}{ble_options}")
         self._process = start(command, self._log, self._environment)
         if wait:
             self.wait_until_up()
         return self
+
+    def _command(self, ble_listener: str) -> list[str]:
+        command = [os.environ.get("RECT_ROUTER", "rect-router"), "-c", str(CONFIG)]
+        command += ["-l", ble_listener, "-l", f"tcp/127.0.0.1:{self.port}", *self._arguments]
+        for locator in self._listens:
+            command += ["-l", locator]
+        for locator in self._dials:
+            command += ["-e", locator]
+        return command
 
     def wait_until_up(self) -> None:
         wait_until(f"the router of {self.name} is up", 30, self._accepts)
@@ -129,6 +132,21 @@ class Robot:
         if self.ended():
             raise RobotError(f"the router of {self.name} ended: {self.log().strip().splitlines()[-1]}")
         return is_listening(self.port)
+
+
+class PluginRobot(Robot):
+    """The same with a stock zenohd that has loaded our plugin; it dials by a file of named connections."""
+
+    def _command(self, ble_listener: str) -> list[str]:
+        connections = self._log.with_suffix(".connections.json")
+        wanted = [{"name": to[4:], "method": "ble", "address": to[4:]} for to in self._dials]
+        connections.write_text(json.dumps({"connections": wanted}))
+        command = [os.environ["RECT_ZENOHD"], "-P", f"rect:{os.environ['RECT_PLUGIN']}", "--no-multicast-scouting"]
+        command += ["-l", f"tcp/127.0.0.1:{self.port}", *self._arguments]
+        settings = {"robot": self.name, "listen": [ble_listener], "connections": str(connections)}
+        for key, value in settings.items():
+            command += ["--cfg", f"plugins/rect/{key}:{json.dumps(value)}"]
+        return command
 
 
 class Inbox:

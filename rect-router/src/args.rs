@@ -2,7 +2,7 @@
 
 use clap::{builder::PossibleValuesParser, Parser};
 
-use crate::version;
+use crate::{commands::Command, version};
 
 /// Reads the command line; wrong flags end the program with status 2 and a word on what is right.
 pub fn parse() -> Args {
@@ -12,7 +12,12 @@ pub fn parse() -> Args {
 /// RECT's router. Takes zenohd's flags and configuration files, and `ble/` endpoints.
 #[derive(Debug, Parser)]
 #[command(name = "rect-router", version = version::SHORT, long_version = version::long())]
+#[command(args_conflicts_with_subcommands = true)]
 pub struct Args {
+    /// Something else than being a router
+    #[command(subcommand)]
+    pub command: Option<Command>,
+
     /// The configuration file: JSON5 (.json5, .json) or YAML (.yaml, .yml)
     #[arg(short, long, value_name = "PATH")]
     pub config: Option<String>,

@@ -15,7 +15,7 @@ use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
 use self::login::{log_in_as, logins};
-pub use self::settings::Settings;
+pub use self::settings::{is_name, AutoConnect, Settings};
 use crate::args::Args;
 
 /// The configuration that these flags ask for, and RECT's own settings, which Zenoh does not see.
@@ -83,6 +83,32 @@ pub fn listen(
         .unwrap_or_default();
     for one in endpoints {
         all.push(endpoint("listen", one.as_ref())?);
+    }
+    set(
+        config.listen.endpoints.set(all),
+        "listen/endpoints",
+        "as given",
+    )
+}
+
+/// Makes the Bluetooth listeners tell of the fleet, unless they say another.
+pub fn announce(config: &mut Config, fleet: &str) -> Result<(), ConfigError> {
+    const KEY: &str = "fleet";
+    let mode = config.mode().unwrap_or(WhatAmI::Router);
+    let mut all = config
+        .listen
+        .endpoints
+        .get(mode)
+        .cloned()
+        .unwrap_or_default();
+    for endpoint in all.iter_mut().filter(|endpoint| is_ble(endpoint)) {
+        if endpoint.config().get(KEY).is_none() {
+            let refused = |_| ConfigError::Refused {
+                key: "listen/endpoints",
+                value: fleet.to_owned(),
+            };
+            endpoint.config_mut().insert(KEY, fleet).map_err(refused)?;
+        }
     }
     set(
         config.listen.endpoints.set(all),

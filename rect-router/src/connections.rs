@@ -1,8 +1,8 @@
 //! Owns the named connections of a router: which are wanted, and what changes when others are.
 mod connection;
-mod file;
+pub mod file;
 mod observed;
-mod spec;
+pub mod spec;
 mod store;
 mod watcher;
 
@@ -34,7 +34,7 @@ pub use self::{
 pub struct Connections {
     /// The file they are from.
     path: PathBuf,
-    /// Held while it is replaced, so that one change follows the other.
+    /// Held while it is read or replaced, so that one change follows the other.
     store: Mutex<Store>,
     slots: Arc<Slots>,
     by_name: Mutex<BTreeMap<String, Entry>>,
@@ -81,6 +81,7 @@ impl Connections {
 
     /// Takes the connections of the file; on an error nothing changes.
     pub fn load(&self) -> Result<Changes, FileError> {
+        let _others_wait = self.store.lock();
         let wanted = file::read(&self.path, self.slots.count())?;
         Ok(self.apply(wanted))
     }

@@ -2,12 +2,13 @@
 //! (`plugin/`). A robot's named connections and its registry are one code for both.
 
 pub mod args;
+pub mod commands;
 pub mod config;
 mod config_service;
-mod connections;
+pub mod connections;
 pub mod logging;
 pub mod message;
-mod registry;
+pub mod registry;
 pub mod robot;
 pub mod router;
 mod signals;

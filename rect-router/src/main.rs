@@ -6,11 +6,16 @@
 
 use std::process::ExitCode;
 
-use rect_router::{args, config, logging, message, robot::Robot, router, threads, version};
+use rect_router::{
+    args, commands, config, logging, message, robot::Robot, router, threads, version,
+};
 
 fn main() -> ExitCode {
     threads::set();
     let args = args::parse();
+    if let Some(command) = &args.command {
+        return commands::run(command);
+    }
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

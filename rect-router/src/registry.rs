@@ -1,8 +1,8 @@
 //! Owns the registry of a robot: which connections there are, to whom, how many. Zenoh queryables answer, changes are
 //! published under the same key, and a liveliness token tells that the robot is there. `docs/registry.md` has the keys.
-mod document;
+pub mod document;
 mod presence;
-mod selector;
+pub mod selector;
 mod uptime;
 
 use std::{
@@ -12,7 +12,7 @@ use std::{
         Arc,
     },
     thread,
-    time::{Duration, SystemTime},
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use serde::Serialize;
@@ -20,7 +20,7 @@ use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
 use zenoh_link::ble::status::{nodes, LinkStatus};
 
 use self::{
-    document::{peers, Connection, Counts, PeerId, State, Trouble},
+    document::{peers, Clock, Connection, Counts, PeerId, State, Trouble},
     presence::Presence,
     selector::Selector,
     uptime::Uptime,
@@ -84,6 +84,7 @@ impl Registry {
             peers.retain(|peer| selector.takes_peer(peer));
             peers
         })?;
+        sources.answer(own, "clock", |_, _| Clock { unix_s: now_s() })?;
         let key = format!("{own}/connections");
         thread::Builder::new()
             .name("registry".to_owned())
@@ -219,6 +220,12 @@ impl Sources {
         let robot = self.presence.robot_of(&id);
         PeerId { id, robot }
     }
+}
+
+/// Since 1970.
+pub fn now_s() -> f64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    now.map_or(0.0, |now| now.as_secs_f64())
 }
 
 fn radio_of<'a>(link: &Link, ble: &'a [LinkStatus]) -> Option<&'a LinkStatus> {

@@ -2,10 +2,14 @@
 //! changes them.
 use std::sync::Arc;
 
+use async_trait::async_trait;
 use zenoh::{Config, Session};
+use zenoh_link::{EndPoint, LinkManagerBuilderUnicast, LinkUnicast, NewLinkChannelSender};
+use zenoh_link_slot::{Dial, Slots};
+use zenoh_result::ZResult;
 
 use crate::{
-    config::{self, Settings},
+    config::{self, AutoConnect, Settings},
     config_service,
     connections::{Connections, Watching},
     message,
@@ -18,23 +22,49 @@ pub struct Robot {
     own: String,
     settings: Settings,
     connections: Option<Arc<Connections>>,
+    fleet: Option<Arc<Slots>>,
 }
 
 /// Dropping it ends what it stands for.
 pub struct Running {
     _watching: Option<Watching>,
     _registry: Registry,
+    _fleet: Option<Arc<Slots>>,
+}
+
+/// Dials anyone of the fleet.
+struct Anyone(EndPoint);
+
+#[async_trait]
+impl Dial for Anyone {
+    async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
+        let manager = LinkManagerBuilderUnicast::make(links.clone(), &self.0)?;
+        manager.new_link(self.0.clone()).await
+    }
 }
 
 impl Robot {
     /// Makes room in the configuration for connections that come while the router runs.
     pub fn prepare(settings: Settings, config: &mut Config) -> zenoh::Result<Self> {
-        let file = settings.connections.as_ref();
+        config::announce(config, &settings.fleet)?;
+        let is_listed = settings.auto_connect != AutoConnect::None;
+        let file = settings.connections.as_ref().filter(|_| is_listed);
         let connections = file.map(|path| Connections::new(path, settings.max_connections));
         if let Some(connections) = &connections {
             config::dial(config, connections.endpoints())?;
         }
+        let mut fleet = None;
+        if settings.auto_connect == AutoConnect::Fleet {
+            let slots = Slots::new(settings.auto_links);
+            let anyone: EndPoint = format!("ble/*#fleet={}", settings.fleet).parse()?;
+            for slot in 0..slots.count() {
+                slots.set(slot, Some(Arc::new(Anyone(anyone.clone()))));
+            }
+            config::dial(config, slots.endpoints())?;
+            fleet = Some(slots);
+        }
         Ok(Self {
+            fleet,
             own: format!("{}/{}/@rect", settings.fleet, settings.robot),
             settings,
             connections,
@@ -53,6 +83,7 @@ impl Robot {
         Ok(Running {
             _watching: watching,
             _registry: registry,
+            _fleet: self.fleet,
         })
     }
 }

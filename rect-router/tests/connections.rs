@@ -19,8 +19,13 @@ impl Wombat {
     fn start(air: &Air, folder: &tempfile::TempDir, number: u32, connections: &Value) -> Self {
         let file = folder.path().join(format!("connections-{number}.json"));
         fs::write(&file, connections.to_string()).expect("written");
+        let settings = json!({ "connections": &file, "max_connections": 4 });
+        Self::start_with(air, number, settings, file)
+    }
+
+    fn start_with(air: &Air, number: u32, mut settings: Value, file: PathBuf) -> Self {
         let config = repository().join("config/simulation.json5");
-        let settings = json!({ "robot": format!("wombat-{number}"), "connections": &file, "max_connections": 4 });
+        settings["robot"] = json!(format!("wombat-{number}"));
         let mut router = Router::start_on(
             air,
             &[
@@ -393,4 +398,31 @@ fn connections_are_read_and_changed_by_a_query_from_another_robot() {
     let unknown = change(&there, &format!("{key}?expects=1"), "{\"connections\": []}");
     assert!(unknown.is_err_and(|e| e.contains("`expects` is unknown")));
     assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
+}
+
+#[test]
+fn robots_of_a_fleet_link_by_themselves_and_with_no_other() {
+    let air = Air::new();
+    let fleets = ["lions", "bears", "lions", "bears"];
+    let robots: Vec<_> = (1..)
+        .zip(fleets)
+        .map(|(number, fleet)| {
+            let settings = json!({ "fleet": fleet, "auto_connect": "fleet" });
+            Wombat::start_with(&air, number, settings, PathBuf::new())
+        })
+        .collect();
+    for (number, mate) in [(1, 3), (2, 4), (3, 1), (4, 2)] {
+        let robot: &Wombat = &robots[number - 1];
+        let fleet = fleets[number - 1];
+        let asked = format!("{fleet}/wombat-{number}/@rect/connections?method=ble");
+        let links = answers(&client(&robot.endpoint), &asked, |links| {
+            links[0]["peer"]["robot"].is_string()
+        });
+        assert_eq!(links.as_array().map(Vec::len), Some(1), "{links:#}");
+        assert_eq!(
+            links[0]["peer"]["robot"],
+            format!("wombat-{mate}"),
+            "{links:#}"
+        );
+    }
 }

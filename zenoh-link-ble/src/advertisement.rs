@@ -50,6 +50,12 @@ impl Advertisement {
         crc32fast::hash(name.as_bytes())
     }
 
+    /// The fleet's hash, as advertised: 16 bits of the CRC-32 of its name, and never the 0 of no fleet.
+    pub fn hash_of_fleet(fleet: &str) -> u16 {
+        let hash = crc32fast::hash(fleet.as_bytes());
+        ((hash >> 16) as u16 ^ hash as u16).max(1)
+    }
+
     /// Whether it can be that node's.
     pub fn is_of(&self, name: &str) -> bool {
         self.name_hash == Self::hash_of_name(name)

@@ -7,6 +7,7 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     adapter::Adapter,
     address::{DeviceAddress, Psm},
+    advertisement::Advertisement,
     error::BleError,
     hello::{Hello, NodeId, VERSION},
     link::{Framing, LinkBle, Opened},
@@ -72,7 +73,7 @@ async fn dial_once(
 ) -> Result<Arc<LinkBle>, BleError> {
     let seen = adapter
         .scanner
-        .find(|sighting| Seen::of(sighting, locator))
+        .find(|sighting| Seen::of(sighting, locator).filter(|seen| is_wanted(node, locator, seen)))
         .await?;
     node.links().on_seen(dialling.number, seen.device);
     let opened = open(node, dialling.number, adapter, locator, &seen).await;
@@ -173,11 +174,21 @@ fn already_linked(locator: &ConnectLocator) -> BleError {
     }
 }
 
+/// Anyone of a fleet is somebody else, without a link yet.
+fn is_wanted(node: &Node, locator: &ConnectLocator, seen: &Seen) -> bool {
+    let own = Advertisement::hash_of_name(&node.name());
+    match locator.target {
+        Target::Fleet(_) => seen.name_hash != Some(own) && !node.links().knows(seen.device),
+        Target::Address(_) | Target::Name(_) => true,
+    }
+}
+
 /// What a sighting tells of the peer looked for.
 struct Seen {
     device: DeviceAddress,
     psm: Psm,
     plain: bool,
+    name_hash: Option<u32>,
 }
 
 impl Seen {
@@ -186,6 +197,10 @@ impl Seen {
         let wanted = match &locator.target {
             Target::Address(address) => *address == sighting.device.address,
             Target::Name(name) => advertised.is_some_and(|a| a.is_of(name)),
+            Target::Fleet(fleet) => {
+                let hash = Advertisement::hash_of_fleet(fleet);
+                advertised.is_some_and(|a| a.fleet_hash == hash)
+            }
         };
         let psm = locator.psm.or(advertised.map(|a| a.psm));
         let device = DeviceAddress {
@@ -196,6 +211,7 @@ impl Seen {
             device,
             psm,
             plain: advertised.is_some_and(|a| a.plain),
+            name_hash: advertised.map(|a| a.name_hash),
         })
     }
 }
@@ -224,9 +240,11 @@ impl Dialling {
         end: CancellationToken,
     ) -> Result<(), crate::hello::Refusal> {
         self.succeeded = true;
-        self.node
-            .links()
-            .on_accepted(self.number, peer, device, Instant::now().into_std(), end)
+        let now = Instant::now().into_std();
+        let accepted = (self.node.links()).on_accepted(self.number, peer, device, now, end);
+        // Another dial to anyone of the fleet may begin.
+        self.node.unlinked.notify_waiters();
+        accepted
     }
 }
 

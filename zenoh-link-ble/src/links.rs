@@ -204,7 +204,14 @@ impl Links {
         self.established.values().any(|link| match target {
             Target::Address(address) => link.device.address == *address,
             Target::Name(name) => link.name == *name,
+            Target::Fleet(_) => false,
         })
+    }
+
+    /// Whether there is a link with that device, or a dial to it.
+    pub fn knows(&self, device: DeviceAddress) -> bool {
+        let is_linked = self.established.values().any(|link| link.device == device);
+        is_linked || self.dials.values().any(|dial| dial.device == Some(device))
     }
 
     /// How many links and dials there are.
@@ -286,6 +293,7 @@ impl Dial {
         let by_target = match &self.target {
             Target::Name(target) => !name.is_empty() && target == name,
             Target::Address(address) => *address == device.address,
+            Target::Fleet(_) => false,
         };
         by_target || self.device == Some(device)
     }

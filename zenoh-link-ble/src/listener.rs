@@ -119,11 +119,12 @@ impl Listener {
         let radio = &self.adapter.radio;
         let epoch = radio.epoch();
         let channels = radio.listen(self.locator.psm, options).await?;
+        let fleet = self.locator.fleet.as_ref();
         let advertisement = Advertisement {
             psm: channels.psm(),
             plain: false,
             name_hash: Advertisement::hash_of_name(&self.name),
-            fleet_hash: 0,
+            fleet_hash: fleet.map_or(0, |fleet| Advertisement::hash_of_fleet(fleet)),
             incarnation: self.node.incarnation(),
         };
         let advertising = radio.advertise(&advertisement, &self.name).await?;

@@ -29,6 +29,9 @@ pub const DEFAULT_MAX_LINKS: usize = 7;
 /// (`transport/unicast/open_timeout`) is 10 s and includes its handshake.
 pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
 
+/// In the place of a peer: anyone.
+const ANYONE: &str = "*";
+
 /// What may wait on a link when `queue=` and `droppable=` are left out. 16 MB are one message of the largest size that our
 /// configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
 pub const DEFAULT_BOUNDS: Bounds = Bounds {
@@ -63,6 +66,8 @@ pub enum Target {
     Address(Address),
     /// Whoever advertises that name.
     Name(String),
+    /// Anyone who advertises that fleet and is not linked yet.
+    Fleet(String),
 }
 
 impl fmt::Display for Target {
@@ -70,11 +75,12 @@ impl fmt::Display for Target {
         match self {
             Self::Address(address) => address.fmt(f),
             Self::Name(name) => f.write_str(name),
+            Self::Fleet(fleet) => write!(f, "anyone of fleet {fleet}"),
         }
     }
 }
 
-/// `ble/<address or name>#...`: what to dial and how.
+/// `ble/<address or name>#...` or `ble/*#fleet=...`: what to dial and how.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConnectLocator {
     /// Whom.
@@ -104,6 +110,8 @@ pub struct ListenLocator {
     pub adapter: String,
     /// `name=`: the name to advertise; left out, the host's name.
     pub name: Option<String>,
+    /// `fleet=`: the fleet to advertise; left out, none.
+    pub fleet: Option<String>,
     /// `psm=`: left out, one of the system's choice.
     pub psm: Option<Psm>,
     /// `sec=`.
@@ -131,6 +139,12 @@ pub enum LocatorError {
         /// As given.
         given: String,
     },
+    /// `ble/*` without `fleet=`.
+    #[error("`ble/*` is anyone of a fleet: give the fleet as #fleet=")]
+    NoFleet,
+    /// `fleet=` with a peer of its own.
+    #[error("fleet= goes with `ble/*`, which is anyone of it; a peer is known by its name or address alone")]
+    FleetOfOne,
     /// The part before `#` is no adapter.
     #[error("`{given}` is not an adapter to listen on: give one as `hci0` (see `bluetoothctl list`) or `sim-...` for the simulated air, and the robot's name as #name=")]
     Adapter {
@@ -159,8 +173,9 @@ pub enum LocatorError {
     },
 }
 
-const CONNECT_OPTIONS: [&str; 10] = [
+const CONNECT_OPTIONS: [&str; 11] = [
     "adapter",
+    "fleet",
     "psm",
     "addr_type",
     "sec",
@@ -171,8 +186,9 @@ const CONNECT_OPTIONS: [&str; 10] = [
     "timeout",
     "plain",
 ];
-const LISTEN_OPTIONS: [&str; 8] = [
+const LISTEN_OPTIONS: [&str; 9] = [
     "name",
+    "fleet",
     "psm",
     "sec",
     "mtu",
@@ -186,13 +202,18 @@ impl ConnectLocator {
     /// Reads an endpoint to connect to.
     pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
         let given = endpoint.address().as_str().to_owned();
+        let options = Options::parse(endpoint, "connect", &CONNECT_OPTIONS)?;
+        let fleet = options.fleet()?;
         let target = match given.parse() {
             Ok(address) => Target::Address(address),
+            Err(_) if given == ANYONE => Target::Fleet(fleet.clone().ok_or(LocatorError::NoFleet)?),
             Err(_) if is_adapter(&given) => return Err(LocatorError::AdapterAsTarget { given }),
             Err(_) if is_name(&given) => Target::Name(given),
             Err(_) => return Err(LocatorError::Target { given }),
         };
-        let options = Options::parse(endpoint, "connect", &CONNECT_OPTIONS)?;
+        if fleet.is_some() && !matches!(target, Target::Fleet(_)) {
+            return Err(LocatorError::FleetOfOne);
+        }
         Ok(Self {
             target,
             adapter: options.adapter()?,
@@ -218,6 +239,7 @@ impl ListenLocator {
         Ok(Self {
             adapter,
             name: options.name()?,
+            fleet: options.fleet()?,
             psm: options.psm()?,
             security: options.security()?,
             mtu: options.mtu()?,
@@ -373,6 +395,20 @@ mod tests {
         }
         assert!(listen(&format!("ble/hci0#name={}", "x".repeat(29))).is_ok());
         assert!(listen(&format!("ble/hci0#name={}", "x".repeat(30))).is_err());
+    }
+
+    #[test]
+    fn a_fleet_goes_with_anyone_and_only_with_it() {
+        let read = connect("ble/*#fleet=lions;adapter=hci1").expect("valid");
+        assert_eq!(read.target, Target::Fleet("lions".to_owned()));
+        assert_eq!(connect("ble/*"), Err(LocatorError::NoFleet));
+        assert_eq!(
+            connect("ble/wombat-2#fleet=lions"),
+            Err(LocatorError::FleetOfOne)
+        );
+        assert!(connect("ble/*#fleet=").is_err() && listen("ble/*#fleet=lions").is_err());
+        let read = listen("ble/hci0#fleet=lions").expect("valid");
+        assert_eq!(read.fleet.as_deref(), Some("lions"));
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::{
     hello::NodeId,
     links::Census,
     listener::Listener,
-    locator::{is_simulated, ConnectLocator, ListenLocator, BLE_LOCATOR_PREFIX},
+    locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
     node::Node,
     radio::{bluez, sim, Radio, RadioError},
     status,
@@ -116,7 +116,13 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
                     // Zenoh tries again and says so at debug level only; a person wants to know why nothing comes.
                     let words = in_words(error);
                     tracing::debug!("ble: no link to {}: {words}", locator.target);
-                    if !matches!(error, BleError::AlreadyLinked { .. }) {
+                    let is_trouble = match error {
+                        BleError::AlreadyLinked { .. } => false,
+                        // Of a fleet there need not be anyone more.
+                        BleError::NotFound { .. } => !matches!(locator.target, Target::Fleet(_)),
+                        _ => true,
+                    };
+                    if is_trouble {
                         node.on_failed_dial(&locator.target.to_string(), &words);
                     }
                 }

@@ -45,6 +45,26 @@ fn name(fleet: usize, robot: usize) -> String {
     format!("fleet-{fleet}-{robot}")
 }
 
+/// How a robot finds its fleet.
+#[derive(Clone, Copy)]
+enum Finding {
+    /// It knows the others' names.
+    ByName,
+    /// It dials anyone of its fleet, as often as there can be others.
+    Anyone,
+}
+
+impl Finding {
+    fn locators(self, fleet: usize, robot: usize) -> Vec<String> {
+        let mates = (0..ROBOTS_OF_A_FLEET).filter(|mate| *mate != robot);
+        let locator = |mate| match self {
+            Self::ByName => format!("ble/{}", name(fleet, mate)),
+            Self::Anyone => format!("ble/*#fleet=fleet-{fleet}"),
+        };
+        mates.map(locator).collect()
+    }
+}
+
 /// Everybody's adapter and who is linked with whom.
 struct Hall {
     air: SimAir,
@@ -96,18 +116,25 @@ impl Hall {
     }
 
     /// A robot, from when it is switched on: it listens, dials each of its fleet as Zenoh does, and holds its links.
-    async fn live(self: Arc<Self>, fleet: usize, robot: usize, on_after: Duration) {
+    async fn live(
+        self: Arc<Self>,
+        finding: Finding,
+        fleet: usize,
+        robot: usize,
+        on_after: Duration,
+    ) {
         sleep(on_after).await;
         let own = name(fleet, robot);
         let adapter = self.air.radio(&format!("sim-{own}")).await;
         let radio: Arc<dyn Radio> = adapter.expect("attaches");
-        let peer = Arc::new(Peer::on(&radio).listens_as(&format!("name={own}")).await);
-        for mate in (0..ROBOTS_OF_A_FLEET).filter(|mate| *mate != robot) {
+        let listener = format!("name={own};fleet=fleet-{fleet}");
+        let peer = Arc::new(Peer::on(&radio).listens_as(&listener).await);
+        for locator in finding.locators(fleet, robot) {
             let (hall, peer, own) = (Arc::clone(&self), Arc::clone(&peer), own.clone());
             tokio::spawn(async move {
                 let mut wait = RETRY.0;
                 loop {
-                    match peer.dials(&format!("ble/{}", name(fleet, mate))).await {
+                    match peer.dials(&locator).await {
                         Ok(link) => {
                             wait = RETRY.0;
                             hall.hold(&own, link, true).await;
@@ -193,7 +220,7 @@ async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an
     for fleet in 0..FLEETS {
         for robot in 0..ROBOTS_OF_A_FLEET {
             let on_after = Duration::from_millis(u64::from(dice.next_u32() % ARRIVAL_MS));
-            tokio::spawn(Arc::clone(&hall).live(fleet, robot, on_after));
+            tokio::spawn(Arc::clone(&hall).live(Finding::ByName, fleet, robot, on_after));
         }
     }
     while hall.links.lock().len() < PAIRS {
@@ -259,4 +286,47 @@ async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an
     within("a word", says(&near, &far, b"hello")).await;
     assert!(other.no_more_incoming());
     assert_eq!(other.manager.census().links, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn in_a_hall_of_15_fleets_each_robot_finds_its_own_and_never_a_stranger() {
+    const PAIRS: usize = FLEETS * ROBOTS_OF_A_FLEET * (ROBOTS_OF_A_FLEET - 1) / 2;
+    let mut dice = Pcg32::seed_from_u64(45);
+    let hall = Hall::new(&mut dice);
+    let start = Instant::now();
+    for fleet in 0..FLEETS {
+        for robot in 0..ROBOTS_OF_A_FLEET {
+            let at_once = Duration::from_millis(u64::from(dice.next_u32() % 500));
+            tokio::spawn(Arc::clone(&hall).live(Finding::Anyone, fleet, robot, at_once));
+        }
+    }
+    // A robot has found its fleet when it is linked with one of it: Zenoh routes to the others.
+    let mut lonely: Vec<String> = (0..FLEETS)
+        .flat_map(|fleet| (0..ROBOTS_OF_A_FLEET).map(move |robot| name(fleet, robot)))
+        .collect();
+    while !lonely.is_empty() {
+        assert!(
+            start.elapsed() < Duration::from_secs(60),
+            "still alone: {lonely:?}"
+        );
+        sleep(Duration::from_millis(10)).await;
+        let links = hall.links.lock();
+        lonely.retain(|robot| links.keys().all(|(a, b)| a != robot && b != robot));
+    }
+    let found = start.elapsed();
+    while hall.links.lock().len() < PAIRS {
+        assert!(start.elapsed() < Duration::from_secs(120), "not all pairs");
+        sleep(Duration::from_millis(10)).await;
+    }
+    println!(
+        "every robot is linked with one of its fleet after {found:?}, with all after {:?}",
+        start.elapsed()
+    );
+    assert!(found < Duration::from_secs(5));
+    sleep(Duration::from_secs(60)).await;
+    let fleet_of = |robot: &str| robot.rsplit_once('-').map(|(fleet, _)| fleet.to_owned());
+    for (a, b) in hall.links.lock().keys() {
+        assert_eq!(fleet_of(a), fleet_of(b), "{a} is linked with {b}");
+    }
+    assert_eq!(hall.links.lock().len(), PAIRS);
 }

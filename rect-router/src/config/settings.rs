@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use serde::Deserialize;
 use serde_json::Value;
 use zenoh::Config;
+use zenoh_link::ble::locator;
 
 use super::ConfigError;
 
@@ -12,6 +13,22 @@ const KEY: &str = "plugins/rect";
 /// A slot that is not used costs a wake-up in ten seconds.
 const DEFAULT_MAX_CONNECTIONS: usize = 32;
 const MAX_CONNECTIONS: usize = 1000;
+/// A Raspberry Pi's controller manages some 7 links, others dial too, and Zenoh routes over the rest of the fleet.
+const DEFAULT_AUTO_LINKS: usize = 3;
+const MAX_AUTO_LINKS: usize = 7;
+
+/// Whom a robot connects to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AutoConnect {
+    /// Nobody: it waits for others.
+    None,
+    /// Those in the file of connections.
+    #[default]
+    Listed,
+    /// Those, and anyone of its fleet that is heard by Bluetooth.
+    Fleet,
+}
 
 /// `plugins: { rect: { ... } }`
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -24,6 +41,12 @@ pub struct Settings {
     pub robot: String,
     /// The file of named connections; left out, there are none.
     pub connections: Option<PathBuf>,
+    /// Whom to connect to; default `listed`.
+    #[serde(default)]
+    pub auto_connect: AutoConnect,
+    /// With `auto_connect: "fleet"`: to how many by itself, 1 to 7; default 3.
+    #[serde(default = "default_auto_links")]
+    pub auto_links: usize,
     /// How many there may be, 1 to 1000; default 32.
     #[serde(default = "default_max_connections")]
     pub max_connections: usize,
@@ -38,6 +61,10 @@ pub struct Settings {
 
 fn default_fleet() -> String {
     "rect".to_owned()
+}
+
+fn default_auto_links() -> usize {
+    DEFAULT_AUTO_LINKS
 }
 
 fn default_max_connections() -> usize {
@@ -55,16 +82,18 @@ impl Settings {
         let settings: Self =
             serde_json::from_value(given).map_err(|error| refused(error.to_string()))?;
         for (key, name) in [("fleet", &settings.fleet), ("robot", &settings.robot)] {
-            if !is_chunk(name) {
-                let wanted = "1 to 64 letters, digits, `-`, `_` or `.`";
+            if !is_name(name) {
+                let wanted = "1 to 29 letters, digits, `-`, `_` or `.`, and no adapter's name";
                 return Err(refused(format!("{key} {name:?} is to be {wanted}")));
             }
         }
-        if !(1..=MAX_CONNECTIONS).contains(&settings.max_connections) {
-            let given = settings.max_connections;
-            return Err(refused(format!(
-                "max_connections {given} is to be 1 to {MAX_CONNECTIONS}"
-            )));
+        for (key, given, most) in [
+            ("max_connections", settings.max_connections, MAX_CONNECTIONS),
+            ("auto_links", settings.auto_links, MAX_AUTO_LINKS),
+        ] {
+            if !(1..=most).contains(&given) {
+                return Err(refused(format!("{key} {given} is to be 1 to {most}")));
+            }
         }
         Ok(settings)
     }
@@ -83,10 +112,9 @@ pub fn take(config: &mut Config) -> Result<Option<Settings>, ConfigError> {
     Ok(Some(settings))
 }
 
-/// Whether it can be a part of a key by itself.
-fn is_chunk(name: &str) -> bool {
-    let is_known = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.');
-    (1..=64).contains(&name.len()) && name.bytes().all(is_known)
+/// Whether it can name a robot or a fleet: a part of a key by itself, and what a `ble` listener advertises.
+pub fn is_name(name: &str) -> bool {
+    locator::is_name(name) && !locator::is_adapter(name)
 }
 
 #[cfg(test)]
@@ -108,6 +136,8 @@ mod tests {
             fleet: "rect".into(),
             robot: "wombat-1".into(),
             connections: None,
+            auto_connect: AutoConnect::Listed,
+            auto_links: DEFAULT_AUTO_LINKS,
             max_connections: DEFAULT_MAX_CONNECTIONS,
             listen: Vec::new(),
             login_as: None,
@@ -124,6 +154,8 @@ mod tests {
             ("{ robot: '**' }", "**"),
             ("{ robot: 'a', fleet: '' }", "fleet"),
             ("{ robot: 'a', fleat: 'b' }", "fleat"),
+            ("{ robot: 'a', auto_connect: 'all' }", "`all`"),
+            ("{ robot: 'a', auto_links: 8 }", "auto_links"),
             ("{ robot: 'a', max_connections: 0 }", "max_connections"),
             ("{ robot: 'a', max_connections: 1001 }", "max_connections"),
         ] {

@@ -83,6 +83,13 @@ pub struct Peer {
     pub connections: Vec<Connection>,
 }
 
+/// What time it is there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Clock {
+    /// Seconds since 1970.
+    pub unix_s: f64,
+}
+
 /// How many there are.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {

@@ -71,6 +71,14 @@ impl<'a> Options<'a> {
         )
     }
 
+    pub(super) fn fleet(&self) -> Result<Option<String>, LocatorError> {
+        self.read(
+            "fleet",
+            "a fleet's name has 1 to 29 letters, digits, `-`, `_` or `.`",
+            |v| is_name(v).then(|| v.to_owned()),
+        )
+    }
+
     pub(super) fn psm(&self) -> Result<Option<Psm>, LocatorError> {
         self.read("psm", "a psm is a number from 128 to 255", |v| {
             v.parse().ok().and_then(Psm::new)

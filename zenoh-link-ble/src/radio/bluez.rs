@@ -34,6 +34,8 @@ use crate::{
     advertisement::{Advertisement, SERVICE_UUID},
 };
 
+pub use self::timing::is_configured as timing_is_configured;
+
 /// The adapter taken when none is named.
 const DEFAULT_ADAPTER: &str = "hci0";
 /// How often to advertise. BlueZ's default of 1.28 s would make finding a robot take seconds. bluetoothd takes this from

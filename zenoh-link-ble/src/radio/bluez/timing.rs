@@ -74,8 +74,8 @@ fn set(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether bluetoothd sets all of it.
-fn is_configured(main_conf: &str) -> bool {
+/// Whether bluetoothd, with that `main.conf`, sets a connection's interval and supervision timeout.
+pub fn is_configured(main_conf: &str) -> bool {
     let keys = || main_conf.lines().filter_map(|line| line.split_once('='));
     FIGURES
         .iter()

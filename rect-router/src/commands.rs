@@ -1,0 +1,98 @@
+//! Owns what `rect-router` does beside being a router: writing a robot's configuration, showing what a running router
+//! tells, finding out what is wrong.
+mod connections;
+mod doctor;
+mod init;
+mod table;
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Parser, Subcommand};
+
+/// The commands; without one, it is a router.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Write a robot's configuration, login and list of connections into a folder
+    Init(InitArgs),
+    /// Show which connections a robot has, or all robots of the fleet
+    Connections(AskArgs),
+    /// Look for what keeps this computer from talking to others, and say what to do
+    Doctor(DoctorArgs),
+}
+
+/// What `init` takes.
+#[derive(Debug, Parser)]
+pub struct InitArgs {
+    /// This robot's name, unique in the hall
+    pub robot: String,
+    /// The team's name, the first part of all keys
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// The Bluetooth adapter
+    #[arg(long, default_value = "hci0")]
+    pub adapter: String,
+    /// The team's login file, from its first robot; left out, a new one is made
+    #[arg(long, value_name = "FILE")]
+    pub users: Option<PathBuf>,
+    /// Where to write
+    #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
+    pub folder: PathBuf,
+}
+
+/// Where to ask, and about whom.
+#[derive(Debug, Parser)]
+pub struct AskArgs {
+    /// The robot; left out, all of the fleet
+    #[arg(default_value = "*")]
+    pub robot: String,
+    /// The team's name
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// Of one method only: ble, tcp, udp, ...
+    #[arg(long)]
+    pub method: Option<String>,
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+    /// The router
+    #[command(flatten)]
+    pub router: RouterArgs,
+}
+
+/// How to reach the router.
+#[derive(Debug, Parser)]
+pub struct RouterArgs {
+    /// The router to ask
+    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    pub router: String,
+    /// The login file, where the router wants a login
+    #[arg(long, value_name = "FILE", default_value = "/etc/rect/users")]
+    pub users: PathBuf,
+}
+
+/// What `doctor` takes.
+#[derive(Debug, Parser)]
+pub struct DoctorArgs {
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+    /// The router
+    #[command(flatten)]
+    pub router: RouterArgs,
+}
+
+/// Runs one; what is wrong is said on stderr.
+pub fn run(command: &Command) -> ExitCode {
+    let done = match command {
+        Command::Init(args) => init::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Connections(args) => connections::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Doctor(args) => doctor::run(args),
+    };
+    done.unwrap_or_else(|error| {
+        eprintln!(
+            "rect-router: {}",
+            crate::message::with_causes(error.as_ref())
+        );
+        ExitCode::FAILURE
+    })
+}

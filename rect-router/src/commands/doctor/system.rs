@@ -1,0 +1,306 @@
+//! Owns what can be wrong with this computer's Bluetooth: read from the files in which Linux shows it.
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use zenoh_link::ble::radio::bluez;
+
+use super::Finding;
+
+/// `root`: where the file system begins.
+pub fn findings(root: &Path) -> Vec<Finding> {
+    let system = System { root };
+    let mut findings = vec![system.kernel()];
+    let adapters = system.adapters();
+    let has_adapter = !adapters.is_empty();
+    findings.push(system.adapter(&adapters));
+    findings.extend(system.rfkill());
+    if has_adapter {
+        findings.extend([system.bluetoothd(), system.rights(), system.timing()]);
+    }
+    findings
+}
+
+struct System<'a> {
+    root: &'a Path,
+}
+
+impl System<'_> {
+    fn kernel(&self) -> Finding {
+        let release = self.text("proc/sys/kernel/osrelease");
+        let release = release.trim();
+        let numbers: Vec<u32> = release
+            .split(|c: char| !c.is_ascii_digit())
+            .map_while(|number| number.parse().ok())
+            .collect();
+        let advice = "take another kernel (config/README.md, \"Kernels to avoid\")";
+        match *numbers.as_slice() {
+            [6, 1, 192, ..] => Finding::wrong(
+                "kernel",
+                format!("Linux {release} breaks Bluetooth until the next boot when a link is lost"),
+                advice,
+            ),
+            [5, 10, 0, build] if build >= 46 => Finding::wrong(
+                "kernel",
+                format!("Linux {release} stops every Bluetooth link after some 100 kB"),
+                advice,
+            ),
+            [major, minor, ..] if (major, minor) < (5, 10) => Finding::poor(
+                "kernel",
+                format!("Linux {release} is older than what RECT is tested with, 5.10"),
+                "update the system, if the link does not hold",
+            ),
+            _ => Finding::good("kernel", format!("Linux {release}")),
+        }
+    }
+
+    fn adapters(&self) -> Vec<String> {
+        let mut adapters = self.names("sys/class/bluetooth");
+        // A link of hci0 is shown as hci0:64.
+        adapters.retain(|name| name.starts_with("hci") && !name.contains(':'));
+        adapters.sort();
+        adapters
+    }
+
+    fn adapter(&self, adapters: &[String]) -> Finding {
+        const ABOUT: &str = "adapter";
+        if !adapters.is_empty() {
+            return Finding::good(ABOUT, adapters.join(", "));
+        }
+        for config in ["boot/firmware/config.txt", "boot/config.txt"] {
+            let text = self.text(config);
+            let line = text
+                .lines()
+                .map(str::trim)
+                .find(|line| line.starts_with("dtoverlay=") && line.contains("disable-bt"));
+            if let Some(line) = line {
+                return Finding::wrong(
+                    ABOUT,
+                    format!("`{line}` in /{config} switches Bluetooth off, as on a KIPR Wombat"),
+                    "replace that line by `dtoverlay=pi3-miniuart-bt` and reboot, or plug in a USB Bluetooth dongle",
+                );
+            }
+        }
+        Finding::wrong(
+            ABOUT,
+            "there is no Bluetooth adapter",
+            "plug one in; `dmesg | grep -i bluetooth` says what became of it. Without one, adapters named sim-... use \
+             the simulated air (`rect air`)",
+        )
+    }
+
+    fn rfkill(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        for name in self.names("sys/class/rfkill") {
+            let about = PathBuf::from("sys/class/rfkill").join(name);
+            let is = |file: &str, text: &str| self.text(about.join(file)).trim() == text;
+            if !is("type", "bluetooth") {
+                continue;
+            }
+            if is("hard", "1") {
+                findings.push(Finding::wrong(
+                    "rfkill",
+                    "Bluetooth is switched off by a switch of the computer",
+                    "switch it on there",
+                ));
+            } else if is("soft", "1") {
+                findings.push(Finding::wrong(
+                    "rfkill",
+                    "Bluetooth is blocked",
+                    "`sudo rfkill unblock bluetooth`",
+                ));
+            }
+        }
+        findings
+    }
+
+    fn bluetoothd(&self) -> Finding {
+        const ABOUT: &str = "bluetoothd";
+        let runs = self.names("proc").into_iter().any(|process| {
+            let is_process = process.bytes().all(|byte| byte.is_ascii_digit());
+            is_process && self.text(format!("proc/{process}/comm")).trim() == "bluetoothd"
+        });
+        if runs {
+            return Finding::good(ABOUT, "it runs");
+        }
+        Finding::wrong(
+            ABOUT,
+            "it does not run",
+            "`sudo apt install bluez`, then `sudo systemctl enable --now bluetooth`",
+        )
+    }
+
+    fn rights(&self) -> Finding {
+        const ABOUT: &str = "rights";
+        let status = self.text("proc/self/status");
+        let numbers = |key: &str| -> Vec<u32> {
+            let line = status.lines().find_map(|line| line.strip_prefix(key));
+            let numbers = line.unwrap_or_default().split_whitespace();
+            numbers.filter_map(|number| number.parse().ok()).collect()
+        };
+        // Real, effective, saved, file system.
+        if numbers("Uid:").get(1) == Some(&0) {
+            return Finding::good(ABOUT, "root may use Bluetooth");
+        }
+        let groups = self.text("etc/group");
+        let bluetooth = groups.lines().find_map(|line| {
+            let mut fields = line.split(':');
+            (fields.next() == Some("bluetooth")).then(|| fields.nth(1)?.parse().ok())?
+        });
+        match bluetooth {
+            Some(group) if numbers("Groups:").contains(&group) => {
+                Finding::good(ABOUT, "this user is in the group bluetooth")
+            }
+            _ => Finding::wrong(
+                ABOUT,
+                "this user is not in the group bluetooth",
+                "`sudo usermod -aG bluetooth $USER`, and log in again",
+            ),
+        }
+    }
+
+    fn timing(&self) -> Finding {
+        const ABOUT: &str = "timing";
+        if bluez::timing_is_configured(&self.text("etc/bluetooth/main.conf")) {
+            return Finding::good(ABOUT, "connection interval and supervision timeout are set");
+        }
+        Finding::poor(
+            ABOUT,
+            "connection interval and supervision timeout are BlueZ's own: links answer slower and hold worse",
+            "`sudo cp config/bluetooth.conf /etc/bluetooth/main.conf && sudo systemctl restart bluetooth`",
+        )
+    }
+
+    fn text(&self, path: impl AsRef<Path>) -> String {
+        fs::read_to_string(self.root.join(path)).unwrap_or_default()
+    }
+
+    fn names(&self, folder: &str) -> Vec<String> {
+        let entries = fs::read_dir(self.root.join(folder));
+        let names = entries.into_iter().flatten().flatten();
+        names
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::Verdict, *};
+
+    /// A computer as its files show it.
+    fn computer(files: &[(&str, &str)]) -> Vec<Finding> {
+        let root = tempfile::tempdir().expect("a folder");
+        let healthy = [
+            ("proc/sys/kernel/osrelease", "6.1.0-25-arm64\n"),
+            ("sys/class/bluetooth/hci0/type", ""),
+            ("sys/class/bluetooth/hci0:64/type", ""),
+            ("sys/class/rfkill/rfkill0/type", "bluetooth\n"),
+            ("sys/class/rfkill/rfkill0/soft", "0\n"),
+            ("proc/321/comm", "bluetoothd\n"),
+            (
+                "proc/self/status",
+                "Uid:\t1000\t1000\t1000\t1000\nGroups:\t20 112 \n",
+            ),
+            ("etc/group", "root:x:0:\nbluetooth:x:112:pi\n"),
+            (
+                "etc/bluetooth/main.conf",
+                include_str!("../../../../config/bluetooth.conf"),
+            ),
+        ];
+        for (path, text) in healthy.iter().chain(files) {
+            let path = root.path().join(path);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            fs::write(path, text).expect("written");
+        }
+        // A file of this text stands for one that is not there.
+        for (path, _) in files.iter().filter(|(_, text)| *text == "(none)") {
+            fs::remove_file(root.path().join(path)).expect("removed");
+            let folder = root.path().join(path);
+            let _ = fs::remove_dir(folder.parent().expect("a folder"));
+        }
+        findings(root.path())
+    }
+
+    fn not_good(findings: &[Finding]) -> Vec<String> {
+        let bad = findings.iter().filter(|f| f.verdict != Verdict::Good);
+        bad.map(|f| {
+            format!(
+                "{}: {} -> {}",
+                f.about,
+                f.what,
+                f.advice.clone().unwrap_or_default()
+            )
+        })
+        .collect()
+    }
+
+    #[test]
+    fn a_healthy_computer_has_nothing_wrong() {
+        assert_eq!(not_good(&computer(&[])), Vec::<String>::new());
+    }
+
+    #[test]
+    fn each_trouble_has_its_advice() {
+        let none = ("sys/class/bluetooth/hci0/type", "(none)");
+        let wombat = (
+            "boot/config.txt",
+            "#dtoverlay=disable-bt\ndtoverlay=pi3-disable-bt\n",
+        );
+        for (files, about, advice) in [
+            (
+                vec![("proc/sys/kernel/osrelease", "6.1.192-1")],
+                "kernel",
+                "another kernel",
+            ),
+            (
+                vec![("proc/sys/kernel/osrelease", "5.10.0-46-amd64")],
+                "kernel",
+                "another kernel",
+            ),
+            (
+                vec![("proc/sys/kernel/osrelease", "4.19.0-9")],
+                "kernel",
+                "update",
+            ),
+            (vec![none], "adapter", "sim-"),
+            (vec![none, wombat], "adapter", "miniuart-bt"),
+            (
+                vec![("sys/class/rfkill/rfkill0/soft", "1")],
+                "rfkill",
+                "rfkill unblock",
+            ),
+            (
+                vec![("sys/class/rfkill/rfkill0/hard", "1")],
+                "rfkill",
+                "switch it on",
+            ),
+            (vec![("proc/321/comm", "bash")], "bluetoothd", "systemctl"),
+            (
+                vec![("etc/group", "bluetooth:x:113:pi\n")],
+                "rights",
+                "usermod",
+            ),
+            (vec![("etc/group", "root:x:0:\n")], "rights", "usermod"),
+            (
+                vec![("etc/bluetooth/main.conf", "")],
+                "timing",
+                "bluetooth.conf",
+            ),
+        ] {
+            let bad = not_good(&computer(&files));
+            assert_eq!(bad.len(), 1, "{files:?}: {bad:?}");
+            assert!(
+                bad[0].starts_with(about) && bad[0].contains(advice),
+                "{bad:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn root_needs_no_group() {
+        let root = ("proc/self/status", "Uid:\t0\t0\t0\t0\nGroups:\t0 \n");
+        assert_eq!(not_good(&computer(&[root])), Vec::<String>::new());
+    }
+}

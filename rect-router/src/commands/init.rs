@@ -1,0 +1,104 @@
+//! Owns `rect-router init`: a robot's folder of configuration, safe from the first start.
+use std::{
+    fs::{self, OpenOptions},
+    io::{self, Write},
+    os::unix::fs::{OpenOptionsExt, PermissionsExt},
+    path::{Path, PathBuf},
+};
+
+use super::InitArgs;
+use crate::config::is_name;
+
+const ROBOT: &str = include_str!("../../../config/robot.json5");
+/// What `ROBOT` is written for.
+const ITS_NAME: &str = "wombat-1";
+const ITS_FLEET: &str = "\"rect/";
+const NO_CONNECTIONS: &str =
+    "// Connections with names: config/README.md.\n{\n  \"connections\": [\n  ],\n}\n";
+/// Of the password: more than anybody can try out.
+const SECRET_BYTES: usize = 18;
+/// For the router and the members of its group.
+const PRIVATE: u32 = 0o640;
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+pub fn run(args: &InitArgs) -> Result<(), Failure> {
+    for (what, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
+        if !is_name(name) {
+            let wanted = "1 to 29 letters, digits, `-`, `_` or `.`, and none of an adapter's names";
+            return Err(format!("{what} {name:?} is to be {wanted}").into());
+        }
+    }
+    let users = match &args.users {
+        Some(path) => fs::read_to_string(path)
+            .map_err(|error| format!("{} can't be read: {error}", path.display()))?,
+        None => format!("fleet:{}\n", secret()?),
+    };
+    fs::create_dir_all(&args.folder)
+        .map_err(|error| format!("{} can't be made: {error}", args.folder.display()))?;
+    let files = [
+        ("users", users, PRIVATE),
+        ("robot.json5", robot(args), PRIVATE),
+        ("connections.json", NO_CONNECTIONS.to_owned(), PRIVATE),
+    ];
+    // None is touched if one is there already.
+    for (name, ..) in &files {
+        let path = args.folder.join(name);
+        if path.exists() {
+            return Err(format!("{} is there already; nothing was changed", path.display()).into());
+        }
+    }
+    for (name, text, mode) in files {
+        let path = args.folder.join(name);
+        write(&path, &text, mode).map_err(|error| format!("{}: {error}", path.display()))?;
+        println!("wrote {}", path.display());
+    }
+    println!(
+        "start it with: rect-router -c {} --login-as fleet",
+        args.folder.join("robot.json5").display()
+    );
+    if args.users.is_none() {
+        let users = args.folder.join("users");
+        println!(
+            "the team's other robots need the same login: copy {} to them and give it as --users",
+            users.display()
+        );
+    }
+    Ok(())
+}
+
+/// `config/robot.json5` with this robot's name, fleet, adapter and folder.
+fn robot(args: &InitArgs) -> String {
+    let folder = |file: &str| args.folder.join(file).display().to_string();
+    let settings = format!(
+        "  // RECT's own: this robot's name in keys, and its named connections.\n  plugins: {{\n    rect: {{ fleet: \"{}\", \
+         robot: \"{}\", connections: \"{}\" }},\n  }},\n}}\n",
+        args.fleet,
+        args.robot,
+        folder("connections.json")
+    );
+    let text = ROBOT
+        .replace(ITS_NAME, &args.robot)
+        .replace(ITS_FLEET, &format!("\"{}/", args.fleet))
+        .replace("ble/hci0", &format!("ble/{}", args.adapter))
+        .replace("/etc/rect/users", &folder("users"));
+    let body = text.trim_end().strip_suffix('}').unwrap_or(&text);
+    format!("{body}\n{settings}")
+}
+
+fn secret() -> Result<String, Failure> {
+    use base64::Engine;
+    let mut bytes = [0; SECRET_BYTES];
+    getrandom::fill(&mut bytes).map_err(|error| format!("no random numbers: {error}"))?;
+    Ok(base64::engine::general_purpose::STANDARD_NO_PAD.encode(bytes))
+}
+
+fn write(path: &Path, text: &str, mode: u32) -> io::Result<PathBuf> {
+    let mut options = OpenOptions::new();
+    let mut file = options.write(true).create_new(true).mode(mode).open(path)?;
+    file.write_all(text.as_bytes())?;
+    // Whatever the umask is.
+    file.set_permissions(fs::Permissions::from_mode(mode))?;
+    file.sync_all()?;
+    Ok(path.to_owned())
+}

@@ -1,0 +1,203 @@
+//! What rect-router does beside being a router: `cargo test -p rect-router --test commands`
+
+mod support;
+
+use std::{
+    fs,
+    os::unix::fs::PermissionsExt,
+    path::Path,
+    process::{Command, Output},
+};
+
+use serde_json::{json, Value};
+use support::{answers, client_with, Air, Router};
+use zenoh::Session;
+
+fn rect_router(args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rect-router"));
+    command.args(args).output().expect("it starts")
+}
+
+fn said(output: &Output) -> String {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    text(&output.stdout) + &text(&output.stderr)
+}
+
+/// A robot's folder as `init` makes it, with further arguments.
+fn init(root: &Path, robot: &str, more: &[&str]) -> String {
+    let folder = root.join(robot).display().to_string();
+    let adapter = format!("sim-{robot}");
+    let mut args = vec!["init", robot, "--adapter", &adapter, "--folder", &folder];
+    args.extend(more);
+    let output = rect_router(&args);
+    assert!(output.status.success(), "{}", said(&output));
+    folder
+}
+
+/// Its router, on ports of its own.
+fn start(air: &Air, folder: &str, robot: &str, more: &[&str]) -> (Router, String) {
+    let config = format!("{folder}/robot.json5");
+    let radio = format!("ble/sim-{robot}#name={robot}");
+    let mut args = vec![
+        "-c",
+        &config,
+        "--login-as",
+        "fleet",
+        "-l",
+        "tcp/127.0.0.1:0",
+        "-l",
+        &radio,
+    ];
+    args.extend(more);
+    let mut router = Router::start_on(air, &args);
+    let endpoint = router.listener();
+    router.up();
+    (router, endpoint)
+}
+
+/// A program of that robot's own.
+fn program(folder: &str, endpoint: &str) -> Session {
+    let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
+    let (user, password) = users.trim().split_once(':').expect("a login");
+    let login = json!({ "user": user, "password": password }).to_string();
+    client_with(endpoint, &[("transport/auth/usrpwd", &login)]).expect("let in")
+}
+
+#[test]
+fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let one = init(root.path(), "wombat-1", &[]);
+    let two = init(
+        root.path(),
+        "wombat-2",
+        &["--users", &format!("{one}/users")],
+    );
+    let stranger = init(root.path(), "wombat-9", &[]);
+    let dial =
+        json!({ "connections": [{ "name": "first", "method": "ble", "address": "wombat-1" }] });
+    for folder in [&two, &stranger] {
+        fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
+    }
+    let (_one, here) = start(&air, &one, "wombat-1", &[]);
+    let (_two, there) = start(&air, &two, "wombat-2", &[]);
+    let (_stranger, elsewhere) = start(&air, &stranger, "wombat-9", &[]);
+
+    let state = |session: &Session, robot: &str, wanted: &str| {
+        let asked = format!("rect/{robot}/@rect/connections?name=first");
+        answers(session, &asked, |answer| answer[0]["state"] == wanted)
+    };
+    state(&program(&two, &there), "wombat-2", "connected");
+    // The stranger's is made by the radio and refused by the login, again and again.
+    let asked = "rect/wombat-9/@rect/connections?name=first";
+    let refused = answers(&program(&stranger, &elsewhere), asked, |answer| {
+        answer[0]["linked"].as_u64() > Some(1)
+    });
+    assert_eq!(refused[0]["state"], "connecting", "{refused:#}");
+    let of_one = "rect/wombat-1/@rect/peers";
+    let peers = answers(&program(&one, &here), of_one, |answer| !answer[0].is_null());
+    let robots: Vec<_> = peers
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|peer| &peer["robot"])
+        .collect();
+    assert!(
+        robots.contains(&&json!("wombat-2")) && !robots.contains(&&json!("wombat-9")),
+        "{peers:#}"
+    );
+
+    // The same in a terminal.
+    let table = rect_router(&[
+        "connections",
+        "--router",
+        &there,
+        "--users",
+        &format!("{two}/users"),
+    ]);
+    let said = said(&table);
+    assert!(
+        table.status.success() && said.contains("wombat-2"),
+        "{said}"
+    );
+    let row = said
+        .lines()
+        .find(|line| line.contains("first"))
+        .expect("a row");
+    assert!(
+        row.contains("connected") && row.contains("wombat-1"),
+        "{row}"
+    );
+    let doctor = rect_router(&[
+        "doctor",
+        "--json",
+        "--router",
+        &there,
+        "--users",
+        &format!("{two}/users"),
+    ]);
+    let findings: Value = serde_json::from_slice(&doctor.stdout).expect("JSON");
+    let router = findings
+        .as_array()
+        .into_iter()
+        .flatten()
+        .find(|one| one["about"] == "router");
+    assert_eq!(
+        router.expect("looked at")["verdict"],
+        "good",
+        "{findings:#}"
+    );
+}
+
+#[test]
+fn what_is_there_already_is_not_touched_and_secrets_are_private() {
+    let root = tempfile::tempdir().expect("a folder");
+    let folder = init(root.path(), "wombat-1", &["--fleet", "lions"]);
+    let users = format!("{folder}/users");
+    let mode = fs::metadata(&users).expect("there").permissions().mode();
+    assert_eq!(mode & 0o777, 0o640);
+    let before = fs::read_to_string(&users).expect("there");
+    assert!(
+        before.starts_with("fleet:") && before.trim().len() > 24,
+        "{}",
+        before.len()
+    );
+    let config = fs::read_to_string(format!("{folder}/robot.json5")).expect("there");
+    assert!(
+        config.contains("\"lions/**\"") && !config.contains("\"rect/"),
+        "{config}"
+    );
+    let loaded = zenoh::Config::from_file(format!("{folder}/robot.json5")).expect("valid");
+    assert!(loaded.to_string().contains("lions/*/@rect/**"));
+
+    let again = rect_router(&["init", "wombat-1", "--folder", &folder]);
+    assert!(!again.status.success() && said(&again).contains("is there already"));
+    assert_eq!(fs::read_to_string(&users).expect("there"), before);
+    for wrong in ["a b", "", "hci0", "**"] {
+        let folder = root.path().join("wrong").display().to_string();
+        let output = rect_router(&["init", wrong, "--folder", &folder]);
+        assert!(
+            !output.status.success() && said(&output).contains("letters"),
+            "{wrong}"
+        );
+        assert!(!Path::new(&folder).exists(), "{wrong}");
+    }
+}
+
+#[test]
+fn without_a_router_the_doctor_and_the_table_say_so() {
+    let nowhere = ["--router", "tcp/127.0.0.1:1"];
+    let doctor = rect_router(&["doctor", nowhere[0], nowhere[1]]);
+    assert_eq!(doctor.status.code(), Some(1));
+    let text = said(&doctor);
+    assert!(
+        text.contains("WRONG  router: no router answers at tcp/127.0.0.1:1"),
+        "{text}"
+    );
+    let table = rect_router(&["connections", nowhere[0], nowhere[1]]);
+    assert_eq!(table.status.code(), Some(1));
+    assert!(
+        said(&table).contains("no router answers"),
+        "{}",
+        said(&table)
+    );
+}

@@ -1,0 +1,33 @@
+"""Stock zenohd with our plugin, and rect-router, on a real kernel's Bluetooth stack. Run by `tests/vm/test`."""
+
+import os
+import time
+
+import pytest
+from robots import Inbox, PluginRobot, Robot
+
+if not os.environ.get("RECT_PLUGIN"):
+    pytest.skip("RECT_PLUGIN and RECT_ZENOHD are not given: scripts/test-vm does", allow_module_level=True)
+
+
+PAIRINGS = [(Robot, PluginRobot), (PluginRobot, Robot), (PluginRobot, PluginRobot)]
+
+
+@pytest.mark.parametrize("kinds", PAIRINGS, ids=lambda kinds: "-".join(kind.__name__ for kind in kinds))
+def test_every_pairing_with_the_plugin_exchanges_messages_both_ways(tmp_path, kinds):
+    one, two = (kind(f"wombat-{n + 1}", f"hci{n}", tmp_path / f"{n}.log") for n, kind in enumerate(kinds))
+    try:
+        one.start([])
+        two.start(["ble/wombat-1"])
+        started = time.monotonic()
+        with one.session() as here, two.session() as there:
+            for sender, receiver in ((here, there), (there, here)):
+                inbox = Inbox(receiver, "rect/both/ways", sender)
+                for n in range(50):
+                    sender.put("rect/both/ways", f"message {n}")
+                assert inbox.take(50) == [f"message {n}".encode() for n in range(50)]
+                inbox.close()
+        print(f"both ways after {time.monotonic() - started:.1f} s")
+    finally:
+        one.kill()
+        two.kill()
