@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
-from robots import open_client
+from robots import PluginRobot, Robot, open_client
 from room import Room, wait_for_link
 from routers import Router, status
 from shaper import Shaper
@@ -40,14 +40,15 @@ class Pair:
 
 @contextmanager
 def pair(peer: str, pdu: int, raw_bytes_per_s: float, *settings: str) -> Iterator[Pair]:
-    """One of `PEERS`; `settings` as `--cfg` takes them."""
+    """One of `PEERS`, or `plugin`, lanes with stock zenohds that have ours; `settings` as `--cfg` takes them."""
     arguments = tuple(part for setting in settings for part in ("--cfg", setting))
     with tempfile.TemporaryDirectory() as folder:
         if peer == "stock over TCP":
             with tcp_pair(raw_bytes_per_s, Path(folder), arguments) as made:
                 yield made
         else:
-            with ble_pair(pdu, "#plain=true" if peer == "plain link" else "", Path(folder), arguments) as made:
+            kind = PluginRobot if peer == "plugin" else Robot
+            with ble_pair(pdu, "#plain=true" if peer == "plain link" else "", Path(folder), arguments, kind) as made:
                 yield made
 
 
@@ -56,12 +57,14 @@ def room(pdu: int) -> Room:
 
 
 @contextmanager
-def ble_pair(pdu: int, dial_options: str, folder: Path, arguments: tuple[str, ...]) -> Iterator[Pair]:
+def ble_pair(
+    pdu: int, dial_options: str, folder: Path, arguments: tuple[str, ...], kind: type[Robot] = Robot
+) -> Iterator[Pair]:
     socket = f"unixsock-stream/{folder}/far.sock"
     with room(pdu) as air:
         # The second dials the first, and is given the first's messages.
-        one = air.add_robot("wombat-1", arguments=arguments)
-        two = air.add_robot("wombat-2", dial_options, ("-l", socket, *arguments))
+        one = air.add_robot("wombat-1", arguments=arguments, kind=kind)
+        two = air.add_robot("wombat-2", dial_options, ("-l", socket, *arguments), kind)
         wait_for_link(one, two)
         yield Pair(
             near=one.session,

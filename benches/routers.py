@@ -4,7 +4,7 @@ import os
 import subprocess
 from pathlib import Path
 
-from robots import free_port, is_listening, wait_until
+from robots import free_port, is_listening, open_client, wait_until
 
 PROGRAMS = {"rect-router": "RECT_ROUTER", "stock zenohd": "STOCK_ZENOHD"}
 
@@ -32,6 +32,13 @@ class Router:
 
     def status(self, field: str) -> int:
         return status(self.pid, field)
+
+    def wait_for_registry(self, robot: str) -> None:
+        """Until it answers for that robot of fleet `rect`."""
+        with open_client(self.endpoint) as session:
+            selector = f"rect/{robot}/@rect/connections/count"
+            answers = lambda: any(reply.ok for reply in session.get(selector, timeout=1))  # noqa: E731
+            wait_until(f"the registry of {robot} answers", 20, answers)
 
 
 def status(pid: int, field: str) -> int:

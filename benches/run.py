@@ -16,6 +16,8 @@ BENCHES = {
     "urgent": "urgent messages beside something large on a slow link: lanes, a plain link, stock zenohd over TCP",
     "urgent_vm": "the same two cases of it on a real kernel's Bluetooth stack in the VM, paced",
     "lanes_cost": "throughput and round trip of lanes beside a plain link, unpaced, in the VM",
+    "plugin": "RECT in a stock zenohd beside rect-router: urgent messages, throughput, memory, threads",
+    "registry": "time to an answer with 5 and 500 connections; 20 routers agree on a change",
     "idle": "memory, threads and size beside stock zenohd",
 }
 

@@ -148,6 +148,15 @@ class PluginRobot(Robot):
             command += ["--cfg", f"plugins/rect/{key}:{json.dumps(value)}"]
         return command
 
+    def ble_links(self) -> list[str]:
+        """As its registry shows them: the host's admin space knows nothing of the plugin's links."""
+        with self.session() as session:
+            for reply in session.get(f"rect/{self.name}/@rect/connections?method=ble;state=connected", timeout=5):
+                if reply.ok is not None:
+                    links = json.loads(reply.ok.payload.to_bytes())
+                    return [link["peer"]["robot"] or link["address"] for link in links]
+        return []
+
 
 class Inbox:
     """Collects what arrives on a key; ready only once a message gets through."""

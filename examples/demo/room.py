@@ -35,9 +35,11 @@ class Room:
         else:
             print(f"The routers' logs are in {self._folder}")
 
-    def add_robot(self, name: str, dial_options: str = "", arguments: tuple[str, ...] = ()) -> Robot:
+    def add_robot(
+        self, name: str, dial_options: str = "", arguments: tuple[str, ...] = (), kind: type[Robot] = Robot
+    ) -> Robot:
         """A robot's router; it dials every robot that is there already, with those options of the locator."""
-        robot = Robot(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
+        robot = kind(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
         robot.start([f"ble/{other.name}{dial_options}" for other in self._robots])
         self._robots.append(robot)
         return robot

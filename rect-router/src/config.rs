@@ -11,6 +11,7 @@ use validated_struct::InsertionError;
 use zenoh::{config::WhatAmI, Config};
 use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, PermissionsConf};
 use zenoh_link::ble::locator::{is_ble, ConnectLocator, ListenLocator};
+use zenoh_link_slot::SLOT_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
@@ -65,6 +66,16 @@ pub fn dial(
     set(
         config.connect.endpoints.set(all),
         "connect/endpoints",
+        "as given",
+    )?;
+    // Where the user names the protocols that there may be, the one of run time is among them.
+    let mut protocols = config.transport.link.protocols().clone();
+    if let Some(protocols) = protocols.as_mut() {
+        protocols.push(SLOT_LOCATOR_PREFIX.to_owned());
+    }
+    set(
+        config.transport.link.set_protocols(protocols),
+        "transport/link/protocols",
         "as given",
     )
 }

@@ -331,7 +331,17 @@ fn a_wrong_file_or_question_is_told_and_the_router_runs_on() {
         let error = ask(&here, &question).expect_err("wrong");
         assert!(error.contains(named), "{question}: {error}");
     }
-    one.write(&file(&[ble("b", "wombat-2")]));
+    // A robot's connection with itself is made by nobody.
+    let own = one.port();
+    one.write(&file(&[
+        ble("b", "wombat-2"),
+        tcp("self", own),
+        ble("me", "wombat-1"),
+    ]));
+    let of_itself = answers(&here, &format!("{registry}?name=self"), |all| {
+        all[0]["linked"].as_u64().max(all[0]["failed"].as_u64()) > Some(1)
+    });
+    assert_eq!(of_itself[0]["state"], "connecting", "{of_itself:#}");
     answers(&here, &format!("{registry}?name=b"), |all| {
         all.as_array().map(Vec::len) == Some(1)
     });

@@ -7,7 +7,7 @@ mod support;
 use std::path::PathBuf;
 
 use serde_json::{json, Value};
-use support::{answers, arrives, built_with, cache, client, skip, Air, Router};
+use support::{answers, arrives, built_with, cache, client, free_socket, got, skip, Air, Router};
 
 /// Who carries RECT.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,6 +122,38 @@ fn every_pairing_of_hosts_exchanges_messages_and_tells_of_its_connections() {
             answer.as_array().is_some_and(|all| !all.is_empty())
         });
     }
+}
+
+#[test]
+fn the_stock_rest_plugin_beside_ours_shows_the_registry() {
+    let Some((zenohd, plugin)) = zenohd_and_plugin() else {
+        return;
+    };
+    let folder = plugin.parent().expect("a folder").display().to_string();
+    if !plugin.with_file_name("libzenoh_plugin_rest.so").exists() {
+        return skip("no REST plugin; run scripts/build-plugins");
+    }
+    let (air, socket) = (Air::new(), free_socket());
+    let plugin = format!("rect:{}", plugin.display());
+    let settings = cfg(&json!({ "robot": "wombat-1", "listen": ["ble/sim-1#name=wombat-1"] }));
+    let rest = ["--plugin-search-dir", &folder, "--rest-http-port", &socket];
+    let args = [
+        "-P",
+        &plugin,
+        "-l",
+        "tcp/127.0.0.1:0",
+        "--no-multicast-scouting",
+        "-i",
+        "abc",
+    ];
+    let settings = settings.iter().map(String::as_str);
+    let args: Vec<_> = args.into_iter().chain(rest).chain(settings).collect();
+    let _host = Router::start_program_on(&air, &zenohd, &args);
+    let count = got(&socket, "/rect/wombat-1/@rect/connections/count");
+    assert!(count.contains("\"ble\""), "{count}");
+    // And the host tells of the plugin's router.
+    let status = got(&socket, "/@/abc/router/**");
+    assert!(status.contains("/plugins/rect/router") && status.contains("trouble"), "{status}");
 }
 
 #[test]

@@ -6,14 +6,12 @@
 mod support;
 
 use std::{
-    io::{Read, Write},
-    net::{TcpListener, TcpStream},
     path::PathBuf,
     process::Command,
     time::{Duration, Instant},
 };
 
-use support::{arrives, built_with, cache, client, skip, Air, Router};
+use support::{arrives, built_with, cache, client, free_socket, got, skip, Air, Router};
 use zenoh::{bytes::Encoding, Wait};
 
 /// The router and the plugin as built together.
@@ -205,29 +203,4 @@ fn idle_memory_is_that_of_a_stock_zenohd_and_not_1_mb_more() {
         ours <= stock + 1024,
         "rect-router {ours} kB, stock zenohd {stock} kB"
     );
-}
-
-fn free_socket() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-    listener.local_addr().expect("an address").to_string()
-}
-
-/// The answer to an HTTP GET, tried until there is one with a body of JSON that is not empty.
-fn got(socket: &str, path: &str) -> String {
-    let deadline = Instant::now() + support::DEADLINE;
-    let mut last = String::new();
-    while Instant::now() < deadline {
-        if let Ok(mut stream) = TcpStream::connect(socket) {
-            let request =
-                format!("GET {path} HTTP/1.1\r\nHost: {socket}\r\nConnection: close\r\n\r\n");
-            stream.write_all(request.as_bytes()).expect("sent");
-            last.clear();
-            let _ = stream.read_to_string(&mut last);
-            if last.starts_with("HTTP/1.1 200") && last.contains('{') {
-                return last;
-            }
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    panic!("GET {path} gives nothing: {last}");
 }

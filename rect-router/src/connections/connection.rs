@@ -26,6 +26,8 @@ pub struct Connection {
 
 #[derive(Default)]
 struct State {
+    /// Whether it is wanted no more.
+    is_over: bool,
     /// Its links: one, or one for each reliability.
     links: Vec<Weak<ObservedLink>>,
     /// Since when they are there.
@@ -125,8 +127,9 @@ impl Connection {
         }
     }
 
-    /// Ends its links; its slot holds something else by then.
+    /// Ends its links, and the one that may be about to come; its slot holds something else by then.
     pub fn end(&self) {
+        self.state.lock().is_over = true;
         for link in self.links() {
             link.end();
         }
@@ -193,11 +196,17 @@ impl Dial for Dialled {
                 )
             }
         };
-        let mut state = connection.state.lock();
-        state.links = links;
-        state.since = Some(Instant::now());
-        state.linked += 1;
-        state.failed = 0;
+        let is_over = {
+            let mut state = connection.state.lock();
+            state.links = links;
+            state.since = Some(Instant::now());
+            state.linked += 1;
+            state.failed = 0;
+            state.is_over
+        };
+        if is_over {
+            connection.end();
+        }
         Ok(LinkUnicast(link))
     }
 }

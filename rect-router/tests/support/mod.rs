@@ -2,7 +2,8 @@
 #![allow(dead_code)] // each test file uses its part
 
 use std::{
-    io::{BufRead, BufReader, Read},
+    io::{BufRead, BufReader, Read, Write},
+    net::{TcpListener, TcpStream},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::mpsc::{self, Receiver, RecvTimeoutError},
@@ -320,4 +321,30 @@ pub fn cache() -> PathBuf {
         Some(cache) => cache.into(),
         None => PathBuf::from(std::env::var_os("HOME").expect("a home")).join(".cache/rect"),
     }
+}
+
+/// An address of this machine where nobody listens.
+pub fn free_socket() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    listener.local_addr().expect("an address").to_string()
+}
+
+/// The answer to an HTTP GET, tried until there is one with a body of JSON that is not empty.
+pub fn got(socket: &str, path: &str) -> String {
+    let deadline = Instant::now() + DEADLINE;
+    let mut last = String::new();
+    while Instant::now() < deadline {
+        if let Ok(mut stream) = TcpStream::connect(socket) {
+            let request =
+                format!("GET {path} HTTP/1.1\r\nHost: {socket}\r\nConnection: close\r\n\r\n");
+            stream.write_all(request.as_bytes()).expect("sent");
+            last.clear();
+            let _ = stream.read_to_string(&mut last);
+            if last.starts_with("HTTP/1.1 200") && last.contains('{') {
+                return last;
+            }
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+    panic!("GET {path} gives nothing: {last}");
 }

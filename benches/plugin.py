@@ -1,0 +1,80 @@
+"""What it costs to have RECT in a stock zenohd: the plugin beside rect-router and beside a zenohd without it."""
+
+import json
+import math
+import os
+import statistics
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from routers import Router
+from table import Table
+from traffic import percentile
+from urgent import RATES, Outcome, milliseconds, outcome_of, raw_bytes_per_s
+
+HOSTS = {"rect-router": "lanes", "zenohd with the plugin": "plugin"}
+CASES = {"1mb": "1 MB", "camera": "20 kB x 20 Hz, droppable"}
+ROUNDS = 5
+
+
+def run() -> Table:
+    table = Table(
+        "RECT in a stock zenohd (plugin) beside rect-router",
+        ["what", *HOSTS, "plugin to rect-router", "zenohd without it"],
+    )
+    raw = {rate: raw_bytes_per_s(pdu) for rate, pdu in RATES.items()}
+    for case, title in CASES.items():
+        for rate in RATES:
+            with ThreadPoolExecutor() as pool:
+                peers = list(HOSTS.values())
+                outcomes = list(pool.map(lambda peer, c=case, r=rate: outcome_of(c, r, peer, raw[r]), peers))
+            print(f"  {title} at {rate}", flush=True)
+            what = f"{rate}, {title}"
+            shares = [outcome.load.kb_per_s for outcome in outcomes]
+            table.add(f"{what}: large, kB/s", *(f"{one:.1f}" for one in shares), ratio(shares), "")
+            for place in (0.5, 0.99):
+                ages = [age_s(outcome, place) for outcome in outcomes]
+                cells = map(milliseconds, ages)
+                table.add(f"{what}: urgent, p{place * 100:.0f}", *cells, ratio(ages), "")
+    for what, field, unit in (("memory, idle", "VmRSS", 1000), ("threads, idle", "Threads", 1)):
+        figures = [statistics.median(idle(kind, field) / unit for _ in range(ROUNDS)) for kind in IDLE]
+        cells = [f"{one:.1f} MB" if unit > 1 else f"{one:.0f}" for one in figures]
+        table.add(what, *cells[:2], ratio(figures[:2]), cells[2])
+    table.notes = [
+        "The simulated air as in `urgent.md`; both hosts at the same time, each on an air of its own. Urgent: 16 bytes "
+        "every 50 ms from the session that sends the rest. Wanted: within 2x. Idle: named `wombat-1`, an empty list of "
+        f"connections, no Bluetooth listener; medians of {ROUNDS} starts."
+    ]
+    return table
+
+
+def age_s(outcome: Outcome, place: float) -> float:
+    lost = outcome.sent - len(outcome.ages_s)
+    return percentile(outcome.ages_s + [math.inf] * lost, place)
+
+
+def ratio(pair: list[float]) -> str:
+    return f"{pair[1] / pair[0]:.2f}"
+
+
+IDLE = ("rect-router", "plugin", "stock zenohd")
+
+
+def idle(kind: str, field: str) -> int:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "connections.json"
+        path.write_text('{"connections": []}')
+        settings = {"robot": "wombat-1", "connections": str(path)}
+        arguments = [part for key, value in settings.items() for part in flag(key, value)]
+        program = "rect-router" if kind == "rect-router" else "stock zenohd"
+        if kind == "plugin":
+            arguments = ["-P", f"rect:{os.environ['RECT_PLUGIN']}", *arguments]
+        with Router(program, *(arguments if kind != "stock zenohd" else [])) as router:
+            if kind != "stock zenohd":
+                router.wait_for_registry("wombat-1")
+            return router.status(field)
+
+
+def flag(key: str, value: object) -> list[str]:
+    return ["--cfg", f"plugins/rect/{key}:{json.dumps(value)}"]
