@@ -49,7 +49,7 @@ def asked(count: int, what: str) -> list[float]:
     # Ports from 1 on, where nobody listens.
     wanted = [connection(f"c{n}", n + 1) for n in range(count)]
     with tempfile.TemporaryDirectory() as folder, robot("wombat-1", Path(folder), wanted, count) as router:
-        router.wait_for_registry("wombat-1")
+        router.wait_for_answer("rect/wombat-1/@rect/connections/count")
         with open_client(router.endpoint) as session:
             querier = session.declare_querier(f"rect/wombat-1/@rect/{what}", timeout=5)
             times = []

@@ -33,12 +33,10 @@ class Router:
     def status(self, field: str) -> int:
         return status(self.pid, field)
 
-    def wait_for_registry(self, robot: str) -> None:
-        """Until it answers for that robot of fleet `rect`."""
+    def wait_for_answer(self, selector: str) -> None:
+        """Until a client of it gets one."""
         with open_client(self.endpoint) as session:
-            selector = f"rect/{robot}/@rect/connections/count"
-            answers = lambda: any(reply.ok for reply in session.get(selector, timeout=1))  # noqa: E731
-            wait_until(f"the registry of {robot} answers", 20, answers)
+            wait_until(f"{selector} is answered", 20, lambda: any(r.ok for r in session.get(selector, timeout=1)))
 
 
 def status(pid: int, field: str) -> int:

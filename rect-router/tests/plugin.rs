@@ -153,7 +153,10 @@ fn the_stock_rest_plugin_beside_ours_shows_the_registry() {
     assert!(count.contains("\"ble\""), "{count}");
     // And the host tells of the plugin's router.
     let status = got(&socket, "/@/abc/router/**");
-    assert!(status.contains("/plugins/rect/router") && status.contains("trouble"), "{status}");
+    assert!(
+        status.contains("/plugins/rect/router") && status.contains("trouble"),
+        "{status}"
+    );
 }
 
 #[test]

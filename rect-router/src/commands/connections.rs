@@ -4,6 +4,8 @@ use std::{error::Error, fs, path::Path, time::Duration};
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
+use crate::message;
+
 use super::{
     table::{bytes, seconds, table},
     AskArgs, RouterArgs,
@@ -122,8 +124,10 @@ pub(super) fn session(args: &RouterArgs) -> Result<Session, Failure> {
         let login = serde_json::json!({ "user": user, "password": password });
         config.insert_json5("transport/auth/usrpwd", &login.to_string())?;
     }
-    let opened = zenoh::open(config).wait();
-    opened.map_err(|error| format!("no router answers at {}: {error}", args.router).into())
+    zenoh::open(config).wait().map_err(|error| {
+        let why = message::with_causes(error.as_ref());
+        format!("no router answers at {}: {why}", args.router).into()
+    })
 }
 
 fn first_login(users: &Path) -> Option<(String, String)> {
