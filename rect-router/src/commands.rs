@@ -3,6 +3,7 @@
 mod connections;
 mod doctor;
 mod init;
+mod scan;
 mod table;
 
 use std::{path::PathBuf, process::ExitCode};
@@ -16,6 +17,8 @@ pub enum Command {
     Init(InitArgs),
     /// Show which connections a robot has, or all robots of the fleet
     Connections(AskArgs),
+    /// Listen for robots that advertise by Bluetooth
+    Scan(ScanArgs),
     /// Look for what keeps this computer from talking to others, and say what to do
     Doctor(DoctorArgs),
 }
@@ -70,6 +73,23 @@ pub struct RouterArgs {
     pub users: PathBuf,
 }
 
+/// What `scan` takes.
+#[derive(Debug, Parser)]
+pub struct ScanArgs {
+    /// The Bluetooth adapter
+    #[arg(long, default_value = "hci0")]
+    pub adapter: String,
+    /// How long to listen
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=600))]
+    pub seconds: u64,
+    /// The team's name, to be told from others
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// What `doctor` takes.
 #[derive(Debug, Parser)]
 pub struct DoctorArgs {
@@ -86,6 +106,7 @@ pub fn run(command: &Command) -> ExitCode {
     let done = match command {
         Command::Init(args) => init::run(args).map(|()| ExitCode::SUCCESS),
         Command::Connections(args) => connections::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Scan(args) => scan::run(args).map(|()| ExitCode::SUCCESS),
         Command::Doctor(args) => doctor::run(args),
     };
     done.unwrap_or_else(|error| {

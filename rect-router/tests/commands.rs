@@ -12,6 +12,7 @@ use std::{
 use serde_json::{json, Value};
 use support::{answers, client_with, Air, Router};
 use zenoh::Session;
+use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
 
 fn rect_router(args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rect-router"));
@@ -106,6 +107,19 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "{peers:#}"
     );
 
+    // Who is in the air at all, and of whose team.
+    let mut scan = Command::new(env!("CARGO_BIN_EXE_rect-router"));
+    scan.args(["scan", "--adapter", "sim-scan", "--seconds", "2", "--json"]);
+    let scan = scan.env(SOCKET_VARIABLE, air.socket()).output();
+    let scan = scan.expect("it starts");
+    let heard: Value = serde_json::from_slice(&scan.stdout).unwrap_or_default();
+    let heard = heard.as_array().cloned().unwrap_or_default();
+    assert_eq!(heard.len(), 3, "{}", said(&scan));
+    assert!(
+        heard.iter().all(|robot| robot["fleet"] == "rect"),
+        "{heard:?}"
+    );
+
     // The same in a terminal.
     let table = rect_router(&[
         "connections",
@@ -114,12 +128,12 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "--users",
         &format!("{two}/users"),
     ]);
-    let said = said(&table);
+    let shown = said(&table);
     assert!(
-        table.status.success() && said.contains("wombat-2"),
-        "{said}"
+        table.status.success() && shown.contains("wombat-2"),
+        "{shown}"
     );
-    let row = said
+    let row = shown
         .lines()
         .find(|line| line.contains("first"))
         .expect("a row");

@@ -2,7 +2,7 @@
 
 mod support;
 
-use std::{fs, path::PathBuf};
+use std::{fs, path::PathBuf, thread, time::Duration};
 
 use serde_json::{json, Value};
 use support::{answers, arrives, ask, client, repository, Air, Router};
@@ -132,7 +132,8 @@ fn the_registry_answers_the_six_questions() {
     check_docs(|query| ask(&here, &format!("rect/wombat-1/@rect/{query}")).expect("an answer"));
 
     // The other robots tell of the same links, under their own names.
-    let there = ask(&here, "rect/wombat-2/@rect/connections?method=ble").expect("an answer");
+    let of_two = "rect/wombat-2/@rect/connections?method=ble";
+    let there = answers(&here, of_two, is_known);
     assert_eq!(there[0]["peer"]["robot"], "wombat-1", "{there:#}");
     assert_eq!(there[0]["name"], Value::Null, "{there:#}");
     drop(two);
@@ -434,5 +435,41 @@ fn robots_of_a_fleet_link_by_themselves_and_with_no_other() {
             format!("wombat-{mate}"),
             "{links:#}"
         );
+    }
+}
+
+#[test]
+fn a_router_killed_while_its_connections_are_changed_leaves_the_old_file_or_the_new_one() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let key = "rect/wombat-1/@rect/@config/connections";
+    // Large enough to be killed in the middle of.
+    let text = |name: &str| {
+        let comment = format!("// {}\n", name.repeat(100_000));
+        comment + &file(&[ble(name, name)]).to_string()
+    };
+    let texts = [text("a"), text("b")];
+    for round in 0..10 {
+        let one = Wombat::start(&air, &folder, 1, &file(&[]));
+        let (path, here) = (one.file.clone(), client(&one.endpoint));
+        let new = texts.clone();
+        let changing = thread::spawn(move || {
+            // Until nobody answers any more.
+            for text in new.iter().cycle() {
+                let replies = here.get(key).payload(text.as_str());
+                let replies = replies.timeout(Duration::from_secs(1)).wait();
+                if !replies.is_ok_and(|replies| replies.recv().is_ok()) {
+                    return;
+                }
+            }
+        });
+        while !texts.contains(&fs::read_to_string(&path).expect("the file")) {
+            thread::yield_now();
+        }
+        // At another moment of a change each time.
+        thread::sleep(Duration::from_millis(3 * round));
+        drop(one);
+        changing.join().expect("no panic");
+        let left = fs::read_to_string(&path).expect("the file");
+        assert!(texts.contains(&left), "round {round}: {} bytes", left.len());
     }
 }

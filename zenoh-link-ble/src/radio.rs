@@ -170,6 +170,11 @@ pub trait Radio: Send + Sync {
     /// Scans until the scan is dropped. Several scans of one adapter may run at once.
     async fn scan(&self) -> Result<Box<dyn Scan>, RadioError>;
 
+    /// What that device calls itself, where it is known: the name in its scan response.
+    async fn name_of(&self, _device: DeviceAddress) -> Option<String> {
+        None
+    }
+
     /// Takes channels on `psm`, or on one the system chooses.
     async fn listen(
         &self,

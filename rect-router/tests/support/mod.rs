@@ -215,7 +215,8 @@ impl Air {
         Self { dir, runtime }
     }
 
-    fn socket(&self) -> PathBuf {
+    /// Where it is served.
+    pub fn socket(&self) -> PathBuf {
         self.dir.path().join("air.sock")
     }
 

@@ -1,6 +1,7 @@
 """Two robots on a real kernel's Bluetooth stack. Run by `tests/vm/test`."""
 
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -134,6 +135,17 @@ def test_an_adapter_switched_off_and_on_is_linked_again(robots):
         wait_until("the end is noticed", 30, lambda: not one.ble_links() and not two.ble_links())
         power("hci0", "on")
         print(f"first message {inbox.wait_until_reached(here):.2f} s after the adapter was on")
+
+
+def test_a_scan_lists_who_listens(robots):
+    (one,) = robots(1)
+    one.start([], ble_options=";fleet=lions")
+    command = [os.environ["RECT_ROUTER"], "scan", "--adapter", "hci1", "--seconds", "5", "--fleet", "lions", "--json"]
+    scan = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert scan.returncode == 0, scan.stderr
+    (heard,) = json.loads(scan.stdout)
+    assert heard["address"] == guest("adapter", "address", "hci0")
+    assert (heard["name"], heard["fleet"]) == (one.name, "lions")
 
 
 def test_adapters_that_come_back_under_other_numbers_are_linked_again(robots):

@@ -209,6 +209,15 @@ impl Radio for BluezRadio {
         }
     }
 
+    async fn name_of(&self, device: DeviceAddress) -> Option<String> {
+        let device = self
+            .adapter()
+            .await
+            .ok()?
+            .device(bluer::Address(device.address.0));
+        device.ok()?.name().await.ok()?
+    }
+
     async fn listen(
         &self,
         psm: Option<Psm>,

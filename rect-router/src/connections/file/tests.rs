@@ -1,0 +1,170 @@
+//! `cargo test -p rect-router --lib connections::file`
+use std::io::Write;
+
+use super::*;
+
+const MOST: usize = 3;
+
+fn mistake(text: &str) -> String {
+    parse(text, MOST).expect_err("wrong").to_string()
+}
+
+/// Connections as a file of them, the first in line 2.
+fn file(connections: &[&str]) -> String {
+    format!("{{\"connections\": [\n{}\n]}}", connections.join(",\n"))
+}
+
+const BASE: &str = r#"{"name": "base", "method": "tcp", "address": "10.0.0.1", "port": 7447}"#;
+
+#[test]
+fn comments_and_a_last_comma_are_fine() {
+    let text = r#"// our robots
+    {
+      "$schema": "connections.schema.json",
+      "connections": [
+        /* by radio */
+        { "name": "wombat-2", "method": "ble", "address": "wombat-2", "options": { "mtu": 500 } },
+      ],
+    }"#;
+    let specs = parse(text, MOST).expect("valid");
+    assert_eq!(specs[0].endpoint.to_string(), "ble/wombat-2#mtu=500");
+    assert_eq!(parse(&file(&[]), MOST), Ok(Vec::new()));
+}
+
+#[test]
+fn each_mistake_has_its_place() {
+    for (text, place) in [
+        ("", "1:1: the file holds"),
+        ("[]", "1:1: the file holds"),
+        ("{}", "1:1: the file holds"),
+        ("{\n  \"connections\": {}}", "2:18: connections is a list"),
+        ("{\"connections\": [\n  1]}", "2:3: a connection is"),
+        (
+            "{\"connections\": [], \"more\": 1}",
+            "1:21: `more` is unknown",
+        ),
+        ("{\"connections\": [\n", "1:17: "),
+        ("{\"connections\": [\0]}", "1:18: "),
+    ] {
+        let mistake = mistake(text);
+        assert!(mistake.starts_with(place), "{text}: {mistake}");
+    }
+    for (connection, place) in [
+        (r#"{"name": "a"}"#, "2:1: method is missing"),
+        (r#"{"name": 1}"#, "2:10: name is text"),
+        (r#"{"name": "a", "name": "b"}"#, "2:15: name is there twice"),
+        (
+            r#"{"name": "a", "port": 70000, "method": "tcp", "address": "h"}"#,
+            "2:23: port is",
+        ),
+        (
+            r#"{"name": "a", "port": 1.5, "method": "tcp", "address": "h"}"#,
+            "2:23: port is",
+        ),
+        (
+            r#"{"name": "a b", "method": "ble", "address": "h"}"#,
+            "2:10: a name has",
+        ),
+        (
+            r#"{"name": "a", "method": "tcp", "address": "h"}"#,
+            "2:1: tcp needs a port",
+        ),
+        (r#"{"name": "a", "prot": 1}"#, "2:15: `prot` is unknown"),
+        (
+            r#"{"name": "a", "method": "ble", "address": "b", "options": {"mtu": []}}"#,
+            "2:67: an option is",
+        ),
+    ] {
+        let mistake = mistake(&file(&[connection]));
+        assert!(mistake.starts_with(place), "{connection}: {mistake}");
+    }
+}
+
+#[test]
+fn a_name_or_a_target_twice_names_the_first() {
+    assert!(mistake(&file(&[BASE, BASE])).starts_with("3:1: base is in line 2"));
+    let other = BASE.replace("base", "other");
+    assert!(mistake(&file(&[BASE, &other])).starts_with("3:1: other leads where"));
+}
+
+/// An editor that knows the schema and the router agree.
+#[test]
+fn the_schema_says_the_same() {
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+    let text = |name| std::fs::read_to_string(config.join(name)).expect("a file");
+    let schema = serde_json::from_str(&text("connections.schema.json")).expect("JSON");
+    let schema = jsonschema::validator_for(&schema).expect("a schema");
+    let agree = |text: &str| {
+        let document = jsonc_parser::parse_to_serde_value(text, &json_with_comments());
+        let ours = parse(text, MOST);
+        let theirs = schema.is_valid(&document.expect("JSON"));
+        assert_eq!(ours.is_ok(), theirs, "{text}: {ours:?}");
+        theirs
+    };
+    assert!(agree(&text("connections.json")));
+    let one = |fields: &str| agree(&file(&[&format!("{{{fields}}}")]));
+    assert!(one(
+        r#""name": "a", "method": "ble", "address": "b", "psm": 128, "options": {"mtu": 500}"#
+    ));
+    assert!(one(
+        r#""name": "a", "method": "udp", "address": "::1", "port": 1"#
+    ));
+    assert!(one(
+        r#""name": "a", "method": "unixsock-stream", "address": "/run/a""#
+    ));
+    for wrong in [
+        r#""name": "a", "method": "ble""#,
+        r#""name": "", "method": "ble", "address": "b""#,
+        r#""name": "a b", "method": "ble", "address": "b""#,
+        r#""name": 1, "method": "ble", "address": "b""#,
+        r#""name": "a", "method": "tpc", "address": "b", "port": 1"#,
+        r#""name": "a", "method": "tcp", "address": "b""#,
+        r#""name": "a", "method": "tcp", "address": "b", "port": 0"#,
+        r#""name": "a", "method": "tcp", "address": "b", "port": 65536"#,
+        r#""name": "a", "method": "tcp", "address": "b", "port": "1""#,
+        r#""name": "a", "method": "tcp", "address": "b", "port": 1, "psm": 128"#,
+        r#""name": "a", "method": "ble", "address": "b", "port": 1"#,
+        r#""name": "a", "method": "ble", "address": "b", "psm": 127"#,
+        r#""name": "a", "method": "ble", "address": "b c""#,
+        r#""name": "a", "method": "ble", "address": """#,
+        r#""name": "a", "method": "ble", "address": "b", "more": 1"#,
+        r#""name": "a", "method": "ble", "address": "b", "options": []"#,
+        r#""name": "a", "method": "ble", "address": "b", "options": {"mtu": null}"#,
+    ] {
+        assert!(!one(wrong), "{wrong}");
+    }
+    assert!(!agree("{}") && !agree("[]") && !agree(r#"{"connections": [], "more": 1}"#));
+}
+
+#[test]
+fn both_sides_of_the_limits() {
+    let many: Vec<_> = (0..=MOST)
+        .map(|n| format!(r#"{{"name": "r{n}", "method": "ble", "address": "r{n}"}}"#))
+        .collect();
+    let many: Vec<_> = many.iter().map(String::as_str).collect();
+    assert_eq!(
+        parse(&file(&many[..MOST]), MOST).expect("valid").len(),
+        MOST
+    );
+    assert!(mistake(&file(&many)).starts_with("5:1: one connection too many"));
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("connections.json");
+    let written = |bytes: &[u8]| {
+        File::create(&path)
+            .and_then(|mut file| file.write_all(bytes))
+            .expect("written");
+        read(&path, MOST)
+            .map(|specs| specs.len())
+            .map_err(|error| error.to_string())
+    };
+    assert_eq!(written(file(&[BASE]).as_bytes()), Ok(1));
+    assert!(written(b"{\n\xff").is_err_and(|e| e.ends_with(":2:1: this is no text (UTF-8)")));
+    let blanks = vec![b' '; MAX_BYTES as usize + 1];
+    assert!(written(&blanks).is_err_and(|e| e.contains("larger")));
+    assert!(written(&blanks[1..]).is_err_and(|e| e.contains("the file holds")));
+    let deep = "[".repeat(100_000);
+    assert!(written(deep.as_bytes()).is_err_and(|e| e.contains("depth")));
+    let nowhere = read(&folder.path().join("nowhere"), MOST).expect_err("not there");
+    assert!(nowhere.to_string().contains("nowhere"));
+}
