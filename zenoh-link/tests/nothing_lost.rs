@@ -177,7 +177,7 @@ fn every_public_item_is_there() {
 }
 
 #[test]
-fn links_come_in_the_order_of_the_published_crate_with_ble_last() {
+fn links_come_in_the_order_of_the_published_crate_with_ours_last() {
     use LinkKind::*;
     assert_eq!(
         ALL_SUPPORTED_LINKS,
@@ -192,7 +192,8 @@ fn links_come_in_the_order_of_the_published_crate_with_ble_last() {
             Serial,
             Unixpipe,
             Vscock,
-            Ble
+            Ble,
+            Slot
         ]
     );
 }
