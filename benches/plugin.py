@@ -1,6 +1,5 @@
 """What it costs to have RECT in a stock zenohd: the plugin beside rect-router and beside a zenohd without it."""
 
-import json
 import math
 import os
 import statistics
@@ -8,6 +7,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from robots import rect_settings
 from routers import Router
 from table import Table
 from traffic import percentile
@@ -66,14 +66,10 @@ def idle(kind: str, field: str) -> int:
         path = Path(folder) / "connections.json"
         path.write_text('{"connections": []}')
         settings = {"robot": "wombat-1", "connections": str(path)}
-        arguments = [part for key, value in settings.items() for part in flag(key, value)]
+        arguments = rect_settings(settings)
         program = "rect-router" if kind == "rect-router" else "stock zenohd"
         if kind == "plugin":
             arguments = ["-P", f"rect:{os.environ['RECT_PLUGIN']}", *arguments]
         with Router(program, *(arguments if kind != "stock zenohd" else [])) as router:
             router.wait_for_answer("@/*/router" if kind == "stock zenohd" else "rect/wombat-1/@rect/connections")
             return router.status(field)
-
-
-def flag(key: str, value: object) -> list[str]:
-    return ["--cfg", f"plugins/rect/{key}:{json.dumps(value)}"]

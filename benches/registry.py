@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import zenoh
-from robots import open_client, wait_until
+from robots import open_client, rect_settings, wait_until
 from routers import Router
 from table import Table
 from traffic import percentile
@@ -96,10 +96,9 @@ def robot(name: str, folder: Path, wanted: list[dict], most: int = 32) -> Router
     path = folder / f"{name}.json"
     write(path, wanted)
     settings = {"robot": name, "connections": str(path), "max_connections": max(most, 1)}
-    flags = [part for key, value in settings.items() for part in ("--cfg", f"plugins/rect/{key}:{json.dumps(value)}")]
     # As in config/robot.json5: try again soon.
     retry = "connect/retry:{period_init_ms:200,period_max_ms:1000,period_increase_factor:2}"
-    return Router("rect-router", *flags, "--cfg", retry, "--cfg", "connect/exit_on_failure:false")
+    return Router("rect-router", *rect_settings(settings), "--cfg", retry, "--cfg", "connect/exit_on_failure:false")
 
 
 def connection(name: str, port: int) -> dict:

@@ -144,9 +144,7 @@ class PluginRobot(Robot):
         command = [os.environ["RECT_ZENOHD"], "-P", f"rect:{os.environ['RECT_PLUGIN']}", "--no-multicast-scouting"]
         command += ["-l", f"tcp/127.0.0.1:{self.port}", *self._arguments]
         settings = {"robot": self.name, "listen": [ble_listener], "connections": str(connections)}
-        for key, value in settings.items():
-            command += ["--cfg", f"plugins/rect/{key}:{json.dumps(value)}"]
-        return command
+        return command + rect_settings(settings)
 
     def ble_links(self) -> list[str]:
         """As its registry shows them: the host's admin space knows nothing of the plugin's links."""
@@ -156,6 +154,11 @@ class PluginRobot(Robot):
                     links = json.loads(reply.ok.payload.to_bytes())
                     return [link["peer"]["robot"] or link["address"] for link in links]
         return []
+
+
+def rect_settings(settings: dict[str, object]) -> list[str]:
+    """RECT's own, as a router's flags; one by one, as `-P` puts something there too."""
+    return [part for key, value in settings.items() for part in ("--cfg", f"plugins/rect/{key}:{json.dumps(value)}")]
 
 
 class Inbox:

@@ -10,6 +10,9 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 
+/// Why a command came to nothing, in words.
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
 /// The commands; without one, it is a router.
 #[derive(Debug, Subcommand)]
 pub enum Command {

@@ -54,19 +54,16 @@ pub fn dial(
     endpoints: impl IntoIterator<Item = impl AsRef<str>>,
 ) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
-    let mut all = config
-        .connect
-        .endpoints
-        .get(mode)
-        .cloned()
-        .unwrap_or_default();
-    for one in endpoints {
-        all.push(endpoint("connect", one.as_ref())?);
-    }
-    set(
-        config.connect.endpoints.set(all),
+    change(
+        &mut config.connect.endpoints,
+        mode,
         "connect/endpoints",
-        "as given",
+        |all| {
+            for one in endpoints {
+                all.push(endpoint("connect", one.as_ref())?);
+            }
+            Ok(())
+        },
     )?;
     // Where the user names the protocols that there may be, the one of run time is among them.
     let mut protocols = config.transport.link.protocols().clone();
@@ -86,46 +83,44 @@ pub fn listen(
     endpoints: impl IntoIterator<Item = impl AsRef<str>>,
 ) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
-    let mut all = config
-        .listen
-        .endpoints
-        .get(mode)
-        .cloned()
-        .unwrap_or_default();
-    for one in endpoints {
-        all.push(endpoint("listen", one.as_ref())?);
-    }
-    set(
-        config.listen.endpoints.set(all),
-        "listen/endpoints",
-        "as given",
-    )
+    change(&mut config.listen.endpoints, mode, LISTEN, |all| {
+        for one in endpoints {
+            all.push(endpoint("listen", one.as_ref())?);
+        }
+        Ok(())
+    })
 }
 
 /// Makes the Bluetooth listeners tell of the fleet, unless they say another.
 pub fn announce(config: &mut Config, fleet: &str) -> Result<(), ConfigError> {
     const KEY: &str = "fleet";
     let mode = config.mode().unwrap_or(WhatAmI::Router);
-    let mut all = config
-        .listen
-        .endpoints
-        .get(mode)
-        .cloned()
-        .unwrap_or_default();
-    for endpoint in all.iter_mut().filter(|endpoint| is_ble(endpoint)) {
-        if endpoint.config().get(KEY).is_none() {
-            let refused = |_| ConfigError::Refused {
-                key: "listen/endpoints",
-                value: fleet.to_owned(),
-            };
-            endpoint.config_mut().insert(KEY, fleet).map_err(refused)?;
+    change(&mut config.listen.endpoints, mode, LISTEN, |all| {
+        for endpoint in all.iter_mut().filter(|endpoint| is_ble(endpoint)) {
+            if endpoint.config().get(KEY).is_none() {
+                let refused = |_| ConfigError::Refused {
+                    key: LISTEN,
+                    value: fleet.to_owned(),
+                };
+                endpoint.config_mut().insert(KEY, fleet).map_err(refused)?;
+            }
         }
-    }
-    set(
-        config.listen.endpoints.set(all),
-        "listen/endpoints",
-        "as given",
-    )
+        Ok(())
+    })
+}
+
+const LISTEN: &str = "listen/endpoints";
+
+/// Changes a list of that mode's endpoints.
+fn change<T: Clone>(
+    endpoints: &mut ModeDependentValue<Vec<T>>,
+    mode: WhatAmI,
+    key: &'static str,
+    change: impl FnOnce(&mut Vec<T>) -> Result<(), ConfigError>,
+) -> Result<(), ConfigError> {
+    let mut all = endpoints.get(mode).cloned().unwrap_or_default();
+    change(&mut all)?;
+    set(endpoints.set(all), key, "as given")
 }
 
 /// Checks the login file, if there is one, and shows the password of `user` wherever this router dials.

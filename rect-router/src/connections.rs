@@ -17,17 +17,17 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use zenoh_link_slot::Slots;
 
+pub use self::{
+    connection::{link, Ends, Snapshot, Trouble},
+    file::FileError,
+    observed::Traffic,
+    watcher::Watching,
+};
 use self::{
     connection::{Connection, Dialled},
     file::Mistake,
     spec::Spec,
     store::{revision, Store},
-};
-pub use self::{
-    connection::{Ends, Snapshot, Trouble},
-    file::FileError,
-    observed::Traffic,
-    watcher::Watching,
 };
 
 /// The named connections of one Zenoh runtime.

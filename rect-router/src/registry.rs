@@ -41,27 +41,27 @@ pub struct Registry {
 
 /// What the answers are made of.
 struct Sources {
-    /// All that have links, the one that answers first.
-    sessions: Vec<Session>,
+    /// Answers.
+    session: Session,
+    /// Of a host that has links too.
+    host: Option<Session>,
     connections: Option<Arc<Connections>>,
     presence: Arc<Presence>,
     uptime: Arc<Uptime>,
 }
 
 impl Registry {
-    /// Declares what the settings' robot has to say, about the links of all `sessions`, on the first of them.
+    /// Declares what the settings' robot has to say, about the links of `session`, which answers, and of its `host`.
     pub fn serve(
-        sessions: Vec<Session>,
+        session: &Session,
+        host: Option<Session>,
         own: &str,
         settings: &Settings,
         connections: Option<Arc<Connections>>,
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
-        let Some(session) = sessions.first() else {
-            return Err("there is no session to answer on".into());
-        };
         let presence = Presence::start(session, &settings.fleet, &settings.robot)?;
-        let uptime = Uptime::start(&sessions, &changed)?;
+        let uptime = Uptime::start([session].into_iter().chain(&host), &changed)?;
         if let Some(connections) = &connections {
             let on_change = changed.clone();
             connections.on_change(move || {
@@ -70,7 +70,8 @@ impl Registry {
             });
         }
         let sources = Arc::new(Sources {
-            sessions,
+            session: session.clone(),
+            host,
             connections,
             presence: Arc::clone(&presence),
             uptime,
@@ -123,21 +124,16 @@ impl Sources {
                 tracing::debug!("who asked the registry got no answer: {error}");
             }
         };
-        match self.sessions.first() {
-            Some(session) => session
-                .declare_queryable(key)
-                .callback(on_query)
-                .background()
-                .wait(),
-            None => Ok(()),
-        }
+        let queryable = self.session.declare_queryable(key).callback(on_query);
+        queryable.background().wait()
     }
 
     /// All that are wanted, by name, and all others that are there.
     fn connections(&self) -> Vec<Connection> {
-        let own: Vec<_> = self.sessions.iter().map(Session::zid).collect();
+        let sessions = || [&self.session].into_iter().chain(&self.host);
+        let own: Vec<_> = sessions().map(Session::zid).collect();
         let mut links: Vec<Link> = Vec::new();
-        for session in &self.sessions {
+        for session in sessions() {
             let of_others = |link: &Link| !own.contains(link.zid());
             links.extend(session.info().links().wait().filter(of_others));
         }
@@ -253,10 +249,7 @@ fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
         let Ok(json) = serde_json::to_vec(&sources.connections()) else {
             continue;
         };
-        let Some(session) = sources.sessions.first() else {
-            return;
-        };
-        let put = session.put(key, json);
+        let put = sources.session.put(key, json);
         if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
             tracing::debug!("the change of connections was not published: {error}");
         }

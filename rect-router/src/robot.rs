@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use async_trait::async_trait;
 use zenoh::{Config, Session};
-use zenoh_link::{EndPoint, LinkManagerBuilderUnicast, LinkUnicast, NewLinkChannelSender};
+use zenoh_link::{EndPoint, LinkUnicast, NewLinkChannelSender};
 use zenoh_link_slot::{Dial, Slots};
 use zenoh_result::ZResult;
 
 use crate::{
     config::{self, AutoConnect, Settings},
     config_service,
-    connections::{Connections, Watching},
+    connections::{link, Connections, Watching},
     message,
     registry::Registry,
 };
@@ -38,8 +38,7 @@ struct Anyone(EndPoint);
 #[async_trait]
 impl Dial for Anyone {
     async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
-        let manager = LinkManagerBuilderUnicast::make(links.clone(), &self.0)?;
-        manager.new_link(self.0.clone()).await
+        link(links, &self.0).await
     }
 }
 
@@ -72,14 +71,15 @@ impl Robot {
     }
 
     /// Dials the connections of the file and answers questions. A file that can't be taken is no reason not to: whoever
-    /// mends it may need this router for it. `sessions`: of this process, with links to tell of; the first answers.
-    pub fn start(self, sessions: Vec<Session>) -> zenoh::Result<Running> {
+    /// mends it may need this router for it. `session` answers; `host`: another one of this process with
+    /// links to tell of.
+    pub fn start(self, session: &Session, host: Option<Session>) -> zenoh::Result<Running> {
         let mut watching = None;
-        if let (Some(connections), Some(session)) = (&self.connections, sessions.first()) {
+        if let Some(connections) = &self.connections {
             watching = begin(connections);
             config_service::serve(session, &self.own, Arc::clone(connections))?;
         }
-        let registry = Registry::serve(sessions, &self.own, &self.settings, self.connections)?;
+        let registry = Registry::serve(session, host, &self.own, &self.settings, self.connections)?;
         Ok(Running {
             _watching: watching,
             _registry: registry,

@@ -35,7 +35,7 @@ pub fn run(config: Config, robot: Option<Robot>) -> Result<(), RouterError> {
     };
     status::serve(&session).map_err(RouterError::Open)?;
     let _running = robot
-        .map(|robot| robot.start(vec![session.clone()]))
+        .map(|robot| robot.start(&session, None))
         .transpose()
         .map_err(RouterError::Open)?;
     tracing::info!("rect-router is up, with id {}", session.zid());

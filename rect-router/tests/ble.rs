@@ -2,11 +2,8 @@
 
 mod support;
 
-use std::time::{Duration, Instant};
-
 use serde_json::Value;
-use support::{arrives, client, repository, Air, Router};
-use zenoh::{Session, Wait};
+use support::{arrives, ask, client, repository, Air, Router};
 
 fn wombat(air: &Air, number: u32, more: &[&str]) -> (Router, String) {
     let config = repository()
@@ -34,9 +31,9 @@ fn two_wombats_exchange_messages_over_ble_and_the_admin_space_shows_the_link() {
     assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
     assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
 
-    let about = admin(&here, "@/a1/router");
+    let about = ask(&here, "@/a1/router").expect("an answer").to_string();
     assert!(about.contains("ble/"), "no ble link in {about}");
-    let status: Value = serde_json::from_str(&admin(&here, "@/a1/router/ble")).expect("JSON");
+    let status: Value = ask(&here, "@/a1/router/ble").expect("an answer");
     let link = &status[0]["links"][0];
     assert_eq!(link["peer"], "wombat-2", "{status:#}");
     assert!(link["sent"]["bytes"].as_u64() > Some(100), "{status:#}");
@@ -58,7 +55,7 @@ fn a_wombat_that_comes_back_is_linked_again() {
     drop(one);
     let (_one, here) = wombat(&air, 1, &[]);
     assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
-    let status: Value = serde_json::from_str(&admin(&there, "@/a2/router/ble")).expect("JSON");
+    let status: Value = ask(&there, "@/a2/router/ble").expect("an answer");
     let peer = &status[0]["peers"][0];
     assert_eq!(
         (&peer["peer"], &peer["links"]),
@@ -90,19 +87,4 @@ fn a_router_stops_with_status_0_while_linked_over_ble() {
     two.up().signal(nix::sys::signal::Signal::SIGTERM);
     assert_eq!(two.exit().code(), Some(0));
     drop(one);
-}
-
-fn admin(session: &Session, key: &str) -> String {
-    let deadline = Instant::now() + support::DEADLINE;
-    loop {
-        assert!(Instant::now() < deadline, "{key} does not answer");
-        let replies = session
-            .get(key)
-            .timeout(Duration::from_secs(5))
-            .wait()
-            .expect("a query");
-        if let Some(Ok(sample)) = replies.into_iter().map(|reply| reply.into_result()).next() {
-            return String::from_utf8_lossy(&sample.payload().to_bytes()).into_owned();
-        }
-    }
 }

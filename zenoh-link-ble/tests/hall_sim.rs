@@ -30,6 +30,7 @@ use shared::peer::{says, within, Peer};
 
 const FLEETS: usize = 15;
 const ROBOTS_OF_A_FLEET: usize = 3;
+const PAIRS: usize = FLEETS * ROBOTS_OF_A_FLEET * (ROBOTS_OF_A_FLEET - 1) / 2;
 /// The hall and how far a robot is heard in it, in metres: each hears about half of the others.
 const HALL_M: (u32, u32) = (60, 30);
 const RANGE_M: u32 = 25;
@@ -113,6 +114,16 @@ impl Hall {
             ended: AtomicU64::new(0),
             batches: AtomicU64::new(0),
         })
+    }
+
+    /// All robots, each at some time within that.
+    fn switch_on(self: &Arc<Self>, finding: Finding, dice: &mut Pcg32, within_ms: u32) {
+        for fleet in 0..FLEETS {
+            for robot in 0..ROBOTS_OF_A_FLEET {
+                let on_after = Duration::from_millis(u64::from(dice.next_u32() % within_ms));
+                tokio::spawn(Arc::clone(self).live(finding, fleet, robot, on_after));
+            }
+        }
     }
 
     /// A robot, from when it is switched on: it listens, dials each of its fleet as Zenoh does, and holds its links.
@@ -213,16 +224,10 @@ fn advertising_share() -> f64 {
 
 #[tokio::test(start_paused = true)]
 async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an_hour() {
-    const PAIRS: usize = FLEETS * ROBOTS_OF_A_FLEET * (ROBOTS_OF_A_FLEET - 1) / 2;
     let mut dice = Pcg32::seed_from_u64(45);
     let hall = Hall::new(&mut dice);
     let start = Instant::now();
-    for fleet in 0..FLEETS {
-        for robot in 0..ROBOTS_OF_A_FLEET {
-            let on_after = Duration::from_millis(u64::from(dice.next_u32() % ARRIVAL_MS));
-            tokio::spawn(Arc::clone(&hall).live(Finding::ByName, fleet, robot, on_after));
-        }
-    }
+    hall.switch_on(Finding::ByName, &mut dice, ARRIVAL_MS);
     while hall.links.lock().len() < PAIRS {
         assert!(start.elapsed() < Duration::from_secs(60), "not all found");
         sleep(Duration::from_millis(10)).await;
@@ -290,16 +295,10 @@ async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an
 
 #[tokio::test(start_paused = true)]
 async fn in_a_hall_of_15_fleets_each_robot_finds_its_own_and_never_a_stranger() {
-    const PAIRS: usize = FLEETS * ROBOTS_OF_A_FLEET * (ROBOTS_OF_A_FLEET - 1) / 2;
     let mut dice = Pcg32::seed_from_u64(45);
     let hall = Hall::new(&mut dice);
     let start = Instant::now();
-    for fleet in 0..FLEETS {
-        for robot in 0..ROBOTS_OF_A_FLEET {
-            let at_once = Duration::from_millis(u64::from(dice.next_u32() % 500));
-            tokio::spawn(Arc::clone(&hall).live(Finding::Anyone, fleet, robot, at_once));
-        }
-    }
+    hall.switch_on(Finding::Anyone, &mut dice, 500);
     // A robot has found its fleet when it is linked with one of it: Zenoh routes to the others.
     let mut lonely: Vec<String> = (0..FLEETS)
         .flat_map(|fleet| (0..ROBOTS_OF_A_FLEET).map(move |robot| name(fleet, robot)))

@@ -54,7 +54,7 @@ impl Second {
         let session = zenoh::open(config).wait()?;
         status::serve(&session)?;
         let of_host = zenoh::session::init(host.clone()).wait()?;
-        let robot = robot.start(vec![session.clone(), of_host])?;
+        let robot = robot.start(&session, Some(of_host))?;
         Ok(Some(Self {
             session,
             _robot: robot,

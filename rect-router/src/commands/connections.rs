@@ -1,5 +1,5 @@
 //! Owns `rect-router connections`: the registry's answer as a table or as JSON.
-use std::{error::Error, fs, path::Path, time::Duration};
+use std::{fs, path::Path, time::Duration};
 
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
@@ -8,13 +8,11 @@ use crate::message;
 
 use super::{
     table::{bytes, seconds, table},
-    AskArgs, RouterArgs,
+    AskArgs, Failure, RouterArgs,
 };
 
 /// How long to wait for answers: over a slow link, with several robots.
 const PATIENCE: Duration = Duration::from_secs(5);
-
-type Failure = Box<dyn Error + Send + Sync>;
 
 pub fn run(args: &AskArgs) -> Result<(), Failure> {
     let session = session(&args.router)?;

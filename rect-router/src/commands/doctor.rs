@@ -6,7 +6,7 @@ use std::{path::Path, process::ExitCode};
 
 use serde::Serialize;
 
-use super::DoctorArgs;
+use super::{DoctorArgs, Failure};
 
 /// What one look found.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -60,7 +60,7 @@ impl Finding {
 }
 
 /// Tells all findings; the exit status is 1 where something does not work.
-pub fn run(args: &DoctorArgs) -> Result<ExitCode, Box<dyn std::error::Error + Send + Sync>> {
+pub fn run(args: &DoctorArgs) -> Result<ExitCode, Failure> {
     let mut findings = system::findings(Path::new("/"));
     findings.extend(network::findings(&args.router));
     if args.json {

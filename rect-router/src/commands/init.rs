@@ -3,10 +3,10 @@ use std::{
     fs::{self, OpenOptions},
     io::{self, Write},
     os::unix::fs::{OpenOptionsExt, PermissionsExt},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
-use super::InitArgs;
+use super::{Failure, InitArgs};
 use crate::config::is_name;
 
 const ROBOT: &str = include_str!("../../../config/robot.json5");
@@ -19,8 +19,6 @@ const NO_CONNECTIONS: &str =
 const SECRET_BYTES: usize = 18;
 /// For the router and the members of its group.
 const PRIVATE: u32 = 0o640;
-
-type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 pub fn run(args: &InitArgs) -> Result<(), Failure> {
     for (what, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
@@ -37,20 +35,20 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     fs::create_dir_all(&args.folder)
         .map_err(|error| format!("{} can't be made: {error}", args.folder.display()))?;
     let files = [
-        ("users", users, PRIVATE),
-        ("robot.json5", robot(args), PRIVATE),
-        ("connections.json", NO_CONNECTIONS.to_owned(), PRIVATE),
+        ("users", users),
+        ("robot.json5", robot(args)),
+        ("connections.json", NO_CONNECTIONS.to_owned()),
     ];
     // None is touched if one is there already.
-    for (name, ..) in &files {
+    for (name, _) in &files {
         let path = args.folder.join(name);
         if path.exists() {
             return Err(format!("{} is there already; nothing was changed", path.display()).into());
         }
     }
-    for (name, text, mode) in files {
+    for (name, text) in files {
         let path = args.folder.join(name);
-        write(&path, &text, mode).map_err(|error| format!("{}: {error}", path.display()))?;
+        write(&path, &text).map_err(|error| format!("{}: {error}", path.display()))?;
         println!("wrote {}", path.display());
     }
     println!(
@@ -93,12 +91,15 @@ fn secret() -> Result<String, Failure> {
     Ok(base64::engine::general_purpose::STANDARD_NO_PAD.encode(bytes))
 }
 
-fn write(path: &Path, text: &str, mode: u32) -> io::Result<PathBuf> {
+fn write(path: &Path, text: &str) -> io::Result<()> {
     let mut options = OpenOptions::new();
-    let mut file = options.write(true).create_new(true).mode(mode).open(path)?;
+    let mut file = options
+        .write(true)
+        .create_new(true)
+        .mode(PRIVATE)
+        .open(path)?;
     file.write_all(text.as_bytes())?;
     // Whatever the umask is.
-    file.set_permissions(fs::Permissions::from_mode(mode))?;
-    file.sync_all()?;
-    Ok(path.to_owned())
+    file.set_permissions(fs::Permissions::from_mode(PRIVATE))?;
+    file.sync_all()
 }

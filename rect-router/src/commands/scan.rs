@@ -1,5 +1,5 @@
 //! Owns `rect-router scan`: which robots are heard by Bluetooth.
-use std::{collections::BTreeMap, error::Error, time::Duration};
+use std::{collections::BTreeMap, time::Duration};
 
 use serde_json::{json, Value};
 use tokio::time::{timeout_at, Instant};
@@ -9,9 +9,7 @@ use zenoh_link::ble::{
     radio::{bluez, sim, Radio, RadioError, Sighting},
 };
 
-use super::{table::table, ScanArgs};
-
-type Failure = Box<dyn Error + Send + Sync>;
+use super::{table::table, Failure, ScanArgs};
 
 pub fn run(args: &ScanArgs) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()

@@ -7,7 +7,7 @@ use std::{
 use async_trait::async_trait;
 use parking_lot::Mutex;
 use zenoh_link::{
-    LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
+    EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,
 };
 use zenoh_link_slot::Dial;
@@ -160,6 +160,12 @@ impl Connection {
     }
 }
 
+/// One attempt to reach `endpoint`, with the link manager of its protocol; `links` is the channel of the Zenoh runtime.
+pub async fn link(links: &NewLinkChannelSender, endpoint: &EndPoint) -> ZResult<LinkUnicast> {
+    let manager = LinkManagerBuilderUnicast::make(links.clone(), endpoint)?;
+    manager.new_link(endpoint.clone()).await
+}
+
 /// Dialled through the slot it is in.
 pub struct Dialled(pub Arc<Connection>);
 
@@ -168,15 +174,11 @@ impl Dial for Dialled {
     async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
         let Self(connection) = self;
         let attempt = Attempt(Some(connection));
-        let endpoint = connection.spec.endpoint.clone();
-        let made = match LinkManagerBuilderUnicast::make(links.clone(), &endpoint) {
-            Ok(manager) => manager.new_link(endpoint).await,
-            Err(error) => Err(error),
-        };
+        let made = link(links, &connection.spec.endpoint).await;
         attempt.ends();
         let made = made.inspect_err(|error| connection.on_failed(&error.to_string()))?;
         let observed = |link| ObservedLink::new(link, Arc::clone(connection));
-        let (link, links) = match made.0 {
+        let (made, links) = match made.0 {
             NewLink::Single(link) => {
                 let link = observed(link);
                 (NewLink::Single(link.clone()), vec![Arc::downgrade(&link)])
@@ -207,7 +209,7 @@ impl Dial for Dialled {
         if is_over {
             connection.end();
         }
-        Ok(LinkUnicast(link))
+        Ok(LinkUnicast(made))
     }
 }
 

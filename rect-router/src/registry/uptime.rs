@@ -16,7 +16,10 @@ pub struct Uptime(Mutex<HashMap<Ends, Instant>>);
 
 impl Uptime {
     /// `changed` is told whenever a link comes or goes.
-    pub fn start(sessions: &[Session], changed: &Sender<()>) -> zenoh::Result<Arc<Self>> {
+    pub fn start<'s>(
+        sessions: impl IntoIterator<Item = &'s Session>,
+        changed: &Sender<()>,
+    ) -> zenoh::Result<Arc<Self>> {
         let uptime = Arc::<Self>::default();
         for session in sessions {
             uptime.follow(session, changed.clone())?;

@@ -5,10 +5,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import zenoh
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples" / "demo"))
 
-from robots import Robot, wait_until
+from robots import Inbox, Robot, wait_until
 
 
 def guest(*command: str) -> str:
@@ -33,6 +34,16 @@ def power(adapter: str, state: str) -> None:
         return subprocess.run(["adapter", "power", adapter, state], capture_output=True, timeout=60).returncode == 0
 
     wait_until(f"{adapter} is {state}", 90, switched)
+
+
+def exchange(here: zenoh.Session, there: zenoh.Session) -> None:
+    """Fifty messages each way, all of them in order."""
+    for sender, receiver in ((here, there), (there, here)):
+        inbox = Inbox(receiver, "rect/both/ways", sender)
+        for n in range(50):
+            sender.put("rect/both/ways", f"message {n}")
+        assert inbox.take(50) == [f"message {n}".encode() for n in range(50)]
+        inbox.close()
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,8 @@ import os
 import time
 
 import pytest
-from robots import Inbox, PluginRobot, Robot
+from conftest import exchange
+from robots import PluginRobot, Robot
 
 if not os.environ.get("RECT_PLUGIN"):
     pytest.skip("RECT_PLUGIN and RECT_ZENOHD are not given: scripts/test-vm does", allow_module_level=True)
@@ -21,12 +22,7 @@ def test_every_pairing_with_the_plugin_exchanges_messages_both_ways(tmp_path, ki
         two.start(["ble/wombat-1"])
         started = time.monotonic()
         with one.session() as here, two.session() as there:
-            for sender, receiver in ((here, there), (there, here)):
-                inbox = Inbox(receiver, "rect/both/ways", sender)
-                for n in range(50):
-                    sender.put("rect/both/ways", f"message {n}")
-                assert inbox.take(50) == [f"message {n}".encode() for n in range(50)]
-                inbox.close()
+            exchange(here, there)
         print(f"both ways after {time.monotonic() - started:.1f} s")
     finally:
         one.kill()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from conftest import guest, power, start_bluetoothd
+from conftest import exchange, guest, power, start_bluetoothd
 from robots import Inbox, Robot, RobotError, wait_until
 
 MEGABYTE = os.urandom(1_000_000)
@@ -33,12 +33,7 @@ def pair(robots) -> tuple[Robot, Robot]:
 def test_a_robot_is_found_by_name_and_messages_go_both_ways(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
-        for sender, receiver in ((here, there), (there, here)):
-            inbox = Inbox(receiver, "rect/both/ways", sender)
-            for n in range(50):
-                sender.put("rect/both/ways", f"message {n}")
-            assert inbox.take(50) == [f"message {n}".encode() for n in range(50)]
-            inbox.close()
+        exchange(here, there)
         service = there.declare_queryable("rect/question", lambda query: query.reply("rect/question", b"answer"))
         answers: list[bytes] = []
         deadline = time.monotonic() + 20

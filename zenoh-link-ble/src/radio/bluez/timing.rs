@@ -41,7 +41,7 @@ const FIGURES: [Figure; 3] = [
     },
 ];
 
-/// Whether the user was told.
+/// Whether the user was told, or needs not be.
 #[derive(Default)]
 pub(super) struct Timing(AtomicBool);
 
@@ -52,10 +52,10 @@ impl Timing {
         let Err(error) = set(&Path::new(DEBUGFS).join(adapter)) else {
             return;
         };
-        if is_configured(&fs::read_to_string(MAIN_CONF).unwrap_or_default()) {
+        if self.0.swap(true, Ordering::Relaxed) {
             return;
         }
-        if !self.0.swap(true, Ordering::Relaxed) {
+        if !is_configured(&fs::read_to_string(MAIN_CONF).unwrap_or_default()) {
             tracing::info!(
                 "ble: {adapter}: connection interval and supervision timeout are left as they are ({error}). With \
                  RECT's config/bluetooth.conf as {MAIN_CONF} links answer faster and hold better"
