@@ -16,6 +16,7 @@ use crate::{
     node::Node,
     opening::{agreed_mtu, own_window, say_hello},
     radio::{Channel, ChannelOptions, RadioError, Sighting},
+    secret::Secret,
 };
 
 /// The largest SDU taken, in bytes. On kernels before 6.10 it sets how many credits the peer gets (facts: one SDU in
@@ -81,6 +82,9 @@ async fn dial_once(
     if !answered {
         adapter.radio.disconnect(seen.device).await;
     }
+    if let Err(BleError::NoSharedSecret { peer }) = opened {
+        node.on_no_proof(peer);
+    }
     let (channel, peer) = opened?;
     let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref())?;
     let replaced = CancellationToken::new();
@@ -119,8 +123,17 @@ async fn open(
     seen: &Seen,
 ) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
     let limit = connect_timeout(node.id, dial);
+    let secret = match &locator.secret {
+        Some(file) => Some(Secret::read(file)?),
+        None => node.secret(),
+    };
+    // Whoever can't prove anything is dialled only if the locator says so itself.
+    let is_plain = locator.plain.unwrap_or(seen.plain);
+    if is_plain && locator.plain.is_none() && secret.is_some() {
+        return Err(BleError::NoSharedSecret { peer: seen.device });
+    }
     let channel = connect(adapter, locator, seen, limit).await?;
-    if locator.plain.unwrap_or(seen.plain) {
+    if is_plain {
         return Ok((channel, None));
     }
     let own = Hello {
@@ -129,8 +142,9 @@ async fn open(
         mtu: locator.mtu,
         window: own_window(&channel),
         name: node.name(),
+        nonce: None,
     };
-    let peer = say_hello(&channel, own).await?;
+    let peer = say_hello(&channel, own, secret.as_ref()).await?;
     Ok((channel, Some(peer)))
 }
 
@@ -174,11 +188,14 @@ fn already_linked(locator: &ConnectLocator) -> BleError {
     }
 }
 
-/// Anyone of a fleet is somebody else, without a link yet.
+/// Anyone of a fleet is somebody else, without a link yet, and no known stranger.
 fn is_wanted(node: &Node, locator: &ConnectLocator, seen: &Seen) -> bool {
     let own = Advertisement::hash_of_name(&node.name());
     match locator.target {
-        Target::Fleet(_) => seen.name_hash != Some(own) && !node.links().knows(seen.device),
+        Target::Fleet(_) => {
+            let is_linked = node.links().knows(seen.device);
+            seen.name_hash != Some(own) && !is_linked && !node.is_stranger(seen.device)
+        }
         Target::Address(_) | Target::Name(_) => true,
     }
 }

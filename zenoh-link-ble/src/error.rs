@@ -2,7 +2,10 @@
 //! where they become Zenoh's error type.
 use std::{sync::Arc, time::Duration};
 
-use crate::{address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError};
+use crate::{
+    address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError,
+    secret::SecretError,
+};
 
 /// Why there is no link, or no longer one.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +16,18 @@ pub enum BleError {
     /// The radio could not do it.
     #[error(transparent)]
     Radio(#[from] RadioError),
+    /// The file of `secret=` gives none: correct it.
+    #[error(transparent)]
+    Secret(#[from] SecretError),
+    /// The peer does not know this side's secret: it is of another team, or one of the two has the wrong file.
+    #[error("{peer} did not prove that it has the same secret: a stranger, or one of the two has another secret= file")]
+    NoSharedSecret {
+        /// Who.
+        peer: DeviceAddress,
+    },
+    /// `sec=high` compares a passkey, which is made of the secret.
+    #[error("sec=high needs a secret: give both sides the same file as secret=")]
+    HighWithoutSecret,
     /// Nobody in range advertises as that name or address: switch the robot on, come nearer, or check the name.
     #[error("nobody in range advertises as {target} (scanned with {adapter} for {waited:.1?}): is its router running, in range and listening with that name?")]
     NotFound {

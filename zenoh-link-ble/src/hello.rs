@@ -2,7 +2,10 @@
 //! who is who. Layout and rules: `PROTOCOL.md`.
 use std::fmt;
 
-use crate::lanes::credits::MIN_WINDOW;
+use crate::{
+    lanes::credits::MIN_WINDOW,
+    secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
+};
 
 /// The first bytes of every hello, answer and refusal. Zenoh's own first message (InitSyn) has 0x01 in the low five
 /// bits of its first byte, `R` (0x52) has not: a plain peer is told apart by one byte.
@@ -19,6 +22,11 @@ pub const MIN_MTU: u16 = 128;
 const KIND_HELLO: u8 = 1;
 const KIND_ACCEPT: u8 = 2;
 const KIND_REFUSE: u8 = 3;
+const KIND_CHALLENGE: u8 = 4;
+const KIND_PROOF: u8 = 5;
+
+/// Before the nonce of a hello, behind its name.
+const NONCE_FOLLOWS: u8 = b'S';
 
 /// A random number that tells one run of a node from another.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -43,6 +51,8 @@ pub struct Hello {
     pub window: u16,
     /// The name it goes by; may be empty.
     pub name: String,
+    /// Only in the first hello, of a side that has a secret: what the listener is to prove with (`secret`).
+    pub nonce: Option<Nonce>,
 }
 
 /// Why a link was refused.
@@ -58,6 +68,8 @@ pub enum Refusal {
     Full,
     /// Another robot of the same name is linked there, or the two have the same name.
     NameTaken,
+    /// The two do not have the same secret.
+    Secret,
     /// A reason this version does not know.
     Other(u8),
 }
@@ -70,6 +82,7 @@ impl Refusal {
             Self::Crossing => 3,
             Self::Full => 4,
             Self::NameTaken => 5,
+            Self::Secret => 6,
             Self::Other(code) => code,
         }
     }
@@ -81,6 +94,7 @@ impl Refusal {
             3 => Self::Crossing,
             4 => Self::Full,
             5 => Self::NameTaken,
+            6 => Self::Secret,
             other => Self::Other(other),
         }
     }
@@ -98,12 +112,15 @@ impl fmt::Display for Refusal {
             Self::NameTaken => f.write_str(
                 "a robot of this name is there already: give one of the two another name=",
             ),
+            Self::Secret => f.write_str(
+                "the two do not have the same secret: give both sides a secret= file with the same first line",
+            ),
             Self::Other(code) => write!(f, "reason {code}, which this version does not know"),
         }
     }
 }
 
-/// One of the three messages of the opening.
+/// One of the messages of the opening.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Opening {
     /// From the side that dialled.
@@ -112,6 +129,21 @@ pub enum Opening {
     Accept(Hello),
     /// The answer that does not.
     Refuse(Refusal),
+    /// The answer of a listener with a secret: it proves that it has it, and asks the same of the dialler.
+    Challenge(Challenge),
+    /// The dialler's answer to that.
+    Proof(Proof),
+}
+
+/// What a listener with a secret answers before anything else.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Challenge {
+    /// Who it is.
+    pub node: NodeId,
+    /// What the dialler is to prove with.
+    pub nonce: Nonce,
+    /// That it has the secret itself.
+    pub proof: Proof,
 }
 
 /// Why an SDU is not an opening.
@@ -149,6 +181,16 @@ impl Opening {
             Self::Hello(hello) => encode_hello(&mut sdu, KIND_HELLO, hello),
             Self::Accept(hello) => encode_hello(&mut sdu, KIND_ACCEPT, hello),
             Self::Refuse(refusal) => sdu.extend_from_slice(&[KIND_REFUSE, VERSION, refusal.code()]),
+            Self::Challenge(challenge) => {
+                sdu.extend_from_slice(&[KIND_CHALLENGE, VERSION]);
+                sdu.extend_from_slice(&challenge.node.0.to_le_bytes());
+                sdu.extend_from_slice(&challenge.nonce);
+                sdu.extend_from_slice(&challenge.proof);
+            }
+            Self::Proof(proof) => {
+                sdu.extend_from_slice(&[KIND_PROOF, VERSION]);
+                sdu.extend_from_slice(proof);
+            }
         }
         sdu
     }
@@ -168,6 +210,11 @@ impl Opening {
                 [_version, code, ..] => Ok(Self::Refuse(Refusal::from_code(*code))),
                 _ => Err(length),
             },
+            KIND_CHALLENGE => decode_challenge(body, length).map(Self::Challenge),
+            KIND_PROOF => match body.get(1..).and_then(|body| body.first_chunk()) {
+                Some(&proof) => Ok(Self::Proof(proof)),
+                None => Err(length),
+            },
             other => Err(OpeningError::Kind(other)),
         }
     }
@@ -181,6 +228,24 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
     sdu.extend_from_slice(&hello.window.to_le_bytes());
     sdu.push(name.len() as u8);
     sdu.extend_from_slice(name);
+    if let Some(nonce) = &hello.nonce {
+        sdu.push(NONCE_FOLLOWS);
+        sdu.extend_from_slice(nonce);
+    }
+}
+
+fn decode_challenge(body: &[u8], length: OpeningError) -> Result<Challenge, OpeningError> {
+    let (_version, body) = body.split_first().ok_or(length.clone())?;
+    let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
+    let (&nonce, body) = body
+        .split_first_chunk::<NONCE_BYTES>()
+        .ok_or(length.clone())?;
+    let (&proof, _) = body.split_first_chunk::<PROOF_BYTES>().ok_or(length)?;
+    Ok(Challenge {
+        node: NodeId(u64::from_le_bytes(node)),
+        nonce,
+        proof,
+    })
 }
 
 fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError> {
@@ -193,8 +258,12 @@ fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError
     if name_length > MAX_NAME {
         return Err(OpeningError::Name);
     }
-    let name = body.get(..name_length).ok_or(length)?;
+    let (name, rest) = body.split_at_checked(name_length).ok_or(length)?;
     let name = std::str::from_utf8(name).map_err(|_| OpeningError::Name)?;
+    let nonce = match rest.split_first() {
+        Some((&NONCE_FOLLOWS, rest)) => rest.first_chunk().copied(),
+        _ => None,
+    };
     let mtu = u16::from_le_bytes(mtu);
     if version == 0 {
         return Err(OpeningError::Version);
@@ -212,6 +281,7 @@ fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError
         mtu,
         window,
         name: name.to_owned(),
+        nonce,
     })
 }
 
@@ -226,7 +296,23 @@ mod tests {
             mtu: 1000,
             window: 12_000,
             name: name.to_owned(),
+            nonce: None,
         }
+    }
+
+    fn hello_with_nonce() -> Hello {
+        Hello {
+            nonce: Some([5; NONCE_BYTES]),
+            ..hello("ab")
+        }
+    }
+
+    fn challenge() -> Opening {
+        Opening::Challenge(Challenge {
+            node: NodeId(0x0123_4567_89ab_cdef),
+            nonce: [7; NONCE_BYTES],
+            proof: [8; PROOF_BYTES],
+        })
     }
 
     #[test]
@@ -237,7 +323,11 @@ mod tests {
             Opening::Hello(hello("")),
             Opening::Accept(hello(&longest)),
             Opening::Refuse(Refusal::Crossing),
+            Opening::Refuse(Refusal::Secret),
             Opening::Refuse(Refusal::Other(200)),
+            Opening::Hello(hello_with_nonce()),
+            challenge(),
+            Opening::Proof([9; PROOF_BYTES]),
         ] {
             assert_eq!(Opening::decode(&opening.encode()), Ok(opening));
         }
@@ -250,13 +340,26 @@ mod tests {
             sdu,
             b"RECT\x01\x01\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\xe0\x2e\x02ab"
         );
+        let with_nonce = Opening::Hello(hello_with_nonce()).encode();
+        assert_eq!(with_nonce, [&sdu[..], b"S", &[5; 16]].concat());
+        let node = b"\xef\xcd\xab\x89\x67\x45\x23\x01";
+        let expected = [&b"RECT\x04\x01"[..], node, &[7; 16], &[8; 16]].concat();
+        assert_eq!(challenge().encode(), expected);
+        let proof = Opening::Proof([9; PROOF_BYTES]).encode();
+        assert_eq!(proof, [&b"RECT\x05\x01"[..], &[9; 16]].concat());
     }
 
     #[test]
     fn half_a_hello_is_refused_at_every_length() {
-        let sdu = Opening::Hello(hello("wombat-1")).encode();
-        for length in 0..sdu.len() {
-            assert!(Opening::decode(&sdu[..length]).is_err(), "{length} bytes");
+        for opening in [
+            Opening::Hello(hello("wombat-1")),
+            challenge(),
+            Opening::Proof([9; PROOF_BYTES]),
+        ] {
+            let sdu = opening.encode();
+            for length in 0..sdu.len() {
+                assert!(Opening::decode(&sdu[..length]).is_err(), "{length} bytes");
+            }
         }
     }
 

@@ -27,7 +27,9 @@ mod pause;
 mod plain;
 pub mod radio;
 mod scanner;
+pub mod secret;
 pub mod status;
+mod strangers;
 mod traffic;
 
 pub use error::BleError;

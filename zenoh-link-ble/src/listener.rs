@@ -17,8 +17,9 @@ use crate::{
     locator::ListenLocator,
     namesake::{NameSearch, Namesake},
     node::{Listening, Node},
-    opening::{agreed_mtu, answer, hear_hello, own_window, until_closed, FirstSdu},
+    opening::{agreed_mtu, answer, hear_hello, own_window, refuse, FirstSdu},
     radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
+    secret::Secret,
 };
 
 /// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
@@ -38,6 +39,7 @@ pub(crate) struct Listener {
     adapter: Arc<Adapter>,
     locator: ListenLocator,
     name: String,
+    secret: Option<Secret>,
 }
 
 impl Listener {
@@ -49,17 +51,20 @@ impl Listener {
     ) -> Result<(Arc<Self>, Up, NameSearch), BleError> {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
+        let secret = locator.secret.as_deref().map(Secret::read).transpose()?;
         let listener = Arc::new(Self {
             node,
             adapter,
             locator,
             name,
+            secret,
         });
         let search = listener.namesake().search();
         let up = listener.bring_up().await?;
         listener.node.on_listening(Listening {
             adapter: listener.locator.adapter.clone(),
             name: listener.name.clone(),
+            secret: listener.secret.clone(),
         });
         tracing::info!(
             "ble: {} listens on {} (psm {})",
@@ -243,7 +248,8 @@ impl Listener {
         channel: Arc<dyn Channel>,
         device: DeviceAddress,
     ) -> Result<Option<Arc<LinkBle>>, BleError> {
-        let (peer, first) = match hear_hello(&channel).await? {
+        let heard = hear_hello(&channel, self.node.id, self.secret.as_ref());
+        let (peer, first) = match heard.await? {
             FirstSdu::Hello(hello) => (Some(hello), None),
             FirstSdu::Plain(batch) => (None, Some(batch)),
         };
@@ -261,10 +267,7 @@ impl Listener {
             (Verdict::Accept, Some(number)) => number,
             (Verdict::Refuse(refusal), _) => {
                 if peer.is_some() {
-                    answer(&channel, Opening::Refuse(refusal)).await?;
-                    // The peer closes once it has read the answer.
-                    let gone = until_closed(&channel);
-                    let _ = tokio::time::timeout(Duration::from_secs(1), gone).await;
+                    refuse(&channel, refusal).await?;
                 }
                 tracing::info!("ble: {device} is refused: {refusal}");
                 return Ok(None);
@@ -293,6 +296,7 @@ impl Listener {
                 mtu: self.locator.mtu,
                 window: own_window(&channel),
                 name: self.name.clone(),
+                nonce: None,
             };
             answer(&channel, Opening::Accept(own)).await?;
         }

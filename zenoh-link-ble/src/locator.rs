@@ -1,6 +1,6 @@
 //! Owns the reading of `ble/<address or name>#<options>`: everything a user can write in a locator ends here as a
 //! typed value, or as an error that names the part that is wrong.
-use std::{fmt, time::Duration};
+use std::{fmt, path::PathBuf, time::Duration};
 
 use zenoh_protocol::core::EndPoint;
 
@@ -95,6 +95,8 @@ pub struct ConnectLocator {
     pub address_kind: Option<AddressType>,
     /// `sec=`.
     pub security: Security,
+    /// `secret=`: the file with the team's secret; left out, that of this node's listener.
+    pub secret: Option<PathBuf>,
     /// `mtu=`, in bytes.
     pub mtu: u16,
     /// `queue=`, `droppable=`, `linger=`.
@@ -118,6 +120,8 @@ pub struct ListenLocator {
     pub psm: Option<Psm>,
     /// `sec=`.
     pub security: Security,
+    /// `secret=`: the file with the team's secret, which whoever is linked must have; left out, anyone is.
+    pub secret: Option<PathBuf>,
     /// `mtu=`, in bytes.
     pub mtu: u16,
     /// `queue=`, `droppable=`, `linger=`.
@@ -126,12 +130,13 @@ pub struct ListenLocator {
     pub max_links: usize,
 }
 
-const CONNECT_OPTIONS: [&str; 11] = [
+const CONNECT_OPTIONS: [&str; 12] = [
     "adapter",
     "fleet",
     "psm",
     "addr_type",
     "sec",
+    "secret",
     "mtu",
     "queue",
     "droppable",
@@ -139,11 +144,12 @@ const CONNECT_OPTIONS: [&str; 11] = [
     "timeout",
     "plain",
 ];
-const LISTEN_OPTIONS: [&str; 9] = [
+const LISTEN_OPTIONS: [&str; 10] = [
     "name",
     "fleet",
     "psm",
     "sec",
+    "secret",
     "mtu",
     "queue",
     "droppable",
@@ -173,6 +179,7 @@ impl ConnectLocator {
             psm: options.psm()?,
             address_kind: options.address_kind()?,
             security: options.security()?,
+            secret: options.secret()?,
             mtu: options.mtu()?,
             queueing: options.queueing()?,
             timeout: options.timeout()?,
@@ -195,6 +202,7 @@ impl ListenLocator {
             fleet: options.fleet()?,
             psm: options.psm()?,
             security: options.security()?,
+            secret: options.secret()?,
             mtu: options.mtu()?,
             queueing: options.queueing()?,
             max_links: options.max_links()?,

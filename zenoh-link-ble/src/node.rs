@@ -7,13 +7,16 @@ use zenoh_link_commons::NewLinkChannelSender;
 
 use crate::{
     adapter::Adapter,
+    address::DeviceAddress,
     hello::NodeId,
     history::History,
     link::LinkBle,
     links::{LinkNumber, Links},
     pause::Pause,
     radio::{Radio, RadioError},
+    secret::Secret,
     status::{NodeStatus, OpenLinks},
+    strangers::Strangers,
 };
 
 /// How long a link waits at most for those before it, should they end one after the other. Zenoh's own limit for opening
@@ -36,6 +39,7 @@ pub(crate) struct Node {
     adapters: Mutex<HashMap<String, Arc<Adapter>>>,
     listening: Mutex<Vec<Listening>>,
     history: Mutex<History>,
+    strangers: Mutex<Strangers>,
     open_links: Mutex<OpenLinks>,
     open_radio: Box<OpenRadio>,
 }
@@ -45,6 +49,7 @@ pub(crate) struct Node {
 pub(crate) struct Listening {
     pub adapter: String,
     pub name: String,
+    pub secret: Option<Secret>,
 }
 
 impl Node {
@@ -62,6 +67,7 @@ impl Node {
             adapters: Mutex::default(),
             listening: Mutex::default(),
             history: Mutex::default(),
+            strangers: Mutex::default(),
             open_links: Mutex::default(),
             open_radio,
         })
@@ -86,6 +92,16 @@ impl Node {
     pub(crate) fn on_failed_dial(&self, target: &str, reason: &str) {
         let mut history = self.history.lock();
         history.on_failed_dial(target, reason, Instant::now().into_std());
+    }
+
+    pub(crate) fn on_no_proof(&self, device: DeviceAddress) {
+        let now = Instant::now().into_std();
+        self.strangers.lock().on_no_proof(device, now);
+    }
+
+    pub(crate) fn is_stranger(&self, device: DeviceAddress) -> bool {
+        let now = Instant::now().into_std();
+        self.strangers.lock().has(device, now)
     }
 
     pub(crate) fn status(&self) -> NodeStatus {
@@ -160,6 +176,11 @@ impl Node {
             .lock()
             .first()
             .map_or_else(String::new, |l| l.name.clone())
+    }
+
+    /// What whoever is dialled must have, if the locator says nothing of it.
+    pub(crate) fn secret(&self) -> Option<Secret> {
+        (self.listening.lock().first()).and_then(|l| l.secret.clone())
     }
 
     /// What distinguishes this run's advertisement from an earlier one's.

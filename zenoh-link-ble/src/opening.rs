@@ -4,13 +4,17 @@ use std::{sync::Arc, time::Duration};
 use crate::{
     dialer::RECV_MTU,
     error::BleError,
-    hello::{Hello, Opening, Refusal, MIN_MTU, VERSION},
+    hello::{Challenge, Hello, NodeId, Opening, OpeningError, Refusal, MIN_MTU, VERSION},
     lanes::{credits, HEADER},
     radio::{Channel, RadioError},
+    secret::{nonce, Said, Secret, Side},
 };
 
 /// How long the other side may take with its hello. Ten of the longest connection intervals BlueZ uses by default.
 pub(crate) const HELLO_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// How long a refused peer may take to close.
+const REFUSAL_READ: Duration = Duration::from_secs(1);
 
 /// The first SDU of a peer that dialled this node.
 pub(crate) enum FirstSdu {
@@ -19,11 +23,21 @@ pub(crate) enum FirstSdu {
     Plain(Vec<u8>),
 }
 
-/// Says hello and waits for the answer.
-pub(crate) async fn say_hello(channel: &Arc<dyn Channel>, own: Hello) -> Result<Hello, BleError> {
-    let peer = channel.peer();
-    channel.send(&Opening::Hello(own).encode()).await?;
-    match Opening::decode(&receive(channel).await?) {
+/// Says hello and waits for the answer. With a secret, both sides prove that they have it.
+pub(crate) async fn say_hello(
+    channel: &Arc<dyn Channel>,
+    mut own: Hello,
+    secret: Option<&Secret>,
+) -> Result<Hello, BleError> {
+    let (peer, node) = (channel.peer(), own.node);
+    own.nonce = secret.map(|_| nonce()).transpose()?;
+    let hello = Opening::Hello(own).encode();
+    channel.send(&hello).await?;
+    let answer = match secret {
+        Some(secret) => prove(channel, node, &hello, secret).await?,
+        None => Opening::decode(&receive(channel).await?),
+    };
+    match answer {
         Ok(Opening::Accept(hello)) if hello.version <= VERSION => Ok(hello),
         Ok(Opening::Accept(_)) => Err(BleError::Refused {
             peer,
@@ -31,21 +45,108 @@ pub(crate) async fn say_hello(channel: &Arc<dyn Channel>, own: Hello) -> Result<
         }),
         Ok(Opening::Refuse(refusal)) => Err(BleError::Refused { peer, refusal }),
         Ok(Opening::Hello(_)) => Err(protocol(channel, "a hello in answer to a hello")),
+        Ok(Opening::Challenge(_) | Opening::Proof(_)) => {
+            Err(protocol(channel, "a proof that was not asked for"))
+        }
         Err(error) => Err(protocol(channel, &error.to_string())),
     }
 }
 
-/// Waits for the first SDU of a peer that dialled this node.
-pub(crate) async fn hear_hello(channel: &Arc<dyn Channel>) -> Result<FirstSdu, BleError> {
+/// The dialler's part of the proofs; gives the listener's answer to them.
+async fn prove(
+    channel: &Arc<dyn Channel>,
+    own: NodeId,
+    hello: &[u8],
+    secret: &Secret,
+) -> Result<Result<Opening, OpeningError>, BleError> {
+    let challenge = match Opening::decode(&receive(channel).await?) {
+        Ok(Opening::Challenge(challenge)) => challenge,
+        // Whoever takes anybody.
+        Ok(Opening::Accept(_)) => return Err(no_shared_secret(channel)),
+        other => return Ok(other),
+    };
+    let said = Said {
+        hello,
+        listener: challenge.node,
+        nonce: &challenge.nonce,
+    };
+    // Whoever hands this node's own answer back to it proves nothing.
+    let is_own = challenge.node == own;
+    if is_own || !secret.is_proved(Side::Listener, said, &challenge.proof) {
+        // So that its log says why, too.
+        refuse(channel, Refusal::Secret).await?;
+        return Err(no_shared_secret(channel));
+    }
+    let proof = Opening::Proof(secret.proof(Side::Dialler, said));
+    channel.send(&proof.encode()).await?;
+    match Opening::decode(&receive(channel).await?) {
+        Ok(Opening::Accept(accept)) if accept.node != challenge.node => {
+            Err(protocol(channel, "two node ids in one opening"))
+        }
+        answer => Ok(answer),
+    }
+}
+
+/// Waits for the first SDU of a peer that dialled this node. With a secret, it is heard only if the peer has it too.
+pub(crate) async fn hear_hello(
+    channel: &Arc<dyn Channel>,
+    own: NodeId,
+    secret: Option<&Secret>,
+) -> Result<FirstSdu, BleError> {
     let sdu = receive(channel).await?;
     if is_zenoh_init(&sdu) {
-        return Ok(FirstSdu::Plain(sdu));
+        return match secret {
+            // It can't prove anything.
+            Some(_) => Err(no_shared_secret(channel)),
+            None => Ok(FirstSdu::Plain(sdu)),
+        };
     }
-    match Opening::decode(&sdu) {
-        Ok(Opening::Hello(hello)) => Ok(FirstSdu::Hello(hello)),
-        Ok(_) => Err(protocol(channel, "an answer where a hello was due")),
+    let hello = match Opening::decode(&sdu) {
+        Ok(Opening::Hello(hello)) => hello,
+        Ok(_) => return Err(protocol(channel, "an answer where a hello was due")),
+        Err(error) => return Err(protocol(channel, &error.to_string())),
+    };
+    if let Some(secret) = secret {
+        if hello.nonce.is_none() || !is_proved(channel, own, &sdu, secret).await? {
+            refuse(channel, Refusal::Secret).await?;
+            return Err(no_shared_secret(channel));
+        }
+    }
+    Ok(FirstSdu::Hello(hello))
+}
+
+/// The listener's part of the proofs.
+async fn is_proved(
+    channel: &Arc<dyn Channel>,
+    own: NodeId,
+    hello: &[u8],
+    secret: &Secret,
+) -> Result<bool, BleError> {
+    let nonce = nonce()?;
+    let said = Said {
+        hello,
+        listener: own,
+        nonce: &nonce,
+    };
+    let challenge = Opening::Challenge(Challenge {
+        node: own,
+        nonce,
+        proof: secret.proof(Side::Listener, said),
+    });
+    answer(channel, challenge).await?;
+    match Opening::decode(&receive(channel).await?) {
+        Ok(Opening::Proof(proof)) => Ok(secret.is_proved(Side::Dialler, said, &proof)),
+        Ok(Opening::Refuse(Refusal::Secret)) => Ok(false),
+        Ok(_) => Err(protocol(channel, "no proof where one was due")),
         Err(error) => Err(protocol(channel, &error.to_string())),
     }
+}
+
+/// Sends a refusal, and waits until the peer has closed, which it does when it has read it.
+pub(crate) async fn refuse(channel: &Arc<dyn Channel>, refusal: Refusal) -> Result<(), BleError> {
+    answer(channel, Opening::Refuse(refusal)).await?;
+    let _ = tokio::time::timeout(REFUSAL_READ, until_closed(channel)).await;
+    Ok(())
 }
 
 /// Answers a hello.
@@ -112,6 +213,12 @@ fn timed_out() -> BleError {
         action: "waiting for the peer's hello",
         limit: HELLO_TIMEOUT,
     })
+}
+
+fn no_shared_secret(channel: &Arc<dyn Channel>) -> BleError {
+    BleError::NoSharedSecret {
+        peer: channel.peer(),
+    }
 }
 
 fn protocol(channel: &Arc<dyn Channel>, what: &str) -> BleError {

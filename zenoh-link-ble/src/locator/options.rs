@@ -1,5 +1,5 @@
 //! Owns the options of a locator: each one's value where it is given, and what a wrong one is told.
-use std::{ops::RangeInclusive, time::Duration};
+use std::{ops::RangeInclusive, path::PathBuf, time::Duration};
 
 use zenoh_protocol::core::EndPoint;
 
@@ -101,6 +101,12 @@ impl<'a> Options<'a> {
             _ => None,
         })?;
         Ok(level.unwrap_or_default())
+    }
+
+    pub(super) fn secret(&self) -> Result<Option<PathBuf>, LocatorError> {
+        self.read("secret", "it is the whole path of a file", |v| {
+            v.starts_with('/').then(|| PathBuf::from(v))
+        })
     }
 
     pub(super) fn mtu(&self) -> Result<u16, LocatorError> {

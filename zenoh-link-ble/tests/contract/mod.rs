@@ -4,6 +4,7 @@ pub mod channel;
 pub mod flooding;
 pub mod link;
 pub mod misbehaving;
+pub mod secret;
 
 use std::sync::Arc;
 
@@ -106,6 +107,11 @@ macro_rules! for_each_scenario {
             a_peer_that_talks_on_after_this_sides_goodbye_does_not_hold_up_the_end: misbehaving,
             a_peer_that_floods_a_lane_nobody_reads_is_held_to_a_bound: flooding,
             a_peer_may_fill_every_lane_and_nothing_is_lost_when_they_are_read: flooding,
+            two_with_the_same_secret_are_linked: secret,
+            a_node_that_listens_with_a_secret_dials_with_it: secret,
+            without_the_secret_there_is_no_link_in_either_direction: secret,
+            a_stranger_that_takes_the_name_of_a_robot_gets_no_link: secret,
+            an_opening_that_is_played_back_is_refused: secret,
         }
     };
 }

@@ -49,6 +49,7 @@ pub fn hello(node: u64, name: &str) -> Hello {
         mtu: DEFAULT_MTU,
         window: WINDOW,
         name: name.to_owned(),
+        nonce: None,
     }
 }
 
