@@ -40,6 +40,9 @@ pub struct InitArgs {
     /// The team's login file, from its first robot; left out, a new one is made
     #[arg(long, value_name = "FILE")]
     pub users: Option<PathBuf>,
+    /// For a laptop, from which the robots' settings may be changed
+    #[arg(long)]
+    pub base_station: bool,
     /// Where to write
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
     pub folder: PathBuf,

@@ -7,11 +7,12 @@ use std::{
     os::unix::fs::PermissionsExt,
     path::Path,
     process::{Command, Output},
+    time::{Duration, Instant},
 };
 
 use serde_json::{json, Value};
-use support::{answers, client_with, Air, Router};
-use zenoh::Session;
+use support::{answers, arrives, ask, client_with, Air, Router, DEADLINE};
+use zenoh::{Session, Wait};
 use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
 
 fn rect_router(args: &[&str]) -> Output {
@@ -36,20 +37,19 @@ fn init(root: &Path, robot: &str, more: &[&str]) -> String {
 }
 
 /// Its router, on ports of its own.
-fn start(air: &Air, folder: &str, robot: &str, more: &[&str]) -> (Router, String) {
+fn start(air: &Air, folder: &str, robot: &str, login: &str) -> (Router, String) {
     let config = format!("{folder}/robot.json5");
-    let radio = format!("ble/sim-{robot}#name={robot}");
-    let mut args = vec![
+    let radio = format!("ble/sim-{robot}#name={robot};secret={folder}/users");
+    let args = [
         "-c",
         &config,
         "--login-as",
-        "fleet",
+        login,
         "-l",
         "tcp/127.0.0.1:0",
         "-l",
         &radio,
     ];
-    args.extend(more);
     let mut router = Router::start_on(air, &args);
     let endpoint = router.listener();
     router.up();
@@ -59,7 +59,8 @@ fn start(air: &Air, folder: &str, robot: &str, more: &[&str]) -> (Router, String
 /// A program of that robot's own.
 fn program(folder: &str, endpoint: &str) -> Session {
     let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
-    let (user, password) = users.trim().split_once(':').expect("a login");
+    let login = users.lines().next().expect("a line");
+    let (user, password) = login.split_once(':').expect("a login");
     let login = json!({ "user": user, "password": password }).to_string();
     client_with(endpoint, &[("transport/auth/usrpwd", &login)]).expect("let in")
 }
@@ -79,21 +80,26 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
     for folder in [&two, &stranger] {
         fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
     }
-    let (_one, here) = start(&air, &one, "wombat-1", &[]);
-    let (_two, there) = start(&air, &two, "wombat-2", &[]);
-    let (_stranger, elsewhere) = start(&air, &stranger, "wombat-9", &[]);
+    let (_one, here) = start(&air, &one, "wombat-1", "fleet");
+    let (_two, there) = start(&air, &two, "wombat-2", "fleet");
+    let (_stranger, elsewhere) = start(&air, &stranger, "wombat-9", "fleet");
 
     let state = |session: &Session, robot: &str, wanted: &str| {
         let asked = format!("rect/{robot}/@rect/connections?name=first");
         answers(session, &asked, |answer| answer[0]["state"] == wanted)
     };
     state(&program(&two, &there), "wombat-2", "connected");
-    // The stranger's is made by the radio and refused by the login, again and again.
+    // The stranger's gets no further than its proof, again and again.
     let asked = "rect/wombat-9/@rect/connections?name=first";
     let refused = answers(&program(&stranger, &elsewhere), asked, |answer| {
-        answer[0]["linked"].as_u64() > Some(1)
+        answer[0]["failed"].as_u64() > Some(1)
     });
-    assert_eq!(refused[0]["state"], "connecting", "{refused:#}");
+    assert_eq!(refused[0]["linked"], 0, "{refused:#}");
+    let why = refused[0]["last_error"]["what"].as_str();
+    assert!(
+        why.is_some_and(|why| why.contains("did not prove that it has the same secret")),
+        "{refused:#}"
+    );
     let of_one = "rect/wombat-1/@rect/peers";
     let peers = answers(&program(&one, &here), of_one, |answer| !answer[0].is_null());
     let robots: Vec<_> = peers
@@ -163,6 +169,67 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
 }
 
 #[test]
+fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let robot = init(root.path(), "wombat-1", &[]);
+    let users = format!("{robot}/users");
+    let other = init(root.path(), "wombat-2", &["--users", &users]);
+    let base = init(root.path(), "base", &["--users", &users, "--base-station"]);
+    let dial =
+        json!({ "connections": [{ "name": "robot", "method": "ble", "address": "wombat-1" }] });
+    for folder in [&other, &base] {
+        fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
+    }
+    let (_robot, here) = start(&air, &robot, "wombat-1", "fleet");
+    let (_other, there) = start(&air, &other, "wombat-2", "fleet");
+    let (_base, laptop) = start(&air, &base, "base", "config");
+    let (here, there) = (program(&robot, &here), program(&other, &there));
+    let laptop = program(&base, &laptop);
+
+    // Under its own name what it says arrives; under another's, or nobody's, it does not leave its robot.
+    assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
+    let heard = here.declare_subscriber("**").wait().expect("subscribes");
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        assert!(Instant::now() < deadline, "nothing arrives");
+        for key in ["rect/wombat-1/arm/angle", "rect/wombat-3/stop", "demo/x"] {
+            there.put(key, "not mine").wait().expect("a put");
+        }
+        there
+            .put("rect/wombat-2/mark", "mine")
+            .wait()
+            .expect("a put");
+        // In order: had one of the others passed, it would be here first.
+        if let Ok(Some(sample)) = heard.recv_timeout(Duration::from_millis(200)) {
+            assert_eq!(sample.key_expr().as_str(), "rect/wombat-2/mark");
+            break;
+        }
+    }
+
+    let settings = "rect/wombat-1/@rect/@config/connections";
+    let read = ask(&laptop, settings).expect("may read them");
+    let text = read["text"].as_str().expect("a text").to_owned();
+    assert!(text.contains("\"connections\""), "{text}");
+    let changed = change(&laptop, settings, &text.replace('[', "[ "));
+    assert!(changed.is_some_and(|answer| answer["revision"].is_string()));
+    assert!(
+        change(&there, settings, &text).is_none(),
+        "another robot may"
+    );
+    let now = ask(&laptop, settings).expect("may read them");
+    assert_eq!(now["text"], text.replace('[', "[ "));
+}
+
+/// What comes back for a new text, if anything does.
+fn change(session: &Session, selector: &str, text: &str) -> Option<Value> {
+    let replies = session.get(selector).payload(text);
+    let replies = replies.timeout(Duration::from_secs(3)).wait();
+    let reply = replies.expect("a query").into_iter().next()?;
+    let sample = reply.into_result().expect("is taken");
+    Some(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON"))
+}
+
+#[test]
 fn what_is_there_already_is_not_touched_and_secrets_are_private() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = init(root.path(), "wombat-1", &["--fleet", "lions"]);
@@ -171,7 +238,7 @@ fn what_is_there_already_is_not_touched_and_secrets_are_private() {
     assert_eq!(mode & 0o777, 0o640);
     let before = fs::read_to_string(&users).expect("there");
     assert!(
-        before.starts_with("fleet:") && before.trim().len() > 24,
+        before.starts_with("fleet:") && before.trim().lines().all(|line| line.len() > 24),
         "{}",
         before.len()
     );

@@ -168,22 +168,29 @@ fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
 
         let program = |_| logged_in(&endpoint, "fleet", "secret").expect("let in");
         let (one, two) = (program(1), program(2));
-        assert!(arrives(&one, &two, "rect/wombat-1/arm/angle"));
-        assert!(arrives(&one, &two, "something/else"));
-        assert!(arrives(&one, &two, "rect/wombat-1/@rect/state"));
-        assert!(arrives(&one, &two, "rect/wombat-1/@rect/@config/x"));
+        let own = if name == "robot.json5" {
+            "rect/wombat-1"
+        } else {
+            "rect/base-station"
+        };
+        assert!(arrives(&one, &two, &format!("{own}/arm/angle")));
+        assert!(arrives(&one, &two, "local/mark"));
+        assert!(arrives(&one, &two, &format!("{own}/@rect/state")));
+        assert!(arrives(&one, &two, &format!("{own}/@rect/@config/x")));
         assert!(answers(&one, "@/abc/router"), "{name}: the admin space");
     }
 }
 
+/// What the files say of Bluetooth links, said of a test's TCP links.
+const AS_ROBOTS: &str = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
+                         {id:'programs over tcp',link_protocols:['ws']},\
+                         {id:'who may configure',link_protocols:['ws']},\
+                         {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
+
 #[test]
 fn robots_get_the_fleets_data_and_no_more() {
-    // What the file says of Bluetooth links, said of this test's TCP links.
-    let subjects = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
-                    {id:'programs over tcp',link_protocols:['ws']},\
-                    {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
     let fleet = Fleet::new("fleet:secret\n");
-    let (_router, endpoint) = fleet.router("robot.json5", &["-i", "abc", "--cfg", subjects]);
+    let (_router, endpoint) = fleet.router("robot.json5", &["-i", "abc", "--cfg", AS_ROBOTS]);
     let robot = |_| logged_in(&endpoint, "fleet", "secret").expect("let in");
     let (one, two) = (robot(1), robot(2));
 
@@ -229,7 +236,8 @@ fn two_routers_meet_if_both_are_of_the_fleet() {
     );
     let here = logged_in(&endpoint, "fleet", "secret").expect("let in");
     let there = logged_in(&other, "fleet", "secret").expect("let in");
-    assert!(arrives(&there, &here, "rect/wombat-1/arm/angle"));
+    // To these rules a TCP link on this computer is a program's, whoever it is.
+    assert!(arrives(&there, &here, "local/mark"));
     // So that its absence means something in the tests below.
     assert!(admin(&here, "@/abc/router").contains("def"));
 }

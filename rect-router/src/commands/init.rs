@@ -9,10 +9,16 @@ use std::{
 use super::{Failure, InitArgs};
 use crate::config::is_name;
 
-const ROBOT: &str = include_str!("../../../config/robot.json5");
-/// What `ROBOT` is written for.
-const ITS_NAME: &str = "wombat-1";
+/// The shipped configurations, and the name that each is written for.
+const ROBOT: (&str, &str) = (include_str!("../../../config/robot.json5"), "wombat-1");
+const BASE_STATION: (&str, &str) = (
+    include_str!("../../../config/base-station.json5"),
+    "base-station",
+);
+/// The fleet that both are written for.
 const ITS_FLEET: &str = "\"rect/";
+/// As whom a robot logs in where it dials, and as whom a base station does, which may change settings there.
+const LOGINS: [&str; 2] = ["fleet", "config"];
 const NO_CONNECTIONS: &str =
     "// Connections with names: config/README.md.\n{\n  \"connections\": [\n  ],\n}\n";
 /// Of the password: more than anybody can try out.
@@ -30,7 +36,13 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     let users = match &args.users {
         Some(path) => fs::read_to_string(path)
             .map_err(|error| format!("{} can't be read: {error}", path.display()))?,
-        None => format!("fleet:{}\n", secret()?),
+        None => {
+            let login = |user| Ok(format!("{user}:{}\n", secret()?));
+            LOGINS
+                .into_iter()
+                .map(login)
+                .collect::<Result<_, Failure>>()?
+        }
     };
     fs::create_dir_all(&args.folder)
         .map_err(|error| format!("{} can't be made: {error}", args.folder.display()))?;
@@ -51,9 +63,11 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
         write(&path, &text).map_err(|error| format!("{}: {error}", path.display()))?;
         println!("wrote {}", path.display());
     }
+    let [fleet, config] = LOGINS;
     println!(
-        "start it with: rect-router -c {} --login-as fleet",
-        args.folder.join("robot.json5").display()
+        "start it with: rect-router -c {} --login-as {}",
+        args.folder.join("robot.json5").display(),
+        if args.base_station { config } else { fleet }
     );
     if args.users.is_none() {
         let users = args.folder.join("users");
@@ -65,7 +79,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// `config/robot.json5` with this robot's name, fleet, adapter and folder.
+/// The shipped configuration with this robot's name, fleet, adapter and folder.
 fn robot(args: &InitArgs) -> String {
     let folder = |file: &str| args.folder.join(file).display().to_string();
     let settings = format!(
@@ -75,8 +89,13 @@ fn robot(args: &InitArgs) -> String {
         args.robot,
         folder("connections.json")
     );
-    let text = ROBOT
-        .replace(ITS_NAME, &args.robot)
+    let (template, its_name) = if args.base_station {
+        BASE_STATION
+    } else {
+        ROBOT
+    };
+    let text = template
+        .replace(its_name, &args.robot)
         .replace(ITS_FLEET, &format!("\"{}/", args.fleet))
         .replace("ble/hci0", &format!("ble/{}", args.adapter))
         .replace("/etc/rect/users", &folder("users"));
