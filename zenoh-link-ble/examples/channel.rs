@@ -22,6 +22,7 @@ use zenoh_link_ble::{
 const OPTIONS: ChannelOptions = ChannelOptions {
     recv_mtu: 16_384,
     security: Security::Low,
+    passkey: None,
 };
 const PING_BYTES: usize = 20;
 const NAME: &str = "channel-example";

@@ -15,7 +15,7 @@ use crate::{
     locator::{ConnectLocator, Target},
     node::Node,
     opening::{agreed_mtu, own_window, say_hello},
-    radio::{Channel, ChannelOptions, RadioError, Sighting},
+    radio::{Channel, ChannelOptions, RadioError, Security, Sighting},
     secret::Secret,
 };
 
@@ -27,6 +27,12 @@ pub(crate) const RECV_MTU: u16 = 16_384;
 /// while it connects, so two robots that dial each other in step would wait for each other for ever. Never less than
 /// BlueZ's own advertising interval of 1.28 s, as the peer takes the connect only when it advertises next.
 const CONNECT_TIMEOUT_MS: (u64, u64) = (1500, 4000);
+/// How long to give way to the dial of a peer that may have just heard this node, too. Two dials at once cost seconds: radios
+/// and kernels mix them up ([`BleError::Astray`]), and both have to be given up.
+const GIVE_WAY: Duration = Duration::from_millis(400);
+/// How much longer where the two may have to be paired first: a passkey of 20 bits takes 40 messages each way (Core
+/// Specification, Vol 3, Part H, 2.3.5.6.3), each a connection interval of some 50 ms.
+const PAIRING: Duration = Duration::from_secs(4);
 
 /// Dials once. Waits for the peer to appear, at most `locator.timeout` altogether.
 pub(crate) async fn dial(
@@ -77,9 +83,16 @@ async fn dial_once(
         .find(|sighting| Seen::of(sighting, locator).filter(|seen| is_wanted(node, locator, seen)))
         .await?;
     node.links().on_seen(dialling.number, seen.device);
+    if gives_way(node, &seen) {
+        tokio::time::sleep(GIVE_WAY).await;
+    }
     let opened = open(node, dialling.number, adapter, locator, &seen).await;
-    let answered = matches!(opened, Ok(_) | Err(BleError::Refused { .. }));
-    if !answered {
+    // The connection may carry the peer's own link by now.
+    let is_of_use = matches!(
+        opened,
+        Ok(_) | Err(BleError::Refused { .. } | BleError::AlreadyLinked { .. })
+    );
+    if !is_of_use {
         adapter.radio.disconnect(seen.device).await;
     }
     if let Err(BleError::NoSharedSecret { peer }) = opened {
@@ -122,17 +135,29 @@ async fn open(
     locator: &ConnectLocator,
     seen: &Seen,
 ) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
-    let limit = connect_timeout(node.id, dial);
+    let mut limit = connect_timeout(node.id, dial);
+    if locator.security != Security::Low {
+        limit += PAIRING;
+    }
     let secret = match &locator.secret {
         Some(file) => Some(Secret::read(file)?),
         None => node.secret(),
     };
+    if locator.security == Security::High && secret.is_none() {
+        return Err(BleError::HighWithoutSecret);
+    }
     // Whoever can't prove anything is dialled only if the locator says so itself.
     let is_plain = locator.plain.unwrap_or(seen.plain);
     if is_plain && locator.plain.is_none() && secret.is_some() {
         return Err(BleError::NoSharedSecret { peer: seen.device });
     }
-    let channel = connect(adapter, locator, seen, limit).await?;
+    let options = ChannelOptions {
+        recv_mtu: RECV_MTU,
+        security: locator.security,
+        passkey: secret.as_ref().map(Secret::passkey),
+    };
+    node.greetings_with(seen.device).await;
+    let channel = connect(adapter, options, seen, limit).await?;
     if is_plain {
         return Ok((channel, None));
     }
@@ -144,13 +169,16 @@ async fn open(
         name: node.name(),
         nonce: None,
     };
+    if !node.links().on_hello_said(dial) {
+        return Err(already_linked(locator));
+    }
     let peer = say_hello(&channel, own, secret.as_ref()).await?;
     Ok((channel, Some(peer)))
 }
 
 async fn connect(
     adapter: &Adapter,
-    locator: &ConnectLocator,
+    options: ChannelOptions,
     seen: &Seen,
     limit: Duration,
 ) -> Result<Arc<dyn Channel>, BleError> {
@@ -159,10 +187,6 @@ async fn connect(
         .acquire()
         .await
         .map_err(|_| BleError::ShuttingDown)?;
-    let options = ChannelOptions {
-        recv_mtu: RECV_MTU,
-        security: locator.security,
-    };
     let connected = adapter.radio.connect(seen.device, seen.psm, options);
     match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
@@ -186,6 +210,13 @@ fn already_linked(locator: &ConnectLocator) -> BleError {
     BleError::AlreadyLinked {
         target: locator.target.to_string(),
     }
+}
+
+/// Whether the peer goes first, should it dial this node, too: of two that listen, the one with the lower hash of its name.
+fn gives_way(node: &Node, seen: &Seen) -> bool {
+    let name = node.name();
+    let own = Advertisement::hash_of_name(&name);
+    !name.is_empty() && seen.name_hash.is_some_and(|peer| peer < own)
 }
 
 /// Anyone of a fleet is somebody else, without a link yet, and no known stranger.

@@ -60,6 +60,13 @@ pub enum BleError {
         /// What was wrong.
         what: String,
     },
+    /// The peer's kernel took this side's connection response for that to another request of the same number, and sends on
+    /// the wrong channel: Linux looks for the number among what it asked and what it was asked (`l2cap_le_connect_rsp`).
+    #[error("the answer of {peer} went astray: its kernel mixed up two requests that crossed; dialling again")]
+    Astray {
+        /// Who.
+        peer: DeviceAddress,
+    },
     /// The peer said goodbye.
     #[error("{peer} closed the link: {reason}")]
     ClosedByPeer {

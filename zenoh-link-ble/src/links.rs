@@ -1,8 +1,8 @@
 //! Owns who is linked with whom, and the one rule that keeps a pair of robots to one link. Plain logic: it is told
 //! what happens and answers what to do; nothing here waits or sends.
 //!
-//! The rule: when two nodes dial each other at once, the dial of the node with the lower id goes through and the
-//! other is refused. A node that dials has no link (it would not dial), so what this side still holds is stale.
+//! The rule: when the hellos of two nodes cross, the dial of the node with the lower id goes through and the
+//! other is refused; a dial that has not said hello yet gives way. A node that dials has no link (it would not dial), so what this side still holds is stale.
 use std::{
     collections::HashMap,
     time::{Duration, Instant},
@@ -40,6 +40,8 @@ struct Established {
 struct Dial {
     target: Target,
     device: Option<DeviceAddress>,
+    /// The peer may have its hello by now.
+    said_hello: bool,
     cancel: CancellationToken,
 }
 
@@ -93,6 +95,7 @@ impl Links {
         let dial = Dial {
             target: target.clone(),
             device: None,
+            said_hello: false,
             cancel,
         };
         self.dials.insert(number, dial);
@@ -104,6 +107,23 @@ impl Links {
         if let Some(dial) = self.dials.get_mut(&dial) {
             dial.device = Some(device);
         }
+    }
+
+    /// The dial is about to say hello; `false`: it has given way to the peer's own.
+    pub fn on_hello_said(&mut self, dial: LinkNumber) -> bool {
+        match self.dials.get_mut(&dial) {
+            Some(dial) if !dial.cancel.is_cancelled() => {
+                dial.said_hello = true;
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// What the peer sends does not arrive where it should: dials to it wait for nothing.
+    pub fn on_astray(&mut self, device: DeviceAddress) {
+        let to_it = |dial: &&Dial| dial.device == Some(device);
+        (self.dials.values().filter(to_it)).for_each(|dial| dial.cancel.cancel());
     }
 
     /// The dial ended without a link.
@@ -238,7 +258,8 @@ impl Links {
             if named && (peer.name == own_name || self.established.values().any(name_clash)) {
                 return Some(Refusal::NameTaken);
             }
-            let crossing_dial = |dial: &Dial| dial.is_to(&peer.name, device);
+            // A dial without a channel may wait for long: the kernel does not see that the peer's connection serves it, too.
+            let crossing_dial = |dial: &Dial| dial.said_hello && dial.is_to(&peer.name, device);
             if self.node < peer.node && self.dials.values().any(crossing_dial) {
                 return Some(Refusal::Crossing);
             }

@@ -18,7 +18,10 @@ use crate::{
     namesake::{NameSearch, Namesake},
     node::{Listening, Node},
     opening::{agreed_mtu, answer, hear_hello, own_window, refuse, FirstSdu},
-    radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
+    radio::{
+        AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
+        Security,
+    },
     secret::Secret,
 };
 
@@ -52,6 +55,9 @@ impl Listener {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
         let secret = locator.secret.as_deref().map(Secret::read).transpose()?;
+        if locator.security == Security::High && secret.is_none() {
+            return Err(BleError::HighWithoutSecret);
+        }
         let listener = Arc::new(Self {
             node,
             adapter,
@@ -120,6 +126,7 @@ impl Listener {
         let options = ChannelOptions {
             recv_mtu: RECV_MTU,
             security: self.locator.security,
+            passkey: self.secret.as_ref().map(Secret::passkey),
         };
         let radio = &self.adapter.radio;
         let epoch = radio.epoch();
@@ -225,7 +232,10 @@ impl Listener {
     /// Hears a peer's hello, answers it, and hands the link over. Whatever goes wrong ends this channel only.
     async fn greet(&self, channel: Arc<dyn Channel>) {
         let peer = channel.peer();
-        match self.open(channel, peer).await {
+        let greeting = self.node.on_greeting(peer);
+        let opened = self.open(channel, peer).await;
+        drop(greeting);
+        match opened {
             Ok(Some(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
                 if self
@@ -239,7 +249,12 @@ impl Listener {
                 }
             }
             Ok(None) => {}
-            Err(error) => tracing::warn!("ble: no link with {peer}: {}", in_words(&error)),
+            Err(error) => {
+                if let BleError::Astray { .. } = error {
+                    self.node.links().on_astray(peer);
+                }
+                tracing::warn!("ble: no link with {peer}: {}", in_words(&error));
+            }
         }
     }
 

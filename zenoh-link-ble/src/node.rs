@@ -40,6 +40,10 @@ pub(crate) struct Node {
     listening: Mutex<Vec<Listening>>,
     history: Mutex<History>,
     strangers: Mutex<Strangers>,
+    /// Who has opened a channel and is not linked or refused yet.
+    greeted: Mutex<Vec<DeviceAddress>>,
+    /// Told whenever one of them is.
+    decided: Notify,
     open_links: Mutex<OpenLinks>,
     open_radio: Box<OpenRadio>,
 }
@@ -68,6 +72,8 @@ impl Node {
             listening: Mutex::default(),
             history: Mutex::default(),
             strangers: Mutex::default(),
+            greeted: Mutex::default(),
+            decided: Notify::new(),
             open_links: Mutex::default(),
             open_radio,
         })
@@ -94,6 +100,27 @@ impl Node {
         history.on_failed_dial(target, reason, Instant::now().into_std());
     }
 
+    /// A device has opened a channel; dropping what is returned tells that it is linked, or refused.
+    pub(crate) fn on_greeting(self: &Arc<Self>, device: DeviceAddress) -> Greeting {
+        self.greeted.lock().push(device);
+        Greeting {
+            node: Arc::clone(self),
+            device,
+        }
+    }
+
+    /// Waits until that device is not in the middle of opening a link. A channel asked for meanwhile may cross its own:
+    /// see [`BleError::Astray`](crate::BleError::Astray).
+    pub(crate) async fn greetings_with(&self, device: DeviceAddress) {
+        loop {
+            let decided = self.decided.notified();
+            if !self.greeted.lock().contains(&device) {
+                return;
+            }
+            decided.await;
+        }
+    }
+
     pub(crate) fn on_no_proof(&self, device: DeviceAddress) {
         let now = Instant::now().into_std();
         self.strangers.lock().on_no_proof(device, now);
@@ -106,10 +133,12 @@ impl Node {
 
     pub(crate) fn status(&self) -> NodeStatus {
         let links = self.open_links.lock().all();
+        let adapters: Vec<_> = self.adapters.lock().values().cloned().collect();
         NodeStatus {
             name: self.name(),
             links: links.iter().map(|link| link.status()).collect(),
             peers: self.history.lock().status(Instant::now().into_std()),
+            heard: (adapters.iter().flat_map(|adapter| adapter.scanner.heard())).collect(),
         }
     }
 
@@ -186,5 +215,22 @@ impl Node {
     /// What distinguishes this run's advertisement from an earlier one's.
     pub(crate) fn incarnation(&self) -> u16 {
         (self.id.0 & 0xffff) as u16
+    }
+}
+
+/// A device is in the middle of opening a link.
+pub(crate) struct Greeting {
+    node: Arc<Node>,
+    device: DeviceAddress,
+}
+
+impl Drop for Greeting {
+    fn drop(&mut self) {
+        let mut greeted = self.node.greeted.lock();
+        if let Some(at) = greeted.iter().position(|device| *device == self.device) {
+            greeted.swap_remove(at);
+        }
+        drop(greeted);
+        self.node.decided.notify_waiters();
     }
 }

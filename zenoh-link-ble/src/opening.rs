@@ -103,6 +103,12 @@ pub(crate) async fn hear_hello(
     }
     let hello = match Opening::decode(&sdu) {
         Ok(Opening::Hello(hello)) => hello,
+        // The answer to this node's own hello, on the channel that the peer opened.
+        Ok(Opening::Accept(_) | Opening::Challenge(_)) => {
+            return Err(BleError::Astray {
+                peer: channel.peer(),
+            })
+        }
         Ok(_) => return Err(protocol(channel, "an answer where a hello was due")),
         Err(error) => return Err(protocol(channel, &error.to_string())),
     };

@@ -31,7 +31,7 @@ pub enum Security {
     Low,
     /// Encrypted, pairing without a person's confirmation.
     Medium,
-    /// Encrypted, pairing with confirmation.
+    /// Encrypted, paired with a passkey that both sides know.
     High,
 }
 
@@ -42,6 +42,8 @@ pub struct ChannelOptions {
     pub recv_mtu: u16,
     /// The security asked for.
     pub security: Security,
+    /// What both sides type in when they are paired for [`Security::High`]: at most 999,999.
+    pub passkey: Option<u32>,
 }
 
 /// One advertisement heard while scanning.
@@ -171,9 +173,7 @@ pub trait Radio: Send + Sync {
     async fn scan(&self) -> Result<Box<dyn Scan>, RadioError>;
 
     /// What that device calls itself, where it is known: the name in its scan response.
-    async fn name_of(&self, _device: DeviceAddress) -> Option<String> {
-        None
-    }
+    async fn name_of(&self, device: DeviceAddress) -> Option<String>;
 
     /// Takes channels on `psm`, or on one the system chooses.
     async fn listen(

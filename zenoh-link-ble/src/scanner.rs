@@ -6,6 +6,7 @@ use tokio::{sync::broadcast, time::Instant};
 
 use crate::{
     error::in_words,
+    heard::{Heard, HeardStatus},
     radio::{Radio, RadioError, Sighting},
 };
 
@@ -25,6 +26,7 @@ pub(crate) struct Scanner {
     radio: Arc<dyn Radio>,
     running: Mutex<Option<broadcast::Sender<Sighting>>>,
     recent: Mutex<Recent>,
+    heard: Mutex<Heard>,
 }
 
 /// What was heard within [`FRESH`], in order, the last of each device.
@@ -62,6 +64,7 @@ impl Scanner {
             radio,
             running: Mutex::new(None),
             recent: Mutex::default(),
+            heard: Mutex::default(),
         })
     }
 
@@ -91,6 +94,25 @@ impl Scanner {
         }
     }
 
+    /// Who was heard lately.
+    pub(crate) fn heard(&self) -> Vec<HeardStatus> {
+        self.heard.lock().status(Instant::now().into_std())
+    }
+
+    fn on_seen(self: &Arc<Self>, sighting: &Sighting) {
+        let now = Instant::now();
+        self.recent.lock().on_seen(sighting, now);
+        if !self.heard.lock().on_seen(sighting, now.into_std()) {
+            return;
+        }
+        let (scanner, device) = (Arc::clone(self), sighting.device);
+        tokio::spawn(async move {
+            if let Some(name) = scanner.radio.name_of(device).await {
+                scanner.heard.lock().on_name(device, name);
+            }
+        });
+    }
+
     /// From now on only what is heard afterwards counts.
     pub(crate) fn forget(&self) {
         self.recent.lock().0.clear();
@@ -114,7 +136,7 @@ impl Scanner {
                 tokio::select! {
                     sighting = scan.next() => match sighting {
                         Ok(sighting) => {
-                            scanner.recent.lock().on_seen(&sighting, Instant::now());
+                            scanner.on_seen(&sighting);
                             if sender.send(sighting).is_err() && scanner.stop_if_idle(&sender) {
                                 return;
                             }

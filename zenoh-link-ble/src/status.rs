@@ -11,6 +11,7 @@ use serde::Serialize;
 use zenoh_protocol::core::Priority;
 
 pub use crate::{
+    heard::HeardStatus,
     history::{Event, PeerStatus},
     lanes::report::Count,
 };
@@ -32,6 +33,8 @@ pub struct NodeStatus {
     pub links: Vec<LinkStatus>,
     /// Peers that were linked or dialled.
     pub peers: Vec<PeerStatus>,
+    /// Whoever was heard within the last minute, as far as this node was looking for somebody.
+    pub heard: Vec<HeardStatus>,
 }
 
 /// An open link.

@@ -28,6 +28,7 @@ use zenoh_link_ble::{
 const OPTIONS: ChannelOptions = ChannelOptions {
     recv_mtu: 4096,
     security: Security::Low,
+    passkey: None,
 };
 
 /// Only bounds a test that hangs.

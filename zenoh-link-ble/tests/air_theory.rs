@@ -16,6 +16,7 @@ use zenoh_link_ble::{
 const OPTIONS: ChannelOptions = ChannelOptions {
     recv_mtu: 8192,
     security: Security::Low,
+    passkey: None,
 };
 const LONG: Duration = Duration::from_secs(60);
 

@@ -1,6 +1,7 @@
 //! The link contract on the kernel's own Bluetooth stack: `RECT_BLUEZ_ADAPTERS=hci0,hci1 cargo test -p zenoh-link-ble
 //! --test contract_bluez -- --test-threads=1`. `tests/vm/test` runs it in the VM; elsewhere it says why it does not run.
 mod contract;
+mod pairing;
 mod shared {
     pub mod peer;
     pub mod raw;
@@ -8,7 +9,7 @@ mod shared {
 
 use std::process::Command;
 
-use contract::World;
+use contract::{channel, flooding, link, misbehaving, secret, World};
 use zenoh_link_ble::radio::bluez;
 
 fn world() -> Option<World> {
@@ -43,7 +44,7 @@ macro_rules! on_bluez {
             #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
             async fn $scenario() {
                 if let Some(world) = world() {
-                    contract::$group::$scenario(world).await;
+                    $group::$scenario(world).await;
                 }
             }
         )+
@@ -51,3 +52,9 @@ macro_rules! on_bluez {
 }
 
 for_each_scenario!(on_bluez);
+
+on_bluez! {
+    a_wrong_passkey_is_refused_and_the_right_one_pairs: pairing,
+    with_the_same_secret_two_are_paired_once_and_linked_again_after_that: pairing,
+    with_another_secret_two_are_not_paired: pairing,
+}

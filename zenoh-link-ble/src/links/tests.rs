@@ -39,7 +39,8 @@ fn greet(links: &mut Links, peer: &Hello, from: DeviceAddress, now: Instant) -> 
 fn the_lower_node_refuses_a_crossing_dial_and_keeps_its_own() {
     let mut links = Links::new(LOW);
     let mine = token();
-    links.on_dial(&to("peer"), mine.clone()).expect("free");
+    let dial = links.on_dial(&to("peer"), mine.clone()).expect("free");
+    assert!(links.on_hello_said(dial));
     let verdict = greet(&mut links, &hello(HIGH, "peer"), device(2), Instant::now());
     assert_eq!(verdict, Verdict::Refuse(Refusal::Crossing));
     assert!(!mine.is_cancelled());
@@ -50,10 +51,23 @@ fn the_higher_node_accepts_a_crossing_dial_and_gives_up_its_own() {
     for target in [to("peer"), Target::Address(device(2).address)] {
         let mut links = Links::new(HIGH);
         let mine = token();
-        links.on_dial(&target, mine.clone()).expect("free");
+        let dial = links.on_dial(&target, mine.clone()).expect("free");
+        assert!(links.on_hello_said(dial));
         let verdict = greet(&mut links, &hello(LOW, "peer"), device(2), Instant::now());
         assert_eq!(verdict, Verdict::Accept);
         assert!(mine.is_cancelled());
+    }
+}
+
+#[test]
+fn a_dial_that_has_not_said_hello_gives_way_whoever_is_lower() {
+    for (own, other) in [(LOW, HIGH), (HIGH, LOW)] {
+        let (mut links, mine) = (Links::new(own), token());
+        let dial = links.on_dial(&to("peer"), mine.clone()).expect("free");
+        let verdict = greet(&mut links, &hello(other, "peer"), device(2), Instant::now());
+        assert_eq!(verdict, Verdict::Accept);
+        assert!(mine.is_cancelled());
+        assert!(!links.on_hello_said(dial), "too late");
     }
 }
 

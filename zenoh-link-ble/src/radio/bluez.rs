@@ -4,6 +4,7 @@ mod channel;
 mod errors;
 mod identity;
 mod packets;
+mod pairing;
 mod scan;
 mod socket;
 mod stuck;
@@ -14,12 +15,13 @@ use std::{future::Future, sync::Arc};
 
 use async_trait::async_trait;
 use bluer::{adv, Adapter, Session, Uuid};
-use tokio::sync::{Mutex, OnceCell};
+use tokio::sync::OnceCell;
 
 use self::{
     channel::{BluezChannel, BluezListener},
     errors::{dbus_error, no_adapter},
     identity::Identity,
+    pairing::Pairing,
     scan::BluezScan,
     stuck::Refusals,
     timing::Timing,
@@ -56,7 +58,7 @@ pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
         timing: Timing::default(),
         session: OnceCell::new(),
         watch: OnceCell::new(),
-        pairing: Mutex::new(None),
+        pairing: Pairing::default(),
         refusals: Refusals::default(),
     }))
 }
@@ -66,8 +68,7 @@ struct BluezRadio {
     timing: Timing,
     session: OnceCell<Session>,
     watch: OnceCell<Watch>,
-    /// Kept while pairing may be asked for: BlueZ refuses to pair without an agent.
-    pairing: Mutex<Option<bluer::agent::AgentHandle>>,
+    pairing: Pairing,
     refusals: Refusals,
 }
 
@@ -102,33 +103,14 @@ impl BluezRadio {
         }
     }
 
-    async fn ensure_agent(&self, options: &ChannelOptions) -> Result<(), RadioError> {
-        if options.security == super::Security::Low {
-            return Ok(());
-        }
-        let mut pairing = self.pairing.lock().await;
-        if pairing.is_none() {
-            let agent = self
-                .session()
-                .await?
-                .register_agent(confirming_agent())
-                .await
-                .map_err(dbus_error("register a pairing agent"))?;
-            *pairing = Some(agent);
-        }
-        Ok(())
-    }
-}
-
-/// Confirms what a headless robot can: the two sides' numbers are not compared by anyone, so `sec=medium` and `high`
-/// keep listeners out, not impostors at the moment of pairing. Zenoh's user and password identify the peer.
-fn confirming_agent() -> bluer::agent::Agent {
-    bluer::agent::Agent {
-        request_default: true,
-        request_confirmation: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
-        request_authorization: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
-        authorize_service: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
-        ..Default::default()
+    /// The adapter, ready for channels with these options.
+    async fn adapter_for(&self, options: &ChannelOptions) -> Result<Adapter, RadioError> {
+        let adapter = self.adapter().await?;
+        self.timing.ask(adapter.name());
+        let (session, epoch) = (self.session().await?, self.epoch());
+        let pairing = &self.pairing;
+        (pairing.prepare(session, adapter.name(), epoch, options)).await?;
+        Ok(adapter)
     }
 }
 
@@ -223,9 +205,7 @@ impl Radio for BluezRadio {
         psm: Option<Psm>,
         options: ChannelOptions,
     ) -> Result<Box<dyn ChannelListener>, RadioError> {
-        self.ensure_agent(&options).await?;
-        let adapter = self.adapter().await?;
-        self.timing.ask(adapter.name());
+        let adapter = self.adapter_for(&options).await?;
         let own = own_address(&adapter).await?;
         let listener = BluezListener::start(adapter.name(), own, psm, options)?;
         Ok(Box::new(listener))
@@ -237,9 +217,7 @@ impl Radio for BluezRadio {
         psm: Psm,
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError> {
-        self.ensure_agent(&options).await?;
-        let adapter = self.adapter().await?;
-        self.timing.ask(adapter.name());
+        let adapter = self.adapter_for(&options).await?;
         let own = own_address(&adapter).await?;
         let channel = BluezChannel::connect(adapter.name(), own, peer, psm, options).await?;
         Ok(Arc::new(channel))

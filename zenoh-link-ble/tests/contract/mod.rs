@@ -112,6 +112,7 @@ macro_rules! for_each_scenario {
             without_the_secret_there_is_no_link_in_either_direction: secret,
             a_stranger_that_takes_the_name_of_a_robot_gets_no_link: secret,
             an_opening_that_is_played_back_is_refused: secret,
+            sec_high_needs_a_secret: secret,
         }
     };
 }

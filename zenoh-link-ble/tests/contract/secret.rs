@@ -14,23 +14,23 @@ use crate::shared::{
     raw::{hello, raw_channel, OPTIONS},
 };
 
-const OURS: &str = "fleet:what only we know";
-const THEIRS: &str = "fleet:what only they know";
+pub const OURS: &str = "fleet:what only we know";
+pub const THEIRS: &str = "fleet:what only they know";
 const NOT_SHARED: &str = "did not prove that it has the same secret";
 
 /// A file with a secret, and the option that names it.
-struct File {
+pub struct File {
     folder: TempDir,
 }
 
 impl File {
-    fn with(secret: &str) -> Self {
+    pub fn with(secret: &str) -> Self {
         let folder = tempfile::tempdir().expect("makes a folder");
         std::fs::write(folder.path().join("users"), secret).expect("writes");
         Self { folder }
     }
 
-    fn option(&self) -> String {
+    pub fn option(&self) -> String {
         format!("secret={}", self.folder.path().join("users").display())
     }
 }
@@ -98,7 +98,8 @@ pub async fn a_node_that_listens_with_a_secret_dials_with_it(world: World) {
     let (near, far) = match (one, other) {
         (Ok(near), Err(_)) => (near, b.incoming().await),
         (Err(_), Ok(far)) => (a.incoming().await, far),
-        (one, other) => panic!("one link, not {} and {}", one.is_ok(), other.is_ok()),
+        (Ok(_), Ok(_)) => panic!("two links"),
+        (Err(one), Err(other)) => panic!("no link: {one}; {other}"),
     };
     says(&near, &far, b"there").await;
     says(&far, &near, b"and back").await;
@@ -189,4 +190,16 @@ pub async fn an_opening_that_is_played_back_is_refused(world: World) {
     let mut buffer = [0; 100];
     let size = within("the batch", channel.recv(&mut buffer)).await;
     assert!(size.expect("receives") > b"still there".len());
+}
+
+pub async fn sec_high_needs_a_secret(world: World) {
+    let b = Peer::on(&world.b);
+    let refused = b.try_listen("name=wombat-2;sec=high").await;
+    let error = refused.expect_err("there is no passkey").to_string();
+    assert!(error.contains("sec=high needs a secret"), "{error}");
+    let b = b.listens_as("name=wombat-2").await;
+    let refused = Peer::on(&world.a).dials("ble/wombat-2#sec=high").await;
+    let error = refused.expect_err("there is no passkey").to_string();
+    assert!(error.contains("sec=high needs a secret"), "{error}");
+    assert!(b.no_more_incoming());
 }

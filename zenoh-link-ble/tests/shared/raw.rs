@@ -18,6 +18,7 @@ use super::peer::within;
 pub const OPTIONS: ChannelOptions = ChannelOptions {
     recv_mtu: 4096,
     security: Security::Low,
+    passkey: None,
 };
 /// What the raw peer takes unacknowledged, in bytes.
 pub const WINDOW: u16 = 12_000;

@@ -110,7 +110,11 @@ pub(super) fn connect_error(peer: DeviceAddress, psm: Psm, error: std::io::Error
         Some(libc::ECONNREFUSED) => RadioError::Refused { peer, psm },
         Some(libc::EACCES | libc::EPERM) => RadioError::NotPermitted {
             action: "open a channel with that sec=",
-            advice: "pair the two robots, or use the same sec= on both".to_owned(),
+            advice: format!(
+                "the two could not be paired, or paired so; the same sec= and secret= belong on both, and \
+                 `bluetoothctl remove {}` on either side forgets an old pairing",
+                peer.address
+            ),
         },
         _ => RadioError::ChannelDown {
             peer,

@@ -37,11 +37,16 @@ pub(super) struct Attachment {
     book: Mutex<Book>,
 }
 
+/// How many devices' names are remembered.
+const MAX_NAMES: usize = 256;
+
 /// Who waits for what.
 #[derive(Default)]
 pub(super) struct Book {
     last_request: u32,
     pub(super) scans: HashMap<RequestId, mpsc::Sender<Sighting>>,
+    /// What devices that were heard call themselves.
+    names: HashMap<DeviceAddress, String>,
     pub(super) listening: HashMap<RequestId, oneshot::Sender<Result<SimListener, ListenFailure>>>,
     listeners: HashMap<Psm, (RequestId, mpsc::UnboundedSender<SimChannel>)>,
     pub(super) dials: HashMap<RequestId, Dialling>,
@@ -167,9 +172,18 @@ impl Attachment {
             advertisement: Some(heard.advertisement),
             rssi_dbm: Some(heard.rssi_dbm),
         };
-        for scan in self.book.lock().scans.values() {
+        let mut book = self.book.lock();
+        if book.names.len() >= MAX_NAMES {
+            book.names.clear();
+        }
+        book.names.insert(heard.device, heard.name);
+        for scan in book.scans.values() {
             let _ = scan.try_send(sighting.clone());
         }
+    }
+
+    pub(super) fn name_of(&self, device: DeviceAddress) -> Option<String> {
+        self.book.lock().names.get(&device).cloned()
     }
 
     fn on_listening(self: &Arc<Self>, request: RequestId, psm: Result<Psm, ListenFailure>) {

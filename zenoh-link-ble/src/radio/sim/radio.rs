@@ -41,6 +41,10 @@ impl Radio for SimRadio {
         }
     }
 
+    async fn name_of(&self, device: DeviceAddress) -> Option<String> {
+        self.attachment.name_of(device)
+    }
+
     async fn state(&self) -> AdapterState {
         self.attachment.until_ready().await;
         self.attachment.state()
