@@ -45,20 +45,24 @@ class Robot:
         self._process: subprocess.Popen | None = None
         self._dials: list[str] = []
         self._listens: list[str] = []
+        self._ble_options = ""
 
     def start(
         self,
         dials: list[str] | None = None,
-        ble_options: str = "",
+        ble_options: str | None = None,
         wait: bool = True,
         listens: list[str] | None = None,
     ) -> "Robot":
-        """Starts the router; it dials `dials` and listens on `listens` too (the same as before if left out)."""
+        """Starts the router; it dials `dials` and listens on `listens` too, and by radio with `ble_options` (the same as
+        before if left out)."""
         if dials is not None:
             self._dials = dials
         if listens is not None:
             self._listens = listens
-        command = self._command(f"ble/{self._adapter}#name={self.name}{ble_options}")
+        if ble_options is not None:
+            self._ble_options = ble_options
+        command = self._command(f"ble/{self._adapter}#name={self.name}{self._ble_options}")
         self._process = start(command, self._log, self._environment)
         if wait:
             self.wait_until_up()

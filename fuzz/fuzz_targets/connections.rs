@@ -1,14 +1,21 @@
 //! Whatever a file or another robot gives as a list of connections: taken whole, or one mistake with its place in the text.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
-use rect_router::connections::file::parse;
+use rect_router::connections::file::{parse, Limits};
 
 const MOST: usize = 8;
 
-fuzz_target!(|text: &str| match parse(text, MOST) {
-    Ok(specs) => {
-        assert!(specs.len() <= MOST);
-        for spec in specs {
+fn limits() -> Limits {
+    Limits {
+        robot: "me".to_owned(),
+        most: MOST,
+    }
+}
+
+fuzz_target!(|text: &str| match parse(text, &limits()) {
+    Ok(wanted) => {
+        assert!(wanted.connections.len() <= MOST);
+        for spec in wanted.connections {
             assert!(!spec.name.is_empty() && spec.endpoint.protocol().as_str() == spec.method);
         }
     }

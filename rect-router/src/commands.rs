@@ -1,9 +1,11 @@
 //! Owns what `rect-router` does beside being a router: writing a robot's configuration, showing what a running router
 //! tells, finding out what is wrong.
+mod client;
 mod connections;
 mod doctor;
 mod init;
 mod scan;
+mod status;
 mod table;
 
 use std::{path::PathBuf, process::ExitCode};
@@ -18,6 +20,8 @@ type Failure = Box<dyn std::error::Error + Send + Sync>;
 pub enum Command {
     /// Write a robot's configuration, login and list of connections into a folder
     Init(InitArgs),
+    /// Show which robots of the fleet there are, a line for each
+    Status(StatusArgs),
     /// Show which connections a robot has, or all robots of the fleet
     Connections(AskArgs),
     /// Listen for robots that advertise by Bluetooth
@@ -46,6 +50,23 @@ pub struct InitArgs {
     /// Where to write
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
     pub folder: PathBuf,
+}
+
+/// Of whom `status` tells.
+#[derive(Debug, Parser)]
+pub struct StatusArgs {
+    /// The robot; left out, all of the fleet
+    #[arg(default_value = "*")]
+    pub robot: String,
+    /// The team's name
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+    /// The router
+    #[command(flatten)]
+    pub router: RouterArgs,
 }
 
 /// Where to ask, and about whom.
@@ -111,6 +132,7 @@ pub struct DoctorArgs {
 pub fn run(command: &Command) -> ExitCode {
     let done = match command {
         Command::Init(args) => init::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Status(args) => status::run(args).map(|()| ExitCode::SUCCESS),
         Command::Connections(args) => connections::run(args).map(|()| ExitCode::SUCCESS),
         Command::Scan(args) => scan::run(args).map(|()| ExitCode::SUCCESS),
         Command::Doctor(args) => doctor::run(args),

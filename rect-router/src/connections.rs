@@ -1,6 +1,7 @@
 //! Owns the named connections of a router: which are wanted, and what changes when others are.
 mod connection;
 pub mod file;
+mod fleet;
 mod observed;
 pub mod spec;
 mod store;
@@ -20,24 +21,30 @@ use zenoh_link_slot::Slots;
 pub use self::{
     connection::{link, Ends, Snapshot, Trouble},
     file::FileError,
+    fleet::Fleet,
     observed::Traffic,
     watcher::Watching,
 };
 use self::{
     connection::{Connection, Dialled},
-    file::Mistake,
+    file::{Limits, Mistake, Wanted},
     spec::Spec,
     store::{revision, Store},
 };
+use crate::config::{AutoConnect, Rule, Settings};
 
 /// The named connections of one Zenoh runtime.
 pub struct Connections {
     /// The file they are from.
     path: PathBuf,
+    limits: Limits,
     /// Held while it is read or replaced, so that one change follows the other.
     store: Mutex<Store>,
     slots: Arc<Slots>,
     by_name: Mutex<BTreeMap<String, Entry>>,
+    fleet: Arc<Fleet>,
+    /// Where the file has none.
+    rule: Rule,
     on_change: OnceLock<Box<dyn Fn() + Send + Sync>>,
 }
 
@@ -55,16 +62,25 @@ pub struct Changes {
     pub removed: Vec<String>,
     /// Names that lead elsewhere, or otherwise.
     pub changed: Vec<String>,
+    /// Whether another rule says whom to connect to by itself.
+    pub rule_changed: bool,
 }
 
 impl Connections {
-    /// None yet, and room for `most`; they are to come from the file `path`.
-    pub fn new(path: &Path, most: usize) -> Arc<Self> {
+    /// None yet; they are to come from the file `path`, and with them perhaps what `fleet` does instead of what the settings
+    /// say.
+    pub fn new(path: &Path, settings: &Settings, fleet: Arc<Fleet>) -> Arc<Self> {
         Arc::new(Self {
             path: path.to_owned(),
+            limits: Limits {
+                robot: settings.robot.clone(),
+                most: settings.max_connections,
+            },
             store: Mutex::new(Store::new(path)),
-            slots: Slots::new(most),
+            slots: Slots::new(settings.max_connections),
             by_name: Mutex::default(),
+            fleet,
+            rule: settings.rule(),
             on_change: OnceLock::new(),
         })
     }
@@ -82,7 +98,7 @@ impl Connections {
     /// Takes the connections of the file; on an error nothing changes.
     pub fn load(&self) -> Result<Changes, FileError> {
         let _others_wait = self.store.lock();
-        let wanted = file::read(&self.path, self.slots.count())?;
+        let wanted = file::read(&self.path, &self.limits)?;
         Ok(self.apply(wanted))
     }
 
@@ -100,7 +116,7 @@ impl Connections {
         text: &str,
         expected: Option<&str>,
     ) -> Result<(Changes, String), ReplaceError> {
-        let wanted = file::parse(text, self.slots.count())?;
+        let wanted = file::parse(text, &self.limits)?;
         let store = self.store.lock();
         if let Some(expected) = expected {
             let now = revision(&store.read()?);
@@ -137,9 +153,17 @@ impl Connections {
             .collect()
     }
 
-    /// From now on these, of different names, and no more than there is room for.
-    fn apply(&self, wanted: Vec<Spec>) -> Changes {
-        let changes = self.change(wanted);
+    /// From now on these.
+    fn apply(&self, wanted: Wanted) -> Changes {
+        let rule = Rule {
+            auto_connect: wanted.auto_connect.unwrap_or(self.rule.auto_connect),
+            auto_links: wanted.auto_links.unwrap_or(self.rule.auto_links),
+        };
+        let mut changes = match rule.auto_connect {
+            AutoConnect::None => self.change(Vec::new()),
+            AutoConnect::Listed | AutoConnect::Fleet => self.change(wanted.connections),
+        };
+        changes.rule_changed = self.fleet.follow(rule);
         if changes != Changes::default() {
             self.on_change.get().inspect(|on_change| on_change());
         }
@@ -210,11 +234,14 @@ impl fmt::Display for Changes {
             ("removed", &self.removed),
             ("changed", &self.changed),
         ];
-        let told: Vec<_> = parts
+        let mut told: Vec<_> = parts
             .iter()
             .filter(|(_, names)| !names.is_empty())
             .map(|(what, names)| format!("{what} {}", names.join(", ")))
             .collect();
+        if self.rule_changed {
+            told.push("another auto_connect or auto_links".to_owned());
+        }
         match told.is_empty() {
             true => f.write_str("as before"),
             false => f.write_str(&told.join("; ")),
@@ -224,6 +251,8 @@ impl fmt::Display for Changes {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::{spec::Written, *};
 
     fn spec(name: &str, address: &str) -> Spec {
@@ -238,7 +267,16 @@ mod tests {
 
     #[test]
     fn only_what_differs_changes() {
-        let connections = Connections::new(Path::new("/nowhere"), 3);
+        let settings = json!({ "robot": "me", "max_connections": 3, "auto_links": 2 });
+        let settings = Settings::parse(settings).expect("valid");
+        let fleet = Fleet::new("lions", 7).expect("a name");
+        let connections = Connections::new(Path::new("/nowhere"), &settings, Arc::clone(&fleet));
+        let apply = |specs: &[Spec]| {
+            connections.apply(Wanted {
+                connections: specs.to_vec(),
+                ..Wanted::default()
+            })
+        };
         let names = || -> Vec<_> {
             let snapshots = connections.snapshots();
             snapshots
@@ -246,18 +284,28 @@ mod tests {
                 .map(|s| format!("{}>{}", s.spec.name, s.spec.endpoint))
                 .collect()
         };
-        let changes = connections.apply(vec![spec("b", "two"), spec("a", "one")]);
-        assert_eq!(changes.to_string(), "added b, a");
-        let changes = connections.apply(vec![spec("a", "one"), spec("b", "two")]);
+        let rule = "another auto_connect or auto_links";
+        let changes = apply(&[spec("b", "two"), spec("a", "one")]);
+        assert_eq!(changes.to_string(), format!("added b, a; {rule}"));
+        let changes = apply(&[spec("a", "one"), spec("b", "two")]);
         assert_eq!(changes.to_string(), "as before");
-        let changes = connections.apply(vec![
-            spec("b", "three"),
-            spec("c", "four"),
-            spec("d", "five"),
-        ]);
+        let changes = apply(&[spec("b", "three"), spec("c", "four"), spec("d", "five")]);
         assert_eq!(changes.to_string(), "added c, d; removed a; changed b");
         assert_eq!(names(), ["b>ble/three", "c>ble/four", "d>ble/five"]);
-        assert_eq!(connections.apply(Vec::new()).to_string(), "removed b, c, d");
+        assert_eq!(apply(&[]).to_string(), "removed b, c, d");
         assert!(names().is_empty());
+
+        // And the rule of a file instead of the settings'.
+        let with_rule = |auto_connect| Wanted {
+            connections: vec![spec("a", "one")],
+            auto_connect: Some(auto_connect),
+            auto_links: None,
+        };
+        let changes = connections.apply(with_rule(AutoConnect::Fleet));
+        assert_eq!(changes.to_string(), format!("added a; {rule}"));
+        assert_eq!(fleet.rule().dials(), 2);
+        let changes = connections.apply(with_rule(AutoConnect::None));
+        assert_eq!(changes.to_string(), format!("removed a; {rule}"));
+        assert_eq!(fleet.rule().dials(), 0);
     }
 }

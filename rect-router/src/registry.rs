@@ -12,22 +12,28 @@ use std::{
         Arc,
     },
     thread,
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
-use zenoh_link::ble::status::{nodes, LinkStatus};
+use zenoh_config::EndPoint;
+use zenoh_link::ble::{
+    advertisement::Advertisement,
+    status::{nodes, Count, HeardStatus, LinkStatus},
+    BLE_LOCATOR_PREFIX as BLE,
+};
 
 use self::{
-    document::{peers, Clock, Connection, Counts, PeerId, State, Trouble},
+    document::{peers, Clock, Connection, Counts, PeerId, State, Status, Trouble},
     presence::Presence,
     selector::Selector,
     uptime::Uptime,
 };
 use crate::{
     config::Settings,
-    connections::{self, Connections, Ends, Snapshot, Traffic},
+    connections::{self, Connections, Ends, Fleet, Snapshot, Traffic},
+    version,
 };
 
 /// Several changes within so long are published as one.
@@ -48,6 +54,14 @@ struct Sources {
     connections: Option<Arc<Connections>>,
     presence: Arc<Presence>,
     uptime: Arc<Uptime>,
+    /// As it is advertised.
+    fleet_hash: u16,
+}
+
+/// What the radio tells.
+struct Ble {
+    links: Vec<LinkStatus>,
+    heard: Vec<HeardStatus>,
 }
 
 impl Registry {
@@ -58,6 +72,7 @@ impl Registry {
         own: &str,
         settings: &Settings,
         connections: Option<Arc<Connections>>,
+        fleet: Arc<Fleet>,
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
         let presence = Presence::start(session, &settings.fleet, &settings.robot)?;
@@ -75,6 +90,7 @@ impl Registry {
             connections,
             presence: Arc::clone(&presence),
             uptime,
+            fleet_hash: Advertisement::hash_of_fleet(&settings.fleet),
         });
         sources.answer(own, "connections", |connections, _| connections)?;
         sources.answer(own, "connections/count", |connections, _| {
@@ -84,6 +100,18 @@ impl Registry {
             let mut peers = peers(connections);
             peers.retain(|peer| selector.takes_peer(peer));
             peers
+        })?;
+        let (id, start) = (session.zid().to_string(), Instant::now());
+        sources.answer(own, "status", move |connections, _| {
+            let rule = fleet.rule();
+            Status {
+                id: id.clone(),
+                version: version::SHORT,
+                up_s: start.elapsed().as_secs_f64(),
+                auto_connect: rule.auto_connect,
+                auto_links: rule.auto_links,
+                connections: Counts::of(&connections),
+            }
         })?;
         sources.answer(own, "clock", |_, _| Clock { unix_s: now_s() })?;
         let key = format!("{own}/connections");
@@ -128,7 +156,7 @@ impl Sources {
         queryable.background().wait()
     }
 
-    /// All that are wanted, by name, and all others that are there.
+    /// All that are wanted, by name, all others that are there, and those that could be.
     fn connections(&self) -> Vec<Connection> {
         let sessions = || [&self.session].into_iter().chain(&self.host);
         let own: Vec<_> = sessions().map(Session::zid).collect();
@@ -141,13 +169,19 @@ impl Sources {
             .iter()
             .map(|link| (Ends::of(link.src(), link.dst()), link))
             .collect();
-        let ble: Vec<LinkStatus> = nodes().into_iter().flat_map(|node| node.links).collect();
+        let ble = Ble::now();
         let mut connections = Vec::new();
         let named = self.connections.as_ref();
         for snapshot in named.map_or_else(Vec::new, |named| named.snapshots()) {
             let mut link = None;
             for ends in &snapshot.ends {
                 link = by_ends.remove(ends).or(link);
+            }
+            // A pair has one link by radio, whoever dialled.
+            let by_peer = |(_, link): &(&Ends, &&Link)| ble.leads_to(link, &snapshot.spec.endpoint);
+            if let (None, Some(ends)) = (link, by_ends.iter().find(by_peer).map(|(e, _)| e.clone()))
+            {
+                link = by_ends.remove(&ends);
             }
             connections.push(self.named(snapshot, link, &ble));
         }
@@ -157,28 +191,76 @@ impl Sources {
             .collect();
         others.sort_by(|a, b| (&a.method, &a.address).cmp(&(&b.method, &b.address)));
         connections.extend(others);
+        let discovered = self.discovered(&ble, &connections);
+        connections.extend(discovered);
         connections
     }
 
-    fn named(&self, snapshot: Snapshot, link: Option<&Link>, ble: &[LinkStatus]) -> Connection {
+    /// Robots of the fleet that are heard, and that no connection leads to.
+    fn discovered(&self, ble: &Ble, connections: &[Connection]) -> Vec<Connection> {
+        let is_wanted = |heard: &HeardStatus| {
+            let leads_to_it = |one: &Connection| {
+                let is_it =
+                    one.address == heard.address || Some(&one.address) == heard.name.as_ref();
+                one.method == BLE && is_it
+            };
+            connections.iter().any(leads_to_it)
+        };
+        let is_linked =
+            |heard: &HeardStatus| ble.links.iter().any(|link| link.address == heard.address);
+        let of_fleet = ble.heard.iter().filter(|h| h.fleet_hash == self.fleet_hash);
+        let free = of_fleet.filter(|heard| !is_linked(heard) && !is_wanted(heard));
+        let discovered = free.map(|heard| Connection {
+            name: None,
+            method: BLE.to_owned(),
+            address: heard.name.clone().unwrap_or_else(|| heard.address.clone()),
+            state: State::Discovered,
+            peer: None,
+            up_s: None,
+            sent: None,
+            received: None,
+            round_trip_ms: None,
+            rssi_dbm: heard.rssi_dbm,
+            linked: None,
+            failed: None,
+            last_error: None,
+        });
+        discovered.collect()
+    }
+
+    fn named(&self, snapshot: Snapshot, link: Option<&Link>, ble: &Ble) -> Connection {
         let trouble = |trouble: connections::Trouble| Trouble {
             what: trouble.what,
             ago_s: SystemTime::now()
                 .duration_since(trouble.at)
                 .map_or(0.0, |ago| ago.as_secs_f64()),
         };
-        let radio = link.and_then(|link| radio_of(link, ble));
+        let radio = link.and_then(|link| ble.link(link));
+        let address = snapshot.spec.endpoint.address().as_str().to_owned();
+        // What the peer dialled is counted by the radio.
+        let of_peer = radio.filter(|_| snapshot.ends.is_empty());
+        let counted =
+            |own: Traffic, of_peer: Option<Count>| of_peer.map_or(own, |c| own + traffic(c));
+        let heard_as = radio.map_or(&address, |radio| &radio.address);
+        let is_ble = snapshot.spec.method == BLE;
+        let rssi_dbm = is_ble.then(|| ble.rssi_dbm(heard_as)).flatten();
         Connection {
             name: Some(snapshot.spec.name),
             method: snapshot.spec.method,
-            address: snapshot.spec.endpoint.address().as_str().to_owned(),
+            rssi_dbm,
+            address,
             state: link.map_or(State::Connecting, |_| State::Connected),
             peer: link.map(|link| self.peer(link)),
-            up_s: link
-                .and(snapshot.since)
-                .map(|since| since.elapsed().as_secs_f64()),
-            sent: Some(snapshot.sent),
-            received: Some(snapshot.received),
+            up_s: match (link, snapshot.since) {
+                (None, _) => None,
+                (_, Some(since)) => Some(since.elapsed().as_secs_f64()),
+                (Some(link), None) => self.up_s(link),
+            },
+            sent: Some(counted(snapshot.sent, of_peer.map(|radio| radio.sent))),
+            received: Some(counted(
+                snapshot.received,
+                of_peer.map(|radio| radio.received),
+            )),
             round_trip_ms: radio.and_then(round_trip_ms),
             linked: Some(snapshot.linked),
             failed: Some(snapshot.failed),
@@ -186,22 +268,16 @@ impl Sources {
         }
     }
 
-    fn other(&self, link: &Link, ble: &[LinkStatus]) -> Connection {
-        let radio = radio_of(link, ble);
-        let traffic = |count: zenoh_link::ble::status::Count| Traffic {
-            batches: count.sdus,
-            bytes: count.bytes,
-        };
+    fn other(&self, link: &Link, ble: &Ble) -> Connection {
+        let radio = ble.link(link);
         Connection {
             name: None,
             method: link.dst().protocol().as_str().to_owned(),
             address: link.dst().address().as_str().to_owned(),
+            rssi_dbm: radio.and_then(|radio| ble.rssi_dbm(&radio.address)),
             state: State::Connected,
             peer: Some(self.peer(link)),
-            up_s: self
-                .uptime
-                .of(&Ends::of(link.src(), link.dst()))
-                .map(|up| up.as_secs_f64()),
+            up_s: self.up_s(link),
             sent: radio.map(|radio| traffic(radio.sent)),
             received: radio.map(|radio| traffic(radio.received)),
             round_trip_ms: radio.and_then(round_trip_ms),
@@ -209,6 +285,11 @@ impl Sources {
             failed: None,
             last_error: None,
         }
+    }
+
+    fn up_s(&self, link: &Link) -> Option<f64> {
+        let up = self.uptime.of(&Ends::of(link.src(), link.dst()))?;
+        Some(up.as_secs_f64())
     }
 
     fn peer(&self, link: &Link) -> PeerId {
@@ -224,12 +305,45 @@ pub fn now_s() -> f64 {
     now.map_or(0.0, |now| now.as_secs_f64())
 }
 
-fn radio_of<'a>(link: &Link, ble: &'a [LinkStatus]) -> Option<&'a LinkStatus> {
-    if link.dst().protocol().as_str() != "ble" {
-        return None;
+fn traffic(count: Count) -> Traffic {
+    Traffic {
+        batches: count.sdus,
+        bytes: count.bytes,
     }
-    ble.iter()
-        .find(|radio| radio.peer == link.dst().address().as_str())
+}
+
+impl Ble {
+    fn now() -> Self {
+        let (mut links, mut heard) = (Vec::new(), Vec::new());
+        for node in nodes() {
+            links.extend(node.links);
+            heard.extend(node.heard);
+        }
+        Self { links, heard }
+    }
+
+    /// What the radio tells of that link.
+    fn link(&self, link: &Link) -> Option<&LinkStatus> {
+        if link.dst().protocol().as_str() != BLE {
+            return None;
+        }
+        let peer = link.dst().address().as_str();
+        self.links.iter().find(|radio| radio.peer == peer)
+    }
+
+    /// Whether that link is with the peer that a `ble/` endpoint names.
+    fn leads_to(&self, link: &Link, endpoint: &EndPoint) -> bool {
+        let wanted = endpoint.address().as_str();
+        endpoint.protocol().as_str() == BLE
+            && (self.link(link)).is_some_and(|l| l.peer == wanted || l.address == wanted)
+    }
+
+    /// Of whoever goes by that name or address.
+    fn rssi_dbm(&self, peer: &str) -> Option<i16> {
+        let is_it =
+            |heard: &&HeardStatus| heard.address == peer || heard.name.as_deref() == Some(peer);
+        self.heard.iter().find(is_it)?.rssi_dbm
+    }
 }
 
 fn round_trip_ms(radio: &LinkStatus) -> Option<f64> {

@@ -2,16 +2,12 @@
 //! changes them.
 use std::sync::Arc;
 
-use async_trait::async_trait;
 use zenoh::{Config, Session};
-use zenoh_link::{EndPoint, LinkUnicast, NewLinkChannelSender};
-use zenoh_link_slot::{Dial, Slots};
-use zenoh_result::ZResult;
 
 use crate::{
-    config::{self, AutoConnect, Settings},
+    config::{self, AutoConnect, Settings, MAX_AUTO_LINKS},
     config_service,
-    connections::{link, Connections, Watching},
+    connections::{Connections, Fleet, Watching},
     message,
     registry::Registry,
 };
@@ -22,45 +18,31 @@ pub struct Robot {
     own: String,
     settings: Settings,
     connections: Option<Arc<Connections>>,
-    fleet: Option<Arc<Slots>>,
+    fleet: Arc<Fleet>,
 }
 
 /// Dropping it ends what it stands for.
 pub struct Running {
     _watching: Option<Watching>,
     _registry: Registry,
-    _fleet: Option<Arc<Slots>>,
-}
-
-/// Dials anyone of the fleet.
-struct Anyone(EndPoint);
-
-#[async_trait]
-impl Dial for Anyone {
-    async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
-        link(links, &self.0).await
-    }
 }
 
 impl Robot {
     /// Makes room in the configuration for connections that come while the router runs.
     pub fn prepare(settings: Settings, config: &mut Config) -> zenoh::Result<Self> {
         config::announce(config, &settings.fleet)?;
-        let is_listed = settings.auto_connect != AutoConnect::None;
-        let file = settings.connections.as_ref().filter(|_| is_listed);
-        let connections = file.map(|path| Connections::new(path, settings.max_connections));
+        // Where there is a file, it may say so later.
+        let most = match (&settings.connections, settings.auto_connect) {
+            (Some(_), _) => MAX_AUTO_LINKS,
+            (None, AutoConnect::Fleet) => settings.auto_links,
+            (None, AutoConnect::None | AutoConnect::Listed) => 0,
+        };
+        let fleet = Fleet::new(&settings.fleet, most)?;
+        config::dial(config, fleet.endpoints())?;
+        let file = settings.connections.as_deref();
+        let connections = file.map(|path| Connections::new(path, &settings, Arc::clone(&fleet)));
         if let Some(connections) = &connections {
             config::dial(config, connections.endpoints())?;
-        }
-        let mut fleet = None;
-        if settings.auto_connect == AutoConnect::Fleet {
-            let slots = Slots::new(settings.auto_links);
-            let anyone: EndPoint = format!("ble/*#fleet={}", settings.fleet).parse()?;
-            for slot in 0..slots.count() {
-                slots.set(slot, Some(Arc::new(Anyone(anyone.clone()))));
-            }
-            config::dial(config, slots.endpoints())?;
-            fleet = Some(slots);
         }
         Ok(Self {
             fleet,
@@ -74,16 +56,18 @@ impl Robot {
     /// mends it may need this router for it. `session` answers; `host`: another one of this process with
     /// links to tell of.
     pub fn start(self, session: &Session, host: Option<Session>) -> zenoh::Result<Running> {
+        // The file may say otherwise.
+        self.fleet.follow(self.settings.rule());
         let mut watching = None;
         if let Some(connections) = &self.connections {
             watching = begin(connections);
             config_service::serve(session, &self.own, Arc::clone(connections))?;
         }
-        let registry = Registry::serve(session, host, &self.own, &self.settings, self.connections)?;
+        let (own, settings) = (&self.own, &self.settings);
+        let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
         Ok(Running {
             _watching: watching,
             _registry: registry,
-            _fleet: self.fleet,
         })
     }
 }

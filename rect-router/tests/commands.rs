@@ -147,6 +147,20 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         row.contains("connected") && row.contains("wombat-1"),
         "{row}"
     );
+    let users = format!("{two}/users");
+    let ask = ["--router", &there, "--users", &users];
+    let status = rect_router(&[&["status"], &ask[..]].concat());
+    let shown = said(&status);
+    let row = shown.lines().find(|line| line.contains("wombat-2"));
+    assert!(row.is_some_and(|row| row.contains("1 ble")), "{shown}");
+    let status = rect_router(&[&["status", "--json", "wombat-1"], &ask[..]].concat());
+    let status: Value = serde_json::from_slice(&status.stdout).expect("JSON");
+    assert_eq!(
+        status["wombat-1"]["connections"]["methods"]["ble"]["connected"],
+        1
+    );
+    let nobody = rect_router(&[&["status", "wombat-7"], &ask[..]].concat());
+    assert!(said(&nobody).contains("wombat-7 of fleet rect answers"));
     let doctor = rect_router(&[
         "doctor",
         "--json",

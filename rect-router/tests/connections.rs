@@ -87,6 +87,7 @@ fn the_registry_answers_the_six_questions() {
         ble("radio", "wombat-2"),
         tcp("base", three.port()),
         tcp("nobody", 1),
+        ble("away", "wombat-9"),
     ]);
     let one = Wombat::start(&air, &folder, 1, &connections);
     let here = client(&one.endpoint);
@@ -109,15 +110,27 @@ fn the_registry_answers_the_six_questions() {
     });
     assert_eq!(nobody[0]["state"], "connecting", "{nobody:#}");
     assert!(nobody[0]["last_error"]["what"].is_string(), "{nobody:#}");
-    let by_method = ask(&here, &format!("{registry}/connections?method=ble")).expect("an answer");
+    let by_method = format!("{registry}/connections?method=ble;state=connected");
+    let by_method = ask(&here, &by_method).expect("an answer");
     assert_eq!(by_method.as_array().map(Vec::len), Some(1), "{by_method:#}");
+    assert!(by_method[0]["rssi_dbm"].is_i64(), "{by_method:#}");
+
+    // Heard while wombat-9 is looked for, and not linked by radio.
+    let discovered = format!("{registry}/connections?state=discovered");
+    let discovered = answers(&here, &discovered, |all| all[0]["address"] == "wombat-3");
+    assert_eq!(
+        discovered.as_array().map(Vec::len),
+        Some(1),
+        "{discovered:#}"
+    );
+    assert!(discovered[0]["rssi_dbm"].is_i64(), "{discovered:#}");
 
     // How many of each method, and in total: this program is one more.
     let count = ask(&here, &format!("{registry}/connections/count")).expect("an answer");
-    let expected = json!({ "total": 4, "connected": 3, "methods": {
-        "ble": { "total": 1, "connected": 1 },
-        "tcp": { "total": 3, "connected": 2 },
-        "udp": { "total": 0, "connected": 0 },
+    let expected = json!({ "total": 5, "connected": 3, "discovered": 1, "methods": {
+        "ble": { "total": 2, "connected": 1, "discovered": 1 },
+        "tcp": { "total": 3, "connected": 2, "discovered": 0 },
+        "udp": { "total": 0, "connected": 0, "discovered": 0 },
     } });
     assert_eq!(count, expected);
 
@@ -322,7 +335,7 @@ fn a_wrong_file_or_question_is_told_and_the_router_runs_on() {
         (format!("{registry}?metod=ble"), "`metod` is unknown"),
         (
             format!("{registry}/count?state=up"),
-            "connected or connecting",
+            "connected, connecting or discovered",
         ),
         (
             "rect/wombat-1/@rect/peers?min_connections=x".to_owned(),
@@ -332,13 +345,11 @@ fn a_wrong_file_or_question_is_told_and_the_router_runs_on() {
         let error = ask(&here, &question).expect_err("wrong");
         assert!(error.contains(named), "{question}: {error}");
     }
-    // A robot's connection with itself is made by nobody.
+    // A robot's connection with itself is a mistake where its name says so, and made by nobody elsewhere.
+    one.write(&file(&[ble("b", "wombat-2"), ble("me", "wombat-1")]));
+    one.router.wait_for("me leads to this robot itself");
     let own = one.port();
-    one.write(&file(&[
-        ble("b", "wombat-2"),
-        tcp("self", own),
-        ble("me", "wombat-1"),
-    ]));
+    one.write(&file(&[ble("b", "wombat-2"), tcp("self", own)]));
     let of_itself = answers(&here, &format!("{registry}?name=self"), |all| {
         all[0]["linked"].as_u64().max(all[0]["failed"].as_u64()) > Some(1)
     });
@@ -393,6 +404,29 @@ fn connections_are_read_and_changed_by_a_query_from_another_robot() {
         ask(&there, registry).expect("an answer")[0]["state"],
         "connecting"
     );
+
+    // What it does by itself, too. (Who takes away the link that he comes over gets no answer.)
+    let here = client(&one.endpoint);
+    let rule = "{\"auto_connect\": \"fleet\", \"auto_links\": 1, \"connections\": []}";
+    let changed_rule = change(&here, key, rule).expect("changed");
+    assert_eq!(changed_rule["rule_changed"], true, "{changed_rule:#}");
+    let status = ask(&here, "rect/wombat-1/@rect/status").expect("an answer");
+    assert_eq!(status["auto_connect"], "fleet", "{status:#}");
+    assert_eq!(status["auto_links"], 1, "{status:#}");
+    // It had a link with wombat-2 by name, and has one with it as one of the fleet now.
+    let linked = "rect/wombat-1/@rect/connections?method=ble;peer=wombat-2";
+    let linked = answers(&here, linked, |all| {
+        all[0]["name"].is_null() && connected(all) == 1
+    });
+    assert_eq!(linked.as_array().map(Vec::len), Some(1), "{linked:#}");
+    let back = change(&here, key, &wanted).expect("changed");
+    assert_eq!(back["added"], json!(["radio", "base"]), "{back:#}");
+    // By its name again, whoever dialled.
+    let radio = "rect/wombat-1/@rect/connections?name=radio";
+    let radio = answers(&here, radio, |all| all[0]["peer"]["robot"] == "wombat-2");
+    assert!(radio[0]["sent"]["bytes"].as_u64() > Some(0), "{radio:#}");
+    assert!(radio[0]["up_s"].as_f64() > Some(0.0), "{radio:#}");
+    ask(&there, key).expect("is asked by radio again");
 
     // A second one who has read the same, nonsense, and what is too much: nothing changes.
     let outdated = change(

@@ -1,30 +1,23 @@
 //! Owns `rect-router connections`: the registry's answer as a table or as JSON.
-use std::{fs, path::Path, time::Duration};
-
 use serde_json::Value;
-use zenoh::{Config, Session, Wait};
-
-use crate::message;
 
 use super::{
+    client::{answers, nobody, session},
     table::{bytes, seconds, table},
-    AskArgs, Failure, RouterArgs,
+    AskArgs, Failure,
 };
-
-/// How long to wait for answers: over a slow link, with several robots.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 pub fn run(args: &AskArgs) -> Result<(), Failure> {
     let session = session(&args.router)?;
-    let answers = ask(&session, args)?;
+    let method = args.method.as_ref();
+    let parameters = method.map_or_else(String::new, |method| format!("?method={method}"));
+    let selector = format!(
+        "{}/{}/@rect/connections{parameters}",
+        args.fleet, args.robot
+    );
+    let answers = answers(&session, &selector)?;
     if answers.is_empty() {
-        let robot = &args.robot;
-        let who = if robot == "*" { "no robot" } else { robot };
-        return Err(format!(
-            "{who} of fleet {} answers: does its router run, with plugins/rect in its configuration?",
-            args.fleet
-        )
-        .into());
+        return Err(nobody(&args.fleet, &args.robot));
     }
     if args.json {
         let all: serde_json::Map<_, _> = answers.into_iter().collect();
@@ -42,6 +35,7 @@ pub fn run(args: &AskArgs) -> Result<(), Failure> {
         "SENT",
         "RECEIVED",
         "ROUND TRIP",
+        "SIGNAL",
         "LAST ERROR",
     ];
     let mut shown = table(&names);
@@ -78,58 +72,7 @@ fn row(robot: &str, one: &Value) -> Vec<String> {
         carried(&one["sent"]),
         carried(&one["received"]),
         number(&one["round_trip_ms"], &|ms| format!("{ms:.0} ms")),
+        number(&one["rssi_dbm"], &|dbm| format!("{dbm:.0} dBm")),
         text(&one["last_error"]["what"]),
     ]
-}
-
-/// Each robot's connections.
-fn ask(session: &Session, args: &AskArgs) -> Result<Vec<(String, Value)>, Failure> {
-    let method = args.method.as_ref();
-    let parameters = method.map_or_else(String::new, |method| format!("?method={method}"));
-    let selector = format!(
-        "{}/{}/@rect/connections{parameters}",
-        args.fleet, args.robot
-    );
-    let mut answers = Vec::new();
-    for reply in session.get(selector).timeout(PATIENCE).wait()? {
-        match reply.into_result() {
-            Ok(sample) => {
-                let key = sample.key_expr().as_str();
-                let robot = key.split('/').nth(1).unwrap_or(key).to_owned();
-                answers.push((robot, serde_json::from_slice(&sample.payload().to_bytes())?));
-            }
-            Err(error) => {
-                let said = error.payload().to_bytes();
-                return Err(String::from_utf8_lossy(&said).into_owned().into());
-            }
-        }
-    }
-    answers.sort_by(|(one, _), (other, _)| one.cmp(other));
-    Ok(answers)
-}
-
-/// A client of that router, logged in where there is a login file.
-pub(super) fn session(args: &RouterArgs) -> Result<Session, Failure> {
-    let mut config = Config::default();
-    for (key, value) in [
-        ("mode", Value::from("client")),
-        ("connect/endpoints", Value::from(vec![args.router.clone()])),
-        ("scouting/multicast/enabled", Value::from(false)),
-    ] {
-        config.insert_json5(key, &value.to_string())?;
-    }
-    if let Some((user, password)) = first_login(&args.users) {
-        let login = serde_json::json!({ "user": user, "password": password });
-        config.insert_json5("transport/auth/usrpwd", &login.to_string())?;
-    }
-    zenoh::open(config).wait().map_err(|error| {
-        let why = message::with_causes(error.as_ref());
-        format!("no router answers at {}: {why}", args.router).into()
-    })
-}
-
-fn first_login(users: &Path) -> Option<(String, String)> {
-    let text = fs::read_to_string(users).ok()?;
-    let (user, password) = text.lines().find_map(|line| line.split_once(':'))?;
-    Some((user.trim().to_owned(), password.trim().to_owned()))
 }

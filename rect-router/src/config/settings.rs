@@ -2,7 +2,7 @@
 //! They are taken out of it, or Zenoh would look for a plugin of that name.
 use std::path::PathBuf;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use zenoh::Config;
 use zenoh_link::ble::locator;
@@ -15,10 +15,11 @@ const DEFAULT_MAX_CONNECTIONS: usize = 32;
 const MAX_CONNECTIONS: usize = 1000;
 /// A Raspberry Pi's controller manages some 7 links, others dial too, and Zenoh routes over the rest of the fleet.
 const DEFAULT_AUTO_LINKS: usize = 3;
-const MAX_AUTO_LINKS: usize = 7;
+/// With `auto_connect: "fleet"`, to how many a robot connects by itself at most: what a controller manages.
+pub const MAX_AUTO_LINKS: usize = 7;
 
 /// Whom a robot connects to.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AutoConnect {
     /// Nobody: it waits for others.
@@ -28,6 +29,32 @@ pub enum AutoConnect {
     Listed,
     /// Those, and anyone of its fleet that is heard by Bluetooth.
     Fleet,
+}
+
+impl AutoConnect {
+    /// By its name.
+    pub fn parse(text: &str) -> Option<Self> {
+        serde_json::from_value(text.into()).ok()
+    }
+}
+
+/// To whom a robot connects by itself, as the settings say, or the file of connections instead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rule {
+    /// By what rule.
+    pub auto_connect: AutoConnect,
+    /// With [`AutoConnect::Fleet`], to how many beside those listed.
+    pub auto_links: usize,
+}
+
+impl Rule {
+    /// To how many of the fleet.
+    pub fn dials(&self) -> usize {
+        match self.auto_connect {
+            AutoConnect::Fleet => self.auto_links,
+            AutoConnect::None | AutoConnect::Listed => 0,
+        }
+    }
 }
 
 /// `plugins: { rect: { ... } }`
@@ -72,6 +99,14 @@ fn default_max_connections() -> usize {
 }
 
 impl Settings {
+    /// To whom to connect as long as the file of connections does not say otherwise.
+    pub fn rule(&self) -> Rule {
+        Rule {
+            auto_connect: self.auto_connect,
+            auto_links: self.auto_links,
+        }
+    }
+
     /// Reads and checks them.
     pub fn parse(mut given: Value) -> Result<Self, ConfigError> {
         let refused = |reason: String| ConfigError::Settings { reason };

@@ -111,8 +111,8 @@ impl Connection {
         let (mut sent, mut received) = (state.sent, state.received);
         for link in &links {
             let (more_sent, more_received) = link.traffic();
-            sent = sum(sent, more_sent);
-            received = sum(received, more_received);
+            sent = sent + more_sent;
+            received = received + more_received;
         }
         let ends = |link: &Arc<ObservedLink>| Ends::of(link.get_src(), link.get_dst());
         Snapshot {
@@ -150,8 +150,8 @@ impl Connection {
 
     pub(super) fn on_link_gone(&self, sent: Traffic, received: Traffic) {
         let mut state = self.state.lock();
-        state.sent = sum(state.sent, sent);
-        state.received = sum(state.received, received);
+        state.sent = state.sent + sent;
+        state.received = state.received + received;
     }
 
     fn on_failed(&self, what: &str) {
@@ -227,12 +227,5 @@ impl Drop for Attempt<'_> {
         if let Some(connection) = self.0 {
             connection.on_failed("nobody answered in time");
         }
-    }
-}
-
-fn sum(one: Traffic, other: Traffic) -> Traffic {
-    Traffic {
-        batches: one.batches + other.batches,
-        bytes: one.bytes + other.bytes,
     }
 }

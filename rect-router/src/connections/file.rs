@@ -1,4 +1,5 @@
-//! Owns the reading of `connections.json`: JSON with comments becomes connections that can be dialled, or the one mistake
+//! Owns the reading of `connections.json`: JSON with comments becomes connections that can be dialled and, if it has one, a
+//! rule for the rest of the fleet; or the one mistake
 //! with its line and column. Half a file is never taken.
 use std::{
     collections::HashMap,
@@ -14,6 +15,7 @@ use jsonc_parser::{
 };
 
 use super::spec::{Spec, Written, Wrong};
+use crate::config::{AutoConnect, MAX_AUTO_LINKS};
 
 /// The largest file that is read, in bytes: some ten thousand connections.
 const MAX_BYTES: u64 = 1 << 20;
@@ -57,8 +59,28 @@ pub struct Mistake {
     pub what: String,
 }
 
-/// The connections of a file.
-pub fn read(path: &Path, most: usize) -> Result<Vec<Spec>, FileError> {
+/// What a file says.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// Of different names, and to different peers.
+    pub connections: Vec<Spec>,
+    /// Instead of the one of the settings.
+    pub auto_connect: Option<AutoConnect>,
+    /// Instead of the one of the settings.
+    pub auto_links: Option<usize>,
+}
+
+/// What a file is held against.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Whose connections they are: none leads to this robot itself.
+    pub robot: String,
+    /// How many there may be.
+    pub most: usize,
+}
+
+/// What a file says.
+pub fn read(path: &Path, limits: &Limits) -> Result<Wanted, FileError> {
     let path = || path.to_owned();
     let mut bytes = Vec::new();
     File::open(path())
@@ -80,22 +102,22 @@ pub fn read(path: &Path, most: usize) -> Result<Vec<Spec>, FileError> {
             mistake,
         }
     })?;
-    parse(&text, most).map_err(|mistake| FileError::Mistake {
+    parse(&text, limits).map_err(|mistake| FileError::Mistake {
         path: path(),
         mistake,
     })
 }
 
-/// The connections of a text; `most`: how many there may be.
-pub fn parse(text: &str, most: usize) -> Result<Vec<Spec>, Mistake> {
+/// What a text says.
+pub fn parse(text: &str, limits: &Limits) -> Result<Wanted, Mistake> {
     if text.len() as u64 > MAX_BYTES {
         let what = format!("these are more than {MAX_BYTES} bytes");
         return Err(at(text, 0, what));
     }
-    let reader = Reader { text, most };
+    let reader = Reader { text, limits };
     let parsed = parse_to_ast(text, &Default::default(), &json_with_comments())
         .map_err(|error| reader.wrong(error.range(), error.kind().to_string()))?;
-    reader.connections(parsed.value)
+    reader.wanted(parsed.value)
 }
 
 /// Comments, and commas after the last one; nothing else that JSON has not.
@@ -116,30 +138,56 @@ fn json_with_comments() -> ParseOptions {
 
 struct Reader<'a> {
     text: &'a str,
-    most: usize,
+    limits: &'a Limits,
 }
 
 impl<'a> Reader<'a> {
-    fn connections(&self, whole: Option<Value<'a>>) -> Result<Vec<Spec>, Mistake> {
+    fn wanted(&self, whole: Option<Value<'a>>) -> Result<Wanted, Mistake> {
         let wanted = "the file holds { \"connections\": [ ... ] }";
         let start = Range::new(0, 0);
         let whole = whole.ok_or_else(|| self.wrong(start, wanted))?;
         let Value::Object(whole) = whole else {
             return Err(self.wrong(whole.range(), wanted));
         };
-        let fields = self.fields(&whole, &["$schema", "connections"])?;
+        const KEYS: [&str; 4] = ["$schema", "auto_connect", "auto_links", "connections"];
+        let fields = self.fields(&whole, &KEYS)?;
         let Some(list) = fields.get("connections") else {
             return Err(self.wrong(whole.range, wanted));
         };
+        let auto_connect = fields.get("auto_connect").map(|field| {
+            let rule = match &field.value {
+                Value::StringLit(text) => AutoConnect::parse(&text.value),
+                _ => None,
+            };
+            let what = "auto_connect is \"none\", \"listed\" or \"fleet\"";
+            rule.ok_or_else(|| self.wrong(field.value.range(), what))
+        });
+        let auto_links = fields.get("auto_links").map(|field| {
+            let number = match &field.value {
+                Value::NumberLit(number) => number.value.parse().ok(),
+                _ => None,
+            };
+            let number = number.filter(|number| (1..=MAX_AUTO_LINKS).contains(number));
+            let what = format!("auto_links is 1 to {MAX_AUTO_LINKS}");
+            number.ok_or_else(|| self.wrong(field.value.range(), what))
+        });
+        Ok(Wanted {
+            auto_connect: auto_connect.transpose()?,
+            auto_links: auto_links.transpose()?,
+            connections: self.connections(list)?,
+        })
+    }
+
+    fn connections(&self, list: &ObjectProp<'a>) -> Result<Vec<Spec>, Mistake> {
         let Value::Array(list) = &list.value else {
             return Err(self.wrong(list.value.range(), "connections is a list"));
         };
         let (mut names, mut targets, mut specs) = (HashMap::new(), HashMap::new(), Vec::new());
         for value in &list.elements {
-            if specs.len() == self.most {
+            if specs.len() == self.limits.most {
                 let what = format!(
                     "one connection too many: there may be {} (plugins/rect/max_connections)",
-                    self.most
+                    self.limits.most
                 );
                 return Err(self.wrong(value.range(), what));
             }
@@ -155,6 +203,10 @@ impl<'a> Reader<'a> {
                     spec.name,
                     line(&first)
                 );
+                return Err(self.wrong(range, what));
+            }
+            if spec.is_to(&self.limits.robot) {
+                let what = format!("{} leads to this robot itself", spec.name);
                 return Err(self.wrong(range, what));
             }
             specs.push(spec);

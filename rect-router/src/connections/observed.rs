@@ -26,6 +26,17 @@ pub struct Traffic {
     pub bytes: u64,
 }
 
+impl std::ops::Add for Traffic {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            batches: self.batches + other.batches,
+            bytes: self.bytes + other.bytes,
+        }
+    }
+}
+
 /// Counts while others read.
 #[derive(Default)]
 struct Counter {

@@ -113,6 +113,11 @@ impl Spec {
         })
     }
 
+    /// Whether it leads to the robot of that name, as far as the name tells: Zenoh ends a link to itself by any other.
+    pub fn is_to(&self, robot: &str) -> bool {
+        self.method == BLE && self.endpoint.address().as_str() == robot
+    }
+
     /// Whom it leads to, without options: what two connections may not share.
     pub fn target(&self) -> String {
         self.endpoint.to_locator().to_string()

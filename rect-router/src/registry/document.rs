@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::connections::Traffic;
+use crate::{config::AutoConnect, connections::Traffic};
 
 /// Whether a connection carries messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -13,6 +13,8 @@ pub enum State {
     Connected,
     /// It is wanted, and dialled until it does.
     Connecting,
+    /// A robot of the fleet is heard, and not linked.
+    Discovered,
 }
 
 impl State {
@@ -21,12 +23,13 @@ impl State {
         match text {
             "connected" => Some(Self::Connected),
             "connecting" => Some(Self::Connecting),
+            "discovered" => Some(Self::Discovered),
             _ => None,
         }
     }
 }
 
-/// A connection that is wanted or there.
+/// A connection that is wanted, there, or possible.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Connection {
     /// As the file names it; `null`: one that the other side made, or that has no name.
@@ -47,6 +50,8 @@ pub struct Connection {
     pub received: Option<Traffic>,
     /// There and back, in milliseconds, where it is measured.
     pub round_trip_ms: Option<f64>,
+    /// How strong its signal is, in dBm, where it was heard within a minute.
+    pub rssi_dbm: Option<i16>,
     /// How often it was made.
     pub linked: Option<u64>,
     /// Attempts that came to nothing since then.
@@ -83,6 +88,23 @@ pub struct Peer {
     pub connections: Vec<Connection>,
 }
 
+/// A robot at a glance.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Status {
+    /// Zenoh's identifier of its router.
+    pub id: String,
+    /// Of RECT, and of Zenoh.
+    pub version: &'static str,
+    /// For how long it has been running, in seconds.
+    pub up_s: f64,
+    /// Whom it connects to by itself.
+    pub auto_connect: AutoConnect,
+    /// With `fleet`, to how many beside those listed.
+    pub auto_links: usize,
+    /// How many connections it has.
+    pub connections: Counts,
+}
+
 /// What time it is there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Clock {
@@ -107,6 +129,8 @@ pub struct Count {
     pub total: usize,
     /// There.
     pub connected: usize,
+    /// Heard, and neither.
+    pub discovered: usize,
 }
 
 impl Counts {
@@ -120,8 +144,15 @@ impl Counts {
         for connection in connections {
             let of_method = counts.methods.entry(connection.method.clone()).or_default();
             for count in [&mut counts.all, of_method] {
+                match connection.state {
+                    State::Discovered => {
+                        count.discovered += 1;
+                        continue;
+                    }
+                    State::Connected => count.connected += 1,
+                    State::Connecting => {}
+                }
                 count.total += 1;
-                count.connected += usize::from(connection.state == State::Connected);
             }
         }
         counts

@@ -13,7 +13,8 @@ pub struct Selector {
     min_connections: Option<usize>,
 }
 
-const KNOWN: &str = "method, name, peer, state (connected or connecting), min_connections";
+const KNOWN: &str =
+    "method, name, peer, state (connected, connecting or discovered), min_connections";
 
 impl Selector {
     /// Reads it; an error says what is known. Zenoh's own parameters begin with `_`.
@@ -33,7 +34,8 @@ impl Selector {
                 "peer" => selector.peer = text(),
                 "state" => {
                     let state = State::parse(value);
-                    let wanted = || format!("state={value}: a state is connected or connecting");
+                    let wanted =
+                        || format!("state={value}: a state is connected, connecting or discovered");
                     selector.state = Some(state.ok_or_else(wanted)?);
                 }
                 "min_connections" => {

@@ -50,6 +50,23 @@ def test_a_robot_is_found_by_address_and_psm(robots):
     wait_until("the two are linked", 30, lambda: linked(one, two))
 
 
+def test_robots_that_encrypt_are_paired_once_and_linked_again_after_a_restart(robots):
+    one, two = robots(2)
+    one.start([], ble_options=";sec=medium")
+    two.start([f"ble/{one.name}#sec=medium"], ble_options=";sec=medium")
+    took = wait_until("the two are paired and linked", 30, lambda: linked(one, two))
+    print(f"paired and linked after {took:.2f} s")
+    times_paired = (one.log() + two.log()).count("ble: pairs hci")
+    for robot in (one, two):
+        robot.kill()
+        robot.start()
+    took = wait_until("the two are linked again", 30, lambda: linked(one, two))
+    print(f"linked again after {took:.2f} s")
+    with one.session() as here, two.session() as there:
+        exchange(here, there)
+    assert (one.log() + two.log()).count("ble: pairs hci") == times_paired == 1
+
+
 @pytest.mark.parametrize("bytes_per_s", [100_000, 0])
 def test_a_megabyte_arrives_intact(robots, bytes_per_s):
     one, two = pair(robots)

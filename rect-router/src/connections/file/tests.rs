@@ -5,8 +5,15 @@ use super::*;
 
 const MOST: usize = 3;
 
+fn limits() -> Limits {
+    Limits {
+        robot: "me".to_owned(),
+        most: MOST,
+    }
+}
+
 fn mistake(text: &str) -> String {
-    parse(text, MOST).expect_err("wrong").to_string()
+    parse(text, &limits()).expect_err("wrong").to_string()
 }
 
 /// Connections as a file of them, the first in line 2.
@@ -26,9 +33,12 @@ fn comments_and_a_last_comma_are_fine() {
         { "name": "wombat-2", "method": "ble", "address": "wombat-2", "options": { "mtu": 500 } },
       ],
     }"#;
-    let specs = parse(text, MOST).expect("valid");
-    assert_eq!(specs[0].endpoint.to_string(), "ble/wombat-2#mtu=500");
-    assert_eq!(parse(&file(&[]), MOST), Ok(Vec::new()));
+    let wanted = parse(text, &limits()).expect("valid");
+    assert_eq!(
+        wanted.connections[0].endpoint.to_string(),
+        "ble/wombat-2#mtu=500"
+    );
+    assert_eq!(parse(&file(&[]), &limits()), Ok(Wanted::default()));
 }
 
 #[test]
@@ -87,6 +97,46 @@ fn a_name_or_a_target_twice_names_the_first() {
     assert!(mistake(&file(&[BASE, &other])).starts_with("3:1: other leads where"));
 }
 
+#[test]
+fn a_connection_to_the_robot_itself_is_a_mistake() {
+    let own = r#"{"name": "a", "method": "ble", "address": "me"}"#;
+    let mistake = mistake(&file(&[BASE, own]));
+    assert_eq!(mistake, "3:1: a leads to this robot itself");
+}
+
+#[test]
+fn a_file_may_have_a_rule_of_its_own() {
+    let text = r#"{"auto_connect": "fleet", "auto_links": 2, "connections": []}"#;
+    let wanted = parse(text, &limits()).expect("valid");
+    assert_eq!(wanted.auto_connect, Some(AutoConnect::Fleet));
+    assert_eq!(wanted.auto_links, Some(2));
+    for (text, place) in [
+        (
+            r#"{"auto_connect": "all", "connections": []}"#,
+            "1:18: auto_connect is",
+        ),
+        (
+            r#"{"auto_connect": 1, "connections": []}"#,
+            "1:18: auto_connect is",
+        ),
+        (
+            r#"{"auto_links": 0, "connections": []}"#,
+            "1:16: auto_links is 1 to 7",
+        ),
+        (
+            r#"{"auto_links": 8, "connections": []}"#,
+            "1:16: auto_links is 1 to 7",
+        ),
+        (
+            r#"{"auto_links": "2", "connections": []}"#,
+            "1:16: auto_links is",
+        ),
+    ] {
+        let mistake = mistake(text);
+        assert!(mistake.starts_with(place), "{text}: {mistake}");
+    }
+}
+
 /// An editor that knows the schema and the router agree.
 #[test]
 fn the_schema_says_the_same() {
@@ -96,7 +146,7 @@ fn the_schema_says_the_same() {
     let schema = jsonschema::validator_for(&schema).expect("a schema");
     let agree = |text: &str| {
         let document = jsonc_parser::parse_to_serde_value(text, &json_with_comments());
-        let ours = parse(text, MOST);
+        let ours = parse(text, &limits());
         let theirs = schema.is_valid(&document.expect("JSON"));
         assert_eq!(ours.is_ok(), theirs, "{text}: {ours:?}");
         theirs
@@ -133,6 +183,16 @@ fn the_schema_says_the_same() {
     ] {
         assert!(!one(wrong), "{wrong}");
     }
+    assert!(agree(
+        r#"{"connections": [], "auto_connect": "none", "auto_links": 7}"#
+    ));
+    for rule in [
+        r#""auto_connect": "all""#,
+        r#""auto_links": 8"#,
+        r#""auto_links": 1.5"#,
+    ] {
+        assert!(!agree(&format!(r#"{{"connections": [], {rule}}}"#)));
+    }
     assert!(!agree("{}") && !agree("[]") && !agree(r#"{"connections": [], "more": 1}"#));
 }
 
@@ -143,7 +203,9 @@ fn both_sides_of_the_limits() {
         .collect();
     let many: Vec<_> = many.iter().map(String::as_str).collect();
     assert_eq!(
-        parse(&file(&many[..MOST]), MOST).expect("valid").len(),
+        (parse(&file(&many[..MOST]), &limits()).expect("valid"))
+            .connections
+            .len(),
         MOST
     );
     assert!(mistake(&file(&many)).starts_with("5:1: one connection too many"));
@@ -154,8 +216,8 @@ fn both_sides_of_the_limits() {
         File::create(&path)
             .and_then(|mut file| file.write_all(bytes))
             .expect("written");
-        read(&path, MOST)
-            .map(|specs| specs.len())
+        read(&path, &limits())
+            .map(|wanted| wanted.connections.len())
             .map_err(|error| error.to_string())
     };
     assert_eq!(written(file(&[BASE]).as_bytes()), Ok(1));
@@ -165,6 +227,6 @@ fn both_sides_of_the_limits() {
     assert!(written(&blanks[1..]).is_err_and(|e| e.contains("the file holds")));
     let deep = "[".repeat(100_000);
     assert!(written(deep.as_bytes()).is_err_and(|e| e.contains("depth")));
-    let nowhere = read(&folder.path().join("nowhere"), MOST).expect_err("not there");
+    let nowhere = read(&folder.path().join("nowhere"), &limits()).expect_err("not there");
     assert!(nowhere.to_string().contains("nowhere"));
 }
