@@ -205,3 +205,39 @@ fn what_keeps_the_plugin_from_starting_is_said_and_the_host_runs_on() {
     unread.exit();
     assert!(unread.full_log().contains("robot \"a b\""));
 }
+
+/// Its bytes with one thing in their place.
+fn patched(plugin: &[u8], is: &str, becomes: &str) -> Vec<u8> {
+    let mut bytes = plugin.to_vec();
+    let places: Vec<_> = (0..bytes.len() - is.len())
+        .filter(|at| bytes[*at..].starts_with(is.as_bytes()))
+        .collect();
+    assert!(!places.is_empty(), "{is} is not in the plugin");
+    for at in places {
+        bytes[at..at + becomes.len()].copy_from_slice(becomes.as_bytes());
+    }
+    bytes
+}
+
+#[test]
+fn a_plugin_of_another_build_is_refused_and_told_which_is_needed() {
+    let Some((zenohd, plugin)) = zenohd_and_plugin() else {
+        return;
+    };
+    let plugin = std::fs::read(plugin).expect("read");
+    let folder = tempfile::tempdir().expect("a folder");
+    for (ours, another) in [
+        ("v1.10.2-release", "v1.10.3-release"),
+        ("zenoh/auth_usrpwd", "zenoh/auth_usrpwX"),
+    ] {
+        let path = folder.path().join("libzenoh_plugin_rect.so");
+        std::fs::write(&path, patched(&plugin, ours, another)).expect("written");
+        let plugin = format!("rect:{}", path.display());
+        let settings = "plugins/rect/robot:\"wombat-1\"";
+        let args = ["-P", &plugin, "-l", "tcp/127.0.0.1:0", "--cfg", settings];
+        let mut router = Router::start_program(&zenohd, &args);
+        assert!(!router.exit().success(), "{another} is taken");
+        let log = router.full_log();
+        assert!(log.contains(ours) && log.contains(another), "{log}");
+    }
+}
