@@ -29,6 +29,14 @@ const SHARED: [&str; 6] = [
     "downsampling",
 ];
 
+/// What a robot's router has for the sake of its radio.
+const ROBOT: &str = include_str!("../../../config/robot.json5");
+const FOR_SLOW_LINKS: [&str; 3] = [
+    "/transport/link/tx/queue/size",
+    "/transport/link/tx/queue/congestion_control/block/wait_before_close",
+    "/transport/link/rx/max_message_size",
+];
+
 /// The plugin's router while it runs.
 pub struct Second {
     session: Session,
@@ -113,22 +121,21 @@ fn configuration(of_host: &str) -> ZResult<Config> {
     ours["mode"] = json!("router");
     ours["scouting"] = json!({ "multicast": { "enabled": false } });
     ours["listen"] = json!({ "exit_on_failure": false, "endpoints": [] });
-    ours["connect"] = json!({
-        "timeout_ms": -1, "exit_on_failure": false,
-        "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2 },
-    });
-    for_slow_links(&mut ours);
+    // The reasons are there; the host keeps its own.
+    let robot: Value = serde_json::from_str(&Config::from_json5(ROBOT)?.to_string())?;
+    ours["connect"] = robot["connect"].clone();
+    ours["connect"]["endpoints"] = json!([]);
+    for setting in FOR_SLOW_LINKS {
+        let value = robot.pointer(setting).cloned().unwrap_or_default();
+        put(&mut ours, setting, value);
+    }
     Config::from_json5(&ours.to_string())
 }
 
-/// As in `config/robot.json5`, with the reasons there; the host keeps its own.
-fn for_slow_links(config: &mut Value) {
-    let queue = &mut config["transport"]["link"]["tx"]["queue"];
-    for priority in ["data_high", "data", "data_low", "background"] {
-        queue["size"][priority] = json!(8);
-    }
-    queue["congestion_control"]["block"]["wait_before_close"] = json!(60_000_000);
-    config["transport"]["link"]["rx"]["max_message_size"] = json!(16_777_216);
+/// Puts a value where the path leads, and what is missing on the way there.
+fn put(into: &mut Value, path: &str, value: Value) {
+    let parts = path.split('/').skip(1);
+    *parts.fold(into, |at, part| &mut at[part]) = value;
 }
 
 #[cfg(test)]
@@ -158,5 +165,12 @@ mod tests {
         assert_ne!(ours["id"], "abc");
         let queue = &ours["transport"]["link"]["tx"]["queue"];
         assert_eq!(queue["size"]["data"], 8, "{queue}");
+        let block = &queue["congestion_control"]["block"];
+        assert_eq!(block["wait_before_close"], 60_000_000, "{queue}");
+        assert_eq!(
+            ours["transport"]["link"]["rx"]["max_message_size"],
+            16 << 20
+        );
+        assert_eq!(ours["connect"]["timeout_ms"], -1);
     }
 }
