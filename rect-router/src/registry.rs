@@ -2,6 +2,7 @@
 //! published under the same key, and a liveliness token tells that the robot is there. `docs/registry.md` has the keys.
 pub mod document;
 mod presence;
+mod radio;
 pub mod selector;
 mod uptime;
 
@@ -17,16 +18,16 @@ use std::{
 
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
-use zenoh_config::EndPoint;
 use zenoh_link::ble::{
     advertisement::Advertisement,
-    status::{nodes, Count, HeardStatus, LinkStatus},
+    status::{Count, HeardStatus},
     BLE_LOCATOR_PREFIX as BLE,
 };
 
 use self::{
     document::{peers, Clock, Connection, Counts, PeerId, State, Status, Trouble},
     presence::Presence,
+    radio::{round_trip_ms, traffic, Ble},
     selector::Selector,
     uptime::Uptime,
 };
@@ -56,12 +57,6 @@ struct Sources {
     uptime: Arc<Uptime>,
     /// As it is advertised.
     fleet_hash: u16,
-}
-
-/// What the radio tells.
-struct Ble {
-    links: Vec<LinkStatus>,
-    heard: Vec<HeardStatus>,
 }
 
 impl Registry {
@@ -303,51 +298,6 @@ impl Sources {
 pub fn now_s() -> f64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
     now.map_or(0.0, |now| now.as_secs_f64())
-}
-
-fn traffic(count: Count) -> Traffic {
-    Traffic {
-        batches: count.sdus,
-        bytes: count.bytes,
-    }
-}
-
-impl Ble {
-    fn now() -> Self {
-        let (mut links, mut heard) = (Vec::new(), Vec::new());
-        for node in nodes() {
-            links.extend(node.links);
-            heard.extend(node.heard);
-        }
-        Self { links, heard }
-    }
-
-    /// What the radio tells of that link.
-    fn link(&self, link: &Link) -> Option<&LinkStatus> {
-        if link.dst().protocol().as_str() != BLE {
-            return None;
-        }
-        let peer = link.dst().address().as_str();
-        self.links.iter().find(|radio| radio.peer == peer)
-    }
-
-    /// Whether that link is with the peer that a `ble/` endpoint names.
-    fn leads_to(&self, link: &Link, endpoint: &EndPoint) -> bool {
-        let wanted = endpoint.address().as_str();
-        endpoint.protocol().as_str() == BLE
-            && (self.link(link)).is_some_and(|l| l.peer == wanted || l.address == wanted)
-    }
-
-    /// Of whoever goes by that name or address.
-    fn rssi_dbm(&self, peer: &str) -> Option<i16> {
-        let is_it =
-            |heard: &&HeardStatus| heard.address == peer || heard.name.as_deref() == Some(peer);
-        self.heard.iter().find(is_it)?.rssi_dbm
-    }
-}
-
-fn round_trip_ms(radio: &LinkStatus) -> Option<f64> {
-    radio.lanes.as_ref()?.round_trip_ms
 }
 
 /// Publishes the connections after each change, until nobody can tell of one any more.
