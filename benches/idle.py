@@ -31,7 +31,7 @@ def run() -> Table:
         table.add(program, memory, threads[program], megabytes(path), megabytes(path, strip=True))
     table.notes = [
         f"Resident memory once it listens on TCP, the median of {ROUNDS} starts, by turns. Wanted: at most 1 MB above "
-        "stock. rect-router is built with thin LTO in one codegen unit and stripped (profile `release`)."
+        "stock. rect-router is built with LTO over everything in one codegen unit and stripped (profile `release`)."
     ]
     return table
 

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import sys
 from pathlib import Path
 
@@ -40,7 +41,9 @@ def main() -> int:
         table = bench.run()
         print(table.text())
         results.mkdir(exist_ok=True)
-        (results / f"{name}.md").write_text(table.markdown(f"scripts/bench {name}"))
+        profile = os.environ.get("RECT_PROFILE", "release")
+        setting = "" if profile == "release" else f"RECT_PROFILE={profile} "
+        (results / f"{name}.md").write_text(table.markdown(f"{setting}scripts/bench {name}"))
     return 0
 
 

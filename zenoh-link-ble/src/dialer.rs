@@ -9,7 +9,7 @@ use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
     error::BleError,
-    hello::{Hello, NodeId, VERSION},
+    hello::{Hello, NodeId, Refusal, VERSION},
     link::{Framing, LinkBle, Opened},
     links::LinkNumber,
     locator::{ConnectLocator, Target},
@@ -95,8 +95,13 @@ async fn dial_once(
     if !is_of_use {
         adapter.radio.disconnect(seen.device).await;
     }
-    if let Err(BleError::NoSharedSecret { peer }) = opened {
-        node.on_no_proof(peer);
+    let is_stranger = match &opened {
+        Err(BleError::NoSharedSecret { .. }) => true,
+        Err(BleError::Refused { refusal, .. }) => *refusal == Refusal::Secret,
+        _ => false,
+    };
+    if is_stranger {
+        node.on_no_proof(seen.device);
     }
     let (channel, peer) = opened?;
     let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref())?;
@@ -286,7 +291,7 @@ impl Dialling {
         peer: Option<&Hello>,
         device: DeviceAddress,
         end: CancellationToken,
-    ) -> Result<(), crate::hello::Refusal> {
+    ) -> Result<(), Refusal> {
         self.succeeded = true;
         let now = Instant::now().into_std();
         let accepted = (self.node.links()).on_accepted(self.number, peer, device, now, end);

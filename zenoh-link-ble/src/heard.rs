@@ -8,8 +8,8 @@ use crate::{address::DeviceAddress, radio::Sighting};
 
 /// How long somebody counts as being there. A robot advertises ten times a second, but nobody may be looking.
 const LATELY: Duration = Duration::from_secs(60);
-/// How many are remembered.
-const REMEMBERED: usize = 64;
+/// How many are remembered: more than a hall has, as each new one is asked for its name.
+const REMEMBERED: usize = 256;
 
 /// A node that was heard.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -142,8 +142,11 @@ mod tests {
         };
         assert!(!heard.on_seen(&other, now));
         assert!(heard.status(now).is_empty());
-        for number in 0..=u8::MAX {
-            heard.on_seen(&sighting(number, None), now);
+        for number in 0..300_u16 {
+            let [high, low] = number.to_be_bytes();
+            let mut one = sighting(low, None);
+            one.device.address.0[4] = high;
+            heard.on_seen(&one, now);
         }
         assert_eq!(heard.status(now).len(), REMEMBERED);
     }
