@@ -54,8 +54,10 @@ class Robot:
         wait: bool = True,
         listens: list[str] | None = None,
     ) -> "Robot":
-        """Starts the router; it dials `dials` and listens on `listens` too, and by radio with `ble_options` (the same as
-        before if left out)."""
+        """Starts the router; it dials `dials` and listens on `listens` too, by radio with `ble_options`.
+
+        Whatever is left out is the same as before.
+        """
         if dials is not None:
             self._dials = dials
         if listens is not None:
