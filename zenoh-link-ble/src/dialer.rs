@@ -14,14 +14,11 @@ use crate::{
     links::LinkNumber,
     locator::{ConnectLocator, Target},
     node::Node,
-    opening::{agreed_mtu, own_window, say_hello},
+    opening::{agreed_mtu, channel_options, own_window, say_hello},
     radio::{Channel, ChannelOptions, RadioError, Security, Sighting},
     secret::Secret,
 };
 
-/// The largest SDU taken, in bytes. On kernels before 6.10 it sets how many credits the peer gets (facts: one SDU in
-/// flight), so it is larger than any batch.
-pub(crate) const RECV_MTU: u16 = 16_384;
 /// How long one LE connect may take, at least and at most: it is tried only with a peer just heard, and while it is
 /// pending the Pi's Wi-Fi suffers (raspberrypi/linux#1444). It is drawn anew each time: the kernel does not advertise
 /// while it connects, so two robots that dial each other in step would wait for each other for ever. Never less than
@@ -148,19 +145,12 @@ async fn open(
         Some(file) => Some(Secret::read(file)?),
         None => node.secret(),
     };
-    if locator.security == Security::High && secret.is_none() {
-        return Err(BleError::HighWithoutSecret);
-    }
+    let options = channel_options(locator.security, secret.as_ref())?;
     // Whoever can't prove anything is dialled only if the locator says so itself.
     let is_plain = locator.plain.unwrap_or(seen.plain);
     if is_plain && locator.plain.is_none() && secret.is_some() {
         return Err(BleError::NoSharedSecret { peer: seen.device });
     }
-    let options = ChannelOptions {
-        recv_mtu: RECV_MTU,
-        security: locator.security,
-        passkey: secret.as_ref().map(Secret::passkey),
-    };
     node.greetings_with(seen.device).await;
     let channel = connect(adapter, options, seen, limit).await?;
     if is_plain {

@@ -9,7 +9,6 @@ use crate::{
     adapter::Adapter,
     address::DeviceAddress,
     advertisement::Advertisement,
-    dialer::RECV_MTU,
     error::{in_words, BleError},
     hello::{Hello, Opening, VERSION},
     link::{Framing, LinkBle, Opened},
@@ -17,11 +16,8 @@ use crate::{
     locator::ListenLocator,
     namesake::{NameSearch, Namesake},
     node::{Listening, Node},
-    opening::{agreed_mtu, answer, hear_hello, own_window, refuse, FirstSdu},
-    radio::{
-        AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
-        Security,
-    },
+    opening::{agreed_mtu, answer, channel_options, hear_hello, own_window, refuse, FirstSdu},
+    radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
     secret::Secret,
 };
 
@@ -43,6 +39,7 @@ pub(crate) struct Listener {
     locator: ListenLocator,
     name: String,
     secret: Option<Secret>,
+    options: ChannelOptions,
 }
 
 impl Listener {
@@ -55,15 +52,14 @@ impl Listener {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
         let secret = locator.secret.as_deref().map(Secret::read).transpose()?;
-        if locator.security == Security::High && secret.is_none() {
-            return Err(BleError::HighWithoutSecret);
-        }
+        let options = channel_options(locator.security, secret.as_ref())?;
         let listener = Arc::new(Self {
             node,
             adapter,
             locator,
             name,
             secret,
+            options,
         });
         let search = listener.namesake().search();
         let up = listener.bring_up().await?;
@@ -123,14 +119,9 @@ impl Listener {
     }
 
     async fn bring_up(&self) -> Result<Up, RadioError> {
-        let options = ChannelOptions {
-            recv_mtu: RECV_MTU,
-            security: self.locator.security,
-            passkey: self.secret.as_ref().map(Secret::passkey),
-        };
         let radio = &self.adapter.radio;
         let epoch = radio.epoch();
-        let channels = radio.listen(self.locator.psm, options).await?;
+        let channels = radio.listen(self.locator.psm, self.options).await?;
         let fleet = self.locator.fleet.as_ref();
         let advertisement = Advertisement {
             psm: channels.psm(),

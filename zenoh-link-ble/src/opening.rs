@@ -2,11 +2,10 @@
 use std::{sync::Arc, time::Duration};
 
 use crate::{
-    dialer::RECV_MTU,
     error::BleError,
-    hello::{Challenge, Hello, NodeId, Opening, OpeningError, Refusal, MIN_MTU, VERSION},
+    hello::{Challenge, Hello, NodeId, Opening, Refusal, MIN_MTU, VERSION},
     lanes::{credits, HEADER},
-    radio::{Channel, RadioError},
+    radio::{Channel, ChannelOptions, RadioError, Security},
     secret::{nonce, Said, Secret, Side},
 };
 
@@ -15,6 +14,25 @@ pub(crate) const HELLO_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// How long a refused peer may take to close.
 const REFUSAL_READ: Duration = Duration::from_secs(1);
+
+/// The largest SDU taken, in bytes. On kernels before 6.10 it sets how many credits the peer gets (facts: one SDU in
+/// flight), so it is larger than any batch.
+const RECV_MTU: u16 = 16_384;
+
+/// What a channel is opened with, from either side.
+pub(crate) fn channel_options(
+    security: Security,
+    secret: Option<&Secret>,
+) -> Result<ChannelOptions, BleError> {
+    if security == Security::High && secret.is_none() {
+        return Err(BleError::HighWithoutSecret);
+    }
+    Ok(ChannelOptions {
+        recv_mtu: RECV_MTU,
+        security,
+        passkey: secret.map(Secret::passkey),
+    })
+}
 
 /// The first SDU of a peer that dialled this node.
 pub(crate) enum FirstSdu {
@@ -35,20 +53,19 @@ pub(crate) async fn say_hello(
     channel.send(&hello).await?;
     let answer = match secret {
         Some(secret) => prove(channel, node, &hello, secret).await?,
-        None => Opening::decode(&receive(channel).await?),
+        None => hear(channel).await?,
     };
     match answer {
-        Ok(Opening::Accept(hello)) if hello.version <= VERSION => Ok(hello),
-        Ok(Opening::Accept(_)) => Err(BleError::Refused {
+        Opening::Accept(hello) if hello.version <= VERSION => Ok(hello),
+        Opening::Accept(_) => Err(BleError::Refused {
             peer,
             refusal: Refusal::Version,
         }),
-        Ok(Opening::Refuse(refusal)) => Err(BleError::Refused { peer, refusal }),
-        Ok(Opening::Hello(_)) => Err(protocol(channel, "a hello in answer to a hello")),
-        Ok(Opening::Challenge(_) | Opening::Proof(_)) => {
+        Opening::Refuse(refusal) => Err(BleError::Refused { peer, refusal }),
+        Opening::Hello(_) => Err(protocol(channel, "a hello in answer to a hello")),
+        Opening::Challenge(_) | Opening::Proof(_) => {
             Err(protocol(channel, "a proof that was not asked for"))
         }
-        Err(error) => Err(protocol(channel, &error.to_string())),
     }
 }
 
@@ -58,11 +75,11 @@ async fn prove(
     own: NodeId,
     hello: &[u8],
     secret: &Secret,
-) -> Result<Result<Opening, OpeningError>, BleError> {
-    let challenge = match Opening::decode(&receive(channel).await?) {
-        Ok(Opening::Challenge(challenge)) => challenge,
+) -> Result<Opening, BleError> {
+    let challenge = match hear(channel).await? {
+        Opening::Challenge(challenge) => challenge,
         // Whoever takes anybody.
-        Ok(Opening::Accept(_)) => return Err(no_shared_secret(channel)),
+        Opening::Accept(_) => return Err(no_shared_secret(channel)),
         other => return Ok(other),
     };
     let said = Said {
@@ -79,8 +96,8 @@ async fn prove(
     }
     let proof = Opening::Proof(secret.proof(Side::Dialler, said));
     channel.send(&proof.encode()).await?;
-    match Opening::decode(&receive(channel).await?) {
-        Ok(Opening::Accept(accept)) if accept.node != challenge.node => {
+    match hear(channel).await? {
+        Opening::Accept(accept) if accept.node != challenge.node => {
             Err(protocol(channel, "two node ids in one opening"))
         }
         answer => Ok(answer),
@@ -101,16 +118,15 @@ pub(crate) async fn hear_hello(
             None => Ok(FirstSdu::Plain(sdu)),
         };
     }
-    let hello = match Opening::decode(&sdu) {
-        Ok(Opening::Hello(hello)) => hello,
+    let hello = match decoded(channel, &sdu)? {
+        Opening::Hello(hello) => hello,
         // The answer to this node's own hello, on the channel that the peer opened.
-        Ok(Opening::Accept(_) | Opening::Challenge(_)) => {
+        Opening::Accept(_) | Opening::Challenge(_) => {
             return Err(BleError::Astray {
                 peer: channel.peer(),
             })
         }
-        Ok(_) => return Err(protocol(channel, "an answer where a hello was due")),
-        Err(error) => return Err(protocol(channel, &error.to_string())),
+        _ => return Err(protocol(channel, "an answer where a hello was due")),
     };
     if let Some(secret) = secret {
         if hello.nonce.is_none() || !is_proved(channel, own, &sdu, secret).await? {
@@ -140,11 +156,10 @@ async fn is_proved(
         proof: secret.proof(Side::Listener, said),
     });
     answer(channel, challenge).await?;
-    match Opening::decode(&receive(channel).await?) {
-        Ok(Opening::Proof(proof)) => Ok(secret.is_proved(Side::Dialler, said, &proof)),
-        Ok(Opening::Refuse(Refusal::Secret)) => Ok(false),
-        Ok(_) => Err(protocol(channel, "no proof where one was due")),
-        Err(error) => Err(protocol(channel, &error.to_string())),
+    match hear(channel).await? {
+        Opening::Proof(proof) => Ok(secret.is_proved(Side::Dialler, said, &proof)),
+        Opening::Refuse(Refusal::Secret) => Ok(false),
+        _ => Err(protocol(channel, "no proof where one was due")),
     }
 }
 
@@ -202,6 +217,15 @@ pub(crate) fn agreed_mtu(
 /// A Zenoh InitSyn: message id 1 in the low five bits, and more than a header.
 fn is_zenoh_init(sdu: &[u8]) -> bool {
     sdu.len() > 1 && sdu.first().is_some_and(|byte| byte & 0x1f == 0x01)
+}
+
+/// The next message of the opening.
+async fn hear(channel: &Arc<dyn Channel>) -> Result<Opening, BleError> {
+    decoded(channel, &receive(channel).await?)
+}
+
+fn decoded(channel: &Arc<dyn Channel>, sdu: &[u8]) -> Result<Opening, BleError> {
+    Opening::decode(sdu).map_err(|error| protocol(channel, &error.to_string()))
 }
 
 async fn receive(channel: &Arc<dyn Channel>) -> Result<Vec<u8>, BleError> {
