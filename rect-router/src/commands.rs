@@ -21,9 +21,9 @@ pub enum Command {
     /// Write a robot's configuration, login and list of connections into a folder
     Init(InitArgs),
     /// Show which robots of the fleet there are, a line for each
-    Status(StatusArgs),
+    Status(AskArgs),
     /// Show which connections a robot has, or all robots of the fleet
-    Connections(AskArgs),
+    Connections(ConnectionsArgs),
     /// Listen for robots that advertise by Bluetooth
     Scan(ScanArgs),
     /// Look for what keeps this computer from talking to others, and say what to do
@@ -52,9 +52,9 @@ pub struct InitArgs {
     pub folder: PathBuf,
 }
 
-/// Of whom `status` tells.
+/// Where to ask, and about whom.
 #[derive(Debug, Parser)]
-pub struct StatusArgs {
+pub struct AskArgs {
     /// The robot; left out, all of the fleet
     #[arg(default_value = "*")]
     pub robot: String,
@@ -69,24 +69,15 @@ pub struct StatusArgs {
     pub router: RouterArgs,
 }
 
-/// Where to ask, and about whom.
+/// What `connections` takes.
 #[derive(Debug, Parser)]
-pub struct AskArgs {
-    /// The robot; left out, all of the fleet
-    #[arg(default_value = "*")]
-    pub robot: String,
-    /// The team's name
-    #[arg(long, default_value = "rect")]
-    pub fleet: String,
+pub struct ConnectionsArgs {
     /// Of one method only: ble, tcp, udp, ...
     #[arg(long)]
     pub method: Option<String>,
-    /// As JSON
-    #[arg(long)]
-    pub json: bool,
-    /// The router
+    /// Where, and about whom
     #[command(flatten)]
-    pub router: RouterArgs,
+    pub ask: AskArgs,
 }
 
 /// How to reach the router.

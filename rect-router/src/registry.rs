@@ -205,20 +205,12 @@ impl Sources {
             |heard: &HeardStatus| ble.links.iter().any(|link| link.address == heard.address);
         let of_fleet = ble.heard.iter().filter(|h| h.fleet_hash == self.fleet_hash);
         let free = of_fleet.filter(|heard| !is_linked(heard) && !is_wanted(heard));
-        let discovered = free.map(|heard| Connection {
-            name: None,
-            method: BLE.to_owned(),
-            address: heard.name.clone().unwrap_or_else(|| heard.address.clone()),
-            state: State::Discovered,
-            peer: None,
-            up_s: None,
-            sent: None,
-            received: None,
-            round_trip_ms: None,
-            rssi_dbm: heard.rssi_dbm,
-            linked: None,
-            failed: None,
-            last_error: None,
+        let discovered = free.map(|heard| {
+            let address = heard.name.as_ref().unwrap_or(&heard.address);
+            Connection {
+                rssi_dbm: heard.rssi_dbm,
+                ..Connection::of(BLE, address, State::Discovered)
+            }
         });
         discovered.collect()
     }
@@ -265,20 +257,15 @@ impl Sources {
 
     fn other(&self, link: &Link, ble: &Ble) -> Connection {
         let radio = ble.link(link);
+        let (method, address) = (link.dst().protocol(), link.dst().address());
         Connection {
-            name: None,
-            method: link.dst().protocol().as_str().to_owned(),
-            address: link.dst().address().as_str().to_owned(),
             rssi_dbm: radio.and_then(|radio| ble.rssi_dbm(&radio.address)),
-            state: State::Connected,
             peer: Some(self.peer(link)),
             up_s: self.up_s(link),
             sent: radio.map(|radio| traffic(radio.sent)),
             received: radio.map(|radio| traffic(radio.received)),
             round_trip_ms: radio.and_then(round_trip_ms),
-            linked: None,
-            failed: None,
-            last_error: None,
+            ..Connection::of(method.as_str(), address.as_str(), State::Connected)
         }
     }
 

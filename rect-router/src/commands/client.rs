@@ -4,7 +4,7 @@ use std::{fs, path::Path, time::Duration};
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
-use super::{Failure, RouterArgs};
+use super::{table::table, AskArgs, Failure, RouterArgs};
 use crate::message;
 
 /// How long to wait for answers: over a slow link, with several robots.
@@ -50,10 +50,33 @@ pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, 
     Ok(answers)
 }
 
-/// Nobody answered.
-pub(super) fn nobody(fleet: &str, robot: &str) -> Failure {
-    let who = if robot == "*" { "no robot" } else { robot };
-    format!("{who} of fleet {fleet} answers: does its router run, with plugins/rect in its configuration?").into()
+/// Shows what the robots answer about `what` of theirs: as JSON, or as a table with the rows that `rows` makes of each.
+pub(super) fn show(
+    args: &AskArgs,
+    what: &str,
+    columns: &[&str],
+    rows: impl Fn(&str, &Value) -> Vec<Vec<String>>,
+) -> Result<(), Failure> {
+    let AskArgs { robot, fleet, .. } = args;
+    let session = session(&args.router)?;
+    let robots = answers(&session, &format!("{fleet}/{robot}/@rect/{what}"))?;
+    if robots.is_empty() {
+        let who = if robot == "*" { "no robot" } else { robot };
+        return Err(format!("{who} of fleet {fleet} answers: does its router run, with plugins/rect in its configuration?").into());
+    }
+    if args.json {
+        let all: serde_json::Map<_, _> = robots.into_iter().collect();
+        println!("{:#}", Value::Object(all));
+        return Ok(());
+    }
+    let mut shown = table(columns);
+    shown.add_rows(
+        robots
+            .iter()
+            .flat_map(|(robot, answer)| rows(robot, answer)),
+    );
+    println!("{shown}");
+    Ok(())
 }
 
 fn first_login(users: &Path) -> Option<(String, String)> {

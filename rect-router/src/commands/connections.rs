@@ -2,50 +2,34 @@
 use serde_json::Value;
 
 use super::{
-    client::{answers, nobody, session},
-    table::{bytes, seconds, table},
-    AskArgs, Failure,
+    client::show,
+    table::{bytes, seconds},
+    ConnectionsArgs, Failure,
 };
 
-pub fn run(args: &AskArgs) -> Result<(), Failure> {
-    let session = session(&args.router)?;
+const COLUMNS: [&str; 12] = [
+    "ROBOT",
+    "NAME",
+    "METHOD",
+    "ADDRESS",
+    "STATE",
+    "PEER",
+    "UP",
+    "SENT",
+    "RECEIVED",
+    "ROUND TRIP",
+    "SIGNAL",
+    "LAST ERROR",
+];
+
+pub fn run(args: &ConnectionsArgs) -> Result<(), Failure> {
     let method = args.method.as_ref();
     let parameters = method.map_or_else(String::new, |method| format!("?method={method}"));
-    let selector = format!(
-        "{}/{}/@rect/connections{parameters}",
-        args.fleet, args.robot
-    );
-    let answers = answers(&session, &selector)?;
-    if answers.is_empty() {
-        return Err(nobody(&args.fleet, &args.robot));
-    }
-    if args.json {
-        let all: serde_json::Map<_, _> = answers.into_iter().collect();
-        println!("{:#}", Value::Object(all));
-        return Ok(());
-    }
-    let names = [
-        "ROBOT",
-        "NAME",
-        "METHOD",
-        "ADDRESS",
-        "STATE",
-        "PEER",
-        "UP",
-        "SENT",
-        "RECEIVED",
-        "ROUND TRIP",
-        "SIGNAL",
-        "LAST ERROR",
-    ];
-    let mut shown = table(&names);
-    for (robot, connections) in &answers {
-        for one in connections.as_array().into_iter().flatten() {
-            shown.add_row(row(robot, one));
-        }
-    }
-    println!("{shown}");
-    Ok(())
+    let what = format!("connections{parameters}");
+    show(&args.ask, &what, &COLUMNS, |robot, connections| {
+        let all = connections.as_array().into_iter().flatten();
+        all.map(|one| row(robot, one)).collect()
+    })
 }
 
 fn row(robot: &str, one: &Value) -> Vec<String> {

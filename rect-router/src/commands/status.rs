@@ -1,39 +1,22 @@
 //! Owns `rect-router status`: which robots there are, a line for each.
 use serde_json::Value;
 
-use super::{
-    client::{answers, nobody, session},
-    table::{seconds, table},
-    Failure, StatusArgs,
-};
+use super::{client::show, table::seconds, AskArgs, Failure};
 
-pub fn run(args: &StatusArgs) -> Result<(), Failure> {
-    let session = session(&args.router)?;
-    let selector = format!("{}/{}/@rect/status", args.fleet, args.robot);
-    let robots = answers(&session, &selector)?;
-    if robots.is_empty() {
-        return Err(nobody(&args.fleet, &args.robot));
-    }
-    if args.json {
-        let all: serde_json::Map<_, _> = robots.into_iter().collect();
-        println!("{:#}", Value::Object(all));
-        return Ok(());
-    }
-    let names = [
-        "ROBOT",
-        "UP",
-        "CONNECTED",
-        "MISSING",
-        "DISCOVERED",
-        "CONNECTS TO",
-        "VERSION",
-    ];
-    let mut shown = table(&names);
-    for (robot, status) in &robots {
-        shown.add_row(row(robot, status));
-    }
-    println!("{shown}");
-    Ok(())
+const COLUMNS: [&str; 7] = [
+    "ROBOT",
+    "UP",
+    "CONNECTED",
+    "MISSING",
+    "DISCOVERED",
+    "CONNECTS TO",
+    "VERSION",
+];
+
+pub fn run(args: &AskArgs) -> Result<(), Failure> {
+    show(args, "status", &COLUMNS, |robot, status| {
+        vec![row(robot, status)]
+    })
 }
 
 fn row(robot: &str, status: &Value) -> Vec<String> {

@@ -1,11 +1,11 @@
 //! Owns the reading of `connections.json`: JSON with comments becomes connections that can be dialled and, if it has one, a
-//! rule for the rest of the fleet; or the one mistake
-//! with its line and column. Half a file is never taken.
+//! rule for the rest of the fleet; or the one mistake with its line and column. Half a file is never taken.
 use std::{
     collections::HashMap,
     fs::File,
     io::{self, Read},
     path::{Path, PathBuf},
+    str::FromStr,
 };
 
 use jsonc_parser::{
@@ -163,10 +163,7 @@ impl<'a> Reader<'a> {
             rule.ok_or_else(|| self.wrong(field.value.range(), what))
         });
         let auto_links = fields.get("auto_links").map(|field| {
-            let number = match &field.value {
-                Value::NumberLit(number) => number.value.parse().ok(),
-                _ => None,
-            };
+            let number = number(&field.value);
             let number = number.filter(|number| (1..=MAX_AUTO_LINKS).contains(number));
             let what = format!("auto_links is 1 to {MAX_AUTO_LINKS}");
             number.ok_or_else(|| self.wrong(field.value.range(), what))
@@ -226,23 +223,19 @@ impl<'a> Reader<'a> {
             Some(other) => Err(self.wrong(other.range(), format!("{key} is text"))),
             None => Err(self.wrong(object.range, format!("{key} is missing"))),
         };
-        let number = |key: &str| match fields.get(key).map(|field| &field.value) {
+        let number_of = |key: &str| match fields.get(key).map(|field| &field.value) {
             None => Ok(None),
             Some(value) => {
-                let number = match value {
-                    Value::NumberLit(number) => number.value.parse().ok(),
-                    _ => None,
-                };
                 let wanted = || self.wrong(value.range(), format!("{key} is 0 to {}", u16::MAX));
-                number.ok_or_else(wanted).map(Some)
+                number(value).ok_or_else(wanted).map(Some)
             }
         };
         let mut written = Written {
             name: text("name")?,
             method: text("method")?,
             address: text("address")?,
-            port: number("port")?,
-            psm: number("psm")?,
+            port: number_of("port")?,
+            psm: number_of("psm")?,
             ..Written::default()
         };
         if let Some(options) = fields.get("options") {
@@ -296,6 +289,13 @@ impl<'a> Reader<'a> {
 
     fn place(&self, byte: usize) -> (usize, usize) {
         place(self.text, byte)
+    }
+}
+
+fn number<T: FromStr>(value: &Value) -> Option<T> {
+    match value {
+        Value::NumberLit(number) => number.value.parse().ok(),
+        _ => None,
     }
 }
 

@@ -60,6 +60,27 @@ pub struct Connection {
     pub last_error: Option<Trouble>,
 }
 
+impl Connection {
+    /// One of which no more is known.
+    pub fn of(method: &str, address: &str, state: State) -> Self {
+        Self {
+            name: None,
+            method: method.to_owned(),
+            address: address.to_owned(),
+            state,
+            peer: None,
+            up_s: None,
+            sent: None,
+            received: None,
+            round_trip_ms: None,
+            rssi_dbm: None,
+            linked: None,
+            failed: None,
+            last_error: None,
+        }
+    }
+}
+
 /// Somebody at the other end.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PeerId {
