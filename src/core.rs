@@ -1,0 +1,9 @@
+//! The lower storey: everything that decides, without I/O. What is here is the same in every language.
+pub mod attachment;
+pub mod codec;
+pub mod encoding;
+pub mod key;
+pub mod name;
+pub mod payload;
+pub mod topic;
+pub mod urgency;

@@ -1,0 +1,104 @@
+//! Owns the encodings: what a payload is, in the words that Zenoh's tools show, and how it is packed.
+//!
+//! An encoding is a media type and, after `;`, what more there is to say of it. Parts after `;` are separated by `;` too;
+//! the last may name a packing: `application/json;zstd` is JSON in one zstd frame.
+use std::{borrow::Cow, fmt};
+
+/// The longest encoding, in bytes: Zenoh's schemas may have 255 bytes.
+pub const MAX_BYTES: usize = 200;
+
+/// What a payload is.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub struct Encoding(Cow<'static, str>);
+
+impl Encoding {
+    /// Any bytes; Zenoh's default.
+    pub const BYTES: Self = Self(Cow::Borrowed("zenoh/bytes"));
+    /// Text in UTF-8.
+    pub const TEXT: Self = Self(Cow::Borrowed("text/plain"));
+    /// JSON.
+    pub const JSON: Self = Self(Cow::Borrowed("application/json"));
+    /// CBOR, RFC 8949.
+    pub const CBOR: Self = Self(Cow::Borrowed("application/cbor"));
+    /// A picture, PNG.
+    pub const PNG: Self = Self(Cow::Borrowed("image/png"));
+    /// A picture, JPEG.
+    pub const JPEG: Self = Self(Cow::Borrowed("image/jpeg"));
+    /// A picture, WebP.
+    pub const WEBP: Self = Self(Cow::Borrowed("image/webp"));
+    /// Bytes with a layout that the rest of the encoding tells: raw pictures, arrays.
+    pub const RAW: &'static str = "application/octet-stream";
+
+    /// As a peer or a program wrote it; too long a one is cut, which makes it an unknown one.
+    pub fn new(text: impl Into<Cow<'static, str>>) -> Self {
+        let text = text.into();
+        if text.len() <= MAX_BYTES {
+            return Self(text);
+        }
+        let end = (0..=MAX_BYTES).rev().find(|&n| text.is_char_boundary(n));
+        Self(text[..end.unwrap_or(0)].to_owned().into())
+    }
+
+    /// As text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// The media type, without what is after `;`.
+    pub fn media_type(&self) -> &str {
+        self.0.split(';').next().unwrap_or_default()
+    }
+
+    /// What is after the first `;`, if anything.
+    pub fn schema(&self) -> Option<&str> {
+        self.0.split_once(';').map(|(_, schema)| schema)
+    }
+
+    /// The same, packed by what `packing` names.
+    #[must_use]
+    pub fn packed(&self, packing: &str) -> Self {
+        Self(format!("{};{packing}", self.0).into())
+    }
+
+    /// What it is once `packing` is undone; `None` if it is not packed so.
+    pub fn unpacked(&self, packing: &str) -> Option<Self> {
+        let rest = self.0.strip_suffix(packing)?.strip_suffix(';')?;
+        Some(Self(rest.to_owned().into()))
+    }
+}
+
+impl fmt::Display for Encoding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Debug for Encoding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_packing_is_the_last_part() {
+        let packed = Encoding::JSON.packed("zstd");
+        assert_eq!(packed.as_str(), "application/json;zstd");
+        assert_eq!(
+            (packed.media_type(), packed.schema()),
+            ("application/json", Some("zstd"))
+        );
+        assert_eq!(packed.unpacked("zstd"), Some(Encoding::JSON));
+        assert_eq!(packed.unpacked("std"), None);
+        assert_eq!(Encoding::JSON.unpacked("json"), None);
+    }
+
+    #[test]
+    fn too_long_a_one_is_cut_between_characters() {
+        let long = Encoding::new("ä".repeat(MAX_BYTES));
+        assert!(long.as_str().len() <= MAX_BYTES && long.as_str().starts_with('ä'));
+    }
+}

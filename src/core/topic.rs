@@ -1,0 +1,253 @@
+//! Owns what a message may be about ([`Topic`]), and what one may subscribe to ([`Pattern`]).
+use std::{fmt, str::FromStr, sync::Arc};
+
+use zenoh_keyexpr::{canon::Canonize, keyexpr};
+
+use super::name::{Name, NameError};
+
+/// The longest topic, in bytes: it goes over the air with every message that has no declared key.
+pub const MAX_BYTES: usize = 200;
+
+/// The part of a key that says that the next is a robot to whom the message goes.
+pub(super) const TO: &str = "to";
+
+/// What a message is about: parts with `/` between them, such as `arm/angle`; no wildcards, no part that begins with `@`
+/// (those are Zenoh's and RECT's own), and the first part is not `to`.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Topic(Arc<str>);
+
+/// The messages that one wants: of whom, and about what.
+///
+/// As text, `<robot>/<topic>`, both with Zenoh's wildcards: `wombat-2/arm/angle`, `*/arm/*` (any robot, anything of its
+/// arm), `wombat-2/**` (all that it says).
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub struct Pattern {
+    robot: Option<Name>,
+    topic: Arc<str>,
+}
+
+/// The text can't be a topic or a pattern.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TopicError {
+    /// Empty, or too long.
+    #[error("a topic is 1 to {MAX_BYTES} bytes long, such as `arm/angle`")]
+    Length,
+    /// Zenoh does not take it as a key.
+    #[error("the topic {topic:?} is not one: {reason}")]
+    Invalid {
+        /// What was given.
+        topic: String,
+        /// What Zenoh says of it.
+        reason: String,
+    },
+    /// A wildcard where one thing is to be named.
+    #[error("the topic {0:?} has a wildcard in it: a message is about one thing; wildcards are for subscribing")]
+    Wildcard(String),
+    /// A part that belongs to Zenoh or RECT.
+    #[error("the topic {topic:?} has the part {part:?} in it, which is for RECT's own messages")]
+    Reserved {
+        /// What was given.
+        topic: String,
+        /// Which part.
+        part: String,
+    },
+    /// The robot of a pattern.
+    #[error(
+        "a pattern is `<robot>/<topic>`, such as `wombat-2/arm/angle` or `*/arm/*`: {0:?} is not"
+    )]
+    Pattern(String),
+    /// The robot of a pattern has no possible name.
+    #[error(transparent)]
+    Robot(#[from] NameError),
+}
+
+impl From<std::convert::Infallible> for TopicError {
+    fn from(never: std::convert::Infallible) -> Self {
+        match never {}
+    }
+}
+
+impl Topic {
+    /// Checks a text.
+    ///
+    /// # Errors
+    /// [`TopicError`]: what is wrong with it.
+    pub fn new(text: &str) -> Result<Self, TopicError> {
+        let key = checked(text)?;
+        if key.contains('*') {
+            return Err(TopicError::Wildcard(text.to_owned()));
+        }
+        Ok(Self(text.into()))
+    }
+
+    /// As text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl Pattern {
+    /// Reads `<robot>/<topic>`.
+    ///
+    /// # Errors
+    /// [`TopicError`]: what is wrong with it.
+    pub fn new(text: &str) -> Result<Self, TopicError> {
+        let no_pattern = || TopicError::Pattern(text.chars().take(MAX_BYTES).collect());
+        let (robot, topic) = text.split_once('/').ok_or_else(no_pattern)?;
+        let robot = match robot {
+            "*" => None,
+            name => Some(Name::new(name)?),
+        };
+        Self::of(robot, topic)
+    }
+
+    /// Of that robot, or of any; `topic` may have wildcards.
+    ///
+    /// # Errors
+    /// [`TopicError`]: what is wrong with the topic.
+    pub fn of(robot: Option<Name>, topic: &str) -> Result<Self, TopicError> {
+        let mut canonical = topic.to_owned();
+        canonical.canonize();
+        checked(&canonical)?;
+        let topic = canonical.into();
+        Ok(Self { robot, topic })
+    }
+
+    /// Of whom; `None`: anyone.
+    pub fn robot(&self) -> Option<&Name> {
+        self.robot.as_ref()
+    }
+
+    /// About what, perhaps with wildcards.
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+}
+
+fn checked(text: &str) -> Result<&keyexpr, TopicError> {
+    if !(1..=MAX_BYTES).contains(&text.len()) {
+        return Err(TopicError::Length);
+    }
+    let topic = || text.to_owned();
+    let key = keyexpr::new(text).map_err(|error| TopicError::Invalid {
+        topic: topic(),
+        reason: error.to_string(),
+    })?;
+    let own = |(n, part): &(usize, &str)| part.starts_with('@') || (*n == 0 && *part == TO);
+    match text.split('/').enumerate().find(own) {
+        Some((_, part)) => Err(TopicError::Reserved {
+            topic: topic(),
+            part: part.to_owned(),
+        }),
+        None => Ok(key),
+    }
+}
+
+impl FromStr for Topic {
+    type Err = TopicError;
+
+    fn from_str(text: &str) -> Result<Self, TopicError> {
+        Self::new(text)
+    }
+}
+
+impl TryFrom<&str> for Topic {
+    type Error = TopicError;
+
+    fn try_from(text: &str) -> Result<Self, TopicError> {
+        Self::new(text)
+    }
+}
+
+impl TryFrom<&Topic> for Topic {
+    type Error = TopicError;
+
+    fn try_from(topic: &Topic) -> Result<Self, TopicError> {
+        Ok(topic.clone())
+    }
+}
+
+impl FromStr for Pattern {
+    type Err = TopicError;
+
+    fn from_str(text: &str) -> Result<Self, TopicError> {
+        Self::new(text)
+    }
+}
+
+impl TryFrom<&str> for Pattern {
+    type Error = TopicError;
+
+    fn try_from(text: &str) -> Result<Self, TopicError> {
+        Self::new(text)
+    }
+}
+
+impl fmt::Display for Topic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl fmt::Debug for Topic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.as_str())
+    }
+}
+
+impl fmt::Display for Pattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let robot = self.robot.as_ref().map_or("*", Name::as_str);
+        write!(f, "{robot}/{}", self.topic)
+    }
+}
+
+impl fmt::Debug for Pattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\"{self}\"")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_topic_names_one_thing() {
+        for good in ["a", "arm/angle", "arm/to/x", "a b", "ä/ö", "to-do"] {
+            assert_eq!(Topic::new(good).expect(good).as_str(), good);
+        }
+        let too_long = "x".repeat(MAX_BYTES + 1);
+        for bad in [
+            "", "/a", "a/", "a//b", "a/*", "**", "a$*", "to", "to/x", "@rect", "a/@x", "a#b",
+            "a?b", &too_long,
+        ] {
+            assert!(Topic::new(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_pattern_says_of_whom_and_about_what() {
+        let pattern = Pattern::new("wombat-2/arm/*").expect("good");
+        assert_eq!(pattern.robot().map(Name::as_str), Some("wombat-2"));
+        assert_eq!(pattern.topic(), "arm/*");
+        assert_eq!(Pattern::new("*/**").expect("good").robot(), None);
+        assert_eq!(
+            Pattern::new("*/**/**").expect("good").topic(),
+            "**",
+            "canonical"
+        );
+        for bad in [
+            "",
+            "arm",
+            "**/arm",
+            "w*/arm",
+            "hci0/arm",
+            "a/",
+            "*/@rect/**",
+            "*/to/x",
+        ] {
+            assert!(Pattern::new(bad).is_err(), "{bad}");
+        }
+    }
+}
