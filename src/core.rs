@@ -2,8 +2,12 @@
 pub mod attachment;
 pub mod codec;
 pub mod encoding;
+pub mod gaps;
 pub mod key;
+pub mod message;
 pub mod name;
 pub mod payload;
+pub mod queue;
+pub mod request;
 pub mod topic;
 pub mod urgency;

@@ -51,6 +51,15 @@ impl Urgency {
             droppable: false,
         }
     }
+
+    /// Of a message that came at that priority of Zenoh's; a stock program may use any.
+    pub fn of(priority: u8) -> Self {
+        match priority {
+            0..=3 => Self::Urgent,
+            4..=5 => Self::Normal,
+            _ => Self::Bulk,
+        }
+    }
 }
 
 impl Qos {
@@ -73,6 +82,9 @@ mod tests {
         let all = [Urgency::Urgent, Urgency::Normal, Urgency::Bulk].map(|u| u.qos().priority);
         assert!(all.is_sorted(), "{all:?}");
         assert!(all.iter().all(|p| (1..=7).contains(p)));
+        for urgency in [Urgency::Urgent, Urgency::Normal, Urgency::Bulk] {
+            assert_eq!(Urgency::of(urgency.qos().priority), urgency);
+        }
         assert!(Urgency::Normal.qos().newest_wins().droppable);
     }
 }

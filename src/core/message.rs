@@ -1,0 +1,171 @@
+//! Owns messages as a program gets them, and [`Inbound`], which makes them of what Zenoh delivers.
+use super::{
+    attachment::{Attachment, Sent},
+    gaps::{Gaps, Tally},
+    key::Place,
+    name::Name,
+    payload::Payload,
+    topic::Topic,
+    urgency::Urgency,
+};
+
+/// A message from another robot (or another program of this one).
+#[derive(Clone, Debug)]
+pub struct Message {
+    /// Who sent it.
+    pub from: Name,
+    /// To whom alone; `None`: to all.
+    pub to: Option<Name>,
+    /// About what.
+    pub topic: Topic,
+    /// What it says.
+    pub payload: Payload,
+    /// How urgent.
+    pub urgency: Urgency,
+    /// When, by the sender's clock, in milliseconds since 1970; `None` for one of a stock program. A robot without a clock
+    /// of its own may be years off.
+    pub sent_ms: Option<u64>,
+    /// Its number at its publisher; `None` for one of a stock program.
+    pub sequence: Option<u32>,
+    /// So many of its publisher, before it, did not arrive.
+    pub missed: u32,
+    /// It was overtaken on its way.
+    pub late: bool,
+    /// By what it came, as `ble`, where its sender has one link with this robot, and that is known.
+    pub over: Option<String>,
+}
+
+/// What Zenoh delivered.
+#[derive(Clone, Debug)]
+pub struct Delivered<'a> {
+    /// Its key.
+    pub key: &'a str,
+    /// Bytes and encoding.
+    pub payload: Payload,
+    /// What goes with it.
+    pub attachment: Option<&'a [u8]>,
+    /// Zenoh's priority, 1 to 7.
+    pub priority: u8,
+    /// Whether it came by the subscription of what is for this robot alone.
+    pub directed: bool,
+}
+
+/// Makes messages of what Zenoh delivers to one subscription.
+#[derive(Debug)]
+pub struct Inbound {
+    place: Place,
+    gaps: Gaps,
+}
+
+impl Inbound {
+    /// For a program of that robot.
+    pub fn new(place: Place) -> Self {
+        let gaps = Gaps::default();
+        Self { place, gaps }
+    }
+
+    /// The message; `None` if it is none for this robot, or one that the other of a pattern's two subscriptions brings.
+    pub fn on_delivered(&mut self, delivered: Delivered<'_>) -> Option<Message> {
+        let address = self.place.address(delivered.key)?;
+        if address.to.is_some() != delivered.directed {
+            return None;
+        }
+        let attachment = delivered.attachment.and_then(Attachment::decode);
+        let mut message = Message {
+            from: address.from,
+            to: address.to,
+            topic: address.topic,
+            payload: delivered.payload,
+            urgency: Urgency::of(delivered.priority),
+            sent_ms: None,
+            sequence: None,
+            missed: 0,
+            late: false,
+            over: None,
+        };
+        match attachment {
+            None => self.gaps.on_unnumbered(&message.from),
+            Some(attachment) => {
+                let Attachment {
+                    source, sequence, ..
+                } = attachment;
+                let gap = self.gaps.on_message(&message.from, source, sequence);
+                message.sequence = Some(sequence);
+                (message.missed, message.late) = (gap.missed, gap.late);
+                if let Sent::At(at_ms) = attachment.sent {
+                    message.sent_ms = Some(at_ms);
+                }
+            }
+        }
+        Some(message)
+    }
+
+    /// What arrived of each robot.
+    pub fn tallies(&self) -> impl Iterator<Item = (&Name, Tally)> {
+        self.gaps.tallies()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::encoding::Encoding;
+
+    fn inbound() -> Inbound {
+        let name = |text| Name::new(text).expect("a name");
+        let (fleet, robot) = (name("rect"), name("wombat-1"));
+        Inbound::new(Place { fleet, robot })
+    }
+
+    fn delivered<'a>(key: &'a str, attachment: Option<&'a [u8]>) -> Delivered<'a> {
+        Delivered {
+            key,
+            payload: Payload::new("1", Encoding::JSON),
+            attachment,
+            priority: 5,
+            directed: key.contains("/to/"),
+        }
+    }
+
+    #[test]
+    fn a_message_says_who_when_and_which() {
+        let attachment = |sequence| {
+            let sent = Sent::At(1_795_000_000_000);
+            let source = 7;
+            Attachment {
+                source,
+                sequence,
+                sent,
+            }
+            .encode()
+        };
+        let mut inbound = inbound();
+        let first = inbound.on_delivered(delivered("rect/a/x/y", Some(&attachment(3))));
+        let first = first.expect("a message");
+        assert_eq!((first.from.as_str(), first.topic.as_str()), ("a", "x/y"));
+        assert_eq!((first.sequence, first.missed), (Some(3), 0));
+        assert_eq!(first.sent_ms, Some(1_795_000_000_000));
+        let next = inbound.on_delivered(delivered("rect/a/x/y", Some(&attachment(6))));
+        assert_eq!(next.expect("a message").missed, 2);
+    }
+
+    #[test]
+    fn a_stock_programs_message_is_one_without_a_number() {
+        let mut inbound = inbound();
+        for attachment in [None, Some(b"mine".as_slice())] {
+            let message = inbound.on_delivered(delivered("rect/a/to/wombat-1/x", attachment));
+            let message = message.expect("a message");
+            assert_eq!((message.sequence, message.sent_ms), (None, None));
+            assert_eq!(message.to.expect("to me"), "wombat-1");
+        }
+        let tallies: Vec<_> = inbound.tallies().collect();
+        assert_eq!(tallies[0].1.received, 2);
+    }
+
+    #[test]
+    fn what_both_subscriptions_bring_comes_once() {
+        let mut twice = delivered("rect/a/to/wombat-1/x", None);
+        twice.directed = false;
+        assert!(inbound().on_delivered(twice).is_none());
+    }
+}
