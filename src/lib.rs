@@ -4,3 +4,23 @@
 //! Two storeys. [`core`] decides: names, keys, encodings, codecs, and the state machines of what takes more than one
 //! message; it is given the time and the bytes, and does no I/O. Above it are the sessions on zenoh (feature `session`).
 pub mod core;
+
+#[cfg(feature = "session")]
+mod error;
+#[cfg(feature = "session")]
+mod session;
+
+#[cfg(feature = "session")]
+pub use error::Error;
+#[cfg(feature = "session")]
+pub use session::*;
+
+pub use crate::core::{
+    encoding::Encoding,
+    message::Message,
+    name::Name,
+    payload::{Cbor, Json, Payload, ToPayload},
+    queue::WhenFull,
+    topic::{Pattern, Topic},
+    urgency::Urgency,
+};

@@ -66,12 +66,18 @@ impl Place {
         ]
     }
 
+    /// Whose a key of this fleet is, a message's or one of RECT's own.
+    pub fn robot_of(&self, key: &str) -> Option<Name> {
+        let rest = key.strip_prefix(self.fleet.as_str())?.strip_prefix('/')?;
+        let (robot, _) = rest.split_once('/')?;
+        Name::new(robot).ok()
+    }
+
     /// What a key of this fleet says; `None` for one that is no message's, or is for another robot alone (which a
     /// subscription with `**` receives, too).
     pub fn address(&self, key: &str) -> Option<Address> {
-        let rest = key.strip_prefix(self.fleet.as_str())?.strip_prefix('/')?;
-        let (from, rest) = rest.split_once('/')?;
-        let from = Name::new(from).ok()?;
+        let from = self.robot_of(key)?;
+        let rest = &key[self.fleet.as_str().len() + from.as_str().len() + 2..];
         let directed = rest
             .strip_prefix(TO)
             .and_then(|rest| rest.strip_prefix('/'));

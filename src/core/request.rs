@@ -1,5 +1,10 @@
-//! Owns what goes with a request beside its payload: who asks, and until when the answer is of use.
-use super::name::{Name, MAX_BYTES};
+//! Owns what goes with a request beside its payload: who asks, and until when the answer is of use; and what goes with an
+//! error: who answers so, since Zenoh gives errors no key.
+use super::{
+    encoding::Encoding,
+    name::{Name, MAX_BYTES},
+    payload::Payload,
+};
 
 /// Not one of the marks of [`super::attachment`], and no beginning of a text in UTF-8 either.
 const MARK: u8 = 0xFC;
@@ -39,6 +44,28 @@ impl Asking {
     }
 }
 
+/// The last part of an error's encoding, before the name of who answers so: `text/plain;from=wombat-2`.
+const FROM: &str = "from=";
+
+/// An error as an answer.
+pub fn error_to_payload(from: &Name, error: Payload) -> Payload {
+    let encoding = error.encoding.packed(&format!("{FROM}{from}"));
+    Payload { encoding, ..error }
+}
+
+/// An error that came as an answer, and who answered so; `None`: a stock program.
+pub fn error_from_payload(answer: Payload) -> (Option<Name>, Payload) {
+    let from = answer.encoding.as_str().rsplit_once(';');
+    let from = from.and_then(|(what, from)| Some((what, from.strip_prefix(FROM)?)));
+    match from.and_then(|(what, from)| Some((what.to_owned(), Name::new(from).ok()?))) {
+        Some((what, from)) => {
+            let encoding = Encoding::new(what);
+            (Some(from), Payload { encoding, ..answer })
+        }
+        None => (None, answer),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,5 +83,21 @@ mod tests {
             assert_eq!(Asking::decode(wrong), None, "{wrong:?}");
         }
         assert_eq!(super::super::attachment::Attachment::decode(&bytes), None);
+    }
+
+    #[test]
+    fn an_error_says_who_answers_so() {
+        let from = Name::new("wombat-2").expect("a name");
+        let error = Payload::new("the arm is stuck", Encoding::TEXT);
+        let answer = error_to_payload(&from, error.clone());
+        assert_eq!(answer.encoding.as_str(), "text/plain;from=wombat-2");
+        assert_eq!(error_from_payload(answer), (Some(from), error.clone()));
+        for stock in ["text/plain", "text/plain;utf-8", "text/plain;from=a b"] {
+            let stock = Payload {
+                encoding: Encoding::new(stock),
+                ..error.clone()
+            };
+            assert_eq!(error_from_payload(stock.clone()), (None, stock));
+        }
     }
 }

@@ -1,0 +1,106 @@
+//! Owns what can go wrong in a session, with what to do about it.
+use std::time::Duration;
+
+use crate::core::{
+    codec::CodecError,
+    name::{Name, NameError},
+    payload::{Payload, PayloadError},
+    topic::TopicError,
+};
+
+/// Something did not work. Each text says what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The name of a robot or fleet. Choose another.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// A topic or pattern. Write it as the text says.
+    #[error(transparent)]
+    Topic(#[from] TopicError),
+    /// A value that can't be sent or read as asked for.
+    #[error(transparent)]
+    Payload(#[from] PayloadError),
+    /// A codec that does not fit, or a payload that is damaged.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// No router. Start one, or name another.
+    #[error(
+        "no router answers at {endpoint}: {reason}. `rect-router -l tcp/127.0.0.1:7447` starts one here; \
+         another one is named by `Options::router`"
+    )]
+    NoRouter {
+        /// Where it was looked for.
+        endpoint: String,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// A locator, or something else in the options, that Zenoh does not take.
+    #[error("the option {what} can't be {value:?}: {reason}")]
+    Option {
+        /// Which.
+        what: &'static str,
+        /// What was given.
+        value: String,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// Nobody has that service. Is the robot there, and does its program run?
+    #[error("nobody serves {topic} at {robot}; robots there: {there}")]
+    NoService {
+        /// Who was asked; `*` for anyone.
+        robot: String,
+        /// For what.
+        topic: String,
+        /// Who is there.
+        there: String,
+    },
+    /// It took too long. Ask again, allow more time, or look at the link (`rect-router connections`).
+    #[error("no {what} within {after:?}")]
+    TimedOut {
+        /// What was waited for.
+        what: String,
+        /// For how long.
+        after: Duration,
+    },
+    /// The service answered with an error.
+    #[error("{} answers with an error: {}", .robot.as_ref().map_or("the service", Name::as_str), said(.payload))]
+    Service {
+        /// Who answered; `None`: a stock program, which does not say.
+        robot: Option<Name>,
+        /// The error, as the service made it.
+        payload: Payload,
+    },
+    /// Zenoh refuses.
+    #[error("{what}: {reason}")]
+    Zenoh {
+        /// What was wanted.
+        what: &'static str,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// The session was closed.
+    #[error("the session is closed")]
+    Closed,
+}
+
+/// The beginning of an error's text.
+fn said(payload: &Payload) -> String {
+    let text = String::from_utf8_lossy(&payload.bytes);
+    text.chars().take(500).collect()
+}
+
+impl From<std::convert::Infallible> for Error {
+    fn from(never: std::convert::Infallible) -> Self {
+        match never {}
+    }
+}
+
+impl Error {
+    pub(crate) fn zenoh(what: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
+        move |error| Self::Zenoh {
+            what,
+            reason: error.to_string(),
+        }
+    }
+}

@@ -1,0 +1,16 @@
+//! The upper storey: sessions on zenoh. They move what the [core](crate::core) says, and decide nothing.
+mod inbox;
+mod options;
+mod publication;
+mod registry;
+mod request;
+mod robot;
+mod service;
+mod subscriber;
+
+pub use options::Options;
+pub use registry::{Connection, ConnectionState, PeerId, Traffic, Trouble};
+pub use request::{Replies, Reply};
+pub use robot::{connect, Robot};
+pub use service::{Request, Requests, Service};
+pub use subscriber::{Receiving, Subscriber, Subscription};

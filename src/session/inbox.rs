@@ -1,0 +1,131 @@
+//! Owns the waiting at a queue: Zenoh's threads put in, the program takes out.
+use std::sync::{
+    atomic::{AtomicBool, Ordering},
+    Arc, Condvar, Mutex, MutexGuard, PoisonError,
+};
+
+use tokio::sync::Notify;
+
+use crate::core::queue::{Pushed, Queue};
+
+/// A queue with somebody at either end.
+#[derive(Debug)]
+pub(super) struct Inbox<T> {
+    queue: Mutex<Queue<T>>,
+    closed: AtomicBool,
+    arrived: Notify,
+    taken: Condvar,
+}
+
+impl<T> Inbox<T> {
+    pub(super) fn new(queue: Queue<T>) -> Arc<Self> {
+        Arc::new(Self {
+            queue: Mutex::new(queue),
+            closed: AtomicBool::new(false),
+            arrived: Notify::new(),
+            taken: Condvar::new(),
+        })
+    }
+
+    /// Puts one in; where the rule is to wait, once there is room. `false`: it was refused, or nobody takes any more.
+    pub(super) fn push(&self, item: T) -> bool {
+        let mut item = item;
+        let mut queue = self.queue();
+        let kept = loop {
+            if self.closed.load(Ordering::Acquire) {
+                return false;
+            }
+            match queue.push(item) {
+                Pushed::Full(back) => {
+                    item = back;
+                    let waited = self.taken.wait(queue);
+                    queue = waited.unwrap_or_else(PoisonError::into_inner);
+                }
+                Pushed::Kept | Pushed::DroppedOldest => break true,
+                Pushed::DroppedNewest => break false,
+            }
+        };
+        drop(queue);
+        self.arrived.notify_one();
+        kept
+    }
+
+    /// Takes the oldest, once there is one; `None`: closed, and empty.
+    pub(super) async fn pop(&self) -> Option<T> {
+        loop {
+            let arrived = self.arrived.notified();
+            if let Some(item) = self.try_pop() {
+                return Some(item);
+            }
+            if self.closed.load(Ordering::Acquire) {
+                return None;
+            }
+            arrived.await;
+        }
+    }
+
+    /// Takes the oldest, if there is one.
+    pub(super) fn try_pop(&self) -> Option<T> {
+        let item = self.queue().pop();
+        if item.is_some() {
+            self.taken.notify_one();
+        }
+        item
+    }
+
+    pub(super) fn dropped(&self) -> u64 {
+        self.queue().dropped()
+    }
+
+    /// Nothing comes any more; what waits can still be taken.
+    pub(super) fn close(&self) {
+        let queue = self.queue();
+        self.closed.store(true, Ordering::Release);
+        drop(queue);
+        self.taken.notify_all();
+        self.arrived.notify_waiters();
+        self.arrived.notify_one();
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue<T>> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::queue::WhenFull;
+
+    #[tokio::test]
+    async fn who_waits_gets_what_comes_and_the_end() {
+        let inbox = Inbox::new(Queue::new(2, WhenFull::NewestWins));
+        let waiting = tokio::spawn({
+            let inbox = inbox.clone();
+            async move { (inbox.pop().await, inbox.pop().await) }
+        });
+        tokio::task::yield_now().await;
+        assert!(inbox.push(1));
+        inbox.close();
+        assert_eq!(waiting.await.expect("done"), (Some(1), None));
+        assert!(!inbox.push(2), "closed");
+    }
+
+    #[tokio::test]
+    async fn who_has_to_wait_for_room_gets_it_or_the_end() {
+        let inbox = Inbox::new(Queue::new(1, WhenFull::Wait));
+        assert!(inbox.push(1));
+        let pushing = |n| {
+            let inbox = inbox.clone();
+            tokio::task::spawn_blocking(move || inbox.push(n))
+        };
+        let second = pushing(2);
+        assert_eq!(inbox.pop().await, Some(1));
+        assert!(second.await.expect("no panic"));
+        let third = pushing(3);
+        inbox.close();
+        assert!(!third.await.expect("no panic"));
+        assert_eq!(inbox.pop().await, Some(2), "what waits can be taken");
+        assert_eq!(inbox.pop().await, None);
+    }
+}

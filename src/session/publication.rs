@@ -1,0 +1,91 @@
+//! Owns what a program says about one topic: a publisher of Zenoh's, and the numbers of its messages.
+use std::{
+    sync::{Mutex, PoisonError},
+    time::{SystemTime, UNIX_EPOCH},
+};
+
+use zenoh::{
+    bytes::Encoding,
+    pubsub::Publisher,
+    qos::{CongestionControl, Priority},
+    Session, Wait,
+};
+
+use crate::{
+    core::{
+        attachment::{Attachment, Sent},
+        payload::Payload,
+        urgency::Qos,
+    },
+    error::Error,
+};
+
+/// Larger ones than this may have to wait for room, and do so on a thread of their own.
+const LARGE_BYTES: usize = 16 * 1024;
+
+#[derive(Debug)]
+pub(super) struct Publication {
+    publisher: Publisher<'static>,
+    source: u16,
+    next: Mutex<u32>,
+}
+
+impl Publication {
+    pub(super) fn declare(session: &Session, key: String, qos: Qos) -> Result<Self, Error> {
+        let congestion_control = if qos.droppable {
+            CongestionControl::Drop
+        } else {
+            CongestionControl::Block
+        };
+        let publisher = session
+            .declare_publisher(key)
+            .priority(priority(qos))
+            .express(qos.express)
+            .congestion_control(congestion_control)
+            .wait()
+            .map_err(Error::zenoh("the publisher is refused"))?;
+        Ok(Self {
+            publisher,
+            source: rand::random(),
+            next: Mutex::new(0),
+        })
+    }
+
+    /// Says it; waits where the link has no room.
+    pub(super) async fn put(self: std::sync::Arc<Self>, payload: Payload) -> Result<(), Error> {
+        if payload.bytes.len() < LARGE_BYTES {
+            return self.put_now(payload);
+        }
+        let put = tokio::task::spawn_blocking(move || self.put_now(payload));
+        put.await.map_err(|_| Error::Closed)?
+    }
+
+    fn put_now(&self, payload: Payload) -> Result<(), Error> {
+        // Held while it is sent: two threads' messages go out in the order of their numbers.
+        let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+        let attachment = Attachment {
+            source: self.source,
+            sequence: *next,
+            sent: Sent::At(now_ms()),
+        };
+        let put = self
+            .publisher
+            .put(payload.bytes)
+            .encoding(Encoding::from(payload.encoding.as_str()))
+            .attachment(attachment.encode());
+        put.wait()
+            .map_err(Error::zenoh("the message is not sent"))?;
+        *next = next.wrapping_add(1);
+        Ok(())
+    }
+}
+
+pub(super) fn priority(qos: Qos) -> Priority {
+    Priority::try_from(qos.priority).unwrap_or_default()
+}
+
+/// Milliseconds since 1970, by this computer's clock.
+pub(super) fn now_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0))
+}

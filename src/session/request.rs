@@ -1,0 +1,209 @@
+//! Owns asking a service, and its answers.
+use std::{sync::Arc, time::Duration};
+
+use tokio::time::Instant;
+use zenoh::{
+    cancellation::CancellationToken,
+    query::{ConsolidationMode, QueryTarget},
+    Wait,
+};
+
+use super::{inbox::Inbox, publication::priority, robot::Robot, subscriber::payload};
+use crate::{
+    core::{
+        key::Place,
+        name::Name,
+        payload::{Payload, ToPayload},
+        queue::{Queue, WhenFull},
+        request::{error_from_payload, Asking},
+        topic::Topic,
+    },
+    error::Error,
+};
+
+/// How many answers wait for the program; a service that sends more waits.
+const REPLIES: usize = 64;
+
+/// An answer.
+#[derive(Clone, Debug)]
+pub struct Reply {
+    /// Who answers.
+    pub from: Name,
+    /// What it says.
+    pub payload: Payload,
+}
+
+/// The answers to one request, as they come. Dropping it cancels the request.
+#[derive(Debug)]
+pub struct Replies {
+    inbox: Arc<Inbox<zenoh::query::Reply>>,
+    place: Place,
+    what: String,
+    deadline: Instant,
+    timeout: Duration,
+    cancellation: CancellationToken,
+}
+
+impl Robot {
+    /// Asks a service of `robot`, and waits for its first answer.
+    ///
+    /// # Errors
+    /// [`Error::Service`]: it answers with an error; [`Error::NoService`]: nobody serves that there;
+    /// [`Error::TimedOut`]; [`Error::Name`], [`Error::Topic`], [`Error::Payload`].
+    pub async fn request<N: TryInto<Name>, T: TryInto<Topic>>(
+        &self,
+        robot: N,
+        topic: T,
+        value: impl ToPayload,
+        timeout: Duration,
+    ) -> Result<Reply, Error>
+    where
+        Error: From<N::Error> + From<T::Error>,
+    {
+        let robot = robot.try_into()?;
+        let topic = topic.try_into()?;
+        let (asked, about) = (robot.to_string(), topic.to_string());
+        let mut replies = self.ask(Some(robot), topic, value, timeout).await?;
+        match replies.next().await {
+            Some(reply) => reply,
+            None => Err(self.nobody(asked, about).await),
+        }
+    }
+
+    /// Asks a service of all robots that have it; answers come until all have answered, or the time is over.
+    ///
+    /// # Errors
+    /// [`Error::Topic`], [`Error::Payload`]; [`Error::Zenoh`] when the session is closed.
+    pub async fn request_all<T: TryInto<Topic>>(
+        &self,
+        topic: T,
+        value: impl ToPayload,
+        timeout: Duration,
+    ) -> Result<Replies, Error>
+    where
+        Error: From<T::Error>,
+    {
+        self.ask(None, topic.try_into()?, value, timeout).await
+    }
+
+    async fn ask(
+        &self,
+        robot: Option<Name>,
+        topic: Topic,
+        value: impl ToPayload,
+        timeout: Duration,
+    ) -> Result<Replies, Error> {
+        let place = &self.inner.place;
+        let payload = self.payload(value)?;
+        let inbox = Inbox::new(Queue::new(REPLIES, WhenFull::Wait));
+        let asking = Asking {
+            from: place.robot.clone(),
+            timeout_ms: u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX),
+        };
+        let cancellation = CancellationToken::default();
+        let qos = self.urgency().qos();
+        let closing = Closing(inbox.clone());
+        let asked = self
+            .inner
+            .session
+            .get(place.service(robot.as_ref(), &topic))
+            .payload(payload.bytes)
+            .encoding(payload.encoding.as_str())
+            .attachment(asking.encode())
+            .priority(priority(qos))
+            .express(qos.express)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout)
+            .cancellation_token(cancellation.clone())
+            .callback(move |reply| {
+                closing.0.push(reply);
+            });
+        asked
+            .await
+            .map_err(Error::zenoh("the request is not sent"))?;
+        Ok(Replies {
+            inbox,
+            place: place.clone(),
+            what: format!("answer about {topic}"),
+            deadline: Instant::now() + timeout,
+            timeout,
+            cancellation,
+        })
+    }
+
+    pub(super) async fn nobody(&self, robot: String, topic: String) -> Error {
+        let there = self.peers().await.unwrap_or_default();
+        let there: Vec<&str> = there.iter().map(Name::as_str).collect();
+        let there = if there.is_empty() {
+            "none".to_owned()
+        } else {
+            there.join(", ")
+        };
+        Error::NoService {
+            robot,
+            topic,
+            there,
+        }
+    }
+}
+
+impl Replies {
+    /// The next answer, or the error that a service answers with; [`Error::TimedOut`] when the time is over and some have
+    /// not answered; `None`: all have.
+    pub async fn next(&mut self) -> Option<Result<Reply, Error>> {
+        let timed_out = || Error::TimedOut {
+            what: self.what.clone(),
+            after: self.timeout,
+        };
+        let reply = match tokio::time::timeout_at(self.deadline, self.inbox.pop()).await {
+            Ok(reply) => reply?,
+            Err(_) => {
+                self.inbox.close();
+                return Some(Err(timed_out()));
+            }
+        };
+        let answer = match reply.into_result() {
+            Ok(sample) => {
+                let address = self.place.address(sample.key_expr().as_str());
+                let payload = payload(sample.payload(), sample.encoding());
+                let reply = address.map(|address| Reply {
+                    from: address.from,
+                    payload,
+                });
+                reply.ok_or_else(|| Error::Zenoh {
+                    what: "the answer is none of a robot",
+                    reason: format!("its key is {}", sample.key_expr()),
+                })
+            }
+            Err(error) => {
+                let (robot, payload) =
+                    error_from_payload(payload(error.payload(), error.encoding()));
+                // Zenoh's own, when the time is over.
+                if robot.is_none() && payload.bytes == b"Timeout"[..] {
+                    Err(timed_out())
+                } else {
+                    Err(Error::Service { robot, payload })
+                }
+            }
+        };
+        Some(answer)
+    }
+}
+
+impl Drop for Replies {
+    fn drop(&mut self) {
+        self.inbox.close();
+        // Waits for a callback that is running, which, once the inbox is closed, waits for nobody.
+        let _ = self.cancellation.cancel().wait();
+    }
+}
+
+/// Zenoh drops the callback when the last answer has come.
+struct Closing(Arc<Inbox<zenoh::query::Reply>>);
+
+impl Drop for Closing {
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
