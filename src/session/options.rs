@@ -174,8 +174,7 @@ impl Options {
                 ("connect/endpoints", json!(self.endpoints)),
                 ("connect/timeout_ms", json!(-1)),
                 ("connect/exit_on_failure", json!(false)),
-                ("connect/retry/period_init_ms", json!(200)),
-                ("connect/retry/period_max_ms", json!(1000)),
+                ("connect/retry", retry(200)),
                 ("listen/endpoints", json!(self.listen)),
                 ("listen/exit_on_failure", json!(true)),
                 ("scouting/gossip/enabled", json!(false)),
@@ -185,8 +184,7 @@ impl Options {
                 ("mode", json!("client")),
                 ("connect/endpoints", json!([self.router])),
                 ("connect/timeout_ms", json!(patience_ms)),
-                ("connect/retry/period_init_ms", json!(100)),
-                ("connect/retry/period_max_ms", json!(1000)),
+                ("connect/retry", retry(100)),
             ]);
         }
         if let Some((user, password)) = self.user() {
@@ -213,6 +211,10 @@ impl Options {
     fn user(&self) -> Option<(String, String)> {
         self.login.clone().or_else(|| first_login(&self.login_file))
     }
+}
+
+fn retry(first_ms: u32) -> Value {
+    json!({ "period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2 })
 }
 
 fn first_login(file: &Path) -> Option<(String, String)> {
