@@ -1,6 +1,7 @@
 //! The lower storey: everything that decides, without I/O. What is here is the same in every language.
 pub mod attachment;
 pub mod codec;
+pub mod connection;
 pub mod encoding;
 pub mod gaps;
 pub mod key;

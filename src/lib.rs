@@ -6,6 +6,8 @@
 pub mod core;
 
 #[cfg(feature = "session")]
+pub mod blocking;
+#[cfg(feature = "session")]
 mod error;
 #[cfg(feature = "session")]
 mod session;
@@ -16,6 +18,7 @@ pub use error::Error;
 pub use session::*;
 
 pub use crate::core::{
+    connection::{Connection, ConnectionState, Event, Link},
     encoding::Encoding,
     message::Message,
     name::Name,

@@ -6,11 +6,12 @@ mod registry;
 mod request;
 mod robot;
 mod service;
+mod state;
 mod subscriber;
 
 pub use options::Options;
-pub use registry::{Connection, ConnectionState, PeerId, Traffic, Trouble};
 pub use request::{Replies, Reply};
 pub use robot::{connect, Robot};
 pub use service::{Request, Requests, Service};
+pub use state::{Counters, Events};
 pub use subscriber::{Receiving, Subscriber, Subscription};

@@ -1,87 +1,20 @@
 //! Owns asking the routers' registry: who is there, and by which connections (docs/registry.md has the keys).
 use std::time::Duration;
 
-use serde::{de::DeserializeOwned, Deserialize, Serialize};
+use serde::de::DeserializeOwned;
 use zenoh::bytes::ZBytes;
 
 use super::robot::Robot;
 use crate::{
-    core::{encoding::Encoding, name::Name, payload::Payload, request::error_from_payload},
+    core::{
+        connection::Connection, encoding::Encoding, name::Name, payload::Payload,
+        request::error_from_payload,
+    },
     error::Error,
 };
 
 /// Routers answer at once; a slow link with much on it takes a while.
 const PATIENCE: Duration = Duration::from_secs(5);
-
-/// Whether a connection carries messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ConnectionState {
-    /// It does.
-    Connected,
-    /// It is wanted, and dialled until it does.
-    Connecting,
-    /// A robot of the fleet is heard by Bluetooth, and not linked.
-    Discovered,
-}
-
-/// A connection of a robot's router.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Connection {
-    /// As the file of connections names it, if it does.
-    pub name: Option<String>,
-    /// `ble`, `tcp`, `udp`, ...
-    pub method: String,
-    /// Whom or where, without the method.
-    pub address: String,
-    /// Whether it carries messages.
-    pub state: ConnectionState,
-    /// Who is at the other end, once that is known.
-    pub peer: Option<PeerId>,
-    /// For how long it has been there, in seconds.
-    pub up_s: Option<f64>,
-    /// What went out, where it is counted.
-    pub sent: Option<Traffic>,
-    /// What came, where it is counted.
-    pub received: Option<Traffic>,
-    /// There and back, in milliseconds, where it is measured.
-    pub round_trip_ms: Option<f64>,
-    /// How strong its signal is, in dBm, where it was heard within a minute.
-    pub rssi_dbm: Option<i16>,
-    /// How often it was made.
-    pub linked: Option<u64>,
-    /// Attempts that came to nothing since then.
-    pub failed: Option<u64>,
-    /// What went wrong last.
-    pub last_error: Option<Trouble>,
-}
-
-/// Somebody at the other end.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PeerId {
-    /// Zenoh's id of its router or program.
-    pub id: String,
-    /// The robot, where it is one of RECT.
-    pub robot: Option<String>,
-}
-
-/// What went one way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Traffic {
-    /// Bytes of Zenoh's batches.
-    pub bytes: u64,
-    /// Zenoh's batches.
-    pub batches: u64,
-}
-
-/// What went wrong.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Trouble {
-    /// In words.
-    pub what: String,
-    /// How long ago, in seconds.
-    pub ago_s: f64,
-}
 
 impl Robot {
     /// The other robots of the fleet that are there now, by name.

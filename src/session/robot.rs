@@ -8,7 +8,11 @@ use std::{
 use tokio::runtime::Handle;
 use zenoh::{liveliness::LivelinessToken, Session};
 
-use super::{options::Options, publication::Publication};
+use super::{
+    options::Options,
+    publication::Publication,
+    state::{self, Counting, Known},
+};
 use crate::{
     core::{
         codec::Codec,
@@ -37,6 +41,10 @@ pub(super) struct Inner {
     pub(super) place: Place,
     pub(super) runtime: Handle,
     publications: Mutex<HashMap<Spoken, Arc<Publication>>>,
+    pub(super) counting: Arc<Counting>,
+    /// Where there is a router.
+    pub(super) known: Option<Known>,
+    pub(super) direct: bool,
     /// Where there is no router that says that this robot is there.
     _presence: Option<LivelinessToken>,
 }
@@ -66,18 +74,19 @@ pub async fn connect(robot: &str) -> Result<Robot, Error> {
 
 impl Robot {
     pub(super) async fn start(session: Session, place: Place, direct: bool) -> Result<Self, Error> {
-        let presence = if direct {
-            let key = place.own(Some(&place.robot), &format!("alive/{}", session.zid()));
-            let token = session.liveliness().declare_token(key).await;
-            Some(token.map_err(Error::zenoh("the robot can't say that it is there"))?)
+        let (presence, known) = if direct {
+            (Some(state::say_there(&session, &place).await?), None)
         } else {
-            None
+            (None, Some(Known::follow(&session, &place).await?))
         };
         let inner = Inner {
             session,
             place,
             runtime: Handle::current(),
             publications: Mutex::default(),
+            counting: Arc::default(),
+            known,
+            direct,
             _presence: presence,
         };
         Ok(Self {
@@ -190,7 +199,10 @@ impl Robot {
     async fn say(&self, topic: Topic, to: Option<Name>, payload: Payload) -> Result<(), Error> {
         let urgency = self.urgency;
         let publication = self.publication(Spoken { topic, to, urgency })?;
-        publication.put(payload).await
+        let bytes = payload.bytes.len();
+        publication.put(payload).await?;
+        self.inner.counting.on_sent(bytes);
+        Ok(())
     }
 
     fn publication(&self, spoken: Spoken) -> Result<Arc<Publication>, Error> {

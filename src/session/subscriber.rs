@@ -14,7 +14,7 @@ use futures_core::Stream;
 use tokio::task::JoinHandle;
 use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 
-use super::{inbox::Inbox, robot::Robot};
+use super::{inbox::Inbox, robot::Robot, state::Known};
 use crate::{
     core::{
         encoding::Encoding,
@@ -98,11 +98,18 @@ impl Robot {
         let [all, mine] = place.subscriptions(pattern);
         let declare = |key: String, directed: bool| {
             let (inbox, inbound) = (inbox.clone(), inbound.clone());
+            let counting = self.inner.counting.clone();
+            let links = self.inner.known.as_ref().map(Known::links);
             let on_sample = move |sample: Sample| {
-                let message = on_sample(&inbound, &sample, directed);
-                if let Some(message) = message {
-                    inbox.push(message);
+                let Some(mut message) = on_sample(&inbound, &sample, directed) else {
+                    return;
+                };
+                if let Some(links) = &links {
+                    let links = links.lock().unwrap_or_else(PoisonError::into_inner);
+                    message.over = links.method(&message.from).map(str::to_owned);
                 }
+                counting.on_received(message.payload.bytes.len(), message.missed);
+                inbox.push(message);
             };
             let declared = self
                 .inner
@@ -139,14 +146,10 @@ impl Robot {
         let task = self.inner.runtime.spawn(async move {
             while let Some(message) = subscriber.recv().await {
                 let topic = message.topic.clone();
-                let called = catch_unwind(AssertUnwindSafe(|| callback(message)));
-                if let Err(panic) = called {
-                    let said = said(&*panic);
-                    tracing::error!("the callback for {topic} panicked: {said}");
-                }
+                called(topic.as_str(), || callback(message));
             }
         });
-        Ok(Subscription { task })
+        Ok(Subscription::of(task))
     }
 
     /// The next message of `robot` about `topic`, to all or to this one alone, that is sent from now on.
@@ -223,6 +226,12 @@ impl Drop for Subscriber {
     }
 }
 
+impl Subscription {
+    pub(super) fn of(task: JoinHandle<()>) -> Self {
+        Self { task }
+    }
+}
+
 impl Drop for Subscription {
     fn drop(&mut self) {
         self.task.abort();
@@ -259,8 +268,15 @@ fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {
     inbound.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What a panic says.
-pub(super) fn said(panic: &(dyn Any + Send)) -> &str {
+/// Calls a callback; if it panics, that is reported, and the next call is made all the same.
+pub(super) fn called(about: &str, callback: impl FnOnce()) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(callback)) {
+        let said = said(&*panic);
+        tracing::error!("the callback for {about} panicked: {said}");
+    }
+}
+
+fn said(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied())
         .unwrap_or("(no text)")

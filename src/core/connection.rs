@@ -1,0 +1,248 @@
+//! Owns connections as a router's registry tells of them (docs/registry.md), and what is news among them.
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::name::Name;
+
+/// Whether a connection carries messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ConnectionState {
+    /// It does.
+    Connected,
+    /// It is wanted, and dialled until it does.
+    Connecting,
+    /// A robot of the fleet is heard by Bluetooth, and not linked.
+    Discovered,
+}
+
+/// A connection of a robot's router.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Connection {
+    /// As the file of connections names it, if it does.
+    pub name: Option<String>,
+    /// `ble`, `tcp`, `udp`, ...
+    pub method: String,
+    /// Whom or where, without the method.
+    pub address: String,
+    /// Whether it carries messages.
+    pub state: ConnectionState,
+    /// Who is at the other end, once that is known.
+    pub peer: Option<PeerId>,
+    /// For how long it has been there, in seconds.
+    pub up_s: Option<f64>,
+    /// What went out, where it is counted.
+    pub sent: Option<Traffic>,
+    /// What came, where it is counted.
+    pub received: Option<Traffic>,
+    /// There and back, in milliseconds, where it is measured.
+    pub round_trip_ms: Option<f64>,
+    /// How strong its signal is, in dBm, where it was heard within a minute.
+    pub rssi_dbm: Option<i16>,
+    /// How often it was made.
+    pub linked: Option<u64>,
+    /// Attempts that came to nothing since then.
+    pub failed: Option<u64>,
+    /// What went wrong last.
+    pub last_error: Option<Trouble>,
+}
+
+/// Somebody at the other end.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PeerId {
+    /// Zenoh's id of its router or program.
+    pub id: String,
+    /// The robot, where it is one of RECT.
+    pub robot: Option<String>,
+}
+
+/// What went one way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Traffic {
+    /// Bytes of Zenoh's batches.
+    pub bytes: u64,
+    /// Zenoh's batches.
+    pub batches: u64,
+}
+
+/// What went wrong.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Trouble {
+    /// In words.
+    pub what: String,
+    /// How long ago, in seconds.
+    pub ago_s: f64,
+}
+
+/// Something has changed about who can be reached.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Event {
+    /// A robot of the fleet is there.
+    PeerUp {
+        /// Which.
+        robot: Name,
+    },
+    /// It is gone, or cannot be reached any more.
+    PeerDown {
+        /// Which.
+        robot: Name,
+    },
+    /// This robot has a link more.
+    LinkUp(Link),
+    /// It has one less.
+    LinkDown(Link),
+    /// This program has its router (again).
+    RouterUp,
+    /// This program has lost its router. Zenoh looks for it by itself.
+    RouterDown,
+}
+
+/// A link of this robot's router; without a router, of this program.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Link {
+    /// Over which radio or wire: `ble`, `tcp`, `udp`, ...
+    pub method: String,
+    /// Where it leads.
+    pub address: String,
+    /// To which robot, where that is known.
+    pub robot: Option<Name>,
+}
+
+/// The links there are, to tell what is news.
+#[derive(Debug, Default)]
+pub struct Links {
+    links: BTreeMap<Link, usize>,
+}
+
+impl Links {
+    /// All connections as they are now; what has changed since the last time.
+    pub fn on_connections(&mut self, connections: &[Connection]) -> Vec<Event> {
+        let mut now = BTreeMap::new();
+        let connected = |one: &&Connection| one.state == ConnectionState::Connected;
+        for one in connections.iter().filter(connected) {
+            *now.entry(Link::of(one)).or_default() += 1;
+        }
+        let before = std::mem::replace(&mut self.links, now);
+        let gone = before.keys().filter(|link| !self.links.contains_key(link));
+        let new = self.links.keys().filter(|link| !before.contains_key(link));
+        let gone = gone.cloned().map(Event::LinkDown);
+        gone.chain(new.cloned().map(Event::LinkUp)).collect()
+    }
+
+    /// By what a robot is linked with this one; `None`: not at all, or by several methods.
+    pub fn method(&self, robot: &Name) -> Option<&str> {
+        let mut methods = self.links.keys();
+        let its = |link: &&Link| link.robot.as_ref() == Some(robot);
+        let first = methods.find(its)?;
+        let other = methods.find(|link| its(link) && link.method != first.method);
+        other.is_none().then_some(first.method.as_str())
+    }
+}
+
+impl Link {
+    fn of(connection: &Connection) -> Self {
+        let robot = connection
+            .peer
+            .as_ref()
+            .and_then(|peer| peer.robot.as_ref());
+        Self {
+            method: connection.method.clone(),
+            address: connection.address.clone(),
+            robot: robot.and_then(|robot| Name::new(robot).ok()),
+        }
+    }
+}
+
+/// The robots there are, by what says that they are: a robot is there as long as one of its routers or programs is.
+#[derive(Debug, Default)]
+pub struct Presence {
+    there: BTreeMap<Name, std::collections::BTreeSet<String>>,
+}
+
+impl Presence {
+    /// One of a robot's has come.
+    pub fn on_up(&mut self, robot: &Name, id: &str) -> Option<Event> {
+        let ids = self.there.entry(robot.clone()).or_default();
+        let first = ids.is_empty();
+        ids.insert(id.to_owned());
+        let robot = robot.clone();
+        first.then_some(Event::PeerUp { robot })
+    }
+
+    /// One of a robot's is gone.
+    pub fn on_down(&mut self, robot: &Name, id: &str) -> Option<Event> {
+        let ids = self.there.get_mut(robot)?;
+        ids.remove(id);
+        if !ids.is_empty() {
+            return None;
+        }
+        self.there.remove(robot);
+        let robot = robot.clone();
+        Some(Event::PeerDown { robot })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn connection(method: &str, robot: &str, state: ConnectionState) -> Connection {
+        Connection {
+            name: None,
+            method: method.to_owned(),
+            address: format!("to-{robot}"),
+            state,
+            peer: Some(PeerId {
+                id: "1".to_owned(),
+                robot: Some(robot.to_owned()),
+            }),
+            up_s: None,
+            sent: None,
+            received: None,
+            round_trip_ms: None,
+            rssi_dbm: None,
+            linked: None,
+            failed: None,
+            last_error: None,
+        }
+    }
+
+    #[test]
+    fn what_is_new_and_what_is_gone_is_news_once() {
+        use ConnectionState::{Connected, Connecting};
+        let mut links = Links::default();
+        let both = [
+            connection("ble", "b", Connected),
+            connection("tcp", "c", Connected),
+            connection("tcp", "d", Connecting),
+        ];
+        assert_eq!(links.on_connections(&both).len(), 2);
+        assert_eq!(links.on_connections(&both), []);
+        let b = Name::new("b").expect("a name");
+        assert_eq!(links.method(&b), Some("ble"));
+        let more = [both[0].clone(), connection("tcp", "b", Connected)];
+        let news = links.on_connections(&more);
+        assert!(
+            matches!(&news[0], Event::LinkDown(link) if link.address == "to-c"),
+            "{news:?}"
+        );
+        assert!(
+            matches!(&news[1], Event::LinkUp(link) if link.method == "tcp"),
+            "{news:?}"
+        );
+        assert_eq!(links.method(&b), None, "by two methods");
+    }
+
+    #[test]
+    fn a_robot_is_there_as_long_as_one_of_its_own_is() {
+        let b = Name::new("b").expect("a name");
+        let mut presence = Presence::default();
+        assert!(presence.on_down(&b, "1").is_none());
+        assert!(presence.on_up(&b, "1").is_some());
+        assert!(presence.on_up(&b, "2").is_none());
+        assert!(presence.on_down(&b, "1").is_none());
+        assert!(presence.on_down(&b, "2").is_some());
+    }
+}
