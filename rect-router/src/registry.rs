@@ -2,18 +2,16 @@
 //! published under the same key, and a liveliness token tells that the robot is there. `docs/registry.md` has the keys.
 pub mod document;
 mod presence;
+mod publisher;
 mod radio;
 pub mod selector;
 mod uptime;
 
 use std::{
     collections::HashMap,
-    sync::{
-        mpsc::{self, Receiver, RecvTimeoutError},
-        Arc,
-    },
+    sync::{mpsc, Arc},
     thread,
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::{Instant, SystemTime, UNIX_EPOCH},
 };
 
 use serde::Serialize;
@@ -27,6 +25,7 @@ use zenoh_link::ble::{
 use self::{
     document::{peers, Clock, Connection, Counts, PeerId, State, Status, Trouble},
     presence::Presence,
+    publisher::publish,
     radio::{round_trip_ms, traffic, Ble},
     selector::Selector,
     uptime::Uptime,
@@ -37,13 +36,11 @@ use crate::{
     version,
 };
 
-/// Several changes within so long are published as one.
-const TOGETHER: Duration = Duration::from_millis(50);
-
 /// Answers until its session is closed; publishes until it is dropped.
 pub struct Registry {
     _presence: Arc<Presence>,
-    _changed: mpsc::Sender<()>,
+    /// The only one that is held for good: without it the publisher ends.
+    _changed: Arc<mpsc::Sender<()>>,
 }
 
 /// What the answers are made of.
@@ -70,14 +67,12 @@ impl Registry {
         fleet: Arc<Fleet>,
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
+        let changed = Arc::new(changed);
+        let on_change = on_change(&changed);
         let presence = Presence::start(session, &settings.fleet, &settings.robot)?;
-        let uptime = Uptime::start([session].into_iter().chain(&host), &changed)?;
+        let uptime = Uptime::start([session].into_iter().chain(&host), &on_change)?;
         if let Some(connections) = &connections {
-            let on_change = changed.clone();
-            connections.on_change(move || {
-                // Who publishes is gone only when the router ends.
-                let _ = on_change.send(());
-            });
+            connections.on_change(on_change);
         }
         let sources = Arc::new(Sources {
             session: session.clone(),
@@ -281,28 +276,18 @@ impl Sources {
     }
 }
 
+/// What tells the publisher of a change, if there still is one.
+fn on_change(changed: &Arc<mpsc::Sender<()>>) -> impl Fn() + Clone + Send + Sync + 'static {
+    let changed = Arc::downgrade(changed);
+    move || {
+        if let Some(changed) = changed.upgrade() {
+            let _ = changed.send(());
+        }
+    }
+}
+
 /// Since 1970.
 pub fn now_s() -> f64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
     now.map_or(0.0, |now| now.as_secs_f64())
-}
-
-/// Publishes the connections after each change, until nobody can tell of one any more.
-fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
-    while changes.recv().is_ok() {
-        loop {
-            match changes.recv_timeout(TOGETHER) {
-                Ok(()) => {}
-                Err(RecvTimeoutError::Timeout) => break,
-                Err(RecvTimeoutError::Disconnected) => return,
-            }
-        }
-        let Ok(json) = serde_json::to_vec(&sources.connections()) else {
-            continue;
-        };
-        let put = sources.session.put(key, json);
-        if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
-            tracing::debug!("the change of connections was not published: {error}");
-        }
-    }
 }

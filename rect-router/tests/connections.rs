@@ -2,10 +2,15 @@
 
 mod support;
 
-use std::{fs, path::PathBuf, thread, time::Duration};
+use std::{
+    fs,
+    path::PathBuf,
+    thread,
+    time::{Duration, Instant},
+};
 
 use serde_json::{json, Value};
-use support::{answers, arrives, ask, client, repository, Air, Router};
+use support::{answers, arrives, ask, client, repository, Air, Router, DEADLINE};
 use zenoh::{Session, Wait};
 
 /// A robot's router on the air, with a file of connections.
@@ -215,6 +220,31 @@ fn in_short(answer: &Value) -> String {
         .collect();
     items.sort();
     format!("[{}]", items.join(", ").replace('"', ""))
+}
+
+#[test]
+fn a_robot_that_comes_into_the_air_is_published() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    // It listens to the air as it looks for somebody.
+    let one = Wombat::start(&air, &folder, 1, &file(&[ble("away", "wombat-9")]));
+    let here = client(&one.endpoint);
+    let changes = here.declare_subscriber("rect/wombat-1/@rect/connections");
+    let changes = changes.wait().expect("a subscription");
+    let _three = Wombat::start(&air, &folder, 3, &file(&[]));
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        assert!(Instant::now() < deadline, "it is not told of");
+        let sample = changes.recv_timeout(DEADLINE).expect("no session ends");
+        let published = sample.expect("in time").payload().to_bytes().into_owned();
+        let all: Vec<Value> = serde_json::from_slice(&published).expect("a list");
+        // Told by the address until the radio knows its name.
+        let is_it = |one: &&Value| one["state"] == "discovered" && one["address"] == "wombat-3";
+        let Some(discovered) = all.iter().find(is_it) else {
+            continue;
+        };
+        assert!(discovered["rssi_dbm"].is_i64(), "{discovered:#}");
+        return;
+    }
 }
 
 #[test]

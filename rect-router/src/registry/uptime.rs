@@ -1,7 +1,7 @@
 //! Owns since when each link is there, as Zenoh tells of links that come and go.
 use std::{
     collections::HashMap,
-    sync::{mpsc::Sender, Arc},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -15,19 +15,23 @@ use crate::connections::Ends;
 pub struct Uptime(Mutex<HashMap<Ends, Instant>>);
 
 impl Uptime {
-    /// `changed` is told whenever a link comes or goes.
+    /// Calls `on_change` whenever a link comes or goes.
     pub fn start<'s>(
         sessions: impl IntoIterator<Item = &'s Session>,
-        changed: &Sender<()>,
+        on_change: &(impl Fn() + Clone + Send + Sync + 'static),
     ) -> zenoh::Result<Arc<Self>> {
         let uptime = Arc::<Self>::default();
         for session in sessions {
-            uptime.follow(session, changed.clone())?;
+            uptime.follow(session, on_change.clone())?;
         }
         Ok(uptime)
     }
 
-    fn follow(self: &Arc<Self>, session: &Session, changed: Sender<()>) -> zenoh::Result<()> {
+    fn follow(
+        self: &Arc<Self>,
+        session: &Session,
+        on_change: impl Fn() + Send + Sync + 'static,
+    ) -> zenoh::Result<()> {
         let heard = Arc::clone(self);
         let on_event = move |event: LinkEvent| {
             let link = event.link();
@@ -37,7 +41,7 @@ impl Uptime {
                 SampleKind::Put => drop(since.insert(ends, Instant::now())),
                 SampleKind::Delete => drop(since.remove(&ends)),
             }
-            let _ = changed.send(());
+            on_change();
         };
         let info = session.info();
         let listener = info.link_events_listener().history(true);

@@ -1,0 +1,100 @@
+//! Owns what is published, and when: all connections, under the key that answers for them, after each change of which there
+//! are. How strong somebody's signal is, and how much was carried, is for whoever asks.
+use std::{
+    collections::BTreeSet,
+    sync::mpsc::{Receiver, RecvTimeoutError},
+    time::Duration,
+};
+
+use zenoh::{bytes::Encoding, Wait};
+
+use super::{
+    document::{Connection, State},
+    Sources,
+};
+
+/// Several changes within so long are published as one.
+const TOGETHER: Duration = Duration::from_millis(50);
+/// How often to look who is heard. Nobody tells: a robot in the air is heard ten times a second, and one that has gone never
+/// again. So a hall where robots come and go costs one publication in so long.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Publishes until nobody can tell of a change any more.
+pub fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
+    let mut told = Discovered::default();
+    loop {
+        let is_changed = match changes.recv_timeout(LOOK) {
+            Ok(()) => gather(changes),
+            Err(RecvTimeoutError::Timeout) => Ok(false),
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
+        let Ok(is_changed) = is_changed else { return };
+        let connections = sources.connections();
+        let are_others = told.are_now(&connections);
+        if !is_changed && !are_others {
+            continue;
+        }
+        let Ok(json) = serde_json::to_vec(&connections) else {
+            continue;
+        };
+        let put = sources.session.put(key, json);
+        if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
+            tracing::debug!("the change of connections was not published: {error}");
+        }
+    }
+}
+
+/// Waits for what follows a change at once; an error: nobody can tell of one any more.
+fn gather(changes: &Receiver<()>) -> Result<bool, RecvTimeoutError> {
+    loop {
+        match changes.recv_timeout(TOGETHER) {
+            Ok(()) => {}
+            Err(RecvTimeoutError::Timeout) => return Ok(true),
+            Err(ended) => return Err(ended),
+        }
+    }
+}
+
+/// Whom the last publication told of as heard and not linked.
+#[derive(Default)]
+struct Discovered(BTreeSet<String>);
+
+impl Discovered {
+    /// Takes in who is heard now; tells whether they are others.
+    fn are_now(&mut self, connections: &[Connection]) -> bool {
+        let heard = connections.iter().filter(|c| c.state == State::Discovered);
+        let now = heard.map(|one| one.address.clone()).collect();
+        std::mem::replace(&mut self.0, now) != self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use zenoh_link::ble::BLE_LOCATOR_PREFIX as BLE;
+
+    use super::*;
+
+    fn heard(robot: &str, rssi_dbm: i16) -> Connection {
+        Connection {
+            rssi_dbm: Some(rssi_dbm),
+            ..Connection::of(BLE, robot, State::Discovered)
+        }
+    }
+
+    #[test]
+    fn who_comes_or_goes_is_a_change_and_a_stronger_signal_is_none() {
+        let mut told = Discovered::default();
+        let linked = Connection::of(BLE, "wombat-9", State::Connected);
+        assert!(
+            !told.are_now(std::slice::from_ref(&linked)),
+            "nobody is discovered"
+        );
+        assert!(told.are_now(&[linked, heard("wombat-2", -60)]));
+        assert!(!told.are_now(&[heard("wombat-2", -80)]));
+        assert!(told.are_now(&[heard("wombat-2", -80), heard("wombat-3", -70)]));
+        assert!(!told.are_now(&[heard("wombat-3", -60), heard("wombat-2", -60)]));
+        assert!(told.are_now(&[heard("wombat-3", -60)]));
+        assert!(told.are_now(&[]), "the last has gone");
+        assert!(!told.are_now(&[]));
+    }
+}
