@@ -12,6 +12,8 @@ use std::{
     fmt, io,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
+    thread,
+    time::Duration,
 };
 
 use parking_lot::Mutex;
@@ -32,6 +34,12 @@ use self::{
     store::{revision, Store},
 };
 use crate::config::{AutoConnect, Rule, Settings};
+
+/// How long links that a change ends stay after who asked for it was answered. Zenoh does not tell when an answer has left.
+/// It hands it to the link within milliseconds, and what a link was given it still delivers when it is closed (over
+/// Bluetooth for its `linger`); half a second is enough for a router that is busy, too. Where more waits before the answer
+/// than goes in that time, it is lost, and who asked can only read again.
+const GRACE: Duration = Duration::from_millis(500);
 
 /// The named connections of one Zenoh runtime.
 pub struct Connections {
@@ -109,13 +117,15 @@ impl Connections {
         Ok((text, revision))
     }
 
-    /// Puts a new text into the file and takes its connections, if `expected` is the revision of what is there; tells the
-    /// new revision. On an error nothing changes.
+    /// Puts a new text into the file and takes its connections, if `expected` is the revision of what is there. `answer` is
+    /// told what changes and the new revision, once it is in the file and before links end: whoever asks may come over one
+    /// of them. On an error nothing changes. Waits while links that are to end have their [`GRACE`].
     pub fn replace(
         &self,
         text: &str,
         expected: Option<&str>,
-    ) -> Result<(Changes, String), ReplaceError> {
+        answer: impl FnOnce(&Changes, &str),
+    ) -> Result<(), ReplaceError> {
         let wanted = file::parse(text, &self.limits)?;
         let store = self.store.lock();
         if let Some(expected) = expected {
@@ -125,7 +135,13 @@ impl Connections {
             }
         }
         store.replace(text)?;
-        Ok((self.apply(wanted), revision(text)))
+        let changes = self.difference(&self.rule_of(&wanted), &wanted.connections);
+        answer(&changes, &revision(text));
+        if changes.end_links() {
+            thread::sleep(GRACE);
+        }
+        self.apply(wanted);
+        Ok(())
     }
 
     /// Calls `on_change` whenever a file brought something new. One is told, the first that asks.
@@ -155,58 +171,83 @@ impl Connections {
 
     /// From now on these.
     fn apply(&self, wanted: Wanted) -> Changes {
-        let rule = Rule {
-            auto_connect: wanted.auto_connect.unwrap_or(self.rule.auto_connect),
-            auto_links: wanted.auto_links.unwrap_or(self.rule.auto_links),
-        };
-        let mut changes = match rule.auto_connect {
-            AutoConnect::None => self.change(Vec::new()),
-            AutoConnect::Listed | AutoConnect::Fleet => self.change(wanted.connections),
-        };
-        changes.rule_changed = self.fleet.follow(rule);
+        let rule = self.rule_of(&wanted);
+        let changes = self.difference(&rule, &wanted.connections);
+        self.end(&changes.removed);
+        for spec in wanted.connections {
+            if changes.added.contains(&spec.name) || changes.changed.contains(&spec.name) {
+                self.begin(spec);
+            }
+        }
+        self.fleet.follow(rule);
         if changes != Changes::default() {
             self.on_change.get().inspect(|on_change| on_change());
         }
         changes
     }
 
-    fn change(&self, wanted: Vec<Spec>) -> Changes {
-        let mut changes = Changes::default();
-        let mut by_name = self.by_name.lock();
-        by_name.retain(|name, entry| {
-            let is_wanted = wanted.iter().any(|spec| spec.name == *name);
-            if !is_wanted {
-                changes.removed.push(name.clone());
-                self.slots.set(entry.slot, None);
-                entry.connection.end();
-            }
-            is_wanted
-        });
+    /// What the file says, or else the settings.
+    fn rule_of(&self, wanted: &Wanted) -> Rule {
+        Rule {
+            auto_connect: wanted.auto_connect.unwrap_or(self.rule.auto_connect),
+            auto_links: wanted.auto_links.unwrap_or(self.rule.auto_links),
+        }
+    }
+
+    /// What becomes different when that rule and these connections hold.
+    fn difference(&self, rule: &Rule, listed: &[Spec]) -> Changes {
+        let wanted = match rule.auto_connect {
+            AutoConnect::None => &[],
+            AutoConnect::Listed | AutoConnect::Fleet => listed,
+        };
+        let mut changes = Changes {
+            rule_changed: self.fleet.rule() != *rule,
+            ..Changes::default()
+        };
+        let by_name = self.by_name.lock();
+        let is_gone = |name: &&String| wanted.iter().all(|spec| spec.name != **name);
+        changes.removed = by_name.keys().filter(is_gone).cloned().collect();
         for spec in wanted {
-            let name = spec.name.clone();
-            let slot = match by_name.get(&name) {
-                Some(entry) if *entry.connection.spec() == spec => continue,
-                Some(entry) => {
-                    changes.changed.push(name.clone());
-                    entry.slot
-                }
-                None => {
-                    let is_free = |slot: &usize| by_name.values().all(|entry| entry.slot != *slot);
-                    let Some(slot) = (0..self.slots.count()).find(is_free) else {
-                        continue;
-                    };
-                    changes.added.push(name.clone());
-                    slot
-                }
-            };
-            let connection = Connection::new(spec);
-            let dialled = Dialled(Arc::clone(&connection));
-            self.slots.set(slot, Some(Arc::new(dialled)));
-            if let Some(before) = by_name.insert(name, Entry { slot, connection }) {
-                before.connection.end();
+            match by_name.get(&spec.name) {
+                Some(entry) if entry.connection.spec() == spec => {}
+                Some(_) => changes.changed.push(spec.name.clone()),
+                None => changes.added.push(spec.name.clone()),
             }
         }
         changes
+    }
+
+    fn end(&self, names: &[String]) {
+        let mut by_name = self.by_name.lock();
+        for entry in names.iter().filter_map(|name| by_name.remove(name)) {
+            self.slots.set(entry.slot, None);
+            entry.connection.end();
+        }
+    }
+
+    /// In the slot of the one that had its name, or a free one. (The file's limit is that there are enough.)
+    fn begin(&self, spec: Spec) {
+        let mut by_name = self.by_name.lock();
+        let is_free = |slot: &usize| by_name.values().all(|entry| entry.slot != *slot);
+        let slot = match by_name.get(&spec.name) {
+            Some(before) => Some(before.slot),
+            None => (0..self.slots.count()).find(is_free),
+        };
+        let Some(slot) = slot else { return };
+        let name = spec.name.clone();
+        let connection = Connection::new(spec);
+        let dialled = Dialled(Arc::clone(&connection));
+        self.slots.set(slot, Some(Arc::new(dialled)));
+        if let Some(before) = by_name.insert(name, Entry { slot, connection }) {
+            before.connection.end();
+        }
+    }
+}
+
+impl Changes {
+    /// Whether somebody may lose the link that he comes over.
+    fn end_links(&self) -> bool {
+        !self.removed.is_empty() || !self.changed.is_empty()
     }
 }
 

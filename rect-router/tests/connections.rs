@@ -430,18 +430,16 @@ fn connections_are_read_and_changed_by_a_query_from_another_robot() {
         .wait_for("the connections are changed by wombat-2: added base");
     assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
     let registry = "rect/wombat-1/@rect/connections?name=base";
-    assert_eq!(
-        ask(&there, registry).expect("an answer")[0]["state"],
-        "connecting"
-    );
+    answers(&there, registry, |all| all[0]["state"] == "connecting");
 
-    // What it does by itself, too. (Who takes away the link that he comes over gets no answer.)
+    // What it does by itself, too.
     let here = client(&one.endpoint);
     let rule = "{\"auto_connect\": \"fleet\", \"auto_links\": 1, \"connections\": []}";
     let changed_rule = change(&here, key, rule).expect("changed");
     assert_eq!(changed_rule["rule_changed"], true, "{changed_rule:#}");
-    let status = ask(&here, "rect/wombat-1/@rect/status").expect("an answer");
-    assert_eq!(status["auto_connect"], "fleet", "{status:#}");
+    let status = answers(&here, "rect/wombat-1/@rect/status", |status| {
+        status["auto_connect"] == "fleet"
+    });
     assert_eq!(status["auto_links"], 1, "{status:#}");
     // It had a link with wombat-2 by name, and has one with it as one of the fleet now.
     let linked = "rect/wombat-1/@rect/connections?method=ble;peer=wombat-2";
@@ -473,6 +471,37 @@ fn connections_are_read_and_changed_by_a_query_from_another_robot() {
     let unknown = change(&there, &format!("{key}?expects=1"), "{\"connections\": []}");
     assert!(unknown.is_err_and(|e| e.contains("`expects` is unknown")));
     assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
+}
+
+#[test]
+fn who_removes_or_changes_the_connection_he_comes_over_is_answered_first() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let two = Wombat::start(&air, &folder, 2, &file(&[]));
+    let one = Wombat::start(&air, &folder, 1, &file(&[]));
+    let (here, there) = (client(&one.endpoint), client(&two.endpoint));
+    let key = "rect/wombat-1/@rect/@config/connections";
+    let is_then = |state: Option<&str>| {
+        let asked = "rect/wombat-1/@rect/connections?name=way";
+        answers(&here, asked, |all| all[0]["state"].as_str() == state);
+    };
+    for way in [ble("way", "wombat-2"), tcp("way", two.port())] {
+        let before = file(std::slice::from_ref(&way)).to_string();
+        for (after, told, then) in [
+            (file(&[]), "removed", None),
+            (file(&[tcp("way", 1)]), "changed", Some("connecting")),
+        ] {
+            change(&here, key, &before).expect("changed");
+            is_then(Some("connected"));
+            ask(&there, key).expect("the way is known");
+            // The only way there is, and soon there is none.
+            let answer = change(&there, key, &after.to_string());
+            assert_eq!(answer.expect("changed")[told], json!(["way"]), "{way}");
+            is_then(then);
+            // This program is left.
+            let of_two = "rect/wombat-2/@rect/connections/count";
+            answers(&there, of_two, |count| count["connected"] == 1);
+        }
+    }
 }
 
 #[test]
