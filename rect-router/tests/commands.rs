@@ -2,68 +2,12 @@
 
 mod support;
 
-use std::{
-    fs,
-    os::unix::fs::PermissionsExt,
-    path::Path,
-    process::{Command, Output},
-    time::{Duration, Instant},
-};
+use std::{fs, os::unix::fs::PermissionsExt, path::Path, process::Command};
 
 use serde_json::{json, Value};
-use support::{answers, arrives, ask, client_with, Air, Router, DEADLINE};
-use zenoh::{Session, Wait};
+use support::{answers, init, program, rect_router, said, start, Air};
+use zenoh::Session;
 use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
-
-fn rect_router(args: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_rect-router"));
-    command.args(args).output().expect("it starts")
-}
-
-fn said(output: &Output) -> String {
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    text(&output.stdout) + &text(&output.stderr)
-}
-
-/// A robot's folder as `init` makes it, with further arguments.
-fn init(root: &Path, robot: &str, more: &[&str]) -> String {
-    let folder = root.join(robot).display().to_string();
-    let adapter = format!("sim-{robot}");
-    let mut args = vec!["init", robot, "--adapter", &adapter, "--folder", &folder];
-    args.extend(more);
-    let output = rect_router(&args);
-    assert!(output.status.success(), "{}", said(&output));
-    folder
-}
-
-/// Its router, on ports of its own.
-fn start(air: &Air, folder: &str, robot: &str, login: &str) -> (Router, String) {
-    let config = format!("{folder}/robot.json5");
-    let radio = format!("ble/sim-{robot}#name={robot};secret={folder}/users");
-    let args = [
-        "-c",
-        &config,
-        "--login-as",
-        login,
-        "-l",
-        "tcp/127.0.0.1:0",
-        "-l",
-        &radio,
-    ];
-    let mut router = Router::start_on(air, &args);
-    let endpoint = router.listener();
-    router.up();
-    (router, endpoint)
-}
-
-/// A program of that robot's own.
-fn program(folder: &str, endpoint: &str) -> Session {
-    let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
-    let login = users.lines().next().expect("a line");
-    let (user, password) = login.split_once(':').expect("a login");
-    let login = json!({ "user": user, "password": password }).to_string();
-    client_with(endpoint, &[("transport/auth/usrpwd", &login)]).expect("let in")
-}
 
 #[test]
 fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
@@ -180,67 +124,6 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "good",
         "{findings:#}"
     );
-}
-
-#[test]
-fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
-    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
-    let robot = init(root.path(), "wombat-1", &[]);
-    let users = format!("{robot}/users");
-    let other = init(root.path(), "wombat-2", &["--users", &users]);
-    let base = init(root.path(), "base", &["--users", &users, "--base-station"]);
-    let dial =
-        json!({ "connections": [{ "name": "robot", "method": "ble", "address": "wombat-1" }] });
-    for folder in [&other, &base] {
-        fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
-    }
-    let (_robot, here) = start(&air, &robot, "wombat-1", "fleet");
-    let (_other, there) = start(&air, &other, "wombat-2", "fleet");
-    let (_base, laptop) = start(&air, &base, "base", "config");
-    let (here, there) = (program(&robot, &here), program(&other, &there));
-    let laptop = program(&base, &laptop);
-
-    // Under its own name what it says arrives; under another's, or nobody's, it does not leave its robot.
-    assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
-    let heard = here.declare_subscriber("**").wait().expect("subscribes");
-    let deadline = Instant::now() + DEADLINE;
-    loop {
-        assert!(Instant::now() < deadline, "nothing arrives");
-        for key in ["rect/wombat-1/arm/angle", "rect/wombat-3/stop", "demo/x"] {
-            there.put(key, "not mine").wait().expect("a put");
-        }
-        there
-            .put("rect/wombat-2/mark", "mine")
-            .wait()
-            .expect("a put");
-        // In order: had one of the others passed, it would be here first.
-        if let Ok(Some(sample)) = heard.recv_timeout(Duration::from_millis(200)) {
-            assert_eq!(sample.key_expr().as_str(), "rect/wombat-2/mark");
-            break;
-        }
-    }
-
-    let settings = "rect/wombat-1/@rect/@config/connections";
-    let read = ask(&laptop, settings).expect("may read them");
-    let text = read["text"].as_str().expect("a text").to_owned();
-    assert!(text.contains("\"connections\""), "{text}");
-    let changed = change(&laptop, settings, &text.replace('[', "[ "));
-    assert!(changed.is_some_and(|answer| answer["revision"].is_string()));
-    assert!(
-        change(&there, settings, &text).is_none(),
-        "another robot may"
-    );
-    let now = ask(&laptop, settings).expect("may read them");
-    assert_eq!(now["text"], text.replace('[', "[ "));
-}
-
-/// What comes back for a new text, if anything does.
-fn change(session: &Session, selector: &str, text: &str) -> Option<Value> {
-    let replies = session.get(selector).payload(text);
-    let replies = replies.timeout(Duration::from_secs(3)).wait();
-    let reply = replies.expect("a query").into_iter().next()?;
-    let sample = reply.into_result().expect("is taken");
-    Some(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON"))
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod support;
 use std::{fs, path::PathBuf, time::Duration};
 
 use serde_json::{json, Value};
-use support::{arrives, client_with, repository, Router};
+use support::{admin, arrives, client_with, login_file, repository, Router};
 use zenoh::{Session, Wait};
 
 const WITH_LOGIN: [&str; 2] = ["robot.json5", "base-station.json5"];
@@ -114,23 +114,21 @@ fn without_its_login_file_a_robot_does_not_start() {
 
 /// A router of a shipped file, its own part of the machine put in place of /etc, /run and Bluetooth.
 struct Fleet {
-    dir: tempfile::TempDir,
+    /// The login file is in it.
+    _dir: tempfile::TempDir,
+    login: [String; 2],
 }
 
 impl Fleet {
     fn new(logins: &str) -> Self {
         let dir = tempfile::tempdir().expect("a directory");
-        fs::write(dir.path().join("users"), logins).expect("written");
-        Self { dir }
+        let login = login_file(dir.path(), logins);
+        Self { _dir: dir, login }
     }
 
     fn router(&self, name: &str, more: &[&str]) -> (Router, String) {
-        let users = format!(
-            "transport/auth/usrpwd/dictionary_file:\"{}\"",
-            self.dir.path().join("users").display()
-        );
-        let file = file(name);
-        let mut args = vec!["-c", &file, "-l", "tcp/127.0.0.1:0", "--cfg", &users];
+        let ([flag, login], file) = (&self.login, file(name));
+        let mut args = vec!["-c", &file, "-l", "tcp/127.0.0.1:0", flag, login];
         args.extend(more);
         let mut router = Router::start(&args);
         let endpoint = router.listener();
@@ -141,6 +139,11 @@ impl Fleet {
 fn logged_in(endpoint: &str, user: &str, password: &str) -> zenoh::Result<Session> {
     let login = format!("{{ user: '{user}', password: '{password}' }}");
     client_with(endpoint, &[("transport/auth/usrpwd", &login)])
+}
+
+/// With whom the router of id `abc` has one.
+fn sessions(session: &Session) -> String {
+    admin(session, "@/abc/router").expect("an answer")
 }
 
 #[test]
@@ -177,7 +180,10 @@ fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
         assert!(arrives(&one, &two, "local/mark"));
         assert!(arrives(&one, &two, &format!("{own}/@rect/state")));
         assert!(arrives(&one, &two, &format!("{own}/@rect/@config/x")));
-        assert!(answers(&one, "@/abc/router"), "{name}: the admin space");
+        assert!(
+            admin(&one, "@/abc/router").is_some(),
+            "{name}: the admin space"
+        );
     }
 }
 
@@ -197,7 +203,7 @@ fn robots_get_the_fleets_data_and_no_more() {
     assert!(arrives(&one, &two, "rect/wombat-1/arm/angle"));
     assert!(arrives(&one, &two, "rect/wombat-1/@rect/state"));
     assert!(
-        !answers(&one, "@/abc/router"),
+        admin(&one, "@/abc/router").is_none(),
         "a robot reads another's admin space"
     );
 
@@ -239,7 +245,7 @@ fn two_routers_meet_if_both_are_of_the_fleet() {
     // To these rules a TCP link on this computer is a program's, whoever it is.
     assert!(arrives(&there, &here, "local/mark"));
     // So that its absence means something in the tests below.
-    assert!(admin(&here, "@/abc/router").contains("def"));
+    assert!(sessions(&here).contains("def"));
 }
 
 #[test]
@@ -253,7 +259,7 @@ fn a_router_of_another_fleet_is_turned_away() {
     two.wait_for("Unable to connect");
     let watcher = logged_in(&endpoint, "fleet", "secret").expect("let in");
     assert!(
-        !admin(&watcher, "@/abc/router").contains("def"),
+        !sessions(&watcher).contains("def"),
         "it is linked all the same"
     );
     assert!(!one.drained().iter().any(|line| line.contains("panicked")));
@@ -276,19 +282,14 @@ fn a_robot_that_dials_a_router_without_logins_makes_no_link() {
     );
     robot.wait_for("Unable to connect");
     let watcher = client_with(&endpoint, &[]).expect("open to all");
-    assert!(!admin(&watcher, "@/abc/router").contains("def"));
+    assert!(!sessions(&watcher).contains("def"));
 }
 
 #[test]
 fn an_empty_login_file_is_no_open_door() {
     let dir = tempfile::tempdir().expect("a directory");
-    let users = dir.path().join("users");
-    fs::write(&users, "\n").expect("written");
-    let setting = format!(
-        "transport/auth/usrpwd/dictionary_file:\"{}\"",
-        users.display()
-    );
-    let mut router = Router::start(&["-c", &file("robot.json5"), "--cfg", &setting]);
+    let [flag, login] = login_file(dir.path(), "\n");
+    let mut router = Router::start(&["-c", &file("robot.json5"), &flag, &login]);
     assert_eq!(router.exit().code(), Some(1));
     assert!(router
         .full_log()
@@ -317,21 +318,4 @@ fn a_lost_robot_is_dialled_again_within_a_second() {
             "{name}"
         );
     }
-}
-
-fn answers(session: &Session, key: &str) -> bool {
-    !admin(session, key).is_empty()
-}
-
-fn admin(session: &Session, key: &str) -> String {
-    let replies = session
-        .get(key)
-        .timeout(Duration::from_secs(3))
-        .wait()
-        .expect("a query");
-    replies
-        .into_iter()
-        .filter_map(|reply| reply.into_result().ok())
-        .map(|sample| String::from_utf8_lossy(&sample.payload().to_bytes()).into_owned())
-        .collect()
 }

@@ -2,86 +2,13 @@
 
 mod support;
 
-use std::{
-    fs,
-    path::PathBuf,
-    thread,
-    time::{Duration, Instant},
-};
+use std::{fs, path::PathBuf, time::Instant};
 
 use serde_json::{json, Value};
-use support::{answers, arrives, ask, client, repository, Air, Router, DEADLINE};
-use zenoh::{Session, Wait};
-
-/// A robot's router on the air, with a file of connections.
-struct Wombat {
-    router: Router,
-    endpoint: String,
-    file: PathBuf,
-}
-
-impl Wombat {
-    fn start(air: &Air, folder: &tempfile::TempDir, number: u32, connections: &Value) -> Self {
-        let file = folder.path().join(format!("connections-{number}.json"));
-        fs::write(&file, connections.to_string()).expect("written");
-        let settings = json!({ "connections": &file, "max_connections": 4 });
-        Self::start_with(air, number, settings, file)
-    }
-
-    fn start_with(air: &Air, number: u32, mut settings: Value, file: PathBuf) -> Self {
-        let config = repository().join("config/simulation.json5");
-        settings["robot"] = json!(format!("wombat-{number}"));
-        let mut router = Router::start_on(
-            air,
-            &[
-                "-c",
-                &config.display().to_string(),
-                "-l",
-                "tcp/127.0.0.1:0",
-                "-l",
-                &format!("ble/sim-wombat-{number}#name=wombat-{number}"),
-                "--cfg",
-                &format!("plugins/rect:{settings}"),
-            ],
-        );
-        let endpoint = router.listener();
-        router.up();
-        Self {
-            router,
-            endpoint,
-            file,
-        }
-    }
-
-    fn port(&self) -> u64 {
-        let (_, port) = self.endpoint.rsplit_once(':').expect("a port");
-        port.parse().expect("a number")
-    }
-
-    /// As an editor or a careful program would: a new file in the place of the old one.
-    fn write(&self, connections: &Value) {
-        let new = self.file.with_extension("new");
-        fs::write(&new, connections.to_string()).expect("written");
-        fs::rename(&new, &self.file).expect("renamed");
-    }
-}
-
-fn file(connections: &[Value]) -> Value {
-    json!({ "connections": connections })
-}
-
-fn tcp(name: &str, port: u64) -> Value {
-    json!({ "name": name, "method": "tcp", "address": "127.0.0.1", "port": port })
-}
-
-fn ble(name: &str, robot: &str) -> Value {
-    json!({ "name": name, "method": "ble", "address": robot })
-}
-
-fn connected(answer: &Value) -> usize {
-    let all = answer.as_array().expect("a list");
-    all.iter().filter(|one| one["state"] == "connected").count()
-}
+use support::{
+    answers, arrives, ask, ble, client, connected, file, repository, tcp, Air, Wombat, DEADLINE,
+};
+use zenoh::Wait;
 
 #[test]
 fn the_registry_answers_the_six_questions() {
@@ -389,121 +316,6 @@ fn a_wrong_file_or_question_is_told_and_the_router_runs_on() {
     });
 }
 
-/// Asks with a payload, as a change is asked for.
-fn change(session: &Session, selector: &str, text: &str) -> Result<Value, String> {
-    let replies = session.get(selector).payload(text).wait().expect("a query");
-    let reply = replies.into_iter().next().expect("an answer");
-    match reply.into_result() {
-        Ok(sample) => Ok(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON")),
-        Err(error) => Err(String::from_utf8_lossy(&error.payload().to_bytes()).into_owned()),
-    }
-}
-
-#[test]
-fn connections_are_read_and_changed_by_a_query_from_another_robot() {
-    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
-    let two = Wombat::start(&air, &folder, 2, &file(&[]));
-    let mut one = Wombat::start(&air, &folder, 1, &file(&[ble("radio", "wombat-2")]));
-    let there = client(&two.endpoint);
-    let key = "rect/wombat-1/@rect/@config/connections";
-    let before = ask(&there, key).expect("an answer");
-    assert!(
-        before["text"]
-            .as_str()
-            .is_some_and(|text| text.contains("radio")),
-        "{before:#}"
-    );
-    let revision = before["revision"].as_str().expect("a revision");
-
-    let wanted = format!(
-        "// by query\n{}",
-        file(&[ble("radio", "wombat-2"), tcp("base", 1)])
-    );
-    let changed = change(
-        &there,
-        &format!("{key}?expect={revision};by=wombat-2"),
-        &wanted,
-    );
-    let changed = changed.expect("changed");
-    assert_eq!(changed["added"], json!(["base"]), "{changed:#}");
-    one.router
-        .wait_for("the connections are changed by wombat-2: added base");
-    assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
-    let registry = "rect/wombat-1/@rect/connections?name=base";
-    answers(&there, registry, |all| all[0]["state"] == "connecting");
-
-    // What it does by itself, too.
-    let here = client(&one.endpoint);
-    let rule = "{\"auto_connect\": \"fleet\", \"auto_links\": 1, \"connections\": []}";
-    let changed_rule = change(&here, key, rule).expect("changed");
-    assert_eq!(changed_rule["rule_changed"], true, "{changed_rule:#}");
-    let status = answers(&here, "rect/wombat-1/@rect/status", |status| {
-        status["auto_connect"] == "fleet"
-    });
-    assert_eq!(status["auto_links"], 1, "{status:#}");
-    // It had a link with wombat-2 by name, and has one with it as one of the fleet now.
-    let linked = "rect/wombat-1/@rect/connections?method=ble;peer=wombat-2";
-    let linked = answers(&here, linked, |all| {
-        all[0]["name"].is_null() && connected(all) == 1
-    });
-    assert_eq!(linked.as_array().map(Vec::len), Some(1), "{linked:#}");
-    let back = change(&here, key, &wanted).expect("changed");
-    assert_eq!(back["added"], json!(["radio", "base"]), "{back:#}");
-    // By its name again, whoever dialled.
-    let radio = "rect/wombat-1/@rect/connections?name=radio";
-    let radio = answers(&here, radio, |all| all[0]["peer"]["robot"] == "wombat-2");
-    assert!(radio[0]["sent"]["bytes"].as_u64() > Some(0), "{radio:#}");
-    assert!(radio[0]["up_s"].as_f64() > Some(0.0), "{radio:#}");
-    ask(&there, key).expect("is asked by radio again");
-
-    // A second one who has read the same, nonsense, and what is too much: nothing changes.
-    let outdated = change(
-        &there,
-        &format!("{key}?expect={revision}"),
-        "{\"connections\": []}",
-    );
-    assert!(outdated.is_err_and(|e| e.contains(changed["revision"].as_str().expect("text"))));
-    let wrong = change(&there, key, "{\"connections\": [\n  {\"name\": \"a\"}]}");
-    assert!(wrong.is_err_and(|e| e.contains("2:3: method is missing")));
-    let blanks = " ".repeat(2 << 20);
-    let too_much = change(&client(&one.endpoint), key, &blanks);
-    assert!(too_much.is_err_and(|e| e.contains("more than 1048576 bytes")));
-    let unknown = change(&there, &format!("{key}?expects=1"), "{\"connections\": []}");
-    assert!(unknown.is_err_and(|e| e.contains("`expects` is unknown")));
-    assert_eq!(fs::read_to_string(&one.file).expect("the file"), wanted);
-}
-
-#[test]
-fn who_removes_or_changes_the_connection_he_comes_over_is_answered_first() {
-    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
-    let two = Wombat::start(&air, &folder, 2, &file(&[]));
-    let one = Wombat::start(&air, &folder, 1, &file(&[]));
-    let (here, there) = (client(&one.endpoint), client(&two.endpoint));
-    let key = "rect/wombat-1/@rect/@config/connections";
-    let is_then = |state: Option<&str>| {
-        let asked = "rect/wombat-1/@rect/connections?name=way";
-        answers(&here, asked, |all| all[0]["state"].as_str() == state);
-    };
-    for way in [ble("way", "wombat-2"), tcp("way", two.port())] {
-        let before = file(std::slice::from_ref(&way)).to_string();
-        for (after, told, then) in [
-            (file(&[]), "removed", None),
-            (file(&[tcp("way", 1)]), "changed", Some("connecting")),
-        ] {
-            change(&here, key, &before).expect("changed");
-            is_then(Some("connected"));
-            ask(&there, key).expect("the way is known");
-            // The only way there is, and soon there is none.
-            let answer = change(&there, key, &after.to_string());
-            assert_eq!(answer.expect("changed")[told], json!(["way"]), "{way}");
-            is_then(then);
-            // This program is left.
-            let of_two = "rect/wombat-2/@rect/connections/count";
-            answers(&there, of_two, |count| count["connected"] == 1);
-        }
-    }
-}
-
 #[test]
 fn robots_of_a_fleet_link_by_themselves_and_with_no_other() {
     let air = Air::new();
@@ -528,41 +340,5 @@ fn robots_of_a_fleet_link_by_themselves_and_with_no_other() {
             format!("wombat-{mate}"),
             "{links:#}"
         );
-    }
-}
-
-#[test]
-fn a_router_killed_while_its_connections_are_changed_leaves_the_old_file_or_the_new_one() {
-    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
-    let key = "rect/wombat-1/@rect/@config/connections";
-    // Large enough to be killed in the middle of.
-    let text = |name: &str| {
-        let comment = format!("// {}\n", name.repeat(100_000));
-        comment + &file(&[ble(name, name)]).to_string()
-    };
-    let texts = [text("a"), text("b")];
-    for round in 0..10 {
-        let one = Wombat::start(&air, &folder, 1, &file(&[]));
-        let (path, here) = (one.file.clone(), client(&one.endpoint));
-        let new = texts.clone();
-        let changing = thread::spawn(move || {
-            // Until nobody answers any more.
-            for text in new.iter().cycle() {
-                let replies = here.get(key).payload(text.as_str());
-                let replies = replies.timeout(Duration::from_secs(1)).wait();
-                if !replies.is_ok_and(|replies| replies.recv().is_ok()) {
-                    return;
-                }
-            }
-        });
-        while !texts.contains(&fs::read_to_string(&path).expect("the file")) {
-            thread::yield_now();
-        }
-        // At another moment of a change each time.
-        thread::sleep(Duration::from_millis(3 * round));
-        drop(one);
-        changing.join().expect("no panic");
-        let left = fs::read_to_string(&path).expect("the file");
-        assert!(texts.contains(&left), "round {round}: {} bytes", left.len());
     }
 }

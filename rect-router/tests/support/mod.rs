@@ -1,5 +1,9 @@
 //! A router as a child process, and the waiting for it: by its log and with a deadline, never by sleeping.
-#![allow(dead_code)] // each test file uses its part
+#![allow(dead_code, unused_imports)] // each test file uses its part
+
+mod session;
+mod team;
+mod wombat;
 
 use std::{
     io::{BufRead, BufReader, Read, Write},
@@ -16,8 +20,13 @@ use nix::{
     unistd::Pid,
 };
 use serde_json::Value;
-use zenoh::{Config, Session, Wait};
 use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SOCKET_VARIABLE};
+
+pub use self::{
+    session::{admin, answers, arrives, ask, change, client, client_with},
+    team::{init, program, rect_router, said, start, start_with},
+    wombat::{ble, connected, file, tcp, Wombat},
+};
 
 /// No step of any test takes this long, not even on a busy machine.
 pub const DEADLINE: Duration = Duration::from_secs(30);
@@ -235,69 +244,15 @@ pub fn skip(reason: &str) {
     println!("skipped: {reason}");
 }
 
-/// A client of the router at `endpoint`, with further settings.
-pub fn client_with(endpoint: &str, settings: &[(&str, &str)]) -> zenoh::Result<Session> {
-    let mut config = Config::default();
-    let endpoints = format!("[\"{endpoint}\"]");
-    let base = [
-        ("mode", "\"client\""),
-        ("connect/endpoints", endpoints.as_str()),
-        ("scouting/multicast/enabled", "false"),
-    ];
-    for (key, value) in base.iter().chain(settings) {
-        config.insert_json5(key, value)?;
-    }
-    zenoh::open(config).wait()
-}
-
-/// A client of the router at `endpoint`.
-pub fn client(endpoint: &str) -> Session {
-    client_with(endpoint, &[]).unwrap_or_else(|error| panic!("no session with {endpoint}: {error}"))
-}
-
-/// Publishes until it arrives: a subscription takes a moment to reach the publisher's side.
-pub fn arrives(from: &Session, to: &Session, key: &str) -> bool {
-    let subscriber = to.declare_subscriber(key).wait().expect("a subscription");
-    let deadline = Instant::now() + Duration::from_secs(10);
-    while Instant::now() < deadline {
-        from.put(key, "hello").wait().expect("a put");
-        if let Ok(Some(sample)) = subscriber.recv_timeout(Duration::from_millis(100)) {
-            assert_eq!(sample.payload().to_bytes().as_ref(), b"hello");
-            return true;
-        }
-    }
-    false
-}
-
-/// What the registry answers, or the error that it answers.
-pub fn ask(session: &Session, selector: &str) -> Result<Value, String> {
-    let deadline = Instant::now() + DEADLINE;
-    loop {
-        assert!(Instant::now() < deadline, "{selector} is not answered");
-        let replies = session.get(selector).timeout(Duration::from_secs(5)).wait();
-        let reply = replies.expect("a query").into_iter().next();
-        match reply.map(|reply| reply.into_result()) {
-            Some(Ok(sample)) => {
-                return Ok(serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON"))
-            }
-            Some(Err(error)) => {
-                return Err(String::from_utf8_lossy(&error.payload().to_bytes()).into_owned())
-            }
-            None => {}
-        }
-    }
-}
-
-/// Asks until the answer is what it should be.
-pub fn answers(session: &Session, selector: &str, is_so: impl Fn(&Value) -> bool) -> Value {
-    let deadline = Instant::now() + DEADLINE;
-    loop {
-        let answer = ask(session, selector).expect("an answer");
-        if is_so(&answer) {
-            return answer;
-        }
-        assert!(Instant::now() < deadline, "{selector}: still {answer:#}");
-    }
+/// A login file in that folder, and the arguments that make a router use it.
+pub fn login_file(folder: &Path, logins: &str) -> [String; 2] {
+    let path = folder.join("users");
+    std::fs::write(&path, logins).expect("written");
+    let setting = format!(
+        "transport/auth/usrpwd/dictionary_file:\"{}\"",
+        path.display()
+    );
+    ["--cfg".to_owned(), setting]
 }
 
 /// The repository.
