@@ -8,9 +8,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use serde_json::json;
-use support::{arrives, ask, change, init, program, start, Air, DEADLINE};
-use zenoh::Wait;
+use serde_json::{json, Value};
+use support::{
+    answers, arrives, ask, change, init, program, repository, start, start_with, Air, DEADLINE,
+};
+use zenoh::{Session, Wait};
 
 #[test]
 fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
@@ -32,23 +34,8 @@ fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
 
     // Under its own name what it says arrives; under another's, or nobody's, it does not leave its robot.
     assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
-    let heard = here.declare_subscriber("**").wait().expect("subscribes");
-    let deadline = Instant::now() + DEADLINE;
-    loop {
-        assert!(Instant::now() < deadline, "nothing arrives");
-        for key in ["rect/wombat-1/arm/angle", "rect/wombat-3/stop", "demo/x"] {
-            there.put(key, "not mine").wait().expect("a put");
-        }
-        there
-            .put("rect/wombat-2/mark", "mine")
-            .wait()
-            .expect("a put");
-        // In order: had one of the others passed, it would be here first.
-        if let Ok(Some(sample)) = heard.recv_timeout(Duration::from_millis(200)) {
-            assert_eq!(sample.key_expr().as_str(), "rect/wombat-2/mark");
-            break;
-        }
-    }
+    let not_its_own = ["rect/wombat-1/arm/angle", "rect/wombat-3/stop", "demo/x"];
+    hears_only(&here, &there, &not_its_own, "rect/wombat-2/mark");
 
     let settings = "rect/wombat-1/@rect/@config/connections";
     let read = ask(&laptop, settings).expect("may read them");
@@ -63,4 +50,135 @@ fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
     );
     let now = ask(&laptop, settings).expect("may read them");
     assert_eq!(now["text"], text.replace('[', "[ "));
+}
+
+/// The base station's access control as the README has it for a star of these robots.
+fn star(base: &str, robots: &[&str]) -> Value {
+    let config = zenoh::Config::from_file(format!("{base}/robot.json5")).expect("valid");
+    let mut config = serde_json::to_value(&config).expect("JSON");
+    let mut access = config["access_control"].take();
+    let is_of_all = |one: &Value| one["id"] == "robots" || one["subjects"] == json!(["robots"]);
+    for part in ["subjects", "policies"] {
+        let all = access[part].as_array_mut().expect("a list");
+        all.retain(|one| !is_of_all(one));
+    }
+    let readme = fs::read_to_string(repository().join("config/README.md")).expect("there");
+    let (_, shown) = readme
+        .split_once("### A base station that holds each robot to its name")
+        .expect("the chapter");
+    let (_, shown) = shown.split_once("```json5").expect("an example");
+    let (shown, _) = shown.split_once("```").expect("its end");
+    for robot in robots {
+        let of_robot: Value = json5::from_str(&shown.replace("wombat-2", robot)).expect("valid");
+        for part in ["rules", "subjects", "policies"] {
+            let more = of_robot[part].as_array().expect("a list").clone();
+            access[part].as_array_mut().expect("a list").extend(more);
+        }
+    }
+    access
+}
+
+/// Of all that `from` says, `to` hears `mark` and nothing else.
+fn hears_only(to: &Session, from: &Session, not_its_own: &[&str], mark: &str) {
+    let heard = to.declare_subscriber("**").wait().expect("subscribes");
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        assert!(Instant::now() < deadline, "nothing arrives");
+        for key in not_its_own {
+            from.put(*key, "not mine").wait().expect("a put");
+        }
+        from.put(mark, "mine").wait().expect("a put");
+        // In order: had one of the others passed, it would be here first.
+        if let Ok(Some(sample)) = heard.recv_timeout(Duration::from_millis(200)) {
+            assert_eq!(sample.key_expr().as_str(), mark);
+            return;
+        }
+    }
+}
+
+#[test]
+fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let base = init(root.path(), "base", &["--base-station"]);
+    let users = fs::read_to_string(format!("{base}/users")).expect("there");
+    let secret = users.lines().next().expect("a line").to_owned();
+    let logins = ["wombat-2:of two", "wombat-3:of three"];
+    fs::write(
+        format!("{base}/users"),
+        format!("{secret}\n{}\n", logins.join("\n")),
+    )
+    .expect("written");
+    let access = format!("access_control:{}", star(&base, &["wombat-2", "wombat-3"]));
+    let (_base, laptop) = start_with(&air, &base, "base", &["--cfg", &access]);
+    let laptop = program(&base, &laptop);
+
+    let dial = json!({ "connections": [{ "name": "base", "method": "ble", "address": "base" }] });
+    let robot = |name: &str, login: &str, more: &[&str]| {
+        let own = format!("{secret}\n{login}\n");
+        let users = root.path().join(format!("users of {name}"));
+        fs::write(&users, own).expect("written");
+        let folder = init(
+            root.path(),
+            name,
+            &["--users", &users.display().to_string()],
+        );
+        fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
+        let (router, endpoint) = start_with(&air, &folder, name, more);
+        (router, program(&folder, &endpoint))
+    };
+    // Whoever holds it has taken its rules away, and logs in as what he has the password of.
+    let no_rules = ["--cfg", "access_control/enabled:false"];
+    let tampered = [&["--login-as", "wombat-2"], &no_rules[..]].concat();
+    let (_two, two) = robot("wombat-2", logins[0], &tampered);
+    let (_three, three) = robot("wombat-3", logins[1], &["--login-as", "wombat-3"]);
+
+    // Both are there, and hear each other by way of the base station.
+    assert!(arrives(&two, &three, "rect/wombat-2/arm/angle"));
+    assert!(arrives(&three, &two, "rect/wombat-3/arm/angle"));
+    assert!(arrives(&laptop, &two, "rect/base/go"));
+    let not_its_own = ["rect/wombat-3/stop", "rect/base/go", "rect/all"];
+    for to in [&three, &laptop] {
+        hears_only(to, &two, &not_its_own, "rect/wombat-2/mark");
+    }
+    // Nor does it answer for others,
+    let answer = |key: &'static str| {
+        let queryable = two.declare_queryable(key).callback(move |query| {
+            let _ = query.reply(key, "1").wait();
+        });
+        queryable.wait().expect("a queryable")
+    };
+    let _services = ["rect/wombat-9/battery", "rect/wombat-2/battery"].map(answer);
+    assert_eq!(ask(&laptop, "rect/wombat-2/battery"), Ok(json!(1)));
+    assert!(change(&laptop, "rect/wombat-9/battery", "").is_none());
+    // while all are asked, and each says who is there under its own name.
+    for (robot, asks) in [("wombat-2", &laptop), ("wombat-3", &two)] {
+        let status = ask(asks, &format!("rect/{robot}/@rect/status")).expect("an answer");
+        assert!(status["id"].is_string(), "{status:#}");
+    }
+}
+
+#[test]
+fn in_a_star_who_logs_in_with_the_teams_first_line_is_not_heard() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let base = init(root.path(), "base", &["--base-station"]);
+    let users = format!("{base}/users");
+    let access = format!("access_control:{}", star(&base, &["wombat-2"]));
+    let (_base, laptop) = start_with(&air, &base, "base", &["--cfg", &access]);
+    let laptop = program(&base, &laptop);
+    let folder = init(root.path(), "wombat-2", &["--users", &users]);
+    let dial = json!({ "connections": [{ "name": "base", "method": "ble", "address": "base" }] });
+    fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
+    let no_rules = [
+        "--login-as",
+        "fleet",
+        "--cfg",
+        "access_control/enabled:false",
+    ];
+    let (_two, there) = start_with(&air, &folder, "wombat-2", &no_rules);
+    let two = program(&folder, &there);
+    let linked = "rect/wombat-2/@rect/connections?name=base";
+    answers(&two, linked, |all| all[0]["state"] == "connected");
+    let heard = laptop.declare_subscriber("**").wait().expect("subscribes");
+    assert!(!arrives(&two, &laptop, "rect/wombat-2/arm/angle"));
+    assert!(heard.try_recv().expect("open").is_none());
 }
