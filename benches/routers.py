@@ -33,6 +33,9 @@ class Router:
     def status(self, field: str) -> int:
         return status(self.pid, field)
 
+    def own_kb(self) -> int:
+        return own_kb(self.pid)
+
     def wait_for_answer(self, selector: str) -> None:
         """Until a client of it gets one."""
         with open_client(self.endpoint) as session:
@@ -43,3 +46,10 @@ def status(pid: int, field: str) -> int:
     """A number of /proc/<pid>/status: VmRSS (kB), VmHWM (kB, the most it ever was), Threads."""
     text = Path(f"/proc/{pid}/status").read_text()
     return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(f"{field}:"))
+
+
+def own_kb(pid: int) -> int:
+    """Memory that nobody else can have while it runs: heap, stacks, changed data. Of what is resident beside that, the
+    system drops program text when it needs the room, and reads it from the file again."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith(("Anonymous:", "Swap:")))

@@ -178,20 +178,31 @@ impl Router {
         self.seen.join("\n")
     }
 
-    /// Resident memory, in kB.
-    pub fn resident_kb(&self) -> u64 {
-        let status =
-            std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("linux");
-        let line = status
-            .lines()
-            .find(|l| l.starts_with("VmRSS:"))
-            .expect("a process has memory");
-        line.split_whitespace()
-            .nth(1)
-            .expect("a number")
-            .parse()
-            .expect("a number")
+    /// The memory it takes now.
+    pub fn memory(&self) -> Memory {
+        let path = format!("/proc/{}/smaps_rollup", self.child.id());
+        let text = std::fs::read_to_string(path).expect("linux");
+        let kb = |field: &str| -> u64 {
+            let line = text.lines().find(|line| line.starts_with(field));
+            let number = line.and_then(|line| line.split_whitespace().nth(1));
+            number.expect(field).parse().expect("a number")
+        };
+        Memory {
+            // Not `Private_Dirty`: that counts a program's text, too, until the system has written a new build to disk.
+            own_kb: kb("Anonymous:") + kb("Swap:"),
+            resident_kb: kb("Rss:"),
+        }
     }
+}
+
+/// What a process takes of a machine's memory.
+#[derive(Clone, Copy, Debug)]
+pub struct Memory {
+    /// What nobody else can have while it runs: its heap, its stacks, what it has changed of its program's data.
+    pub own_kb: u64,
+    /// With the pages of its program and libraries that are in memory at the moment, which the system drops and reads from
+    /// the file again as it likes, and which processes share.
+    pub resident_kb: u64,
 }
 
 impl Drop for Router {
