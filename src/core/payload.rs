@@ -2,7 +2,7 @@
 use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
-use super::encoding::Encoding;
+use super::{codec::CodecError, encoding::Encoding};
 
 /// Bytes, and what they are. Cloning shares them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,6 +42,9 @@ pub enum PayloadError {
         /// What the parser says.
         reason: String,
     },
+    /// The picture or array in it can't be had.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
 }
 
 /// What can be sent. Text, bytes and JSON values go as they are; [`Json`] and [`Cbor`] take anything of serde's.
@@ -102,7 +105,7 @@ impl Payload {
         self.encoding == *encoding
     }
 
-    fn other(&self, wanted: &'static str) -> PayloadError {
+    pub(super) fn other(&self, wanted: &'static str) -> PayloadError {
         let found = self.encoding.clone();
         PayloadError::Other { wanted, found }
     }

@@ -1,0 +1,100 @@
+//! Owns PNG: pictures as they are, in a third to a half of their bytes.
+use std::io::Cursor;
+
+use png::{BitDepth, ColorType, Decoder, Encoder, Transformations};
+
+use super::{damaged, no_option, Codec, CodecError, Limits};
+use crate::core::{
+    encoding::Encoding,
+    payload::Payload,
+    picture::{Format, Picture},
+};
+
+/// What the user calls it.
+pub const NAME: &str = "png";
+const FORMAT: &str = "PNG";
+
+/// Lossless, for raw pictures.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Png;
+
+impl Png {
+    pub(super) fn parse(option: Option<&str>) -> Result<Self, CodecError> {
+        no_option(NAME, option)?;
+        Ok(Self)
+    }
+}
+
+impl Codec for Png {
+    fn name(&self) -> String {
+        NAME.to_owned()
+    }
+
+    fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
+        let picture = Picture::wanted_by(NAME, payload)?;
+        let bytes = write(&picture).map_err(|error| CodecError::Failed {
+            codec: NAME,
+            reason: error.to_string(),
+        })?;
+        Ok(Payload::new(bytes, Encoding::PNG))
+    }
+
+    fn decode(&self, payload: &Payload, limits: &Limits) -> Result<Payload, CodecError> {
+        read(&payload.bytes, limits).map(Picture::payload)
+    }
+}
+
+fn write(picture: &Picture) -> Result<Vec<u8>, png::EncodingError> {
+    let mut bytes = Vec::new();
+    let mut encoder = Encoder::new(&mut bytes, picture.width(), picture.height());
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_color(match picture.format() {
+        Format::Grey8 => ColorType::Grayscale,
+        Format::Rgb8 => ColorType::Rgb,
+        Format::Rgba8 => ColorType::Rgba,
+    });
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(picture.pixels())?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+/// Any PNG; 16 bits become 8, and a palette the colours that it stands for.
+pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
+    let most = png::Limits {
+        bytes: limits.max_bytes,
+    };
+    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), most);
+    decoder.set_transformations(Transformations::normalize_to_color8());
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
+    let info = decoder.read_header_info().map_err(wrong)?;
+    let (width, height) = (info.width, info.height);
+    // Four bytes a pixel are the most that can come out, whatever is said of transparency further on.
+    limits.picture(FORMAT, [width, height], Format::Rgba8.channels())?;
+    let mut reader = decoder.read_info().map_err(wrong)?;
+    let (color, _) = reader.output_color_type();
+    let size = reader
+        .output_buffer_size()
+        .ok_or_else(|| damaged(FORMAT, "its size can't be"))?;
+    let mut pixels = vec![0; limits.bytes(FORMAT, size as u64)?];
+    reader.next_frame(&mut pixels).map_err(wrong)?;
+    // The end is to be there, too.
+    reader.finish().map_err(wrong)?;
+    let (format, pixels) = match color {
+        ColorType::Grayscale => (Format::Grey8, pixels),
+        ColorType::GrayscaleAlpha => (Format::Rgba8, colored(&pixels)),
+        ColorType::Rgb | ColorType::Indexed => (Format::Rgb8, pixels),
+        ColorType::Rgba => (Format::Rgba8, pixels),
+    };
+    Picture::new(width, height, format, pixels)
+}
+
+fn colored(pixels: &[u8]) -> Vec<u8> {
+    let pixels = pixels.chunks_exact(2);
+    pixels.flat_map(|p| [p[0], p[0], p[0], p[1]]).collect()
+}
+
+fn wrong(error: png::DecodingError) -> CodecError {
+    damaged(FORMAT, error)
+}

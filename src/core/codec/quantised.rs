@@ -1,0 +1,209 @@
+//! Owns the quantised form of arrays of floats: each number off by at most a stated error, in a byte or less where they
+//! change smoothly.
+//!
+//! | bytes | what |
+//! |---|---|
+//! | 1 | the version, 1, in the high half; the number of dimensions, 1 to 8, in the low one |
+//! | 1 | bit 0: `f64` instead of `f32`; bits 1, 2: the order of the prediction; bits 3, 4: the body: 0 plain, 1 zstd, 2 raw |
+//! | 1 and more each | the dimensions, LEB128 |
+//! | 4 | the step, `f32` (not before a raw body) |
+//! | 1 and more | the distance of the prediction, LEB128 (not before a raw body) |
+//! | 1 and more | how many numbers are exceptions, LEB128 (not before a raw body) |
+//! | the rest | the body: raw, the numbers as they are; otherwise, perhaps as one zstd frame, each exception (how many numbers lie between it and the one before, LEB128, and the number itself), then for each other number how much more it is than predicted, in steps, zigzag and LEB128 |
+//!
+//! A number is `level * step` in `f64`, rounded to its type. The prediction of a level is, of order 0, 0; of order 1, the
+//! level that lies the distance before it; of order 2, as much more as that is than the one as far before it. Exceptions
+//! are what no level comes near enough to: NaN, the infinities, what is too large. The level of one is that of order 1.
+//! All is little endian; levels are 64 bits wide and wrap.
+use std::borrow::Cow;
+
+use super::{damaged, shown, zstd, Codec, CodecError, Limits};
+use crate::core::{
+    array::{self, Array, Element, MAX_DIMENSIONS},
+    dictionary::Dictionaries,
+    encoding::Encoding,
+    payload::Payload,
+};
+
+mod body;
+mod levels;
+mod varint;
+use levels::{Float, Prediction};
+
+/// What the user calls it.
+pub const NAME: &str = "quantised";
+/// The encoding of what it makes.
+pub const ENCODING: &str = "application/octet-stream;quantised";
+const FORMAT: &str = "quantised array";
+
+const VERSION: u8 = 1;
+const DOUBLE: u8 = 1;
+const PLAIN: u8 = 0;
+const PACKED: u8 = 1;
+const RAW: u8 = 2;
+/// Of zstd, for the body: higher ones gain nothing on what is left.
+const LEVEL: u8 = 3;
+
+/// With a stated loss, for arrays of `f32` and `f64`.
+#[derive(Clone, Copy, Debug)]
+pub struct Quantised {
+    error: f64,
+}
+
+impl Quantised {
+    /// With numbers off by at most `error`, in their own unit: 1e-30 to 1e30.
+    ///
+    /// # Errors
+    /// Another one ([`CodecError::Option`]).
+    pub fn new(error: f64) -> Result<Self, CodecError> {
+        if !(1e-30..=1e30).contains(&error) {
+            return Err(refused(&error.to_string()));
+        }
+        Ok(Self { error })
+    }
+
+    pub(super) fn parse(option: Option<&str>) -> Result<Self, CodecError> {
+        let text = option.unwrap_or_default();
+        let error = text.parse().map_err(|_| refused(text))?;
+        Self::new(error)
+    }
+}
+
+fn refused(text: &str) -> CodecError {
+    CodecError::Option {
+        codec: NAME,
+        value: shown(text),
+        wanted: "the largest error of a number, 1e-30 to 1e30, such as `quantised:0.01`",
+    }
+}
+
+impl Codec for Quantised {
+    fn name(&self) -> String {
+        format!("{NAME}:{}", self.error)
+    }
+
+    fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
+        let array = Array::raw(payload, &Limits::any()).transpose()?;
+        let bytes = array.and_then(|array| match array.element() {
+            Element::F32 => Some(write(&array, &array.numbers::<f32>()?, self.error)),
+            Element::F64 => Some(write(&array, &array.numbers::<f64>()?, self.error)),
+            _ => None,
+        });
+        let bytes = bytes.ok_or_else(|| CodecError::Kind {
+            codec: NAME,
+            found: payload.encoding.clone(),
+            wanted: "raw arrays of f32 or f64",
+        })?;
+        Ok(Payload::new(bytes, Encoding::new(ENCODING)))
+    }
+
+    fn decode(&self, payload: &Payload, limits: &Limits) -> Result<Payload, CodecError> {
+        read(&payload.bytes, limits).map(Array::payload)
+    }
+}
+
+fn write<T: Float>(array: &Array, numbers: &[T], error: f64) -> Vec<u8> {
+    let step = levels::step(numbers, error);
+    let level = |&number: &T| levels::level(number, step, error);
+    let levels: Vec<Option<i64>> = numbers.iter().map(level).collect();
+    let prediction = Prediction::best(&levels, array.shape());
+    let body = body::write(numbers, &levels, prediction);
+    let packed = zstd::pack(&body, LEVEL, None).ok();
+    let packed = packed.filter(|packed| packed.len() < body.len());
+    let (kind, body) = match packed {
+        Some(packed) => (PACKED, packed),
+        None => (PLAIN, body),
+    };
+    let mut bytes = head::<T>(array, prediction.order, kind);
+    bytes.extend_from_slice(&step.to_le_bytes());
+    varint::write(&mut bytes, prediction.distance as u64);
+    let exceptions = levels.iter().filter(|level| level.is_none()).count();
+    varint::write(&mut bytes, exceptions as u64);
+    bytes.extend_from_slice(&body);
+    let mut raw = head::<T>(array, 0, RAW);
+    if bytes.len() < raw.len() + array.bytes().len() {
+        return bytes;
+    }
+    raw.extend_from_slice(array.bytes());
+    raw
+}
+
+fn head<T: Float>(array: &Array, order: u8, body: u8) -> Vec<u8> {
+    let double = if T::ELEMENT == Element::F64 {
+        DOUBLE
+    } else {
+        0
+    };
+    // An array has eight dimensions at most.
+    let dimensions = array.shape().len() as u8;
+    let mut bytes = vec![VERSION << 4 | dimensions, double | order << 1 | body << 3];
+    for &length in array.shape() {
+        varint::write(&mut bytes, length as u64);
+    }
+    bytes
+}
+
+/// The array in it.
+pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, CodecError> {
+    let (&[first, second], mut rest) = bytes.split_first_chunk().ok_or_else(cut)?;
+    let dimensions = usize::from(first & 15);
+    if first >> 4 != VERSION || second >> 5 != 0 {
+        return Err(damaged(FORMAT, "it is of another version"));
+    }
+    if !(1..=MAX_DIMENSIONS).contains(&dimensions) {
+        return Err(damaged(FORMAT, format_args!("{dimensions} dimensions")));
+    }
+    let mut shape = Vec::with_capacity(dimensions);
+    for _ in 0..dimensions {
+        shape.push(length(&mut rest)?);
+    }
+    let element = match second & DOUBLE {
+        0 => Element::F32,
+        _ => Element::F64,
+    };
+    let size = array::size(element, &shape, limits)?;
+    let (order, body) = (second >> 1 & 3, second >> 3);
+    if body == RAW {
+        return Array::new(element, &shape, rest.to_vec());
+    }
+    let (step, mut rest) = rest.split_first_chunk().ok_or_else(cut)?;
+    let step = f32::from_le_bytes(*step);
+    if !(step.is_finite() && step > 0.0) {
+        return Err(damaged(FORMAT, format_args!("a step of {step}")));
+    }
+    let (distance, exceptions) = (length(&mut rest)?, length(&mut rest)?);
+    let count = size / element.bytes();
+    if order > 2 || distance == 0 || distance > count.max(1) || exceptions > count {
+        return Err(damaged(FORMAT, "a prediction that can't be"));
+    }
+    let body = match body {
+        PLAIN => Cow::Borrowed(rest),
+        // One that does not save anything would have been raw.
+        PACKED => zstd::unpack(rest, size, &Dictionaries::default())?.into(),
+        _ => return Err(damaged(FORMAT, "it is of another version")),
+    };
+    let body = body::Body {
+        bytes: &body,
+        count,
+        exceptions,
+        prediction: Prediction { order, distance },
+        step,
+    };
+    let numbers = match element {
+        Element::F64 => body.read::<f64>()?,
+        _ => body.read::<f32>()?,
+    };
+    Array::new(element, &shape, numbers)
+}
+
+fn length(bytes: &mut &[u8]) -> Result<usize, CodecError> {
+    let length = varint::read(bytes).ok_or_else(cut)?;
+    usize::try_from(length).map_err(|_| damaged(FORMAT, format_args!("a length of {length}")))
+}
+
+fn cut() -> CodecError {
+    damaged(FORMAT, "it is cut off")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,112 @@
+//! Dictionaries are made, kept and refused as said.
+use super::*;
+
+fn samples(kind: usize) -> Vec<String> {
+    let one = |n| {
+        format!(
+            r#"{{"kind":{kind},"seq":{n},"t":{}.{},"ok":true}}"#,
+            n * 7,
+            n % 13
+        )
+    };
+    (0..1500).map(one).collect()
+}
+
+fn trained(kind: usize) -> Arc<Dictionary> {
+    Arc::new(Dictionary::train(&samples(kind), 2048).expect("trained"))
+}
+
+#[test]
+fn the_same_content_has_the_same_id_everywhere() {
+    let dictionary = trained(1);
+    assert!((0x8000..0x1_0000).contains(&dictionary.id()));
+    let crc = crc32fast::hash(&dictionary.as_bytes()[8..]);
+    assert_eq!(dictionary.id(), 0x8000 + crc % 0x8000);
+    let mut of_another_program = dictionary.as_bytes().to_vec();
+    of_another_program[4..8].copy_from_slice(&77u32.to_le_bytes());
+    let same = Dictionary::new(of_another_program).expect("a dictionary");
+    assert_eq!(same.as_bytes(), dictionary.as_bytes());
+    assert_ne!(trained(2).id(), dictionary.id());
+}
+
+#[test]
+fn what_is_no_dictionary_is_refused() {
+    for wrong in [&b""[..], b"{}", &MAGIC, &[&MAGIC[..], &[0; 100]].concat()] {
+        let error = Dictionary::new(wrong).expect_err("wrong");
+        assert!(matches!(error, DictionaryError::Damaged(_)), "{error}");
+    }
+    let large = vec![0; MAX_BYTES + 1];
+    assert!(matches!(
+        Dictionary::new(large),
+        Err(DictionaryError::TooLarge)
+    ));
+    let good = trained(1);
+    for cut in 0..90 {
+        assert!(Dictionary::new(&good.as_bytes()[..cut]).is_err(), "{cut}");
+    }
+    for n in 8..300 {
+        let mut wrong = good.as_bytes().to_vec();
+        wrong[n] ^= 0xff;
+        let _ = Dictionary::new(wrong);
+    }
+}
+
+#[test]
+fn too_little_to_train_on_is_an_error_that_says_so() {
+    let none: [&str; 0] = [];
+    let few = ["{}", "{}"];
+    for error in [
+        Dictionary::train(&none, 4096),
+        Dictionary::train(&few, 4096),
+        Dictionary::train(&[""; 100], 4096),
+        Dictionary::train(&["a"; 8], 4096),
+        Dictionary::train(&["a"; 100], 4096),
+    ] {
+        let error = error.expect_err("too little");
+        assert!(matches!(error, DictionaryError::Samples { .. }), "{error}");
+    }
+    for size in [0, MIN_BYTES - 1, MAX_BYTES + 1] {
+        let error = Dictionary::train(&samples(1), size).expect_err("a size");
+        assert!(matches!(error, DictionaryError::Size(s) if s == size));
+    }
+}
+
+#[test]
+fn files_keep_it() {
+    let folder = std::env::temp_dir().join(format!("rect-dictionary-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let (file, large) = (folder.join("telemetry.dict"), folder.join("large.dict"));
+    let dictionary = trained(3);
+    dictionary.write(&file).expect("written");
+    let read = Dictionary::read(&file).expect("read");
+    assert_eq!(read.as_bytes(), dictionary.as_bytes());
+    std::fs::write(&large, vec![0; MAX_BYTES + 9]).expect("written");
+    assert!(matches!(
+        Dictionary::read(&large),
+        Err(DictionaryError::TooLarge)
+    ));
+    let missing = Dictionary::read(folder.join("none")).expect_err("missing");
+    assert!(missing.to_string().contains("none"), "{missing}");
+    std::fs::remove_dir_all(&folder).expect("removed");
+}
+
+#[test]
+fn the_oldest_is_forgotten_and_none_is_replaced() {
+    let mut known = Dictionaries::default();
+    let first = trained(0);
+    known.add(first.clone()).expect("room");
+    known.add(first.clone()).expect("there already");
+    assert_eq!(known.iter().count(), 1);
+    let forged = Arc::new(Dictionary {
+        bytes: b"other".to_vec(),
+        id: first.id(),
+        prepared: Prepared::new(first.as_bytes()).expect("prepared"),
+    });
+    let error = known.add(forged).expect_err("taken");
+    assert!(matches!(error, DictionaryError::Taken(id) if id == first.id()));
+    for kind in 1..=Dictionaries::MOST {
+        known.add(trained(kind)).expect("room is made");
+    }
+    assert_eq!(known.iter().count(), Dictionaries::MOST);
+    assert!(known.get(first.id()).is_none());
+}
