@@ -1,4 +1,5 @@
 //! The upper storey: sessions on zenoh. They move what the [core](crate::core) says, and decide nothing.
+mod decoder;
 mod inbox;
 mod options;
 mod publication;

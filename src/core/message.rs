@@ -1,6 +1,7 @@
 //! Owns messages as a program gets them, and [`Inbound`], which makes them of what Zenoh delivers.
 use super::{
     attachment::{Attachment, Sent},
+    codec::CodecError,
     gaps::{Gaps, Tally},
     key::Place,
     name::Name,
@@ -31,6 +32,8 @@ pub struct Message {
     pub missed: u32,
     /// It was overtaken on its way.
     pub late: bool,
+    /// Why it is still packed as it came, if it is: it is damaged, or of a codec that is not known here.
+    pub flaw: Option<CodecError>,
     /// By what it came, as `ble`, where its sender has one link with this robot, and that is known.
     pub over: Option<String>,
 }
@@ -81,6 +84,7 @@ impl Inbound {
             sequence: None,
             missed: 0,
             late: false,
+            flaw: None,
             over: None,
         };
         match attachment {

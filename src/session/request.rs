@@ -1,5 +1,5 @@
 //! Owns asking a service, and its answers.
-use std::{sync::Arc, time::Duration};
+use std::{fmt, sync::Arc, time::Duration};
 
 use tokio::time::Instant;
 use zenoh::{
@@ -8,10 +8,12 @@ use zenoh::{
     Wait,
 };
 
-use super::{inbox::Inbox, publication::priority, robot::Robot, subscriber::payload};
+use super::{
+    decoder::Decoder, inbox::Inbox, publication::priority, robot::Robot, subscriber::payload,
+};
 use crate::{
     core::{
-        key::Place,
+        key::{Address, Place},
         name::Name,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
@@ -34,9 +36,9 @@ pub struct Reply {
 }
 
 /// The answers to one request, as they come. Dropping it cancels the request.
-#[derive(Debug)]
 pub struct Replies {
     inbox: Arc<Inbox<zenoh::query::Reply>>,
+    decoder: Arc<Decoder>,
     place: Place,
     what: String,
     deadline: Instant,
@@ -124,6 +126,7 @@ impl Robot {
             .map_err(Error::zenoh("the request is not sent"))?;
         Ok(Replies {
             inbox,
+            decoder: self.inner.decoder.clone(),
             place: place.clone(),
             what: format!("answer about {topic}"),
             deadline: Instant::now() + timeout,
@@ -167,14 +170,18 @@ impl Replies {
             Ok(sample) => {
                 let address = self.place.address(sample.key_expr().as_str());
                 let payload = payload(sample.payload(), sample.encoding());
-                let reply = address.map(|address| Reply {
-                    from: address.from,
-                    payload,
-                });
-                reply.ok_or_else(|| Error::Zenoh {
-                    what: "the answer is none of a robot",
-                    reason: format!("its key is {}", sample.key_expr()),
-                })
+                match address {
+                    Some(Address { from, .. }) => {
+                        let payload = self.decoder.payload(&from, &payload).await;
+                        payload
+                            .map(|payload| Reply { from, payload })
+                            .map_err(Error::from)
+                    }
+                    None => Err(Error::Zenoh {
+                        what: "the answer is none of a robot",
+                        reason: format!("its key is {}", sample.key_expr()),
+                    }),
+                }
             }
             Err(error) => {
                 let (robot, payload) =
@@ -188,6 +195,14 @@ impl Replies {
             }
         };
         Some(answer)
+    }
+}
+
+impl fmt::Debug for Replies {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Replies")
+            .field("what", &self.what)
+            .finish_non_exhaustive()
     }
 }
 

@@ -9,6 +9,7 @@ use tokio::runtime::Handle;
 use zenoh::{liveliness::LivelinessToken, Session};
 
 use super::{
+    decoder::Decoder,
     options::Options,
     publication::Publication,
     state::{self, Counting, Known},
@@ -41,6 +42,7 @@ pub(super) struct Inner {
     pub(super) place: Place,
     pub(super) runtime: Handle,
     publications: Mutex<HashMap<Spoken, Arc<Publication>>>,
+    pub(super) decoder: Arc<Decoder>,
     pub(super) counting: Arc<Counting>,
     /// Where there is a router.
     pub(super) known: Option<Known>,
@@ -79,11 +81,13 @@ impl Robot {
         } else {
             (None, Some(Known::follow(&session, &place).await?))
         };
+        let decoder = Decoder::new(&session, &place);
         let inner = Inner {
             session,
             place,
             runtime: Handle::current(),
             publications: Mutex::default(),
+            decoder,
             counting: Arc::default(),
             known,
             direct,
@@ -132,7 +136,7 @@ impl Robot {
         self.with(Urgency::Bulk)
     }
 
-    /// The same robot; what it says goes through that codec.
+    /// The same robot; what it says goes through that codec: `robot.encoded(codec::parse("zstd:9")?)`.
     #[must_use]
     pub fn encoded(&self, codec: Arc<dyn Codec>) -> Self {
         Self {

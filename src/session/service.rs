@@ -8,7 +8,7 @@ use zenoh::{
     Wait,
 };
 
-use super::{inbox::Inbox, robot::Robot, subscriber};
+use super::{decoder::Decoder, inbox::Inbox, robot::Robot, subscriber};
 use crate::{
     core::{
         encoding,
@@ -27,9 +27,9 @@ const WAITING: usize = 256;
 const AT_A_TIME: usize = 16;
 
 /// The requests to a service, as they come. It ends when it is dropped, or the session is closed.
-#[derive(Debug)]
 pub struct Requests {
     inbox: Arc<Inbox<Request>>,
+    decoder: Arc<Decoder>,
     _declared: Queryable<()>,
 }
 
@@ -86,6 +86,7 @@ impl Robot {
             .map_err(Error::zenoh("the service is refused"))?;
         Ok(Requests {
             inbox,
+            decoder: self.inner.decoder.clone(),
             _declared: declared,
         })
     }
@@ -145,9 +146,28 @@ impl Robot {
 }
 
 impl Requests {
-    /// The next request, once there is one; `None`: the session was closed.
+    /// The next request, once there is one; `None`: the session was closed. One that can't be unpacked is answered with
+    /// that error.
     pub async fn next(&self) -> Option<Request> {
-        self.inbox.pop().await
+        loop {
+            let mut request = self.inbox.pop().await?;
+            let from = request.from.as_ref().unwrap_or(&request.me);
+            match self.decoder.payload(from, &request.payload).await {
+                Ok(payload) => {
+                    request.payload = payload;
+                    return Some(request);
+                }
+                Err(error) => {
+                    let _ = request.refuse(error.to_string());
+                }
+            }
+        }
+    }
+}
+
+impl fmt::Debug for Requests {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Requests").finish_non_exhaustive()
     }
 }
 

@@ -14,7 +14,7 @@ use futures_core::Stream;
 use tokio::task::JoinHandle;
 use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 
-use super::{inbox::Inbox, robot::Robot, state::Known};
+use super::{decoder::Decoder, inbox::Inbox, robot::Robot, state::Known};
 use crate::{
     core::{
         encoding::Encoding,
@@ -50,6 +50,7 @@ impl Default for Receiving {
 pub struct Subscriber {
     inbox: Arc<Inbox<Message>>,
     inbound: Arc<Mutex<Inbound>>,
+    decoder: Arc<Decoder>,
     /// In a lock only so that it may be shared: it is never locked.
     next: Mutex<Option<Next>>,
     _declared: Declared,
@@ -124,6 +125,7 @@ impl Robot {
         Ok(Subscriber {
             inbox,
             inbound,
+            decoder: self.inner.decoder.clone(),
             next: Mutex::default(),
             _declared: declared,
         })
@@ -179,14 +181,16 @@ impl Robot {
 }
 
 impl Subscriber {
-    /// The next message, once there is one; `None`: the session was closed.
+    /// The next message, once there is one; `None`: the session was closed. The first message that is packed with a
+    /// dictionary waits until that has come; who drops this future meanwhile loses that message.
     pub async fn recv(&self) -> Option<Message> {
-        self.inbox.pop().await
+        Some(self.decoder.message(self.inbox.pop().await?).await)
     }
 
     /// The next message, if there is one.
     pub fn try_recv(&self) -> Option<Message> {
-        self.inbox.try_pop()
+        let message = self.inbox.try_pop()?;
+        Some(self.decoder.message_now(message))
     }
 
     /// How many were dropped because the program did not take them in time.
@@ -208,9 +212,11 @@ impl Stream for Subscriber {
     type Item = Message;
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Message>> {
-        let inbox = self.inbox.clone();
+        let (inbox, decoder) = (self.inbox.clone(), self.decoder.clone());
         let next = self.next.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let waiting = next.get_or_insert_with(|| Box::pin(async move { inbox.pop().await }));
+        let waiting = next.get_or_insert_with(|| {
+            Box::pin(async move { Some(decoder.message(inbox.pop().await?).await) })
+        });
         let polled = waiting.as_mut().poll(context);
         if polled.is_ready() {
             *next = None;

@@ -1,0 +1,168 @@
+//! Owns undoing what a sender's codec has packed, and fetching the dictionaries for that from whoever made them.
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use zenoh::{qos::Priority, query::Query, query::Queryable, Session, Wait};
+
+use super::robot::Robot;
+use crate::{
+    core::{
+        codec::{self, dictionary::Packed, CodecError, Limits},
+        dictionary::{Dictionaries, Dictionary},
+        key::Place,
+        message::Message,
+        name::Name,
+        payload::Payload,
+    },
+    error::Error,
+};
+
+/// How long a dictionary may take to come: 100 kB at 34 kB/s, and what else is on the link.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Who did not have it is asked again after this time at the earliest, so that a stream of messages of that kind does not
+/// wait for each.
+const ASK_AGAIN: Duration = Duration::from_secs(30);
+/// The most dictionaries that are remembered as not to be had.
+const MAX_MISSING: usize = 256;
+
+/// What one program knows of codecs.
+pub(super) struct Decoder {
+    session: Session,
+    place: Place,
+    limits: Limits,
+    known: Mutex<Known>,
+}
+
+#[derive(Default)]
+struct Known {
+    dictionaries: Dictionaries,
+    missing: HashMap<(Name, u32), Instant>,
+    served: HashMap<u32, Queryable<()>>,
+}
+
+impl Decoder {
+    pub(super) fn new(session: &Session, place: &Place) -> Arc<Self> {
+        Arc::new(Self {
+            session: session.clone(),
+            place: place.clone(),
+            limits: Limits::default(),
+            known: Mutex::default(),
+        })
+    }
+
+    /// The message as it was said. What can't be undone stays as it came, with what is wrong with it.
+    pub(super) async fn message(&self, mut message: Message) -> Message {
+        match self.payload(&message.from, &message.payload).await {
+            Ok(payload) => message.payload = payload,
+            Err(flaw) => message.flaw = Some(flaw),
+        }
+        message
+    }
+
+    /// The same with what is known already.
+    pub(super) fn message_now(&self, mut message: Message) -> Message {
+        match self.payload_now(&message.payload) {
+            Ok(payload) => message.payload = payload,
+            Err(flaw) => message.flaw = Some(flaw),
+        }
+        message
+    }
+
+    /// A payload of that robot's as it was before it was packed.
+    pub(super) async fn payload(
+        &self,
+        from: &Name,
+        packed: &Payload,
+    ) -> Result<Payload, CodecError> {
+        match self.payload_now(packed) {
+            Err(CodecError::Dictionary { id }) if self.fetch(from, id).await => {
+                self.payload_now(packed)
+            }
+            done => done,
+        }
+    }
+
+    fn payload_now(&self, packed: &Payload) -> Result<Payload, CodecError> {
+        codec::decode(packed, &self.limits, &self.known().dictionaries)
+    }
+
+    /// Asks the sender for a dictionary; whether it is here now.
+    async fn fetch(&self, from: &Name, id: u32) -> bool {
+        let which = (from.clone(), id);
+        let asked = self.known().missing.get(&which).copied();
+        if asked.is_some_and(|asked| asked.elapsed() < ASK_AGAIN) {
+            return false;
+        }
+        let key = self.place.own(Some(from), &format!("dictionary/{id}"));
+        let asked = self.session.get(&key).timeout(PATIENCE);
+        let Ok(replies) = asked.priority(Priority::DataHigh).await else {
+            return false;
+        };
+        let mut found = None;
+        while let (None, Ok(reply)) = (&found, replies.recv_async().await) {
+            let sample = reply.into_result().ok();
+            let bytes = sample.map(|sample| sample.payload().to_bytes().into_owned());
+            let dictionary = bytes.and_then(|bytes| Dictionary::new(bytes).ok());
+            found = dictionary.filter(|dictionary| dictionary.id() == id);
+        }
+        let mut known = self.known();
+        let added =
+            found.is_some_and(|dictionary| known.dictionaries.add(Arc::new(dictionary)).is_ok());
+        if !added {
+            tracing::warn!(
+                "{from} has no dictionary {id}: its messages that were packed with it stay packed"
+            );
+            if known.missing.len() >= MAX_MISSING {
+                known.missing.clear();
+            }
+            known.missing.insert(which, Instant::now());
+        }
+        added
+    }
+
+    /// Gives it to whoever asks, until the session ends.
+    fn share(&self, dictionary: &Arc<Dictionary>) -> Result<(), Error> {
+        let id = dictionary.id();
+        let mut known = self.known();
+        if known.served.contains_key(&id) {
+            return Ok(());
+        }
+        let key = self
+            .place
+            .own(Some(&self.place.robot), &format!("dictionary/{id}"));
+        let (key_of_answer, shared) = (key.clone(), dictionary.clone());
+        let queryable = self.session.declare_queryable(key).complete(true);
+        let queryable = queryable.callback(move |query: Query| {
+            let reply = query.reply(&key_of_answer, shared.as_bytes()).wait();
+            if let Err(error) = reply {
+                tracing::debug!("who asked for dictionary {id} got no answer: {error}");
+            }
+        });
+        let queryable = queryable
+            .wait()
+            .map_err(Error::zenoh("the dictionary can't be shared"))?;
+        known.served.insert(id, queryable);
+        // One's own messages are heard, too.
+        let _ = known.dictionaries.add(dictionary.clone());
+        Ok(())
+    }
+
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Robot {
+    /// The same robot; what it says is packed with that dictionary (`zstd`), which small JSON needs to get much smaller.
+    /// Whoever hears it fetches the dictionary once.
+    ///
+    /// # Errors
+    /// [`Error::Zenoh`] when the session is closed.
+    pub fn packed_with(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
+        self.inner.decoder.share(&dictionary)?;
+        Ok(self.encoded(Arc::new(Packed::new(dictionary))))
+    }
+}
