@@ -183,6 +183,14 @@ impl TryFrom<&str> for Pattern {
     }
 }
 
+impl TryFrom<&Pattern> for Pattern {
+    type Error = TopicError;
+
+    fn try_from(pattern: &Pattern) -> Result<Self, TopicError> {
+        Ok(pattern.clone())
+    }
+}
+
 impl fmt::Display for Topic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.as_str())

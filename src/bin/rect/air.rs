@@ -1,6 +1,7 @@
 //! Owns `rect air`: serving the simulated air to the programs of this machine, and talking to one that runs.
-use std::{fmt::Write as _, io, path::PathBuf, str::FromStr, time::Duration};
+use std::{fmt::Write as _, io, path::PathBuf};
 
+use crate::span::Span;
 use clap::{Args, Subcommand, ValueEnum};
 use tokio::signal::unix::{signal, SignalKind};
 use zenoh_link_ble::radio::sim::{
@@ -100,15 +101,6 @@ enum Switch {
     On,
     Off,
 }
-
-/// A duration on the command line: a number and `us`, `ms` or `s`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Span(Duration);
-
-/// The text is no duration.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[error("{0:?} is no duration: write 7.5ms, 30ms or 2s")]
-struct SpanError(String);
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
@@ -250,51 +242,5 @@ fn table(status: &AirStatus) -> String {
 impl SocketArgument {
     fn path(self) -> PathBuf {
         self.socket.unwrap_or_else(sim::socket_path)
-    }
-}
-
-impl FromStr for Span {
-    type Err = SpanError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let wrong = || SpanError(text.to_owned());
-        let at = text
-            .find(|c: char| c.is_ascii_alphabetic())
-            .ok_or_else(wrong)?;
-        let (number, unit) = text.split_at(at);
-        let seconds = match unit {
-            "us" => 1e-6,
-            "ms" => 1e-3,
-            "s" => 1.0,
-            _ => return Err(wrong()),
-        };
-        let number: f64 = number.parse().map_err(|_| wrong())?;
-        Duration::try_from_secs_f64(number * seconds)
-            .map(Self)
-            .map_err(|_| wrong())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn durations_have_a_unit() {
-        for (text, micros) in [
-            ("30ms", 30_000),
-            ("7.5ms", 7500),
-            ("2s", 2_000_000),
-            ("50us", 50),
-        ] {
-            assert_eq!(
-                text.parse(),
-                Ok(Span(Duration::from_micros(micros))),
-                "{text}"
-            );
-        }
-        for text in ["", "30", "ms", "-1s", "1m", "nans", "infs"] {
-            assert!(text.parse::<Span>().is_err(), "{text}");
-        }
     }
 }

@@ -1,0 +1,137 @@
+//! Owns how payloads are shown to a person, by what they are.
+use std::io::{self, IsTerminal};
+
+use rect::{
+    core::{codec::Limits, picture::Picture},
+    Payload,
+};
+use serde_json::Value;
+
+/// Of a text, so many characters.
+const MAX_CHARACTERS: usize = 2000;
+/// A picture drawn in a terminal is so many characters wide.
+const COLUMNS: u32 = 60;
+
+/// A payload in a line or a few.
+pub fn shown(payload: &Payload) -> String {
+    let kind = payload.encoding.as_str();
+    if let Ok(text) = payload.text() {
+        return cut(text);
+    }
+    if let Ok(value) = payload.value::<Value>() {
+        return cut(&value.to_string());
+    }
+    let size = payload.bytes.len();
+    if let Ok(picture) = payload.picture(&Limits::default()) {
+        let (width, height) = (picture.width(), picture.height());
+        let said = format!("{kind}, {width}x{height}, {size} bytes");
+        return match drawn(&picture) {
+            Some(drawing) => format!("{said}\n{drawing}"),
+            None => said,
+        };
+    }
+    if let Ok(array) = payload.array(&Limits::default()) {
+        let (shape, element) = (array.shape(), array.element().as_str());
+        return format!("{kind}, {element} {shape:?}, {size} bytes");
+    }
+    match std::str::from_utf8(&payload.bytes) {
+        Ok(text) if !text.chars().any(char::is_control) => cut(text),
+        _ => format!("{kind}, {size} bytes"),
+    }
+}
+
+/// A payload for `--json`.
+pub fn json(payload: &Payload) -> Value {
+    let known = payload.value::<Value>();
+    let known = known.or_else(|_| payload.text().map(Value::from));
+    known.unwrap_or_else(|_| {
+        let hex: String = payload
+            .bytes
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        serde_json::json!({ "hex": hex })
+    })
+}
+
+fn cut(text: &str) -> String {
+    // What a peer sends does not get to steer the terminal.
+    let mut cut: String = text
+        .chars()
+        .map(|c| {
+            if c.is_control() && c != '\n' {
+                '\u{fffd}'
+            } else {
+                c
+            }
+        })
+        .take(MAX_CHARACTERS)
+        .collect();
+    if text.chars().nth(MAX_CHARACTERS).is_some() {
+        cut.push_str(" ...");
+    }
+    cut
+}
+
+/// With two pixels a character, where the terminal has all colours.
+fn drawn(picture: &Picture) -> Option<String> {
+    let colours = std::env::var("COLORTERM").ok()?;
+    if !io::stdout().is_terminal() || !matches!(colours.as_str(), "truecolor" | "24bit") {
+        return None;
+    }
+    let width = COLUMNS.min(picture.width()).max(1);
+    let height =
+        (u64::from(picture.height()) * u64::from(width) / u64::from(picture.width())).clamp(2, 120);
+    let small = picture
+        .scaled(width, u32::try_from(height).ok()? & !1)
+        .ok()?;
+    let (width, channels) = (small.width() as usize, small.format().channels());
+    let rows: Vec<&[u8]> = small.pixels().chunks(width * channels).collect();
+    let mut drawing = String::new();
+    for pair in rows.chunks(2) {
+        let [upper, lower] = pair else { break };
+        for (above, below) in upper.chunks(channels).zip(lower.chunks(channels)) {
+            let ([r, g, b], [r2, g2, b2]) = (colour(above), colour(below));
+            drawing += &format!("\x1b[38;2;{r};{g};{b};48;2;{r2};{g2};{b2}m\u{2580}");
+        }
+        drawing += "\x1b[0m\n";
+    }
+    Some(drawing)
+}
+
+fn colour(pixel: &[u8]) -> [u8; 3] {
+    match pixel {
+        [r, g, b, ..] => [*r, *g, *b],
+        [grey, ..] => [*grey; 3],
+        [] => [0; 3],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rect::{Encoding, ToPayload};
+
+    use super::*;
+
+    #[test]
+    fn payloads_are_shown_by_what_they_are() {
+        let json = serde_json::json!({"a": 1}).to_payload().expect("JSON");
+        assert_eq!(shown(&json), r#"{"a":1}"#);
+        assert_eq!(shown(&"hä".to_payload().expect("text")), "hä");
+        assert_eq!(
+            shown(&[0u8, 1].to_payload().expect("bytes")),
+            "zenoh/bytes, 2 bytes"
+        );
+        assert_eq!(shown(&b"plain"[..].to_payload().expect("bytes")), "plain");
+        let wrong = Payload::new(vec![255, 216], Encoding::JPEG);
+        assert_eq!(shown(&wrong), "image/jpeg, 2 bytes");
+    }
+
+    #[test]
+    fn a_text_does_not_steer_the_terminal_nor_fill_it() {
+        let bell = "\x1b[2J\x07".to_payload().expect("text");
+        assert!(!shown(&bell).contains('\x1b'));
+        let long = "x".repeat(10_000).to_payload().expect("text");
+        assert!(shown(&long).len() < 2010);
+    }
+}
