@@ -84,32 +84,35 @@ fn connections_are_read_and_changed_by_a_query_from_another_robot() {
 
 #[test]
 fn who_removes_or_changes_the_connection_he_comes_over_is_answered_first() {
+    let over_tcp = |two: &Wombat| tcp("way", two.port());
+    let by_radio = |_: &Wombat| ble("way", "wombat-2");
+    for way in [&over_tcp as &dyn Fn(&Wombat) -> Value, &by_radio] {
+        is_answered_first(way, &file(&[]), "removed", None);
+        is_answered_first(way, &file(&[tcp("way", 1)]), "changed", Some("connecting"));
+    }
+}
+
+/// Wombat-1 has the connection `way` with wombat-2, from where its connections become `after`; it is `told` what that did to
+/// `way`, whose state is `then` another.
+fn is_answered_first(
+    way: &dyn Fn(&Wombat) -> Value,
+    after: &Value,
+    told: &str,
+    then: Option<&str>,
+) {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let two = Wombat::start(&air, &folder, 2, &file(&[]));
-    let one = Wombat::start(&air, &folder, 1, &file(&[]));
+    let one = Wombat::start(&air, &folder, 1, &file(&[way(&two)]));
     let (here, there) = (client(&one.endpoint), client(&two.endpoint));
-    let is_then = |state: Option<&str>| {
-        let asked = "rect/wombat-1/@rect/connections?name=way";
-        answers(&here, asked, |all| all[0]["state"].as_str() == state);
-    };
-    for way in [ble("way", "wombat-2"), tcp("way", two.port())] {
-        let before = file(std::slice::from_ref(&way)).to_string();
-        for (after, told, then) in [
-            (file(&[]), "removed", None),
-            (file(&[tcp("way", 1)]), "changed", Some("connecting")),
-        ] {
-            replaced(&here, "", &before).expect("changed");
-            is_then(Some("connected"));
-            ask(&there, KEY).expect("the way is known");
-            // The only way there is, and soon there is none.
-            let answer = replaced(&there, "", &after.to_string());
-            assert_eq!(answer.expect("changed")[told], json!(["way"]), "{way}");
-            is_then(then);
-            // This program is left.
-            let of_two = "rect/wombat-2/@rect/connections/count";
-            answers(&there, of_two, |count| count["connected"] == 1);
-        }
-    }
+    ask(&there, KEY).expect("the way is known");
+    // It is the only one, and soon there is none.
+    let answer = replaced(&there, "", &after.to_string()).expect("changed");
+    assert_eq!(answer[told], json!(["way"]), "{answer:#}");
+    let state = "rect/wombat-1/@rect/connections?name=way";
+    answers(&here, state, |all| all[0]["state"].as_str() == then);
+    // This program is left.
+    let of_two = "rect/wombat-2/@rect/connections/count";
+    answers(&there, of_two, |count| count["connected"] == 1);
 }
 
 #[test]
