@@ -15,3 +15,4 @@ pub mod queue;
 pub mod request;
 pub mod topic;
 pub mod urgency;
+pub mod wording;

@@ -6,6 +6,7 @@ use crate::core::{
     name::{Name, NameError},
     payload::{Payload, PayloadError},
     topic::TopicError,
+    wording,
 };
 
 /// Something did not work. Each text says what to do.
@@ -100,7 +101,7 @@ impl Error {
     pub(crate) fn zenoh(what: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
         move |error| Self::Zenoh {
             what,
-            reason: error.to_string(),
+            reason: wording::with_causes(error.as_ref()),
         }
     }
 }

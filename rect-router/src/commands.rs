@@ -131,7 +131,7 @@ pub fn run(command: &Command) -> ExitCode {
     done.unwrap_or_else(|error| {
         eprintln!(
             "rect-router: {}",
-            crate::message::with_causes(error.as_ref())
+            rect::core::wording::with_causes(error.as_ref())
         );
         ExitCode::FAILURE
     })

@@ -16,7 +16,7 @@ use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
 use self::login::{log_in_as, logins};
-pub use self::settings::{is_name, AutoConnect, Rule, Settings, MAX_AUTO_LINKS};
+pub use self::settings::{AutoConnect, Rule, Settings, MAX_AUTO_LINKS};
 use crate::args::Args;
 
 /// The configuration that these flags ask for, and RECT's own settings, which Zenoh does not see.

@@ -7,7 +7,6 @@ pub mod config;
 mod config_service;
 pub mod connections;
 pub mod logging;
-pub mod message;
 pub mod registry;
 pub mod robot;
 pub mod router;

@@ -6,8 +6,9 @@
 
 use std::process::ExitCode;
 
+use rect::core::wording;
 use rect_router::{
-    args, commands, config, logging, message, robot::Robot, router, threads, version,
+    args, commands, config, logging, robot::Robot, router, threads, version,
 };
 
 fn main() -> ExitCode {
@@ -19,7 +20,7 @@ fn main() -> ExitCode {
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("rect-router: {}", message::with_causes(error.as_ref()));
+            eprintln!("rect-router: {}", wording::with_causes(error.as_ref()));
             ExitCode::FAILURE
         }
     }

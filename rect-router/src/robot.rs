@@ -2,13 +2,13 @@
 //! changes them.
 use std::sync::Arc;
 
+use rect::core::wording;
 use zenoh::{Config, Session};
 
 use crate::{
     config::{self, AutoConnect, Settings, MAX_AUTO_LINKS},
     config_service,
     connections::{Connections, Fleet, Watching},
-    message,
     registry::Registry,
 };
 
@@ -79,13 +79,13 @@ fn begin(connections: &Arc<Connections>) -> Option<Watching> {
         Ok(changes) => tracing::info!("{path}: {changes}"),
         Err(error) => tracing::error!(
             "{}; there are no named connections until it is mended",
-            message::with_causes(&error)
+            wording::with_causes(&error)
         ),
     }
     connections
         .watch()
         .inspect_err(|error| {
-            let why = message::with_causes(error);
+            let why = wording::with_causes(error);
             tracing::error!("{path}: changes are not noticed: {why}");
         })
         .ok()

@@ -10,7 +10,7 @@ use zenoh::Config;
 
 use super::robot::Robot;
 use crate::{
-    core::{key::Place, name::Name},
+    core::{key::Place, name::Name, wording},
     error::Error,
 };
 
@@ -141,7 +141,7 @@ impl Options {
     }
 
     fn refused(&self, direct: bool, error: &zenoh::Error) -> Error {
-        let reason = error.to_string();
+        let reason = wording::with_causes(error.as_ref());
         if direct {
             let all = self.listen.iter().chain(&self.endpoints);
             let value = all.cloned().collect::<Vec<_>>().join(" ");
@@ -202,7 +202,7 @@ impl Options {
                 .map_err(|error| Error::Option {
                     what: "of Zenoh",
                     value: format!("{key}: {text}"),
-                    reason: error.to_string(),
+                    reason: wording::with_causes(error.as_ref()),
                 })?;
         }
         Ok(config)

@@ -14,7 +14,8 @@ use std::{
     thread,
 };
 
-use rect_router::{config::Settings, message, threads};
+use rect::core::wording;
+use rect_router::{config::Settings, threads};
 use zenoh::{
     internal::{
         plugins::{Response, RunningPlugin, RunningPluginTrait, ZenohPlugin},
@@ -64,7 +65,7 @@ impl Plugin for RectPlugin {
                     }
                     Ok(None) => {}
                     Err(error) => {
-                        let why = message::with_causes(error.as_ref());
+                        let why = wording::with_causes(error.as_ref());
                         tracing::error!("rect: can't start: {why}");
                         let _ = state.trouble.set(why);
                     }

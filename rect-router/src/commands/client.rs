@@ -1,11 +1,11 @@
 //! Owns what the commands share that ask a running router: a session with it, and the robots' answers.
 use std::{fs, path::Path, time::Duration};
 
+use rect::core::wording;
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
 use super::{table::table, AskArgs, Failure, RouterArgs};
-use crate::message;
 
 /// How long to wait for answers: over a slow link, with several robots.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -25,7 +25,7 @@ pub(super) fn session(args: &RouterArgs) -> Result<Session, Failure> {
         config.insert_json5("transport/auth/usrpwd", &login.to_string())?;
     }
     zenoh::open(config).wait().map_err(|error| {
-        let why = message::with_causes(error.as_ref());
+        let why = wording::with_causes(error.as_ref());
         format!("no router answers at {}: {why}", args.router).into()
     })
 }

@@ -6,8 +6,9 @@ use std::{
     path::Path,
 };
 
+use rect::core::name::Name;
+
 use super::{Failure, InitArgs};
-use crate::config::is_name;
 
 /// The shipped configurations, and the name that each is written for.
 const ROBOT: (&str, &str) = (include_str!("../../../config/robot.json5"), "wombat-1");
@@ -28,10 +29,7 @@ const PRIVATE: u32 = 0o640;
 
 pub fn run(args: &InitArgs) -> Result<(), Failure> {
     for (what, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
-        if !is_name(name) {
-            let wanted = "1 to 29 letters, digits, `-`, `_` or `.`, and none of an adapter's names";
-            return Err(format!("{what} {name:?} is to be {wanted}").into());
-        }
+        Name::new(name).map_err(|error| format!("{what}: {error}"))?;
     }
     let users = match &args.users {
         Some(path) => fs::read_to_string(path)

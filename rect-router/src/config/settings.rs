@@ -2,10 +2,10 @@
 //! They are taken out of it, or Zenoh would look for a plugin of that name.
 use std::path::PathBuf;
 
+use rect::core::name::Name;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use zenoh::Config;
-use zenoh_link::ble::locator;
 
 use super::ConfigError;
 
@@ -117,10 +117,7 @@ impl Settings {
         let settings: Self =
             serde_json::from_value(given).map_err(|error| refused(error.to_string()))?;
         for (key, name) in [("fleet", &settings.fleet), ("robot", &settings.robot)] {
-            if !is_name(name) {
-                let wanted = "1 to 29 letters, digits, `-`, `_` or `.`, and no adapter's name";
-                return Err(refused(format!("{key} {name:?} is to be {wanted}")));
-            }
+            Name::new(name).map_err(|error| refused(format!("{key}: {error}")))?;
         }
         for (key, given, most) in [
             ("max_connections", settings.max_connections, MAX_CONNECTIONS),
@@ -145,11 +142,6 @@ pub fn take(config: &mut Config) -> Result<Option<Settings>, ConfigError> {
         reason: error.to_string(),
     })?;
     Ok(Some(settings))
-}
-
-/// Whether it can name a robot or a fleet: a part of a key by itself, and what a `ble` listener advertises.
-pub fn is_name(name: &str) -> bool {
-    locator::is_name(name) && !locator::is_adapter(name)
 }
 
 #[cfg(test)]

@@ -11,8 +11,9 @@ use std::{
 
 use notify::{Event, RecommendedWatcher, RecursiveMode, Watcher};
 
+use rect::core::wording;
+
 use super::Connections;
-use crate::message;
 
 /// An editor writes in several steps: the file is read when it has been left alone for so long,
 const QUIET: Duration = Duration::from_millis(100);
@@ -61,7 +62,7 @@ fn follow(connections: &Connections, changed: &Receiver<()>) {
             Ok(changes) => tracing::info!("{}: {changes}", connections.path().display()),
             Err(error) => tracing::error!(
                 "{}; the connections stay as they were",
-                message::with_causes(&error)
+                wording::with_causes(&error)
             ),
         }
     }

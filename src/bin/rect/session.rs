@@ -15,7 +15,7 @@ const NOBODY: &str = "rect-tool";
 pub struct JoinArguments {
     /// Speak as this robot [default: the one whose router it is]
     #[arg(long = "as", value_name = "ROBOT")]
-    robot: Option<String>,
+    speaker: Option<String>,
     /// The team's name
     #[arg(long, default_value = "rect")]
     fleet: String,
@@ -53,7 +53,7 @@ fn urgency(text: &str) -> Result<Urgency, String> {
 impl JoinArguments {
     /// Joins.
     pub async fn join(&self) -> Result<Robot, Failure> {
-        let robot = match &self.robot {
+        let robot = match &self.speaker {
             Some(robot) => robot.clone(),
             None => self.robot_of_router().await?,
         };

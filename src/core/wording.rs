@@ -1,4 +1,4 @@
-//! Turns an error and what caused it into one line for a person.
+//! Owns the words of errors: an error and what caused it, as one line for a person.
 
 use std::error::Error;
 

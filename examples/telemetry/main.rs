@@ -1,0 +1,49 @@
+//! Telemetry: a robot tells its arm's angle and its battery ten times a second, as small as can be, and hears others'.
+//!
+//!     cargo run --example telemetry -- wombat-1
+use std::{sync::Arc, time::Duration};
+
+use rect::core::dictionary::Dictionary;
+use serde::{Deserialize, Serialize};
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Telemetry {
+    angle_deg: f64,
+    battery_volt: f64,
+    moving: bool,
+}
+
+fn measured(n: u32) -> Telemetry {
+    let angle_deg = (f64::from(n) / 20.0).sin() * 90.0;
+    Telemetry {
+        angle_deg: (angle_deg * 10.0).round() / 10.0,
+        battery_volt: 7.2,
+        moving: n % 100 < 50,
+    }
+}
+
+#[tokio::main]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let name = std::env::args().nth(1).unwrap_or("wombat-1".to_owned());
+    let robot = rect::connect(&name).await?;
+
+    // Messages like those to come make a dictionary, with which 60 bytes become a third. Others fetch it by themselves.
+    let samples: Vec<_> = (0..2000).flat_map(|n| serde_json::to_vec(&measured(n))).collect();
+    let dictionary = Arc::new(Dictionary::train(&samples, 4096)?);
+    let packed = robot.packed_with(dictionary)?;
+
+    let _others = robot
+        .on_message("*/telemetry", |message| {
+            match message.payload.value::<Telemetry>() {
+                Ok(telemetry) => println!("{}: {telemetry:?}", message.from),
+                Err(error) => eprintln!("{}: {error}", message.from),
+            }
+        })
+        .await?;
+    let mut ticks = tokio::time::interval(Duration::from_millis(100));
+    for n in 0.. {
+        ticks.tick().await;
+        packed.publish("telemetry", rect::Json(measured(n))).await?;
+    }
+    Ok(())
+}

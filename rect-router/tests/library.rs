@@ -1,0 +1,114 @@
+//! Programs of the library `rect` at two robots' routers, linked by the simulated air.
+//! `cargo test -p rect-router --test library`
+mod support;
+
+use std::time::{Duration, Instant};
+
+use rect::{blocking::Robot, Event, Json, Options};
+use serde_json::json;
+use support::{
+    wombat::{ble, file, Wombat},
+    Air, DEADLINE,
+};
+use zenoh_link::ble::radio::sim::{control, Control};
+
+/// A program at that robot's router.
+fn program(wombat: &Wombat, name: &str) -> Robot {
+    let options = Options::new(name).expect("a name").login_file("/none");
+    Robot::join(options.router(&wombat.endpoint)).expect("joined")
+}
+
+fn two(air: &Air, folder: &tempfile::TempDir) -> [Wombat; 2] {
+    let nobody = file(&[]);
+    let first = Wombat::start(air, folder, 1, &nobody);
+    let other = Wombat::start(air, folder, 2, &file(&[ble("radio", "wombat-1")]));
+    [first, other]
+}
+
+fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + DEADLINE;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn programs_of_two_robots_talk_over_ble_and_are_told_so() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let wombats = two(&air, &folder);
+    let [one, two] = [(&wombats[0], "wombat-1"), (&wombats[1], "wombat-2")]
+        .map(|(wombat, name)| program(wombat, name));
+    let mut events = two.events().expect("told");
+    let link = events.find(|event| matches!(event, Event::LinkUp(link) if link.method == "ble"));
+    assert!(link.is_some());
+    until("both know of each other", || {
+        one.peers().expect("asked") == ["wombat-2"] && two.peers().expect("asked") == ["wombat-1"]
+    });
+    let mut heard = two.subscribe("wombat-1/arm/*").expect("subscribed");
+    let mut over = None;
+    until("a message comes by radio", || {
+        one.publish("arm/angle", Json(12.5)).expect("said");
+        let message = heard.next_within(Duration::from_millis(100));
+        over = over.take().or(message.and_then(|message| message.over));
+        over.is_some()
+    });
+    assert_eq!(over.as_deref(), Some("ble"));
+    let radio = two.connections().expect("the registry answers");
+    let radio = radio.iter().find(|one| one.name.as_deref() == Some("radio"));
+    assert_eq!(radio.expect("the one of the file").method, "ble");
+
+    let _service = one
+        .serve("battery", |_| Ok::<_, String>(json!({"volt": 7.2})))
+        .expect("served");
+    let mut answer = None;
+    until("the service is known", || {
+        answer = two.request("wombat-1", "battery", "", DEADLINE).ok();
+        answer.is_some()
+    });
+    let volt: serde_json::Value = answer.expect("one").payload.value().expect("JSON");
+    assert_eq!(volt["volt"], 7.2);
+}
+
+#[test]
+fn what_was_said_while_the_radio_was_cut_is_told_as_a_gap() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let wombats = two(&air, &folder);
+    let one = program(&wombats[0], "wombat-1");
+    let two = program(&wombats[1], "wombat-2");
+    let mut heard = two.subscribe("wombat-1/n").expect("subscribed");
+    let mut number = 0;
+    let mut say = || {
+        number += 1;
+        one.publish("n", Json(number)).expect("said");
+    };
+    until("linked", || {
+        say();
+        heard.next_within(Duration::from_millis(50)).is_some()
+    });
+    let tell = |what| {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let told = control(&air.socket(), what);
+        runtime.expect("a runtime").block_on(told).expect("the air does it");
+    };
+    tell(Control::Cut);
+    until("the link is down", || {
+        let state = |one: &rect::Connection| one.state == rect::ConnectionState::Connected;
+        let all = one.connections().expect("asked");
+        !all.iter().any(|one| one.method == "ble" && state(one))
+    });
+    while heard.next_within(Duration::from_millis(20)).is_some() {}
+    for _ in 0..10 {
+        say();
+    }
+    tell(Control::Restore);
+    let mut missed = 0;
+    until("a message comes again", || {
+        say();
+        let message = heard.next_within(Duration::from_millis(50));
+        missed = message.as_ref().map_or(0, |message| message.missed);
+        message.is_some()
+    });
+    assert!(missed >= 10, "{missed}");
+    assert_eq!(two.counters().missed, u64::from(missed));
+}

@@ -1,0 +1,235 @@
+//! The `rect` command beside a program of the library: `cargo test -p rect --test tool`
+mod pair;
+
+use std::{
+    io::{BufRead, BufReader, Write},
+    process::{Child, Command, Output, Stdio},
+    time::{Duration, Instant},
+};
+
+use pair::{free_endpoint, PATIENCE};
+use rect::{blocking, Options};
+use serde_json::Value;
+
+fn rect(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rect"));
+    command.args(arguments).stdin(Stdio::null());
+    command
+}
+
+fn ran(arguments: &[&str]) -> Output {
+    rect(arguments).output().expect("it runs")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A robot that the tool can join at.
+fn robot(name: &str) -> (blocking::Robot, String) {
+    let endpoint = free_endpoint();
+    let options = Options::new(name).expect("a name").login_file("/none");
+    let robot = blocking::Robot::join(options.listen(&endpoint)).expect("joined");
+    (robot, endpoint)
+}
+
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn what_is_published_or_sent_arrives() {
+    let (a, endpoint) = robot("a");
+    let mut heard = a.subscribe("b/**").expect("subscribed");
+    let join = ["--as", "b", "--router", &endpoint];
+    let json = ran(&[
+        &["pub", "arm/angle", "12.5", "--urgency", "urgent"],
+        &join[..],
+    ]
+    .concat());
+    assert!(json.status.success(), "{}", text(&json.stderr));
+    let message = heard.next_within(PATIENCE).expect("heard");
+    assert_eq!(
+        (message.from.as_str(), message.topic.as_str()),
+        ("b", "arm/angle")
+    );
+    assert_eq!(message.payload.value::<f64>().expect("JSON"), 12.5);
+    assert_eq!(message.urgency, rect::Urgency::Urgent);
+    let packed = ran(&[
+        &["send", "a", "note", "hello there", "--codec", "zstd:5"],
+        &join[..],
+    ]
+    .concat());
+    assert!(packed.status.success(), "{}", text(&packed.stderr));
+    let message = heard.next_within(PATIENCE).expect("heard");
+    assert_eq!(message.payload.text().expect("text"), "hello there");
+    assert_eq!(message.to.expect("to one"), "a");
+}
+
+#[test]
+fn what_robots_say_is_shown_as_text_or_json() {
+    let (a, endpoint) = robot("a");
+    for (json, expected) in [(false, r#"a/x: {"n":1}"#), (true, r#""value":{"n":1}"#)] {
+        let mut arguments = vec![
+            "sub", "a/**", "--count", "1", "--as", "b", "--router", &endpoint,
+        ];
+        arguments.extend(json.then_some("--json"));
+        let mut child = Killed(
+            rect(&arguments)
+                .stdout(Stdio::piped())
+                .spawn()
+                .expect("it runs"),
+        );
+        let began = Instant::now();
+        while child.0.try_wait().expect("our child").is_none() {
+            assert!(began.elapsed() < PATIENCE, "it ends after one");
+            a.publish("x", serde_json::json!({"n": 1})).expect("said");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let mut line = String::new();
+        let output = child.0.stdout.take().expect("piped");
+        BufReader::new(output).read_line(&mut line).expect("text");
+        assert!(line.contains(expected), "{line}");
+    }
+}
+
+#[test]
+fn a_service_made_of_a_program_answers_and_its_failure_is_an_error() {
+    let (a, endpoint) = robot("a");
+    let join = ["--as", "b", "--router", &endpoint];
+    let serving = [&["serve", "upper"], &join[..], &["--", "tr", "a-z", "A-Z"]].concat();
+    let _serving = Killed(
+        rect(&serving)
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("it runs"),
+    );
+    let failing = [
+        &["serve", "fail"],
+        &join[..],
+        &["--", "sh", "-c", "echo no arm >&2; exit 3"],
+    ]
+    .concat();
+    let _failing = Killed(
+        rect(&failing)
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("it runs"),
+    );
+    let asked = |topic: &str| {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            match a.request("b", topic, "hello", PATIENCE) {
+                Err(rect::Error::NoService { .. }) if Instant::now() < deadline => {}
+                answer => break answer,
+            }
+        }
+    };
+    let reply = asked("upper").expect("answered");
+    assert_eq!(reply.payload.text().expect("text"), "HELLO");
+    let error = asked("fail").expect_err("it fails").to_string();
+    assert!(
+        error.contains("no arm") && error.contains("b answers"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_request_shows_the_answer_or_why_there_is_none() {
+    let (a, endpoint) = robot("a");
+    let _service = a
+        .serve("double", |request| match request.payload.value::<f64>() {
+            Ok(number) => Ok(rect::Json(number * 2.0)),
+            Err(error) => Err(error.to_string()),
+        })
+        .expect("served");
+    let join = ["--as", "b", "--router", &endpoint];
+    let answer = ran(&[&["request", "a", "double", "21", "--json"], &join[..]].concat());
+    let answer: Value = serde_json::from_slice(&answer.stdout).expect("JSON");
+    assert_eq!(
+        (&answer["from"], &answer["value"]),
+        (&"a".into(), &42.0.into())
+    );
+    let wrong = ran(&[&["request", "a", "double", "x"], &join[..]].concat());
+    assert_eq!(wrong.status.code(), Some(1));
+    assert!(
+        text(&wrong.stderr).contains("a answers with an error"),
+        "{}",
+        text(&wrong.stderr)
+    );
+    let nobody = ran(&[&["request", "a", "nothing"], &join[..]].concat());
+    assert!(
+        text(&nobody.stderr).contains("nobody serves nothing at a"),
+        "{}",
+        text(&nobody.stderr)
+    );
+}
+
+#[test]
+fn a_dictionary_is_trained_from_a_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("telemetry.jsonl");
+    let mut file = std::fs::File::create(&recording).expect("made");
+    for n in 0..2000 {
+        let value =
+            serde_json::json!({"sensor": "elbow", "angle_deg": f64::from(n % 900) / 10.0, "n": n});
+        writeln!(file, "{value}").expect("written");
+    }
+    let output = folder.path().join("telemetry.dict");
+    let trained = ran(&[
+        "dictionary",
+        "train",
+        recording.to_str().expect("text"),
+        "-o",
+        output.to_str().expect("text"),
+        "--size",
+        "2048",
+    ]);
+    let said = text(&trained.stdout);
+    assert!(trained.status.success(), "{}", text(&trained.stderr));
+    assert!(
+        said.contains("of 1600 messages") && said.contains("400 messages that it has not seen"),
+        "{said}"
+    );
+    rect::core::dictionary::Dictionary::read(&output).expect("a dictionary");
+    let nothing = ran(&["dictionary", "train", "/none.jsonl", "-o", "/none"]);
+    assert!(
+        text(&nothing.stderr).contains("/none.jsonl"),
+        "{}",
+        text(&nothing.stderr)
+    );
+}
+
+#[test]
+fn mistakes_are_answered_with_what_to_do() {
+    for (arguments, named) in [
+        (&["pub", "a/*", "1"][..], "wildcard"),
+        (&["sub", "angle"], "<robot>/<topic>"),
+        (&["pub", "x", "1", "--codec", "zip", "--as", "b"], "zstd"),
+        (
+            &["pub", "x", "1", "--router", "tcp/127.0.0.1:1"],
+            "rect-router -l",
+        ),
+        (&["send", "no robot", "x"], "' '"),
+        (&["pub", "x", "--file", "/none"], "/none"),
+    ] {
+        let (_a, endpoint) = robot("a");
+        let mut all = arguments.to_vec();
+        if !all.contains(&"--router") {
+            all.extend(["--router", &endpoint]);
+        }
+        let failed = ran(&all);
+        assert!(!failed.status.success());
+        let said = text(&failed.stderr);
+        assert!(said.contains(named), "{arguments:?}: {said}");
+        assert!(!said.contains(".rs:"), "no source lines for people: {said}");
+    }
+    let help = text(&ran(&["--help"]).stdout);
+    assert!(help.contains("rect sub '*/arm/*'"), "{help}");
+    assert!(text(&ran(&["completion", "bash"]).stdout).contains("complete -F"));
+}
