@@ -108,6 +108,12 @@ fn write<T: Float>(array: &Array, numbers: &[T], error: f64) -> Vec<u8> {
     let levels: Vec<Option<i64>> = numbers.iter().map(level).collect();
     let prediction = Prediction::best(&levels, array.shape());
     let body = body::write(numbers, &levels, prediction);
+    let mut raw = head::<T>(array, 0, RAW);
+    raw.extend_from_slice(array.bytes());
+    // The reader counts on it, too: a body takes no more memory than the array.
+    if body.len() > array.bytes().len() {
+        return raw;
+    }
     let packed = zstd::pack(&body, LEVEL, None).ok();
     let packed = packed.filter(|packed| packed.len() < body.len());
     let (kind, body) = match packed {
@@ -120,12 +126,11 @@ fn write<T: Float>(array: &Array, numbers: &[T], error: f64) -> Vec<u8> {
     let exceptions = levels.iter().filter(|level| level.is_none()).count();
     varint::write(&mut bytes, exceptions as u64);
     bytes.extend_from_slice(&body);
-    let mut raw = head::<T>(array, 0, RAW);
-    if bytes.len() < raw.len() + array.bytes().len() {
-        return bytes;
+    if bytes.len() < raw.len() {
+        bytes
+    } else {
+        raw
     }
-    raw.extend_from_slice(array.bytes());
-    raw
 }
 
 fn head<T: Float>(array: &Array, order: u8, body: u8) -> Vec<u8> {
@@ -178,7 +183,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
     }
     let body = match body {
         PLAIN => Cow::Borrowed(rest),
-        // One that does not save anything would have been raw.
+        // A larger one would have been raw.
         PACKED => zstd::unpack(rest, size, &Dictionaries::default())?.into(),
         _ => return Err(damaged(FORMAT, "it is of another version")),
     };

@@ -89,6 +89,16 @@ fn what_no_level_comes_near_stays_as_it_is() {
     assert!(bytes < 720, "{bytes}");
 }
 
+/// Found by fuzzing: residuals of more bytes than the numbers have, all alike.
+#[test]
+fn what_takes_more_bytes_in_levels_goes_as_it_is() {
+    let far: Vec<f32> = (0..120)
+        .map(|n| if n % 2 == 0 { 4e9 } else { -4e9 })
+        .collect();
+    let bytes = all_near(0.01, &[120], &far);
+    assert_eq!(bytes, 3 + 480);
+}
+
 #[test]
 fn every_cut_is_an_error_that_names_the_format() {
     let numbers: Vec<f32> = (0..8)
