@@ -1,0 +1,43 @@
+//! Whatever comes with a message: an attachment that reads, writes back to the same; a key that is a message's, is the key
+//! that its sender makes of what it says.
+#![no_main]
+use libfuzzer_sys::fuzz_target;
+use rect::core::{
+    attachment::{Attachment, MAX_BYTES},
+    key::Place,
+    name::Name,
+    topic::Pattern,
+};
+
+fn name(text: &str) -> Name {
+    Name::new(text).expect("a name")
+}
+
+fuzz_target!(|bytes: &[u8]| {
+    if let Some(attachment) = Attachment::decode(bytes) {
+        let again = attachment.encode();
+        assert!(again.len() <= MAX_BYTES);
+        assert_eq!(Attachment::decode(&again), Some(attachment));
+    }
+    let Ok(text) = std::str::from_utf8(bytes) else {
+        return;
+    };
+    let here = Place {
+        fleet: name("rect"),
+        robot: name("w"),
+    };
+    if let Some(address) = here.address(text) {
+        let there = Place {
+            fleet: here.fleet.clone(),
+            robot: address.from.clone(),
+        };
+        let key = match &address.to {
+            Some(to) => there.message(to, &address.topic),
+            None => there.publication(&address.topic),
+        };
+        assert_eq!(key, text);
+    }
+    if let Ok(pattern) = Pattern::new(text) {
+        assert_eq!(Pattern::new(&pattern.to_string()), Ok(pattern));
+    }
+});

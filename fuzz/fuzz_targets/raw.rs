@@ -1,0 +1,61 @@
+//! Whatever a peer sends as a raw picture or array, its encoding and its bytes: what reads, writes back to the same, and
+//! its quantised form keeps the bound.
+#![no_main]
+use libfuzzer_sys::fuzz_target;
+use rect::core::{
+    array::{Array, Element},
+    codec::{parse, Limits},
+    encoding::Encoding,
+    payload::{Payload, ToPayload},
+};
+
+const LIMITS: Limits = Limits {
+    max_bytes: 1 << 20,
+    max_pixels: 1 << 18,
+};
+const ERROR: f64 = 0.01;
+
+fn bounded(array: &Array, payload: &Payload) {
+    let codec = parse("quantised:0.01").expect("a codec");
+    let small = codec.encode(payload).expect("written");
+    let back = small.array(&LIMITS).expect("read");
+    assert_eq!(back.shape(), array.shape());
+    let wide = |array: &Array| -> Vec<f64> {
+        array.numbers::<f64>().unwrap_or_else(|| {
+            let narrow = array.numbers::<f32>().expect("floats");
+            narrow.into_iter().map(f64::from).collect()
+        })
+    };
+    for (a, b) in wide(array).into_iter().zip(wide(&back)) {
+        assert!(a.is_nan() && b.is_nan() || a == b || (a - b).abs() <= ERROR);
+    }
+}
+
+/// As much of the text as ends with a line, or all; and the bytes after it.
+fn parts(data: &[u8]) -> Option<(&str, &[u8])> {
+    let end = data.iter().position(|&byte| byte == b'\n')?;
+    let text = std::str::from_utf8(&data[..end]).ok()?;
+    Some((text, &data[end + 1..]))
+}
+
+fuzz_target!(|data: &[u8]| {
+    let Some((text, bytes)) = parts(data) else {
+        return;
+    };
+    let encoding = Encoding::new(format!("application/octet-stream;{text}"));
+    let payload = Payload::new(bytes.to_vec(), encoding);
+    if let Ok(picture) = payload.picture(&LIMITS) {
+        let again = picture.to_payload().expect("written");
+        assert_eq!(again.picture(&LIMITS).expect("its own"), picture);
+        let small = parse("png").expect("a codec").encode(&again);
+        let back = small.expect("written").picture(&LIMITS).expect("read");
+        assert_eq!(back, picture);
+    }
+    if let Ok(array) = payload.array(&LIMITS) {
+        let again = array.to_payload().expect("written");
+        assert_eq!(again.array(&LIMITS).expect("its own"), array);
+        if matches!(array.element(), Element::F32 | Element::F64) {
+            bounded(&array, &again);
+        }
+    }
+});
