@@ -1,4 +1,4 @@
-//! Owns JPEG: photographs in a tenth of their bytes, with a loss that the eye hardly sees.
+//! Owns JPEG: photographs in a fifteenth to a twentieth of their bytes, with a loss that the eye hardly sees.
 use jpeg_encoder::{ColorType, Encoder};
 use zune_jpeg::{
     errors::DecodeErrors,

@@ -1,4 +1,4 @@
-//! Owns PNG: pictures as they are, in a third to a half of their bytes.
+//! Owns PNG: pictures as they are; photographs in about half of their bytes.
 use std::io::Cursor;
 
 use png::{BitDepth, ColorType, Decoder, Encoder, Transformations};
