@@ -13,6 +13,7 @@ pub mod payload;
 pub mod picture;
 pub mod queue;
 pub mod request;
+pub mod stream;
 pub mod topic;
 pub mod urgency;
 pub mod wording;

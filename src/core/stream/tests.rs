@@ -1,0 +1,383 @@
+//! Streams over slow links, in virtual time: `cargo test --no-default-features -p rect stream`
+use std::time::Duration;
+
+use super::{
+    ladder::Coding,
+    sender::{Options, Sender},
+    simulation::{Arrival, Condition, World},
+    Group,
+};
+use crate::core::attachment::Sent;
+
+const PIXELS: usize = 320 * 240;
+const SEEDS: std::ops::Range<u64> = 0..5;
+
+fn world(seed: u64) -> World {
+    World::new(Options::default(), PIXELS, seed)
+}
+
+fn secs(seconds: u64) -> Duration {
+    Duration::from_secs(seconds)
+}
+
+/// What is wanted of the frames that came in a span of seconds.
+#[derive(Debug)]
+struct Found {
+    frames_per_s: f64,
+    bytes_per_s: f64,
+    age_p99: Duration,
+}
+
+fn found(world: &World, name: &str, from: u64, to: u64) -> Found {
+    let is_in = |arrival: &&Arrival| (secs(from)..secs(to)).contains(&arrival.at);
+    let arrivals: Vec<_> = world.place(name).arrivals.iter().filter(is_in).collect();
+    let mut ages: Vec<_> = arrivals.iter().map(|arrival| arrival.age).collect();
+    ages.sort();
+    let span = (to - from) as f64;
+    Found {
+        frames_per_s: arrivals.len() as f64 / span,
+        bytes_per_s: arrivals
+            .iter()
+            .map(|arrival| arrival.bytes as f64)
+            .sum::<f64>()
+            / span,
+        age_p99: ages
+            .get(ages.len() * 99 / 100)
+            .copied()
+            .unwrap_or(Duration::MAX),
+    }
+}
+
+/// How often the step of a group changed.
+fn changes(world: &World, group: Group, from: u64, to: u64) -> usize {
+    let is_in =
+        |&&(at, of, _): &&(Duration, Group, _)| of == group && at >= secs(from) && at < secs(to);
+    world.changes.iter().filter(is_in).count()
+}
+
+/// How far the rate of a group sways: its standard deviation, as a share of its mean.
+fn sway(world: &World, group: Group, from: u64, to: u64) -> f64 {
+    let is_in =
+        |&&(at, of, _): &&(Duration, Group, f64)| of == group && at >= secs(from) && at < secs(to);
+    let rates: Vec<f64> = world
+        .rates
+        .iter()
+        .filter(is_in)
+        .map(|&(_, _, rate)| rate)
+        .collect();
+    let count = rates.len() as f64;
+    let mean = rates.iter().sum::<f64>() / count;
+    let square = rates.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / count;
+    square.sqrt() / mean
+}
+
+/// It does not oscillate: while the link stays as it is, the step changes at most once in 20 s, and the rate sways by
+/// less than 15 %.
+fn assert_calm(world: &World, group: Group, from: u64, to: u64, about: &str) {
+    let changes = changes(world, group, from, to);
+    assert!(
+        changes as u64 <= (to - from) / 20,
+        "{about}: {changes} changes: {:?}",
+        world.changes
+    );
+    let sway = sway(world, group, from, to);
+    assert!(sway < 0.15, "{about}: the rate sways by {sway:.2}");
+}
+
+#[test]
+fn on_links_of_34_100_and_1000_kb_per_s_it_finds_its_place_in_5_s_and_stays_there() {
+    for seed in SEEDS {
+        for rate in [34e3, 100e3, 1e6] {
+            let mut world = world(seed);
+            world.add("wombat-2", 30, move |_| Condition::of(rate));
+            world.run(60);
+            let about = format!("seed {seed}, {rate} B/s");
+            let late = found(&world, "wombat-2", 5, 60);
+            assert!(late.frames_per_s >= 5.0, "{about}: {late:?}");
+            assert!(
+                late.age_p99 < Duration::from_millis(600),
+                "{about}: {late:?}"
+            );
+            if rate < 5e5 {
+                assert!(late.bytes_per_s >= 0.7 * rate, "{about}: {late:?}");
+            }
+            assert_calm(&world, Group::Main, 5, 60, &about);
+        }
+    }
+}
+
+#[test]
+fn on_wi_fi_it_is_lossless_within_8_s() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        world.add("laptop", 2, |_| Condition::of(20e6));
+        world.run(30);
+        let late = |arrival: &&Arrival| arrival.at > secs(8);
+        let arrivals: Vec<_> = world.place("laptop").arrivals.iter().filter(late).collect();
+        assert!(
+            arrivals
+                .iter()
+                .all(|arrival| arrival.level.coding == Coding::Lossless),
+            "seed {seed}: {:?}",
+            world.changes
+        );
+        assert!(
+            found(&world, "laptop", 8, 30).frames_per_s > 12.0,
+            "seed {seed}"
+        );
+    }
+}
+
+#[test]
+fn the_age_that_is_told_is_the_true_one_whatever_the_clocks_say() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        world.add("wombat-2", 30, |_| Condition::of(34e3));
+        world.run(130);
+        for arrival in world
+            .place("wombat-2")
+            .arrivals
+            .iter()
+            .filter(|arrival| arrival.at > secs(2))
+        {
+            let told = arrival.told.expect("known");
+            assert!(
+                told.abs_diff(arrival.age) <= Duration::from_millis(35),
+                "seed {seed}: {arrival:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn when_the_link_changes_it_follows_within_5_s_and_old_frames_stay_few() {
+    for seed in SEEDS {
+        for (before, after) in [(100e3, 34e3), (34e3, 100e3), (1e6, 34e3)] {
+            let mut world = world(seed);
+            world.add("wombat-2", 30, move |at| {
+                Condition::of(if at < secs(20) { before } else { after })
+            });
+            world.run(60);
+            let about = format!("seed {seed}, from {before} to {after} B/s");
+            let late = found(&world, "wombat-2", 25, 60);
+            assert!(late.frames_per_s >= 5.0, "{about}: {late:?}");
+            assert!(late.bytes_per_s >= 0.7 * after, "{about}: {late:?}");
+            assert!(
+                late.age_p99 < Duration::from_millis(600),
+                "{about}: {late:?}"
+            );
+            assert_calm(&world, Group::Main, 26, 60, &about);
+        }
+    }
+}
+
+#[test]
+fn after_cuts_of_seconds_it_is_back_within_3_s() {
+    for seed in SEEDS {
+        for cut in [1, 3, 10, 40] {
+            let mut world = world(seed);
+            world.add("wombat-2", 30, move |at| Condition {
+                is_cut: at >= secs(20) && at < secs(20 + cut),
+                ..Condition::of(34e3)
+            });
+            world.run(20);
+            let before = world.encoded;
+            world.run(cut);
+            let encoded = world.encoded - before;
+            assert!(
+                encoded <= 2,
+                "seed {seed}: {encoded} frames were encoded for nobody"
+            );
+            world.run(30);
+            let about = format!("seed {seed}, cut for {cut} s");
+            let soon = found(&world, "wombat-2", 20 + cut, 23 + cut);
+            assert!(soon.frames_per_s >= 4.0, "{about}: {soon:?}");
+            let late = found(&world, "wombat-2", 23 + cut, 50 + cut);
+            assert!(late.bytes_per_s >= 0.7 * 34e3, "{about}: {late:?}");
+            assert!(
+                late.age_p99 < Duration::from_millis(600),
+                "{about}: {late:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_loss_of_one_frame_in_twenty_changes_nothing() {
+    for seed in SEEDS {
+        for rate in [34e3, 100e3] {
+            let mut world = world(seed);
+            world.add("wombat-2", 30, move |_| Condition {
+                loss: 0.05,
+                ..Condition::of(rate)
+            });
+            world.run(120);
+            let about = format!("seed {seed}, {rate} B/s");
+            let late = found(&world, "wombat-2", 5, 120);
+            assert!(late.bytes_per_s >= 0.7 * 0.95 * rate, "{about}: {late:?}");
+            assert_calm(&world, Group::Main, 5, 120, &about);
+        }
+    }
+}
+
+#[test]
+fn what_others_send_on_the_link_is_left_to_them() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        let busy = |at: Duration| at >= secs(20) && at < secs(50);
+        world.add("wombat-2", 30, move |at| Condition {
+            others_bytes_per_s: if busy(at) { 40e3 } else { 0.0 },
+            ..Condition::of(100e3)
+        });
+        world.run(80);
+        let meanwhile = found(&world, "wombat-2", 25, 50);
+        assert!(
+            meanwhile.age_p99 < Duration::from_millis(600),
+            "seed {seed}: {meanwhile:?}"
+        );
+        assert!(
+            meanwhile.bytes_per_s >= 0.6 * 60e3,
+            "seed {seed}: {meanwhile:?}"
+        );
+        assert!(
+            found(&world, "wombat-2", 56, 80).bytes_per_s >= 0.7 * 100e3,
+            "seed {seed}"
+        );
+        assert!(
+            changes(&world, Group::Main, 25, 50) <= 3,
+            "seed {seed}: {:?}",
+            world.changes
+        );
+    }
+}
+
+#[test]
+fn a_picture_that_takes_twice_as_much_takes_another_step_and_no_more_time() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        world.scene = Box::new(|at| {
+            if (secs(20)..secs(40)).contains(&at) {
+                2.2
+            } else {
+                1.0
+            }
+        });
+        world.add("wombat-2", 30, |_| Condition::of(34e3));
+        world.run(100);
+        for (from, to) in [(22, 40), (45, 100)] {
+            let late = found(&world, "wombat-2", from, to);
+            assert!(
+                late.age_p99 < Duration::from_millis(600),
+                "seed {seed}: {late:?}"
+            );
+            assert!(
+                late.frames_per_s >= 4.5,
+                "seed {seed}: {late:?} {:?}",
+                world.changes
+            );
+        }
+        assert!(
+            changes(&world, Group::Main, 5, 100) <= 6,
+            "seed {seed}: {:?}",
+            world.changes
+        );
+    }
+}
+
+#[test]
+fn a_laptop_on_wi_fi_is_not_held_down_by_a_robot_on_bluetooth() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        world.add("laptop", 2, |_| Condition::of(20e6));
+        world.add("wombat-2", 30, |_| Condition::of(34e3));
+        world.run(60);
+        let (fast, slow) = (world.place("laptop"), world.place("wombat-2"));
+        let last = fast.arrivals.last().expect("frames");
+        assert_eq!(
+            (last.group, last.level.coding),
+            (Group::Main, Coding::Lossless),
+            "seed {seed}"
+        );
+        assert!(
+            found(&world, "laptop", 20, 60).frames_per_s > 12.0,
+            "seed {seed}"
+        );
+        assert_eq!(
+            slow.arrivals.last().map(|arrival| arrival.group),
+            Some(Group::Slow)
+        );
+        assert!(
+            slow.groups.len() <= 2 && fast.groups.len() <= 2,
+            "seed {seed}"
+        );
+        let late = found(&world, "wombat-2", 10, 60);
+        assert!(
+            late.frames_per_s >= 5.0 && late.bytes_per_s >= 0.7 * 34e3,
+            "seed {seed}: {late:?}"
+        );
+        assert!(
+            late.age_p99 < Duration::from_millis(600),
+            "seed {seed}: {late:?}"
+        );
+    }
+}
+
+#[test]
+fn a_robot_on_bluetooth_that_joins_late_never_gets_a_picture_for_wi_fi() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        world.add_at_times("laptop", 2, |_| Condition::of(20e6), |at| at < secs(40));
+        world.add_at_times("wombat-2", 30, |_| Condition::of(34e3), |at| at > secs(20));
+        world.run(80);
+        let slow = world.place("wombat-2");
+        let oldest = slow
+            .arrivals
+            .iter()
+            .map(|arrival| arrival.age)
+            .max()
+            .expect("frames");
+        assert!(oldest < secs(1), "seed {seed}: {oldest:?}");
+        assert!(
+            found(&world, "wombat-2", 21, 24).frames_per_s >= 3.0,
+            "seed {seed}"
+        );
+        // Once the laptop is gone, the stream's own key is for the robot.
+        assert_eq!(
+            slow.groups.last().map(|&(_, group)| group),
+            Some(Group::Main),
+            "seed {seed}"
+        );
+        assert!(
+            found(&world, "wombat-2", 55, 80).frames_per_s >= 5.0,
+            "seed {seed}"
+        );
+    }
+}
+
+#[test]
+fn what_receivers_say_is_under_60_bytes_a_second() {
+    let mut world = world(1);
+    world.add("wombat-2", 30, |_| Condition::of(34e3));
+    world.run(60);
+    let per_s = world.feedback_bytes / 60;
+    assert!(per_s < 60, "{per_s}");
+}
+
+#[test]
+fn a_sensors_value_takes_six_to_eight_bytes_more_and_goes_at_once() {
+    let start = std::time::Instant::now();
+    let mut sender = Sender::new(Options::sensor(), 7, 1_795_000_000_000, start);
+    assert_eq!(sender.offer(4, start), [], "nobody listens");
+    sender.on_subscribers(Group::Main, true);
+    for n in 0..20_000u32 {
+        let now = start + Duration::from_millis(u64::from(n));
+        let jobs = sender.offer(4, now);
+        assert_eq!(jobs.len(), 1, "value {n}");
+        assert_eq!(jobs[0].level, None);
+        let attachment = sender.on_encoded(jobs[0], 4, now);
+        assert_eq!(attachment.sequence, n);
+        assert!(matches!(attachment.sent, Sent::Low(_)));
+        assert!(attachment.encode().len() <= 8);
+    }
+    assert_eq!(sender.notice(start).feedback_ms, 0);
+}
