@@ -24,6 +24,7 @@ pub use crate::core::{
     name::Name,
     payload::{Cbor, Json, Payload, ToPayload},
     queue::WhenFull,
+    stream::sender::Options as StreamOptions,
     topic::{Pattern, Topic},
     urgency::Urgency,
 };

@@ -8,6 +8,7 @@ mod request;
 mod robot;
 mod service;
 mod state;
+mod stream;
 mod subscriber;
 
 pub use options::Options;
@@ -15,4 +16,5 @@ pub use request::{Replies, Reply};
 pub use robot::{connect, Robot};
 pub use service::{Request, Requests, Service};
 pub use state::{Counters, Events};
+pub use stream::{Frame, Stream, Watch};
 pub use subscriber::{Receiving, Subscriber, Subscription};
