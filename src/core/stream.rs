@@ -20,6 +20,7 @@ pub mod ladder;
 pub mod notice;
 pub mod offset;
 pub mod pacer;
+pub mod picture;
 pub mod rate;
 pub mod receiver;
 pub mod sender;

@@ -11,6 +11,7 @@ use super::{
     notice::{Notice, MAX_NAMES},
     offset::Millis,
     pacer::Pacer,
+    picture::Photographs,
     rate::{Rate, RateLimits},
     status::{in_words, GroupStatus, ReceiverStatus, Status},
     Group,
@@ -38,6 +39,8 @@ pub struct Options {
     pub most_frames_per_s: f64,
     /// Bytes per second.
     pub rates: RateLimits,
+    /// How pictures with a quality are written.
+    pub photographs: Photographs,
     /// The steps, best first; none: [`super::ladder::PICTURES`].
     pub steps: Vec<Level>,
     /// How often receivers are to say what comes; zero: never. Default half a second; 20 to 30 bytes each time.
@@ -61,6 +64,7 @@ impl Default for Options {
             least_frames_per_s: 5.0,
             most_frames_per_s: 15.0,
             rates: RateLimits::default(),
+            photographs: Photographs::default(),
             steps: Vec::new(),
             feedback: Duration::from_millis(500),
         }

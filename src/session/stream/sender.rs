@@ -20,11 +20,13 @@ use crate::{
     core::{
         key::Place,
         payload::{Payload, ToPayload},
+        picture::Picture,
         stream::{
             feedback::Feedback,
             feedback_from, feedback_keys,
             ladder::Level,
             notice_key,
+            picture::{encode, Photographs},
             sender::{Job, Options, Sender},
             status::Status,
             Group,
@@ -42,6 +44,7 @@ use crate::{
 /// A stream that this program sends. It ends when this is dropped.
 pub struct Stream {
     shared: Arc<Shared>,
+    photographs: Photographs,
     /// One frame at a time: they go out in the order of their numbers.
     sending: Mutex<[Publisher<'static>; 2]>,
     task: JoinHandle<()>,
@@ -97,6 +100,7 @@ impl Stream {
         options: Options,
         urgency: Urgency,
     ) -> Result<Self, Error> {
+        let photographs = options.photographs;
         let sender = Sender::new(options, rand::random(), now_ms(), Instant::now());
         let shared = Arc::new(Shared {
             core: Mutex::new(sender),
@@ -126,6 +130,7 @@ impl Stream {
         let task = tokio::spawn(tell_changes(session.clone(), shared.clone()));
         Ok(Self {
             shared,
+            photographs,
             sending: Mutex::new([main, slow]),
             task,
             _declared: (subscriber, queryable, [main_matched, slow_matched]),
@@ -159,6 +164,17 @@ impl Stream {
             self.put(&publishers, *job, encode(job.level)?)?;
         }
         Ok(jobs.len())
+    }
+
+    /// Sends a picture, at the size and quality that get through; for [`send_with`](Self::send_with) with RECT's codecs.
+    ///
+    /// # Errors
+    /// [`Error::Codec`]; [`Error::Zenoh`] when the session is closed.
+    pub fn send_picture(&self, picture: &Picture) -> Result<usize, Error> {
+        let pixels = picture.width() as usize * picture.height() as usize;
+        self.send_with(pixels, |level| {
+            Ok(encode(picture, level, self.photographs)?)
+        })
     }
 
     /// What goes out, what gets through, and why it is as it is.
