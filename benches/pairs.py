@@ -77,6 +77,14 @@ def ble_pair(
         )
 
 
+def ble_pair_endpoints(air: Room) -> tuple[str, str]:
+    """Two linked routers in a room, and where programs reach each."""
+    one = air.add_robot("wombat-1")
+    two = air.add_robot("wombat-2")
+    wait_for_link(one, two)
+    return one.endpoint(), two.endpoint()
+
+
 @contextmanager
 def tcp_pair(bytes_per_s: float, folder: Path, arguments: tuple[str, ...]) -> Iterator[Pair]:
     logs = [folder / "near.log", folder / "far.log"]

@@ -117,7 +117,11 @@ class Robot:
 
     def session(self) -> zenoh.Session:
         """A stock client at this robot's router."""
-        return open_client(f"tcp/127.0.0.1:{self.port}")
+        return open_client(self.endpoint())
+
+    def endpoint(self) -> str:
+        """Where its programs reach its router."""
+        return f"tcp/127.0.0.1:{self.port}"
 
     def ble_links(self) -> list[str]:
         """The names of the peers of its `ble/` links, as its admin space shows them (`ble/wombat-2?rel=1`)."""

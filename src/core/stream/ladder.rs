@@ -77,8 +77,9 @@ impl fmt::Display for Level {
     }
 }
 
-/// The usual steps, from best to least; each needs about three quarters of the one above.
-pub const PICTURES: [Level; 15] = [
+/// The usual steps, from best to least; each needs about three quarters of the one above. Measured on photographs
+/// (SSIM by bytes, `benches/stream.py`): below a quality of 25, the next smaller size looks better for the same bytes.
+pub const PICTURES: [Level; 16] = [
     Level::new(Coding::Lossless, 4),
     Level::new(Coding::Lossy(92), 4),
     Level::new(Coding::Lossy(85), 4),
@@ -86,14 +87,15 @@ pub const PICTURES: [Level; 15] = [
     Level::new(Coding::Lossy(60), 4),
     Level::new(Coding::Lossy(45), 4),
     Level::new(Coding::Lossy(32), 4),
-    Level::new(Coding::Lossy(45), 3),
-    Level::new(Coding::Lossy(30), 3),
-    Level::new(Coding::Lossy(60), 2),
-    Level::new(Coding::Lossy(40), 2),
-    Level::new(Coding::Lossy(25), 2),
-    Level::new(Coding::Lossy(16), 2),
-    Level::new(Coding::Lossy(50), 1),
-    Level::new(Coding::Lossy(25), 1),
+    Level::new(Coding::Lossy(25), 4),
+    Level::new(Coding::Lossy(32), 3),
+    Level::new(Coding::Lossy(22), 3),
+    Level::new(Coding::Lossy(45), 2),
+    Level::new(Coding::Lossy(30), 2),
+    Level::new(Coding::Lossy(20), 2),
+    Level::new(Coding::Lossy(60), 1),
+    Level::new(Coding::Lossy(35), 1),
+    Level::new(Coding::Lossy(18), 1),
 ];
 
 /// Why another step was taken.
@@ -315,7 +317,7 @@ mod tests {
         let taken = run(&mut slow, &mut now, 5, 1.0, 29e3);
         assert!(taken.len() == 1 && taken[0].quarters < 4, "{taken:?}");
         let tiny = run(&mut ladder(), &mut now, 5, 1.0, 100.0);
-        assert_eq!(tiny, [PICTURES[14]]);
+        assert_eq!(tiny, [PICTURES[15]]);
     }
 
     #[test]

@@ -21,6 +21,8 @@ const FIRST_QUESTIONS: u32 = 4;
 const OVERTAKEN_MS: i16 = -2000;
 /// No frame takes less, as far as these clocks can tell.
 const SHORTEST: Duration = Duration::from_millis(1);
+/// Smaller frames take what any message takes: they tell nothing of the pace.
+const LEAST_PACED_BYTES: usize = 500;
 const MOST_AGES: usize = 1024;
 
 /// A frame that came.
@@ -145,7 +147,8 @@ impl Receiver {
         };
         let age = sent.map(|low| self.offset.on_frame(low, now));
         let span = &mut self.span;
-        if let Some((age, least)) = age.and_then(|age| Some((age.age, age.least?))) {
+        let known = age.and_then(|age| Some((age.age, age.least?)));
+        if let Some((age, least)) = known.filter(|_| bytes >= LEAST_PACED_BYTES) {
             // A frame that waited for the one before it had the way only after that.
             let alone = self.last.map_or(age, |last| {
                 age.min(now.saturating_duration_since(last.came) + least)
@@ -369,6 +372,26 @@ mod tests {
             assert!((27_000..33_000).contains(&pace), "every {every_ms}: {pace}");
             assert_eq!((said.frames, said.bytes, said.skipped), (5, 15_000, 0));
         }
+    }
+
+    #[test]
+    fn frames_of_a_few_bytes_tell_no_pace() {
+        let start = Instant::now();
+        let mut receiver = receiver(start);
+        let notice = Notice {
+            feedback_ms: 500,
+            ..Notice::default()
+        };
+        receiver.on_answer(&notice, start, start);
+        for n in 0..5u64 {
+            let came = start + ms(n * 100 + 40);
+            receiver.on_frame(frame(1, n as u32, n * 100), 20, came);
+        }
+        let said = receiver.poll_feedback(start + ms(1000)).expect("something");
+        assert_eq!(
+            (said.frames, said.age_ms, said.pace_bytes_per_s),
+            (5, 40, None)
+        );
     }
 
     #[test]
