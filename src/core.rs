@@ -15,5 +15,6 @@ pub mod queue;
 pub mod request;
 pub mod stream;
 pub mod topic;
+pub mod transfer;
 pub mod urgency;
 pub mod wording;

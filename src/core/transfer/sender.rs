@@ -1,0 +1,401 @@
+//! Owns the sending side of one transfer: when to offer it (again), what a request gets, and when it is over.
+//!
+//! It offers until the receiver says how it ended: links come and go, the receiver's program may not run yet, and either
+//! may be restarted. While the receiver asks for ranges it need not be asked how it goes.
+use std::{
+    ops::Range,
+    time::{Duration, Instant},
+};
+
+use super::{
+    answer::{Answer, Fault, Refusal},
+    progress::Progress,
+    request::Request,
+};
+
+/// Between the first two offers where nobody answers; twice as long each time.
+const FIRST_PAUSE: Duration = Duration::from_millis(250);
+/// The longest pause between two offers.
+const LAST_PAUSE: Duration = Duration::from_secs(5);
+/// How long a receiver that works on it may say nothing before it is asked again.
+const QUIET: Duration = Duration::from_secs(3);
+/// How long an offer is waited for, whatever the layer below says.
+const ANSWER: Duration = Duration::from_secs(10);
+
+/// A transfer that is being sent. Given the time and what came; says what to do.
+#[derive(Debug)]
+pub struct Sender {
+    size_bytes: u64,
+    patience: Option<Duration>,
+    state: State,
+    pause: Duration,
+    jitter: u64,
+    heard: Instant,
+    /// How often nobody answered since something was heard.
+    unanswered: u32,
+    held_bytes: u64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum State {
+    /// An offer is out. `again`: something happened since; offer again as soon as this one is answered.
+    Offering {
+        until: Instant,
+        again: bool,
+    },
+    Waiting {
+        until: Instant,
+    },
+    Over(Outcome),
+}
+
+/// How a transfer ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// All is there, with the right checksum.
+    Done,
+    /// It is not taken.
+    Refused(Refusal),
+    /// It was taken, and can't be finished.
+    Failed(Fault),
+    /// Nothing was heard of the receiver for as long as the program wanted to wait.
+    Unanswered(Duration),
+}
+
+/// What to do next.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    /// Offer it, wait at most so long, and tell what was answered ([`Sender::on_answers`]).
+    Offer(Duration),
+    /// Nothing before then, unless something comes.
+    Wait(Instant),
+    /// It is over.
+    Over(Outcome),
+}
+
+impl Sender {
+    /// Of so many bytes. `patience`: how long nothing may be heard of the receiver; `None`: until the program ends it.
+    /// `seed`: any number; pauses vary by it, so that many robots do not offer at once.
+    pub fn new(now: Instant, size_bytes: u64, patience: Option<Duration>, seed: u64) -> Self {
+        Self {
+            size_bytes,
+            patience,
+            state: State::Waiting { until: now },
+            pause: FIRST_PAUSE,
+            jitter: seed | 1,
+            heard: now,
+            unanswered: 0,
+            held_bytes: 0,
+        }
+    }
+
+    /// What to do now.
+    pub fn poll(&mut self, now: Instant) -> Step {
+        match self.state.clone() {
+            State::Offering { until, .. } if until <= now => {
+                self.on_answers(now, &[]);
+                self.poll(now)
+            }
+            State::Waiting { until } if until <= now => {
+                self.state = State::Offering {
+                    until: now + ANSWER,
+                    again: false,
+                };
+                Step::Offer(ANSWER / 2)
+            }
+            State::Offering { until, .. } | State::Waiting { until } => Step::Wait(until),
+            State::Over(outcome) => Step::Over(outcome),
+        }
+    }
+
+    /// What the receiver's programs answered to an offer; none if nobody did.
+    pub fn on_answers(&mut self, now: Instant, answers: &[Answer]) {
+        let State::Offering { again, .. } = self.state else {
+            return;
+        };
+        if !answers.is_empty() {
+            (self.heard, self.unanswered) = (now, 0);
+        }
+        for answer in answers {
+            if let Answer::Running { held_bytes } = answer {
+                self.on_held(*held_bytes);
+            }
+        }
+        if let Some(outcome) = settled(answers) {
+            if outcome == Outcome::Done {
+                self.held_bytes = self.size_bytes;
+            }
+            self.state = State::Over(outcome);
+            return;
+        }
+        let pause = if answers.is_empty() {
+            self.unanswered += 1;
+            let silent = now.saturating_duration_since(self.heard);
+            if self.unanswered > 3 && self.patience.is_some_and(|patience| silent > patience) {
+                self.state = State::Over(Outcome::Unanswered(silent));
+                return;
+            }
+            let pause = self.pause;
+            self.pause = (pause * 2).min(LAST_PAUSE);
+            pause + pause.mul_f64(self.random() / 4.0)
+        } else {
+            self.pause = FIRST_PAUSE;
+            QUIET
+        };
+        let pause = if again { Duration::ZERO } else { pause };
+        self.state = State::Waiting { until: now + pause };
+    }
+
+    /// 0 to 1. Xorshift: it only has to differ.
+    fn random(&mut self) -> f64 {
+        self.jitter ^= self.jitter << 13;
+        self.jitter ^= self.jitter >> 7;
+        self.jitter ^= self.jitter << 17;
+        (self.jitter >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// The receiver asks. Which bytes it gets; `None`: it only told something.
+    ///
+    /// # Errors
+    /// [`Fault::Protocol`]: there are no such bytes. It gets this instead.
+    pub fn on_request(
+        &mut self,
+        now: Instant,
+        request: &Request,
+    ) -> Result<Option<Range<u64>>, Fault> {
+        (self.heard, self.unanswered) = (now, 0);
+        match *request {
+            Request::Range {
+                offset,
+                length,
+                held_bytes,
+            } => {
+                let range = Request::range(offset, length, self.size_bytes)?;
+                self.on_held(held_bytes);
+                if let State::Waiting { .. } = self.state {
+                    self.state = State::Waiting { until: now + QUIET };
+                }
+                Ok(Some(range))
+            }
+            Request::Ended => {
+                match &mut self.state {
+                    State::Waiting { until } => *until = now,
+                    State::Offering { again, .. } => *again = true,
+                    State::Over(_) => {}
+                }
+                Ok(None)
+            }
+        }
+    }
+
+    fn on_held(&mut self, held_bytes: u64) {
+        self.held_bytes = held_bytes.min(self.size_bytes);
+    }
+
+    /// The source can't be read any more, or is another one.
+    pub fn on_fault(&mut self, fault: Fault) {
+        if !matches!(self.state, State::Over(_)) {
+            self.state = State::Over(Outcome::Failed(fault));
+        }
+    }
+
+    /// How much the receiver holds, as far as it told.
+    pub fn progress(&self) -> Progress {
+        Progress {
+            held_bytes: self.held_bytes,
+            size_bytes: self.size_bytes,
+        }
+    }
+}
+
+/// What several programs of a robot say to one offer: whoever works on it counts most, then whoever has it, then whoever
+/// failed; and only if none wants it, it is refused.
+fn settled(answers: &[Answer]) -> Option<Outcome> {
+    let rank = |answer: &Answer| match answer {
+        Answer::Running { .. } | Answer::Busy => 0,
+        Answer::Done => 1,
+        Answer::Failed(_) => 2,
+        Answer::Refused(Refusal::NotWanted) => 4,
+        Answer::Refused(_) => 3,
+    };
+    match answers.iter().min_by_key(|answer| rank(answer))? {
+        Answer::Running { .. } | Answer::Busy => None,
+        Answer::Done => Some(Outcome::Done),
+        Answer::Failed(fault) => Some(Outcome::Failed(fault.clone())),
+        Answer::Refused(refusal) => Some(Outcome::Refused(refusal.clone())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sender(patience: Option<Duration>) -> (Sender, Instant) {
+        let now = Instant::now();
+        (Sender::new(now, 1000, patience, 42), now)
+    }
+
+    fn range(offset: u64, held_bytes: u64) -> Request {
+        Request::Range {
+            offset,
+            length: 100,
+            held_bytes,
+        }
+    }
+
+    /// When it offers next.
+    fn offers_at(sender: &mut Sender, now: Instant) -> Instant {
+        match sender.poll(now) {
+            Step::Wait(until) => until,
+            step => panic!("{step:?}"),
+        }
+    }
+
+    #[test]
+    fn it_offers_less_and_less_often_where_nobody_answers() {
+        let (mut sender, mut now) = sender(None);
+        let mut pauses = Vec::new();
+        for _ in 0..20 {
+            assert!(matches!(sender.poll(now), Step::Offer(_)));
+            sender.on_answers(now, &[]);
+            let next = offers_at(&mut sender, now);
+            pauses.push(next - now);
+            now = next;
+        }
+        assert!(pauses[0] < FIRST_PAUSE * 2, "{pauses:?}");
+        assert!(
+            pauses
+                .iter()
+                .all(|&pause| pause <= LAST_PAUSE.mul_f64(1.25)),
+            "{pauses:?}"
+        );
+        assert!(
+            pauses[19] >= LAST_PAUSE && pauses[19] != pauses[18],
+            "they vary: {pauses:?}"
+        );
+    }
+
+    #[test]
+    fn it_does_not_ask_while_the_receiver_works() {
+        let (mut sender, mut now) = sender(None);
+        sender.poll(now);
+        sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+        for n in 0..10 {
+            now += Duration::from_secs(1);
+            assert_eq!(
+                sender.on_request(now, &range(n * 100, n * 100)),
+                Ok(Some(n * 100..n * 100 + 100))
+            );
+            assert_eq!(offers_at(&mut sender, now), now + QUIET);
+        }
+        assert_eq!(sender.progress().held_bytes, 900);
+        now += QUIET;
+        assert!(
+            matches!(sender.poll(now), Step::Offer(_)),
+            "quiet for too long"
+        );
+    }
+
+    #[test]
+    fn told_that_it_ended_it_asks_how_at_once() {
+        let (mut sender, now) = sender(None);
+        sender.poll(now);
+        assert_eq!(sender.on_request(now, &Request::Ended), Ok(None));
+        sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+        assert!(
+            matches!(sender.poll(now), Step::Offer(_)),
+            "told while an offer was out"
+        );
+        sender.on_answers(now, &[Answer::Running { held_bytes: 900 }]);
+        assert_eq!(sender.on_request(now, &Request::Ended), Ok(None));
+        assert!(
+            matches!(sender.poll(now), Step::Offer(_)),
+            "told while it waited"
+        );
+        sender.on_answers(now, &[Answer::Done]);
+        assert_eq!(sender.poll(now), Step::Over(Outcome::Done));
+        assert_eq!(sender.progress().fraction(), 1.0);
+        assert!(
+            sender.on_request(now, &range(0, 0)).is_ok(),
+            "a late one is answered"
+        );
+        sender.on_fault(Fault::Checksum);
+        assert_eq!(sender.poll(now), Step::Over(Outcome::Done), "over is over");
+    }
+
+    #[test]
+    fn of_several_answers_the_one_that_works_on_it_counts() {
+        let running = Answer::Running { held_bytes: 1 };
+        let failed = || Answer::Failed(Fault::Checksum);
+        let not_wanted = || Answer::Refused(Refusal::NotWanted);
+        let too_large = || Answer::Refused(Refusal::TooLarge { limit_bytes: 1 });
+        let cases = [
+            (vec![], None),
+            (vec![Answer::Done, running], None),
+            (vec![not_wanted(), Answer::Busy], None),
+            (
+                vec![not_wanted(), Answer::Done, failed()],
+                Some(Outcome::Done),
+            ),
+            (
+                vec![not_wanted(), failed()],
+                Some(Outcome::Failed(Fault::Checksum)),
+            ),
+            (
+                vec![not_wanted(), too_large()],
+                Some(Outcome::Refused(Refusal::TooLarge { limit_bytes: 1 })),
+            ),
+            (
+                vec![not_wanted()],
+                Some(Outcome::Refused(Refusal::NotWanted)),
+            ),
+        ];
+        for (answers, expected) in cases {
+            assert_eq!(settled(&answers), expected, "{answers:?}");
+        }
+    }
+
+    #[test]
+    fn it_waits_as_long_as_it_is_told_to() {
+        let patience = Duration::from_secs(30);
+        let (mut sender, start) = sender(Some(patience));
+        let mut now = start;
+        let outcome = loop {
+            match sender.poll(now) {
+                Step::Offer(_) => sender.on_answers(now, &[]),
+                Step::Wait(until) => now = until,
+                Step::Over(outcome) => break outcome,
+            }
+        };
+        assert!(matches!(outcome, Outcome::Unanswered(silent) if silent > patience));
+        assert!(now < start + patience + LAST_PAUSE * 2);
+    }
+
+    #[test]
+    fn an_offer_that_is_never_answered_is_given_up() {
+        let (mut sender, now) = sender(None);
+        assert!(matches!(sender.poll(now), Step::Offer(_)));
+        let until = offers_at(&mut sender, now);
+        assert_eq!(until, now + ANSWER);
+        assert!(
+            offers_at(&mut sender, until) > until,
+            "as if nobody had answered"
+        );
+        sender.on_answers(until, &[Answer::Done]);
+        assert!(
+            !matches!(sender.poll(until), Step::Over(_)),
+            "an answer to no offer"
+        );
+    }
+
+    #[test]
+    fn what_is_not_there_can_not_be_asked_for() {
+        let (mut sender, now) = sender(None);
+        assert!(matches!(
+            sender.on_request(now, &range(950, 0)),
+            Err(Fault::Protocol(_))
+        ));
+        assert!(sender.on_request(now, &range(900, u64::MAX)).is_ok());
+        assert_eq!(sender.progress().held_bytes, 1000, "no more than there is");
+    }
+}
