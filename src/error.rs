@@ -1,5 +1,5 @@
 //! Owns what can go wrong in a session, with what to do about it.
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use crate::core::{
     codec::CodecError,
@@ -7,6 +7,8 @@ use crate::core::{
     payload::{Payload, PayloadError},
     topic::TopicError,
     wording,
+    topic::{Topic, TopicError},
+    transfer::{Fault, OfferError, Refusal},
 };
 
 /// Something did not work. Each text says what to do.
@@ -80,6 +82,40 @@ pub enum Error {
         /// What Zenoh says.
         reason: String,
     },
+    /// A transfer is not taken there. Who is to receive it says what it takes (`receive_transfers`).
+    #[error("{robot} does not take the transfer {topic}: {refusal}")]
+    TransferRefused {
+        /// Who was to receive it.
+        robot: Name,
+        /// About what.
+        topic: Topic,
+        /// Why.
+        #[source]
+        refusal: Refusal,
+    },
+    /// A transfer began and ended before all was there. The reason says whether to send it again.
+    #[error("the transfer {topic} with {robot} did not get there: {fault}")]
+    TransferFailed {
+        /// Who is at the other end.
+        robot: Name,
+        /// About what.
+        topic: Topic,
+        /// Why.
+        #[source]
+        fault: Fault,
+    },
+    /// A file or folder of a transfer can't be used.
+    #[error("{}: {reason}", .path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system says.
+        #[source]
+        reason: std::io::Error,
+    },
+    /// The name of what is transferred. Choose another.
+    #[error(transparent)]
+    Offer(#[from] OfferError),
     /// The session was closed.
     #[error("the session is closed")]
     Closed,

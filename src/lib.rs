@@ -3,7 +3,9 @@
 //!
 //! Two storeys. [`core`] decides: names, keys, encodings, codecs, and the state machines of what takes more than one
 //! message; it is given the time and the bytes, and does no I/O. Above it are the sessions on zenoh (feature `session`).
+//! [`storage`] is beside them: the files of transfers.
 pub mod core;
+pub mod storage;
 
 #[cfg(feature = "session")]
 pub mod blocking;

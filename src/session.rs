@@ -10,6 +10,7 @@ mod service;
 mod state;
 mod stream;
 mod subscriber;
+mod transfer;
 
 pub use options::Options;
 pub use request::{Replies, Reply};
@@ -18,3 +19,6 @@ pub use service::{Request, Requests, Service};
 pub use state::{Counters, Events};
 pub use stream::{Frame, Stream, Watch};
 pub use subscriber::{Receiving, Subscriber, Subscription};
+pub use transfer::{
+    Incoming, Keep, ReceiveTransfers, Received, Transfer, TransferSource, Transfers,
+};

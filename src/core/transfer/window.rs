@@ -7,7 +7,7 @@
 //!
 //! So the limit is `rate * base + headroom`: what came per second in the last round trips, times what a piece takes when
 //! nothing waits in front of it, plus one piece that waits. `base` is the least that a piece took lately. A queue of one's
-//! own would in time be taken for a part of the way: every [`BASE_AGE`] one piece goes alone, and is measured anew.
+//! own would in time be taken for a part of the way: every 15 s one piece goes alone, and is measured anew.
 use std::time::{Duration, Instant};
 
 use super::MAX_PIECE_BYTES;

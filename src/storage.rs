@@ -1,0 +1,36 @@
+//! Owns the files of transfers: what is sent ([`Source`]), and what is kept of what comes ([`Store`]). The one place that
+//! touches the disk; nothing of Zenoh, so that every language's sessions use the same.
+mod source;
+mod store;
+
+pub use source::Source;
+pub use store::{Content, Store};
+
+use std::{
+    fs::File,
+    io::{self, Read},
+};
+
+use sha2::{Digest, Sha256};
+
+use crate::core::transfer::Checksum;
+
+/// How much is read at once.
+const BUFFER_BYTES: usize = 256 * 1024;
+
+/// SHA-256 of a whole file, in little memory.
+fn checksum(file: &mut File) -> io::Result<(Checksum, u64)> {
+    let (mut hash, mut size) = (Sha256::new(), 0);
+    let mut buffer = vec![0; BUFFER_BYTES];
+    loop {
+        match file.read(&mut buffer) {
+            Ok(0) => return Ok((Checksum(hash.finalize().into()), size)),
+            Ok(read) => {
+                hash.update(buffer.get(..read).unwrap_or_default());
+                size += read as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
