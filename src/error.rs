@@ -5,10 +5,9 @@ use crate::core::{
     codec::CodecError,
     name::{Name, NameError},
     payload::{Payload, PayloadError},
-    topic::TopicError,
-    wording,
     topic::{Topic, TopicError},
     transfer::{Fault, OfferError, Refusal},
+    wording,
 };
 
 /// Something did not work. Each text says what to do.

@@ -17,9 +17,13 @@ async fn main() -> Result<(), rect::Error> {
         return serve(&robot).await;
     };
     // The answer comes to this call alone. An error of the service is an error here.
-    let reply = robot.request(other.as_str(), "battery", json!({"cell": 1}), PATIENCE).await?;
+    let reply = robot
+        .request(other.as_str(), "battery", json!({"cell": 1}), PATIENCE)
+        .await?;
     println!("{}: {}", reply.from, reply.payload.value::<Value>()?);
-    let mut replies = robot.request_all("battery", json!({"cell": 9}), PATIENCE).await?;
+    let mut replies = robot
+        .request_all("battery", json!({"cell": 9}), PATIENCE)
+        .await?;
     while let Some(reply) = replies.next().await {
         match reply {
             Ok(reply) => println!("{}: {}", reply.from, reply.payload.value::<Value>()?),

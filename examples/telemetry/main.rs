@@ -28,7 +28,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robot = rect::connect(&name).await?;
 
     // Messages like those to come make a dictionary, with which 60 bytes become a third. Others fetch it by themselves.
-    let samples: Vec<_> = (0..2000).flat_map(|n| serde_json::to_vec(&measured(n))).collect();
+    let samples: Vec<_> = (0..2000)
+        .flat_map(|n| serde_json::to_vec(&measured(n)))
+        .collect();
     let dictionary = Arc::new(Dictionary::train(&samples, 4096)?);
     let packed = robot.packed_with(dictionary)?;
 

@@ -45,7 +45,11 @@ async fn be_driven(robot: &rect::Robot) -> Result<(), rect::Error> {
     loop {
         let next = tokio::time::timeout(Duration::from_millis(500), commands.recv()).await;
         match next {
-            Ok(Some(message)) => println!("{} says {:?}", message.from, message.payload.value::<Drive>()?),
+            Ok(Some(message)) => println!(
+                "{} says {:?}",
+                message.from,
+                message.payload.value::<Drive>()?
+            ),
             Ok(None) => return Ok(()),
             Err(_) => println!("nobody steers: {STOP:?}"),
         }

@@ -6,10 +6,7 @@ use std::time::{Duration, Instant};
 
 use rect::{blocking::Robot, Event, Json, Options};
 use serde_json::json;
-use support::{
-    wombat::{ble, file, Wombat},
-    Air, DEADLINE,
-};
+use support::{ble, file, Air, Wombat, DEADLINE};
 use zenoh_link::ble::radio::sim::{control, Control};
 
 /// A program at that robot's router.
@@ -55,7 +52,9 @@ fn programs_of_two_robots_talk_over_ble_and_are_told_so() {
     });
     assert_eq!(over.as_deref(), Some("ble"));
     let radio = two.connections().expect("the registry answers");
-    let radio = radio.iter().find(|one| one.name.as_deref() == Some("radio"));
+    let radio = radio
+        .iter()
+        .find(|one| one.name.as_deref() == Some("radio"));
     assert_eq!(radio.expect("the one of the file").method, "ble");
 
     let _service = one
@@ -87,9 +86,15 @@ fn what_was_said_while_the_radio_was_cut_is_told_as_a_gap() {
         heard.next_within(Duration::from_millis(50)).is_some()
     });
     let tell = |what| {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-        let told = control(&air.socket(), what);
-        runtime.expect("a runtime").block_on(told).expect("the air does it");
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build();
+        let socket = air.socket();
+        let told = control(&socket, what);
+        runtime
+            .expect("a runtime")
+            .block_on(told)
+            .expect("the air does it");
     };
     tell(Control::Cut);
     until("the link is down", || {
