@@ -150,11 +150,16 @@ fn what_is_there_already_is_not_touched_and_secrets_are_private() {
     let again = rect_router(&["init", "wombat-1", "--folder", &folder]);
     assert!(!again.status.success() && said(&again).contains("is there already"));
     assert_eq!(fs::read_to_string(&users).expect("there"), before);
-    for wrong in ["a b", "", "hci0", "**"] {
+    for (wrong, named) in [
+        ("a b", "' '"),
+        ("", "1 to 29"),
+        ("hci0", "adapter"),
+        ("**", "'*'"),
+    ] {
         let folder = root.path().join("wrong").display().to_string();
         let output = rect_router(&["init", wrong, "--folder", &folder]);
         assert!(
-            !output.status.success() && said(&output).contains("letters"),
+            !output.status.success() && said(&output).contains(named),
             "{wrong}"
         );
         assert!(!Path::new(&folder).exists(), "{wrong}");

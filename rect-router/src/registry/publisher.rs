@@ -15,13 +15,14 @@ use super::{
 
 /// Several changes within so long are published as one.
 const TOGETHER: Duration = Duration::from_millis(50);
-/// How often to look who is heard. Nobody tells: a robot in the air is heard ten times a second, and one that has gone never
-/// again. So a hall where robots come and go costs one publication in so long.
+/// How often to look who is heard, and whose the identifiers at the other ends are. Nobody tells: a robot in the air is heard
+/// ten times a second, and one that has gone never again; and which robot a new link leads to is known a moment after the
+/// link. So a hall where robots come and go costs one publication in so long.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Publishes until nobody can tell of a change any more.
 pub fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
-    let mut told = Discovered::default();
+    let mut told = Others::default();
     loop {
         let is_changed = match changes.recv_timeout(LOOK) {
             Ok(()) => gather(changes),
@@ -55,15 +56,19 @@ fn gather(changes: &Receiver<()>) -> Result<bool, RecvTimeoutError> {
     }
 }
 
-/// Whom the last publication told of as heard and not linked.
+/// Whom the last publication told of: who is heard and not linked, by address, and the robots at the other ends, by id.
 #[derive(Default)]
-struct Discovered(BTreeSet<String>);
+struct Others(BTreeSet<(String, Option<String>)>);
 
-impl Discovered {
-    /// Takes in who is heard now; tells whether they are others.
+impl Others {
+    /// Takes in who is there now; tells whether they are others.
     fn are_now(&mut self, connections: &[Connection]) -> bool {
-        let heard = connections.iter().filter(|c| c.state == State::Discovered);
-        let now = heard.map(|one| one.address.clone()).collect();
+        let who = |one: &Connection| match (one.state, &one.peer) {
+            (State::Discovered, _) => Some((one.address.clone(), None)),
+            (_, Some(peer)) => Some((peer.id.clone(), Some(peer.robot.clone()?))),
+            (_, None) => None,
+        };
+        let now = connections.iter().filter_map(who).collect();
         std::mem::replace(&mut self.0, now) != self.0
     }
 }
@@ -72,7 +77,7 @@ impl Discovered {
 mod tests {
     use zenoh_link::ble::BLE_LOCATOR_PREFIX as BLE;
 
-    use super::*;
+    use super::{super::document::PeerId, *};
 
     fn heard(robot: &str, rssi_dbm: i16) -> Connection {
         Connection {
@@ -83,7 +88,7 @@ mod tests {
 
     #[test]
     fn who_comes_or_goes_is_a_change_and_a_stronger_signal_is_none() {
-        let mut told = Discovered::default();
+        let mut told = Others::default();
         let linked = Connection::of(BLE, "wombat-9", State::Connected);
         assert!(
             !told.are_now(std::slice::from_ref(&linked)),
@@ -96,5 +101,23 @@ mod tests {
         assert!(told.are_now(&[heard("wombat-3", -60)]));
         assert!(told.are_now(&[]), "the last has gone");
         assert!(!told.are_now(&[]));
+    }
+
+    #[test]
+    fn whom_a_link_leads_to_is_a_change_once_it_is_known() {
+        let to = |robot: Option<&str>| {
+            let (id, robot) = ("a1".to_owned(), robot.map(str::to_owned));
+            Connection {
+                peer: Some(PeerId { id, robot }),
+                ..Connection::of(BLE, "wombat-2", State::Connected)
+            }
+        };
+        let mut told = Others::default();
+        assert!(
+            !told.are_now(&[to(None)]),
+            "the link itself is told by others"
+        );
+        assert!(told.are_now(&[to(Some("wombat-2"))]));
+        assert!(!told.are_now(&[to(Some("wombat-2"))]));
     }
 }
