@@ -221,6 +221,11 @@ pub struct Air {
 impl Air {
     /// Begins to serve.
     pub fn new() -> Self {
+        Self::with(AirOptions::default())
+    }
+
+    /// The same with other properties.
+    pub fn with(options: AirOptions) -> Self {
         let dir = tempfile::tempdir().expect("a directory");
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
@@ -229,7 +234,7 @@ impl Air {
             .expect("a runtime");
         let path = dir.path().join("air.sock");
         runtime.block_on(async move {
-            let server = AirServer::bind(&path, AirOptions::default()).expect("an air");
+            let server = AirServer::bind(&path, options).expect("an air");
             tokio::spawn(server.serve());
         });
         Self { dir, runtime }

@@ -1,0 +1,42 @@
+//! Whatever a stream's receiver says: what reads writes back to what reads the same, in bounds, and moves the sender's rates
+//! nowhere past its limits.
+#![no_main]
+use std::time::{Duration, Instant};
+
+use libfuzzer_sys::fuzz_target;
+use rect::core::{
+    name::Name,
+    stream::{
+        feedback::{Feedback, MAX_BYTES},
+        notice::Notice,
+        sender::{Options, Sender},
+        Group,
+    },
+};
+
+fuzz_target!(|said: &[u8]| {
+    if let Ok(notice) = Notice::decode(said) {
+        assert_eq!(Notice::decode(&notice.encode()).ok(), Some(notice));
+    }
+    let mut now = Instant::now();
+    let robot = Name::new("wombat-2").expect("a name");
+    let mut sender = Sender::new(Options::default(), 1, 0, now);
+    for one in said.chunks(MAX_BYTES) {
+        let Ok(feedback) = Feedback::decode(one) else {
+            continue;
+        };
+        let bytes = feedback.encode();
+        assert!(bytes.len() <= MAX_BYTES);
+        assert_eq!(Feedback::decode(&bytes), Ok(feedback));
+        now += Duration::from_millis(500);
+        sender.on_feedback(&robot, &feedback, now);
+        sender.on_subscribers(Group::Main, true);
+        for job in sender.offer(320 * 240, now) {
+            sender.on_encoded(job, 3000, now);
+        }
+        let limits = Options::default().rates;
+        for group in sender.status().groups {
+            assert!((limits.least..=limits.most).contains(&group.bytes_per_s));
+        }
+    }
+});
