@@ -16,6 +16,8 @@ use crate::{
 
 /// Where a robot's router serves its programs unless told otherwise.
 const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
+/// Where another router is named for all programs that do not name one.
+const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
 /// Where `rect-router init` puts the logins.
 const DEFAULT_LOGIN_FILE: &str = "/etc/rect/users";
 const DEFAULT_FLEET: &str = "rect";
@@ -52,7 +54,7 @@ impl Options {
         let robot = robot.try_into()?;
         Ok(Self {
             place: Place { fleet, robot },
-            router: DEFAULT_ROUTER.to_owned(),
+            router: Self::default_router(),
             endpoints: Vec::new(),
             listen: Vec::new(),
             login: None,
@@ -74,7 +76,15 @@ impl Options {
         Ok(self)
     }
 
-    /// At another router, as `tcp/192.168.0.7:7447`; default `tcp/127.0.0.1:7447`.
+    /// The router of programs that name none: what the environment's `RECT_ENDPOINT` says, else `tcp/127.0.0.1:7447`.
+    pub fn default_router() -> String {
+        let given = std::env::var(ROUTER_VARIABLE).ok();
+        given
+            .filter(|given| !given.is_empty())
+            .unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
+    }
+
+    /// At another router, as `tcp/192.168.0.7:7447`; default: [`default_router`](Self::default_router).
     #[must_use]
     pub fn router(mut self, endpoint: impl Into<String>) -> Self {
         self.router = endpoint.into();

@@ -19,8 +19,8 @@ pub struct JoinArguments {
     /// The team's name
     #[arg(long, default_value = "rect")]
     fleet: String,
-    /// The router
-    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    /// The router; $RECT_ENDPOINT changes the default
+    #[arg(long, value_name = "ENDPOINT", default_value_t = Options::default_router())]
     router: String,
     /// The login file, where the router wants a login
     #[arg(long, value_name = "FILE", default_value = "/etc/rect/users")]

@@ -1,0 +1,156 @@
+//! The library's examples, each as two programs at a router: `cargo test -p rect -p rect-router --test examples`, after
+//! `cargo build -p rect --examples`.
+mod support;
+
+use std::{
+    io::{BufRead, BufReader},
+    path::Path,
+    process::{Child, Command, Stdio},
+    sync::mpsc::{self, Receiver},
+    thread,
+    time::Instant,
+};
+
+use support::{built_with, skip, Router, DEADLINE};
+
+/// An example that runs, killed at the end of the test.
+struct Example {
+    child: Child,
+    lines: Receiver<String>,
+}
+
+impl Example {
+    fn start(name: &str, arguments: &[&str], endpoint: &str, folder: &Path) -> Option<Self> {
+        let program = built_with("dev").join("examples").join(name);
+        if !program.exists() {
+            skip("needs the examples: cargo build -p rect --examples");
+            return None;
+        }
+        let mut child = Command::new(program)
+            .args(arguments)
+            .current_dir(folder)
+            .env("RECT_ENDPOINT", endpoint)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("it starts");
+        let (said, lines) = mpsc::channel();
+        let output = child.stdout.take().expect("piped");
+        thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                if said.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Some(Self { child, lines })
+    }
+
+    fn says(&self, text: &str) {
+        let deadline = Instant::now() + DEADLINE;
+        let mut all = Vec::new();
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.lines.recv_timeout(left) {
+                Ok(line) if line.contains(text) => return,
+                Ok(line) => all.push(line),
+                Err(_) => panic!("it does not say {text:?}: {all:#?}"),
+            }
+        }
+    }
+}
+
+impl Drop for Example {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A router, and a folder to be in.
+struct Stage {
+    endpoint: String,
+    folder: tempfile::TempDir,
+    _router: Router,
+}
+
+impl Stage {
+    fn new() -> Self {
+        let mut router = Router::start(&["-l", "tcp/127.0.0.1:0", "--no-multicast-scouting"]);
+        Self {
+            endpoint: router.listener(),
+            folder: tempfile::tempdir().expect("a folder"),
+            _router: router,
+        }
+    }
+
+    fn start(&self, name: &str, arguments: &[&str]) -> Option<Example> {
+        Example::start(name, arguments, &self.endpoint, self.folder.path())
+    }
+}
+
+#[test]
+fn telemetry_of_each_is_heard_by_the_other() {
+    let stage = Stage::new();
+    let Some(one) = stage.start("telemetry", &["wombat-1"]) else {
+        return;
+    };
+    let other = stage.start("telemetry", &["wombat-2"]).expect("built");
+    other.says("wombat-1: Telemetry { angle_deg");
+    one.says("wombat-2: Telemetry { angle_deg");
+}
+
+#[test]
+fn teleoperation_steers_the_other() {
+    let stage = Stage::new();
+    let Some(driven) = stage.start("teleoperation", &["wombat-1"]) else {
+        return;
+    };
+    let driver = stage.start("teleoperation", &["laptop", "wombat-1"]);
+    driven.says("laptop says Drive { left: ");
+    drop(driver);
+    driven.says("nobody steers");
+}
+
+#[test]
+fn a_request_is_answered() {
+    let stage = Stage::new();
+    let Some(serving) = stage.start("request", &["wombat-1"]) else {
+        return;
+    };
+    serving.says("serves");
+    let deadline = Instant::now() + DEADLINE;
+    // That the service is there takes a moment to be known at the router.
+    let asking = loop {
+        let asking = stage.start("request", &["wombat-2", "wombat-1"]);
+        let mut asking = asking.expect("built");
+        if asking.child.wait().expect("our child").success() {
+            break asking;
+        }
+        assert!(Instant::now() < deadline, "nobody answers");
+    };
+    asking.says("wombat-1: {\"cell\":1,\"volt\":3.6}");
+    asking.says("there are the cells 1 and 2");
+}
+
+#[test]
+fn a_camera_is_watched() {
+    let stage = Stage::new();
+    let Some(_camera) = stage.start("camera", &["wombat-1"]) else {
+        return;
+    };
+    let watching = stage.start("camera", &["laptop", "wombat-1"]);
+    watching.expect("built").says("320x240");
+}
+
+#[test]
+fn a_file_is_transferred() {
+    let stage = Stage::new();
+    std::fs::write(stage.folder.path().join("map.bin"), vec![7; 100_000]).expect("written");
+    let Some(taking) = stage.start("transfer", &["wombat-1"]) else {
+        return;
+    };
+    taking.says("takes files");
+    let sending = stage.start("transfer", &["wombat-2", "wombat-1", "map.bin"]);
+    sending.expect("built").says("is there, whole");
+    taking.says("map.bin of wombat-2");
+}
