@@ -4,10 +4,12 @@
 //! since files and a full link make it wait; a slow link's transfer costs it a few wake-ups per second.
 mod inbox;
 mod incoming;
+mod offering;
 mod options;
 mod outgoing;
 mod pull;
 mod queries;
+mod told;
 
 pub use incoming::{Received, Transfers};
 pub use options::{Incoming, Keep, ReceiveTransfers};

@@ -1,41 +1,26 @@
-//! Owns a transfer that a program sends: its words, and the thread that offers and answers.
+//! Owns what a program says of a transfer that it sends.
 use std::{
     fmt,
     future::{Future, IntoFuture},
     path::{Path, PathBuf},
     pin::Pin,
-    sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender, TrySendError},
+    sync::mpsc,
     thread,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use bytes::Bytes;
 use tokio::sync::oneshot;
-use zenoh::{bytes::ZBytes, query::Query, Session, Wait};
+use zenoh::Session;
 
-use super::queries::{ask, Whom};
+use super::offering::{Stop, WAITING};
 use crate::{
     core::{
-        encoding::Encoding,
-        key::Place,
-        name::Name,
-        payload::Payload,
-        topic::Topic,
-        transfer::{
-            self,
-            offer::FileName,
-            sender::{Outcome, Sender, Step},
-            Answer, Offer, Progress, Request,
-        },
+        encoding::Encoding, key::Place, name::Name, payload::Payload, topic::Topic,
+        transfer::Progress,
     },
     error::Error,
-    storage::Source,
 };
-
-/// How many requests and answers wait for the thread. What has no room is lost, and asked for again.
-const WAITING: usize = 256;
-/// How often progress is told at most.
-pub(super) const PROGRESS_EVERY: Duration = Duration::from_millis(100);
 
 /// What is transferred: a file by its path, or bytes.
 #[derive(Clone, Debug)]
@@ -49,15 +34,15 @@ pub enum TransferSource {
 /// A transfer to a robot. Does nothing until awaited.
 #[must_use = "a transfer begins when it is awaited"]
 pub struct Transfer {
-    session: Session,
-    place: Place,
-    to: Name,
-    topic: Topic,
-    source: TransferSource,
-    name: Option<String>,
-    encoding: Option<Encoding>,
-    patience: Option<Duration>,
-    on_progress: Option<Box<dyn FnMut(Progress) + Send>>,
+    pub(super) session: Session,
+    pub(super) place: Place,
+    pub(super) to: Name,
+    pub(super) topic: Topic,
+    pub(super) source: TransferSource,
+    pub(super) name: Option<String>,
+    pub(super) encoding: Option<Encoding>,
+    pub(super) patience: Option<Duration>,
+    pub(super) on_progress: Option<Box<dyn FnMut(Progress) + Send>>,
 }
 
 impl Transfer {
@@ -109,7 +94,7 @@ impl Transfer {
     fn begin(self) -> impl Future<Output = Result<(), Error>> + Send {
         let (events, incoming) = mpsc::sync_channel(WAITING);
         let (done, outcome) = oneshot::channel();
-        let stop = Stop(events.clone());
+        let stop = Stop::new(&events);
         let thread = thread::Builder::new().name("rect-transfer".into());
         let started = thread.spawn(move || {
             let how = self.run(&events, &incoming);
@@ -125,168 +110,6 @@ impl Transfer {
             outcome.await.unwrap_or(Err(Error::Closed))
         }
     }
-
-    fn run(mut self, events: &SyncSender<Event>, incoming: &Receiver<Event>) -> Result<(), Error> {
-        let (source, offer) = self.prepare()?;
-        let id = offer.id(&self.to);
-        let key = self
-            .place
-            .own(Some(&self.place.robot), &transfer::source(id));
-        let requests = events.clone();
-        let _declared = self
-            .session
-            .declare_queryable(key.clone())
-            .complete(true)
-            .callback(move |query| drop(requests.try_send(Event::Query(query))))
-            .wait()
-            .map_err(Error::zenoh("the transfer can't be served"))?;
-        let mut sender = Sender::new(Instant::now(), offer.size_bytes, self.patience, offer.call);
-        let mut told = Told::default();
-        let mut round = Round::default();
-        let offer = offer.encode();
-        loop {
-            told.tell(sender.progress(), false, |progress| {
-                if let Some(callback) = self.on_progress.as_mut() {
-                    callback(progress);
-                }
-            });
-            let until = match sender.poll(Instant::now()) {
-                Step::Offer(timeout) => {
-                    round = Round {
-                        number: round.number + 1,
-                        answers: Vec::new(),
-                    };
-                    self.offer(events, round.number, offer.clone(), timeout);
-                    continue;
-                }
-                Step::Wait(until) => until,
-                Step::Over(outcome) => {
-                    told.tell(sender.progress(), true, |progress| {
-                        if let Some(callback) = self.on_progress.as_mut() {
-                            callback(progress);
-                        }
-                    });
-                    return self.outcome(outcome);
-                }
-            };
-            let left = until.saturating_duration_since(Instant::now());
-            let now = Instant::now;
-            match incoming.recv_timeout(left) {
-                Ok(Event::Query(query)) => serve(&mut sender, &source, &key, &query),
-                Ok(Event::Answer(number, answer)) if number == round.number => {
-                    round.answers.push(answer)
-                }
-                Ok(Event::Answered(number)) if number == round.number => {
-                    sender.on_answers(now(), &round.answers);
-                }
-                Ok(Event::Answer(..) | Event::Answered(_)) | Err(RecvTimeoutError::Timeout) => {
-                    if self.session.is_closed() {
-                        return Err(Error::Closed);
-                    }
-                }
-                Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return Err(Error::Closed),
-            }
-        }
-    }
-
-    fn prepare(&mut self) -> Result<(Source, Offer), Error> {
-        let (source, name, encoding) = match &self.source {
-            TransferSource::File(path) => {
-                let source = Source::of_file(path).map_err(|reason| Error::File {
-                    path: path.clone(),
-                    reason,
-                })?;
-                let name = path
-                    .file_name()
-                    .map(|name| name.to_string_lossy().into_owned());
-                (source, name, Encoding::BYTES)
-            }
-            TransferSource::Bytes(bytes, encoding) => {
-                (Source::of_bytes(bytes.clone()), None, encoding.clone())
-            }
-        };
-        let name = self.name.take().or(name).unwrap_or_default();
-        let offer = Offer {
-            from: self.place.robot.clone(),
-            topic: self.topic.clone(),
-            name: FileName::new(&name)?,
-            encoding: self.encoding.take().unwrap_or(encoding),
-            size_bytes: source.size_bytes(),
-            checksum: source.checksum(),
-            call: rand::random(),
-        };
-        Ok((source, offer))
-    }
-
-    fn offer(&self, events: &SyncSender<Event>, number: u64, offer: Vec<u8>, timeout: Duration) {
-        let key = self.place.own(Some(&self.to), transfer::INBOX);
-        let (answers, end) = (events.clone(), events.clone());
-        let on_reply = move |reply: Result<ZBytes, ZBytes>| {
-            let answer = reply
-                .ok()
-                .and_then(|bytes| Answer::decode(&bytes.to_bytes()));
-            if let Some(answer) = answer {
-                let _ = answers.try_send(Event::Answer(number, answer));
-            }
-        };
-        // Without room for this one, the offer's own deadline ends it.
-        let on_end = move || drop(end.try_send(Event::Answered(number)));
-        ask(
-            &self.session,
-            &key,
-            Whom::All,
-            offer,
-            timeout,
-            on_reply,
-            on_end,
-        );
-    }
-
-    fn outcome(self, outcome: Outcome) -> Result<(), Error> {
-        let (robot, topic) = (self.to, self.topic);
-        Err(match outcome {
-            Outcome::Done => return Ok(()),
-            Outcome::Refused(refusal) => Error::TransferRefused {
-                robot,
-                topic,
-                refusal,
-            },
-            Outcome::Failed(fault) => Error::TransferFailed {
-                robot,
-                topic,
-                fault,
-            },
-            Outcome::Unanswered(after) => Error::TimedOut {
-                what: format!("word of {robot} about the transfer {topic}"),
-                after,
-            },
-        })
-    }
-}
-
-/// Answers a request; what is no request gets no answer.
-fn serve(sender: &mut Sender, source: &Source, key: &str, query: &Query) {
-    let request = query
-        .payload()
-        .and_then(|bytes| Request::decode(&bytes.to_bytes()));
-    let Some(request) = request else {
-        return;
-    };
-    let sent = match sender.on_request(Instant::now(), &request) {
-        Ok(None) => return,
-        Ok(Some(range)) => match source.read(range) {
-            Ok(bytes) => query.reply(key, bytes).wait(),
-            Err(fault) => {
-                let sent = query.reply_err(fault.encode()).wait();
-                sender.on_fault(fault);
-                sent
-            }
-        },
-        Err(fault) => query.reply_err(fault.encode()).wait(),
-    };
-    if let Err(error) = sent {
-        tracing::debug!("a piece was not sent: {error}");
-    }
 }
 
 impl IntoFuture for Transfer {
@@ -295,57 +118,6 @@ impl IntoFuture for Transfer {
 
     fn into_future(self) -> Self::IntoFuture {
         Box::pin(self.begin())
-    }
-}
-
-enum Event {
-    Query(Query),
-    Answer(u64, Answer),
-    /// No more answers.
-    Answered(u64),
-    Stop,
-}
-
-/// An offer, and what was answered to it.
-#[derive(Default)]
-struct Round {
-    number: u64,
-    answers: Vec<Answer>,
-}
-
-struct Stop(SyncSender<Event>);
-
-impl Drop for Stop {
-    fn drop(&mut self) {
-        if let Err(TrySendError::Full(event)) = self.0.try_send(Event::Stop) {
-            // The thread is behind; someone has to wait for it.
-            let events = self.0.clone();
-            let _ = thread::Builder::new().spawn(move || drop(events.send(event)));
-        }
-    }
-}
-
-/// What was told of the progress.
-#[derive(Default)]
-pub(super) struct Told(Option<(Instant, Progress)>);
-
-impl Told {
-    /// Tells it if it is another, and not too soon after the last time; the last one in any case.
-    pub(super) fn tell(
-        &mut self,
-        progress: Progress,
-        last: bool,
-        mut callback: impl FnMut(Progress),
-    ) {
-        let now = Instant::now();
-        let due = self
-            .0
-            .is_none_or(|(at, _)| last || now.duration_since(at) >= PROGRESS_EVERY);
-        let is_new = self.0.is_none_or(|(_, told)| told != progress);
-        if due && is_new {
-            self.0 = Some((now, progress));
-            callback(progress);
-        }
     }
 }
 

@@ -11,8 +11,8 @@ use zenoh::{bytes::ZBytes, Session};
 
 use super::{
     options::{Incoming, Keep, ReceiveTransfers},
-    outgoing::Told,
     queries::{ask, Whom},
+    told::Told,
 };
 use crate::{
     core::{
