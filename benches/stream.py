@@ -1,4 +1,4 @@
-"""A camera over a slow link: real photographs, panned over, adaptive and fixed, and urgent messages of the same program."""
+"""A camera over a slow link: photographs, panned over, adaptive and fixed; urgent messages of the same program."""
 
 import io
 import json
@@ -80,8 +80,8 @@ def run() -> Table:
         "`config/simulation.json5`. A camera of 15 Hz pans over photographs of scikit-image (`coffee`, `chelsea`, "
         "`rocket`, `astronaut`, tiled), 3 and 2 pixels a frame. Camera and watcher are in one process, each at its "
         "router, so that one clock tells the ages; encoding counts as age. Of the first "
-        f"{SETTLED_S} s no frame counts. SSIM: luma, windows of 8x8, of {LOOKED_AT} frames at the camera's size (smaller "
-        "ones enlarged, bicubic). Urgent: a number as JSON every 50 ms from the camera's program. "
+        f"{SETTLED_S} s no frame counts. SSIM: luma, windows of 8x8, of {LOOKED_AT} frames at the camera's size "
+        "(smaller ones enlarged, bicubic). Urgent: a number as JSON every 50 ms from the camera's program. "
         "Changes: of an adaptive stream's step, from its beginning.",
         f"Wanted of adaptive ones: {WANTED['frames']} frames/s, age p99 below {WANTED['age_ms']} ms, urgent p99 below "
         f"{WANTED['urgent_ms']} ms, none of them lost.",

@@ -20,7 +20,7 @@ use nix::{
     unistd::Pid,
 };
 use serde_json::Value;
-use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SOCKET_VARIABLE};
+use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SimAir, SOCKET_VARIABLE};
 
 pub use self::{
     session::{admin, answers, arrives, ask, change, client, client_with},
@@ -216,6 +216,7 @@ impl Drop for Router {
 pub struct Air {
     dir: tempfile::TempDir,
     runtime: tokio::runtime::Runtime,
+    air: SimAir,
 }
 
 impl Air {
@@ -233,11 +234,18 @@ impl Air {
             .build()
             .expect("a runtime");
         let path = dir.path().join("air.sock");
-        runtime.block_on(async move {
+        let air = runtime.block_on(async move {
             let server = AirServer::bind(&path, options).expect("an air");
+            let air = server.air().clone();
             tokio::spawn(server.serve());
+            air
         });
-        Self { dir, runtime }
+        Self { dir, runtime, air }
+    }
+
+    /// For cutting it, and the like.
+    pub fn air(&self) -> &SimAir {
+        &self.air
     }
 
     /// Where it is served.
