@@ -172,8 +172,8 @@ async fn fill(air: &Air) {
     for _ in 0..2 {
         assert!(received.next().await.expect("open").is_ok());
     }
-    // 320 bytes of urgent messages a second, with their headers about 2 %.
-    assert!(part > 0.85, "{part}");
+    // Without the urgent messages, and of a megabyte, it is 0.93; the beginning takes 0.2 s.
+    assert!(part > 0.8, "{part}");
     assert!(most < Duration::from_millis(250), "{most:?}");
 }
 
