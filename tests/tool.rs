@@ -171,6 +171,121 @@ fn a_request_shows_the_answer_or_why_there_is_none() {
 }
 
 #[test]
+fn a_file_is_sent_and_taken() {
+    let (a, endpoint) = robot("a");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("map.bin");
+    std::fs::write(&file, vec![7u8; 300_000]).expect("written");
+    let file = file.to_str().expect("text");
+    let refused = ran(&[
+        "transfer",
+        "send",
+        "a",
+        file,
+        "--as",
+        "b",
+        "--router",
+        &endpoint,
+        "--patience",
+        "1s",
+    ]);
+    assert_eq!(refused.status.code(), Some(1), "nobody takes files there");
+    assert!(
+        text(&refused.stderr).contains("rect: "),
+        "{}",
+        text(&refused.stderr)
+    );
+    let taken = folder.path().join("taken").display().to_string();
+    let taking = [
+        "transfer", "receive", "--folder", &taken, "--count", "1", "--as", "b", "--router",
+        &endpoint,
+    ];
+    let mut taking = Killed(
+        rect(&taking)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("it runs"),
+    );
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .expect("a runtime");
+    runtime.block_on(async {
+        let bytes = bytes::Bytes::from(vec![9u8; 200_000]);
+        let source = rect::TransferSource::Bytes(bytes, rect::Encoding::BYTES);
+        let sent = a
+            .asynchronous()
+            .transfer("b", "files", source)
+            .expect("named")
+            .named("nine.bin");
+        tokio::time::timeout(PATIENCE, sent)
+            .await
+            .expect("in time")
+            .expect("taken");
+    });
+    assert!(taking.0.wait().expect("our child").success());
+    let there = std::fs::read(folder.path().join("taken/a/nine.bin")).expect("there");
+    assert_eq!(there, vec![9u8; 200_000]);
+}
+
+#[test]
+fn a_stream_of_pictures_is_watched() {
+    let (a, endpoint) = robot("a");
+    let folder = tempfile::tempdir().expect("a folder");
+    let pixels: Vec<u8> = (0..64 * 48 * 3u32).map(|n| n as u8).collect();
+    let picture =
+        rect::core::picture::Picture::new(64, 48, rect::core::picture::Format::Rgb8, pixels);
+    let raw = rect::ToPayload::to_payload(&picture.expect("a picture")).expect("a payload");
+    let png = rect::core::codec::parse("png")
+        .expect("a codec")
+        .encode(&raw)
+        .expect("written");
+    let file = folder.path().join("seen.png");
+    std::fs::write(&file, &png.bytes).expect("written");
+    let join = ["--as", "b", "--router", &endpoint];
+    let sending = [
+        &["stream", "send", "camera", file.to_str().expect("text")],
+        &join[..],
+    ]
+    .concat();
+    let _sending = Killed(
+        rect(&sending)
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("it runs"),
+    );
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .expect("a runtime");
+    let shown = runtime.block_on(async {
+        let watch = a
+            .asynchronous()
+            .watch("b", "camera")
+            .await
+            .expect("watched");
+        let frame = tokio::time::timeout(PATIENCE, watch.recv())
+            .await
+            .expect("in time");
+        frame
+            .expect("open")
+            .payload
+            .picture(&Default::default())
+            .expect("a picture")
+    });
+    assert!(
+        shown.width() <= 64 && shown.width() * 3 == shown.height() * 4,
+        "{shown:?}"
+    );
+    let wrong = ran(&["stream", "send", "camera", "/none.png"]);
+    assert!(
+        text(&wrong.stderr).contains("/none.png"),
+        "{}",
+        text(&wrong.stderr)
+    );
+}
+
+#[test]
 fn a_dictionary_is_trained_from_a_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("telemetry.jsonl");

@@ -13,6 +13,8 @@ mod session;
 mod shown;
 mod span;
 mod speak;
+mod stream;
+mod transfer;
 
 use std::{future::Future, process::ExitCode};
 
@@ -24,6 +26,8 @@ Examples, at a robot whose router runs (rect-router; `rect-router init wombat-1`
   rect sub '*/arm/*'                       # what any robot says about its arm
   rect send wombat-2 grab '{\"force\": 3}'   # to one robot alone
   rect request wombat-2 battery            # asks a service
+  rect stream watch wombat-2 camera        # its pictures, as fresh as the link allows
+  rect transfer send wombat-2 map.bin      # a file of any size
   rect peers                               # who is there
   rect bench wombat-2                      # how good the link to it is (`rect bench --serve` there)";
 
@@ -42,6 +46,8 @@ enum Command {
     Sub(listen::SubArguments),
     Request(ask::RequestArguments),
     Serve(ask::ServeArguments),
+    Stream(stream::StreamArguments),
+    Transfer(transfer::TransferArguments),
     Peers(registry::PeersArguments),
     Connections(registry::ConnectionsArguments),
     Bench(bench::BenchArguments),
@@ -75,6 +81,8 @@ fn main() -> ExitCode {
         Command::Sub(arguments) => wait(listen::run(arguments)),
         Command::Request(arguments) => wait(ask::request(arguments)),
         Command::Serve(arguments) => wait(ask::serve(arguments)),
+        Command::Stream(arguments) => wait(stream::run(arguments)),
+        Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Peers(arguments) => wait(registry::peers(arguments)),
         Command::Connections(arguments) => wait(registry::connections(arguments)),
         Command::Bench(arguments) => wait(bench::run(arguments)),

@@ -1,0 +1,162 @@
+//! Owns `rect stream`: watching a stream, and sending pictures as one.
+use std::{fs, path::PathBuf, process::ExitCode, time::Duration};
+
+use clap::{Args, Subcommand};
+use rect::{
+    core::{codec::Limits, picture::Picture},
+    Encoding, Frame, Name, Payload, StreamOptions, Topic,
+};
+use serde_json::json;
+use tokio::time::{interval, MissedTickBehavior};
+
+use crate::{
+    session::{name, JoinArguments},
+    shown::shown,
+    Done, Failure,
+};
+
+/// Streams, of which the newest frame counts.
+#[derive(Args)]
+pub struct StreamArguments {
+    #[command(subcommand)]
+    command: StreamCommand,
+}
+
+#[derive(Subcommand)]
+enum StreamCommand {
+    /// Show the frames of a robot's stream, until Ctrl-C
+    Watch {
+        /// Whose
+        #[arg(value_parser = name)]
+        robot: Name,
+        /// Which, such as camera
+        topic: Topic,
+        /// Put the newest frame into this file, again and again
+        #[arg(long, value_name = "FILE")]
+        output: Option<PathBuf>,
+        /// End after so many
+        #[arg(long)]
+        count: Option<u64>,
+        /// A line of JSON for each
+        #[arg(long)]
+        json: bool,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+    /// Send pictures as a stream, one after another and again, until Ctrl-C: size and quality follow what gets through
+    Send {
+        /// Which, such as camera
+        topic: Topic,
+        /// .png, .jpg or .webp
+        #[arg(required = true)]
+        pictures: Vec<PathBuf>,
+        /// Pictures a second
+        #[arg(long, default_value_t = 10.0)]
+        rate: f64,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+}
+
+/// `rect stream`.
+pub async fn run(arguments: StreamArguments) -> Done {
+    match arguments.command {
+        StreamCommand::Watch {
+            robot: whose,
+            topic,
+            output,
+            count,
+            json,
+            join,
+        } => {
+            let robot = join.join().await?;
+            let watch = robot.watch(&whose, &topic).await?;
+            let mut left = count.unwrap_or(u64::MAX);
+            while left > 0 {
+                let Some(frame) = watch.recv().await else {
+                    break;
+                };
+                left -= 1;
+                if let Some(file) = &output {
+                    replace(file, &frame.payload)?;
+                }
+                println!(
+                    "{}",
+                    if json {
+                        as_json(&frame)
+                    } else {
+                        as_text(&frame)
+                    }
+                );
+            }
+            Ok(ExitCode::SUCCESS)
+        }
+        StreamCommand::Send {
+            topic,
+            pictures,
+            rate,
+            join,
+        } => {
+            let every = Duration::try_from_secs_f64(1.0 / rate)
+                .ok()
+                .filter(|every| !every.is_zero())
+                .ok_or("--rate is a number of pictures a second, such as 10")?;
+            let pictures: Vec<Picture> = pictures.iter().map(picture).collect::<Result<_, _>>()?;
+            let robot = join.join().await?;
+            let stream = robot.stream(&topic, StreamOptions::default()).await?;
+            eprintln!(
+                "rect: `rect stream watch {} {topic}` shows them; Ctrl-C ends this",
+                robot.name()
+            );
+            let mut ticks = interval(every);
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            for picture in pictures.iter().cycle() {
+                ticks.tick().await;
+                tokio::task::block_in_place(|| stream.send_picture(picture))?;
+            }
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+fn as_text(frame: &Frame) -> String {
+    let age = frame.age.map_or("of unknown age".to_owned(), |age| {
+        format!("{} ms old", age.as_millis())
+    });
+    let (number, skipped) = (frame.number, frame.skipped);
+    format!(
+        "{number}, {age}, {skipped} skipped: {}",
+        shown(&frame.payload)
+    )
+}
+
+fn as_json(frame: &Frame) -> String {
+    let line = json!({
+        "number": frame.number,
+        "age_ms": frame.age.map(|age| age.as_millis() as u64),
+        "skipped": frame.skipped,
+        "encoding": frame.payload.encoding.as_str(),
+        "bytes": frame.payload.bytes.len(),
+    });
+    line.to_string()
+}
+
+/// A viewer never sees half a picture.
+fn replace(file: &PathBuf, payload: &Payload) -> Result<(), Failure> {
+    let new = file.with_extension("new");
+    let named = |error: std::io::Error| format!("{}: {error}", file.display());
+    fs::write(&new, &payload.bytes).map_err(named)?;
+    Ok(fs::rename(&new, file).map_err(named)?)
+}
+
+fn picture(file: &PathBuf) -> Result<Picture, Failure> {
+    let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
+    let encoding = match file.extension().and_then(|end| end.to_str()) {
+        Some("png") => Encoding::PNG,
+        Some("jpg" | "jpeg") => Encoding::JPEG,
+        Some("webp") => Encoding::WEBP,
+        _ => return Err(format!("{}: .png, .jpg and .webp are pictures", file.display()).into()),
+    };
+    let read = Payload::new(bytes, encoding).picture(&Limits::default());
+    Ok(read.map_err(|error| format!("{}: {error}", file.display()))?)
+}
