@@ -197,12 +197,11 @@ fn a_file_is_sent_and_taken() {
     );
     let taken = folder.path().join("taken").display().to_string();
     let taking = [
-        "transfer", "receive", "--folder", &taken, "--count", "1", "--as", "b", "--router",
-        &endpoint,
+        "transfer", "receive", "--folder", &taken, "--as", "b", "--router", &endpoint,
     ];
-    let mut taking = Killed(
+    let _taking = Killed(
         rect(&taking)
-            .stdout(Stdio::piped())
+            .stdout(Stdio::null())
             .spawn()
             .expect("it runs"),
     );
@@ -223,7 +222,6 @@ fn a_file_is_sent_and_taken() {
             .expect("in time")
             .expect("taken");
     });
-    assert!(taking.0.wait().expect("our child").success());
     let there = std::fs::read(folder.path().join("taken/a/nine.bin")).expect("there");
     assert_eq!(there, vec![9u8; 200_000]);
 }

@@ -47,9 +47,6 @@ enum TransferCommand {
         /// The largest that is taken, in bytes
         #[arg(long, default_value_t = 1 << 30)]
         max_bytes: u64,
-        /// End after so many
-        #[arg(long)]
-        count: Option<u64>,
         #[command(flatten)]
         join: JoinArguments,
     },
@@ -83,7 +80,6 @@ pub async fn run(arguments: TransferArguments) -> Done {
             pattern,
             folder,
             max_bytes,
-            count,
             join,
         } => {
             let robot = join.join().await?;
@@ -94,14 +90,10 @@ pub async fn run(arguments: TransferArguments) -> Done {
             let transfers = robot.receive_transfers(&pattern, options).await?;
             let (me, place) = (robot.name(), folder.display());
             eprintln!("rect: {me} takes files into {place}; Ctrl-C ends this");
-            let mut left = count.unwrap_or(u64::MAX);
-            while left > 0 {
-                let Some(received) = transfers.next().await else {
-                    break;
-                };
+            // No end after so many: a sender asks whether all is there, and this is to answer.
+            while let Some(received) = transfers.next().await {
                 match received {
                     Ok(received) => {
-                        left -= 1;
                         let (from, name, size) =
                             (&received.from, &received.name, received.size_bytes);
                         bar.suspend(|| println!("{name} of {from}, {size} bytes"));
