@@ -203,7 +203,7 @@ fn what_keeps_the_plugin_from_starting_is_said_and_the_host_runs_on() {
     // A plugin that is required and can't even read its settings ends zenohd, as any other does.
     let mut unread = start(&json!({ "robot": "a b" }), tcp);
     unread.exit();
-    assert!(unread.full_log().contains("robot \"a b\""));
+    assert!(unread.full_log().contains("robot: the name \"a b\""));
 }
 
 /// Its bytes with one thing in their place.
