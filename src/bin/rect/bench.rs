@@ -1,10 +1,6 @@
 //! Owns `rect bench`: how good the way to another robot is. The other side runs `rect bench --serve`.
 use std::{
     process::ExitCode,
-    sync::{
-        atomic::{AtomicU64, Ordering},
-        Arc,
-    },
     time::{Duration, Instant},
 };
 
@@ -13,6 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use rect::{Json, Name, Robot, Urgency};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use tokio::sync::watch;
 
 use crate::{
     session::{name, JoinArguments},
@@ -53,7 +50,8 @@ pub struct BenchArguments {
 struct Heard {
     messages: u64,
     bytes: u64,
-    missed: u64,
+    /// How long ago the last of it came.
+    last_ago_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -79,12 +77,12 @@ pub async fn run(arguments: BenchArguments) -> Done {
     let loaded = round_trip(&robot, &other, duration, &bar).await?;
     let said = loading.await??;
     let after = settled(&robot, &other, &bar).await?;
-    let took = began.elapsed();
+    let took = began.elapsed().as_secs_f64() - after.last_ago_s;
     bar.finish_and_clear();
     let bytes = after.bytes.saturating_sub(before.bytes);
     let arrived = after.messages.saturating_sub(before.messages);
     let lost = said.saturating_sub(arrived);
-    let goodput_kb_s = bytes as f64 / 1000.0 / took.as_secs_f64();
+    let goodput_kb_s = bytes as f64 / 1000.0 / took.max(f64::EPSILON);
     let method = robot.connections_of(&other, "").await.ok();
     let me = robot.name().as_str();
     let by = method.and_then(|all| {
@@ -119,18 +117,13 @@ pub async fn run(arguments: BenchArguments) -> Done {
 }
 
 async fn serve(robot: &Robot) -> Done {
-    let (messages, bytes, missed) = (
-        Arc::<AtomicU64>::default(),
-        Arc::<AtomicU64>::default(),
-        Arc::<AtomicU64>::default(),
-    );
-    let heard = {
-        let (messages, bytes, missed) = (messages.clone(), bytes.clone(), missed.clone());
-        move |message: rect::Message| {
-            messages.fetch_add(1, Ordering::Relaxed);
-            bytes.fetch_add(message.payload.bytes.len() as u64, Ordering::Relaxed);
-            missed.fetch_add(message.missed.into(), Ordering::Relaxed);
-        }
+    let (counts, came) = watch::channel((Heard::default(), Instant::now()));
+    let heard = move |message: rect::Message| {
+        counts.send_modify(|(heard, last)| {
+            heard.messages += 1;
+            heard.bytes += message.payload.bytes.len() as u64;
+            *last = Instant::now();
+        });
     };
     let _heard = robot
         .on_message(format!("*/{LOAD}").as_str(), heard)
@@ -142,13 +135,12 @@ async fn serve(robot: &Robot) -> Done {
         .await?;
     let _count = robot
         .serve(COUNT, move |_| {
-            let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-            let (messages, bytes, missed) = (read(&messages), read(&bytes), read(&missed));
+            let (heard, last) = *came.borrow();
+            let last_ago_s = last.elapsed().as_secs_f64();
             async move {
                 Ok::<_, String>(Json(Heard {
-                    messages,
-                    bytes,
-                    missed,
+                    last_ago_s,
+                    ..heard
                 }))
             }
         })
