@@ -141,9 +141,10 @@ impl Options {
     pub async fn connect(self) -> Result<Robot, Error> {
         let config = self.config()?;
         let direct = self.is_direct();
-        let opened = zenoh::open(config).await;
+        let opened = zenoh::open(config.clone()).await;
         let session = opened.map_err(|error| self.refused(direct, &error))?;
-        Robot::start(session, self.place, direct).await
+        let router = (!direct).then_some(config);
+        Robot::start(session, self.place, router).await
     }
 
     fn is_direct(&self) -> bool {
