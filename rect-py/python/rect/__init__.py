@@ -1,0 +1,82 @@
+"""RECT: robots that talk over TCP, UDP and Bluetooth Low Energy, on Zenoh.
+
+    import rect
+
+    with rect.connect("wombat-1") as robot:
+        robot.publish("arm/angle", {"degrees": 12.5})
+        for message in robot.subscribe("*/arm/angle"):
+            print(message.sender, message.value)
+
+`rect.aio` is the same for asyncio.
+"""
+
+from rect._rect import Codec, Dictionary, __version__
+from rect.errors import (
+    Closed,
+    CodecError,
+    DictionaryError,
+    FileError,
+    InvalidNameError,
+    InvalidTopicError,
+    NoRouter,
+    NoService,
+    OptionError,
+    PayloadError,
+    RectError,
+    ServiceError,
+    TimedOut,
+    TransferError,
+    TransferFailed,
+    TransferRefused,
+    ZenohError,
+)
+from rect.message import Message
+from rect.registry import Connection, Connections
+from rect.request import Replies, Reply
+from rect.robot import Robot, connect
+from rect.service import Refusal, Request, Service
+from rect.state import Counters, Event, Events
+from rect.subscriber import Subscriber, Subscription, Tally
+from rect.values import Cbor, Payload, Picture
+
+__all__ = [
+    "Cbor",
+    "Closed",
+    "Codec",
+    "CodecError",
+    "Connection",
+    "Connections",
+    "Counters",
+    "Dictionary",
+    "DictionaryError",
+    "Event",
+    "Events",
+    "FileError",
+    "InvalidNameError",
+    "InvalidTopicError",
+    "Message",
+    "NoRouter",
+    "NoService",
+    "OptionError",
+    "Payload",
+    "PayloadError",
+    "Picture",
+    "RectError",
+    "Refusal",
+    "Replies",
+    "Reply",
+    "Request",
+    "Robot",
+    "Service",
+    "ServiceError",
+    "Subscriber",
+    "Subscription",
+    "Tally",
+    "TimedOut",
+    "TransferError",
+    "TransferFailed",
+    "TransferRefused",
+    "ZenohError",
+    "__version__",
+    "connect",
+]

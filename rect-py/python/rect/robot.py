@@ -1,0 +1,408 @@
+"""Owns a program's place among the robots: the session, and what it says."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import threading
+import weakref
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Optional, Union, overload
+
+import zenoh
+
+from rect import _rect, registry, state
+from rect._zenoh import LARGE_BYTES, patiently, refused
+from rect.decoder import Decoder
+from rect.errors import Closed, NoService
+from rect.inbox import DEFAULT_CAPACITY, Inbox
+from rect.message import Message
+from rect.options import DEFAULT_LOGIN_FILE, Options, seconds, text
+from rect.publication import Publication
+from rect.registry import Connections
+from rect.request import Replies, Reply
+from rect.service import Request, Service
+from rect.state import Counters, Counting, Event, Events, Known
+from rect.subscriber import Declared, Subscriber, Subscription, callable_or_none, undeclared
+from rect.values import payload_of, codec_of
+
+#: The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
+_MAX_PUBLICATIONS = 256
+#: How long a request waits unless told otherwise, in seconds.
+DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_MS / 1000
+
+Handler = Callable[[Request], Any]
+CodecLike = Union[str, _rect.Codec, None]
+
+
+def connect(
+    name: str,
+    *,
+    fleet: str = "rect",
+    router: Optional[str] = None,
+    endpoints: Sequence[str] = (),
+    listen: Sequence[str] = (),
+    login: Optional[tuple[str, str]] = None,
+    login_file: Union[str, Path] = DEFAULT_LOGIN_FILE,
+    timeout: float = 5.0,
+    zenoh: Optional[Mapping[str, Any]] = None,
+) -> Robot:
+    """Joins as a program of that robot, at the router of this computer.
+
+    - `fleet`: the team's name.
+    - `router`: another router, as `tcp/192.168.0.7:7447`; default: what the environment's `RECT_ENDPOINT` says, else
+      `tcp/127.0.0.1:7447`.
+    - `endpoints`, `listen`: without a router: whom to connect to directly, and where others may connect to this program,
+      as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not wait for that.
+    - `login`: user and password; default: the first line of `login_file`, `user:password`, if it can be read.
+    - `timeout`: how long to wait for the router, in seconds, so that a program may be started together with it.
+    - `zenoh`: any setting of Zenoh's configuration, by its path; goes before ours.
+
+    Raises `NoRouter`, `InvalidNameError`, `OptionError`.
+
+    >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+    ...     robot.publish("greeting", "hello")
+    """
+    return Robot(Options(name, fleet, router, endpoints, listen, login, login_file, timeout, zenoh or {}))
+
+
+class Session:
+    """What all of one program's handles share: the session below, and what has to end with it."""
+
+    def __init__(self, options: Options) -> None:
+        self.place = options.place()
+        self.is_direct = options.is_direct
+        self.zenoh = options.open()
+        self.decoder = Decoder(self.zenoh, self.place)
+        self.counting = Counting()
+        #: Whatever is declared, until it ends.
+        self.handles: set[Declared] = set()
+        #: What nobody has any more, and is to be ended where that may take a moment.
+        self.left: deque[Declared] = deque()
+        #: Where somebody waits for answers.
+        self.inboxes: set[Inbox[Any]] = set()
+        #: Called when it closes, before Zenoh does.
+        self.endings: list[Callable[[], object]] = []
+        self._lock = threading.Lock()
+        self._why_closed: Optional[str] = None
+        self._publications: dict[tuple[str, Optional[str], str], Publication] = {}
+        self.known: Optional[Known] = None
+        self._presence: Optional[zenoh.LivelinessToken] = None
+        _OPEN.add(self)
+        try:
+            if self.is_direct:
+                self._presence = state.say_there(self.zenoh, self.place)
+            else:
+                self.known = Known(self)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def is_closed(self) -> bool:
+        return self._why_closed is not None
+
+    def closed_error(self) -> Closed:
+        return Closed(self._why_closed or "the session is closed")
+
+    def check(self) -> None:
+        """Raises if it is closed; ends what nobody has any more."""
+        if self._why_closed is not None:
+            raise self.closed_error()
+        while self.left:
+            with contextlib.suppress(IndexError):
+                self.left.popleft().end()
+
+    def publication(self, topic: str, to: Optional[str], urgency: str) -> Publication:
+        spoken = (topic, to, urgency)
+        known = self._publications.get(spoken)
+        if known is not None:
+            return known
+        place = self.place
+        key = place.publication(topic) if to is None else place.message(to, topic)
+        made = Publication(self.zenoh, key, urgency)
+        with self._lock:
+            if len(self._publications) >= _MAX_PUBLICATIONS:
+                self._publications.clear()
+            return self._publications.setdefault(spoken, made)
+
+    def close(self) -> None:
+        with self._lock:
+            if self._why_closed is not None:
+                return
+            self._why_closed = "the session is closed"
+        for ending in list(self.endings):
+            ending()
+        for handle in list(self.handles):
+            handle.end()
+        for inbox in list(self.inboxes):
+            inbox.close()
+        if self._presence is not None:
+            undeclared(self._presence)
+        _OPEN.discard(self)
+        try:
+            patiently(self.zenoh.close)
+        except zenoh.ZError as error:
+            raise refused("the session does not close", error) from None
+
+    def on_fork(self) -> None:
+        """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
+        self._why_closed = "this robot is of the process that forked: call rect.connect in this one, after the fork"
+        _rect.forget(self.zenoh)
+        for inbox in list(self.inboxes):
+            inbox.on_fork()
+        for handle in list(self.handles):
+            handle.on_fork()
+
+
+#: All that are open: they end before Python does, whose threads Zenoh's would wait for.
+_OPEN: weakref.WeakSet[Session] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    for session in list(_OPEN):
+        with contextlib.suppress(Exception):
+            session.close()
+
+
+def _on_fork() -> None:
+    for session in list(_OPEN):
+        session.on_fork()
+        _OPEN.discard(session)
+
+
+atexit.register(_close_all)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_on_fork)
+
+
+class Robot:
+    """A program of a robot, joined with the others. Made by `connect`; may be used by several threads."""
+
+    def __init__(self, options: Options) -> None:
+        self._session = Session(options)
+
+    @property
+    def name(self) -> str:
+        """This robot's name."""
+        return self._session.place.robot
+
+    @property
+    def fleet(self) -> str:
+        """The fleet's name."""
+        return self._session.place.fleet
+
+    @property
+    def zenoh(self) -> zenoh.Session:
+        """The session of Zenoh below, for whatever Zenoh can do and this has no word for."""
+        return self._session.zenoh
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was closed."""
+        return self._session.is_closed
+
+    def publish(self, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None) -> None:
+        """Says it to all.
+
+        `value`: text, bytes, a picture, a numpy array, or what JSON can say: dicts, lists, numbers, dataclasses...
+        `urgency`: `urgent` overtakes everything else, `bulk` is overtaken. `codec`: makes it smaller, as `zstd:9`,
+        `jpeg:60` or `packing(dictionary)`.
+
+        Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `Closed`.
+        """
+        self._say(topic, None, value, urgency, codec)
+
+    def send(
+        self, robot: str, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None
+    ) -> None:
+        """Says it to one robot alone. Nobody is asked whether it is there: `request` does that.
+
+        Raises as `publish`, and `InvalidNameError`.
+        """
+        self._say(topic, text("robot", robot), value, urgency, codec)
+
+    @overload
+    def subscribe(
+        self,
+        pattern: str,
+        callback: None = None,
+        *,
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: str = "newest wins",
+    ) -> Subscriber: ...
+    @overload
+    def subscribe(
+        self,
+        pattern: str,
+        callback: Callable[[Message], object],
+        *,
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: str = "newest wins",
+    ) -> Subscription[Message]: ...
+    def subscribe(
+        self,
+        pattern: str,
+        callback: Optional[Callable[[Message], object]] = None,
+        *,
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: str = "newest wins",
+    ) -> Union[Subscriber, Subscription[Message]]:
+        """The messages of a pattern, `<robot>/<topic>` with wildcards (`*/arm/*`): what those robots say to all, and to this
+        one alone. An iterator; or, with a callback, that is called for each, one after another.
+
+        `capacity`: how many wait for the program. `when_full`: `newest wins` (the oldest is dropped), `oldest wins`, or
+        `wait` (whoever sends does).
+
+        Raises `InvalidTopicError`, `OptionError`, `Closed`.
+        """
+        callable_or_none(callback)
+        self._session.check()
+        subscriber = Subscriber(self._session, text("pattern", pattern), capacity, when_full)
+        return subscriber if callback is None else Subscription(subscriber, callback, pattern)
+
+    def listen(self, robot: str, topic: str, timeout: Optional[float] = None) -> Message:
+        """The next message of a robot about a topic, to all or to this one alone, that is sent from now on.
+
+        Raises `TimedOut` (seconds), `InvalidNameError`, `InvalidTopicError`, `Closed`.
+        """
+        if timeout is not None:
+            seconds("timeout", timeout)
+        with self.subscribe(_rect.pattern_of(text("robot", robot), text("topic", topic))) as subscriber:
+            return subscriber.next(timeout)
+
+    def request(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: str = "normal",
+        codec: CodecLike = None,
+    ) -> Reply:
+        """Asks a service of a robot, and waits for its first answer.
+
+        Raises `ServiceError` (it answers with an error), `NoService` (nobody serves that there; the text says who is
+        there), `TimedOut` (seconds), `InvalidNameError`, `InvalidTopicError`, `PayloadError`, `Closed`.
+        """
+        with self._ask(text("robot", robot), topic, value, timeout, urgency, codec) as replies:
+            for reply in replies:
+                return reply
+        raise NoService(robot, topic, self.peers())
+
+    def request_all(
+        self,
+        topic: str,
+        value: Any = "",
+        *,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: str = "normal",
+        codec: CodecLike = None,
+    ) -> Replies:
+        """Asks a service of all robots that have it; answers come until all have answered, or the time is over."""
+        return self._ask(None, topic, value, timeout, urgency, codec)
+
+    @overload
+    def serve(self, topic: str) -> Callable[[Handler], Service]: ...
+    @overload
+    def serve(self, topic: str, handler: Handler) -> Service: ...
+    def serve(self, topic: str, handler: Optional[Handler] = None) -> Union[Service, Callable[[Handler], Service]]:
+        """Serves a topic by a function of a `Request`: what it returns is the answer; a generator gives several. What it
+        raises arrives at the asker as `ServiceError`, and is logged here unless it is a `Refusal`.
+
+        As a decorator, or called with the function:
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     @robot.serve("double")
+        ...     def double(request):
+        ...         return request.value * 2
+        ...     robot.request("wombat-1", "double", 21).value
+        42
+        """
+        self._session.check()
+        text("topic", topic)
+        if handler is None:
+            return lambda handler: self.serve(topic, handler)
+        if not callable(handler):
+            raise TypeError(f"handler is a function, not a {type(handler).__name__}")
+        return Service(self._session, topic, handler)
+
+    def share(self, dictionary: _rect.Dictionary) -> _rect.Codec:
+        """Gives a dictionary to whoever asks for it. What is said with the codec that this returns is packed with it, which
+        small JSON needs to get much smaller; whoever hears it fetches the dictionary once."""
+        self._session.check()
+        self._session.decoder.share(dictionary)
+        return _rect.Codec.packed(dictionary)
+
+    def peers(self) -> list[str]:
+        """The other robots of the fleet that are there now, by name."""
+        self._session.check()
+        return registry.peers(self._session)
+
+    def connections(self, robot: Optional[str] = None, which: str = "") -> Connections:
+        """The connections of this robot's router, or another's; those that `which` selects, as `method=ble` or
+        `peer=wombat-2;state=connected` (docs/registry.md).
+
+        Raises `NoService` (no router with RECT's registry), `ServiceError`.
+        """
+        self._session.check()
+        return registry.connections(self._session, robot or self.name, which)
+
+    def ask_registry(self, question: str, *, robot: Optional[str] = None, which: str = "") -> Any:
+        """Any other question of the registry, as `connections/count` or `status` (docs/registry.md)."""
+        self._session.check()
+        return registry.ask(self._session, robot or self.name, text("question", question), which)
+
+    @overload
+    def on_state(self, callback: None = None) -> Events: ...
+    @overload
+    def on_state(self, callback: Callable[[Event], object]) -> Subscription[Event]: ...
+    def on_state(
+        self, callback: Optional[Callable[[Event], object]] = None
+    ) -> Union[Events, Subscription[Event]]:
+        """What changes about who can be reached: robots that come and go, links and over which radio, and the router itself;
+        first of all who is there already. An iterator; or, with a callback, that is called for each."""
+        callable_or_none(callback)
+        self._session.check()
+        events = Events(self._session)
+        return events if callback is None else Subscription(events, callback, "state")
+
+    def counters(self) -> Counters:
+        """What this program has said and heard."""
+        return self._session.counting.read()
+
+    def close(self) -> None:
+        """Ends the session, and all that belongs to it. Closed twice is closed."""
+        self._session.close()
+
+    def __enter__(self) -> Robot:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Robot({self.fleet}/{self.name}{', closed' if self.is_closed else ''})"
+
+    def _say(self, topic: str, to: Optional[str], value: Any, urgency: str, codec: CodecLike) -> None:
+        session = self._session
+        session.check()
+        payload = payload_of(value, codec_of(codec))
+        publication = session.publication(text("topic", topic), to, text("urgency", urgency))
+        if len(payload.bytes) < LARGE_BYTES:
+            publication.put(payload)
+        else:
+            patiently(lambda: publication.put(payload))
+        session.counting.on_sent(len(payload.bytes))
+
+    def _ask(
+        self, robot: Optional[str], topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike
+    ) -> Replies:
+        self._session.check()
+        payload = payload_of(value, codec_of(codec))
+        timeout = seconds("timeout", timeout)
+        return Replies(self._session, robot, text("topic", topic), payload, text("urgency", urgency), timeout)
