@@ -36,7 +36,9 @@ from rect.request import Replies, Reply
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
 from rect.state import Counters, Event, Events
+from rect.stream import Frame, Stream, Watch
 from rect.subscriber import Subscriber, Subscription, Tally
+from rect.transfer import Progress, Received, Transfers
 from rect.values import Cbor, Payload, Picture
 
 __all__ = [
@@ -52,6 +54,7 @@ __all__ = [
     "Event",
     "Events",
     "FileError",
+    "Frame",
     "InvalidNameError",
     "InvalidTopicError",
     "Message",
@@ -61,6 +64,8 @@ __all__ = [
     "Payload",
     "PayloadError",
     "Picture",
+    "Progress",
+    "Received",
     "RectError",
     "Refusal",
     "Replies",
@@ -69,6 +74,7 @@ __all__ = [
     "Robot",
     "Service",
     "ServiceError",
+    "Stream",
     "Subscriber",
     "Subscription",
     "Tally",
@@ -76,6 +82,8 @@ __all__ = [
     "TransferError",
     "TransferFailed",
     "TransferRefused",
+    "Transfers",
+    "Watch",
     "ZenohError",
     "__version__",
     "connect",

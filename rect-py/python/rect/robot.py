@@ -27,12 +27,17 @@ from rect.request import Replies, Reply
 from rect.service import Request, Service
 from rect.state import Counters, Counting, Event, Events, Known
 from rect.subscriber import Declared, Subscriber, Subscription, callable_or_none, undeclared
-from rect.values import payload_of, codec_of
+from rect.stream import Frame, Stream, Watch
+from rect.transfer import OnProgress, Progress, Received, Sending, Transfers
+from rect.values import codec_of, payload_of
 
 #: The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
 _MAX_PUBLICATIONS = 256
 #: How long a request waits unless told otherwise, in seconds.
 DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_MS / 1000
+
+#: The largest transfer that is taken unless told otherwise.
+DEFAULT_MAX_BYTES = 64 << 20
 
 Handler = Callable[[Request], Any]
 CodecLike = Union[str, _rect.Codec, None]
@@ -330,6 +335,145 @@ class Robot:
         if not callable(handler):
             raise TypeError(f"handler is a function, not a {type(handler).__name__}")
         return Service(self._session, topic, handler)
+
+    def stream(
+        self,
+        topic: str,
+        *,
+        mode: Optional[str] = None,
+        codec: CodecLike = None,
+        frames_per_s: Optional[float] = None,
+        least_frames_per_s: Optional[float] = None,
+        most_bytes_per_s: Optional[float] = None,
+        feedback: Optional[float] = None,
+        photographs: str = "jpeg",
+        urgency: str = "normal",
+    ) -> Stream:
+        """A stream of which the newest frame counts: what is old, a slow link drops.
+
+        `mode`: `adaptive` (pictures at the size, quality and rate that get through; the default without a codec), `fixed`
+        (frames as they are, at most `frames_per_s`; the default with a codec), `sensor` (values as they come; nothing comes
+        back). `feedback`: how often receivers say what comes, in seconds. `photographs`: `jpeg`, or `webp`, which is
+        smaller and takes longer to write. docs/streams.md tells the rest.
+
+        Raises `InvalidTopicError`, `OptionError`, `CodecError`, `Closed`.
+        """
+        self._session.check()
+        codec = codec_of(codec)
+        mode = mode or ("adaptive" if codec is None else "fixed")
+        return Stream(
+            self._session,
+            text("topic", topic),
+            text("mode", mode),
+            codec,
+            photographs,
+            text("urgency", urgency),
+            frames_per_s=frames_per_s,
+            least_frames_per_s=least_frames_per_s,
+            most_bytes_per_s=most_bytes_per_s,
+            feedback_s=feedback,
+        )
+
+    @overload
+    def watch(
+        self, robot: str, topic: str, callback: None = None, *, capacity: int = 1, when_full: str = "newest wins"
+    ) -> Watch: ...
+    @overload
+    def watch(
+        self,
+        robot: str,
+        topic: str,
+        callback: Callable[[Frame], object],
+        *,
+        capacity: int = 1,
+        when_full: str = "newest wins",
+    ) -> Subscription[Frame]: ...
+    def watch(
+        self,
+        robot: str,
+        topic: str,
+        callback: Optional[Callable[[Frame], object]] = None,
+        *,
+        capacity: int = 1,
+        when_full: str = "newest wins",
+    ) -> Union[Watch, Subscription[Frame]]:
+        """Watches a robot's stream: the newest frame waits until it is taken. An iterator; or, with a callback, that is
+        called for each. A program that wants all values of a sensor gives a larger `capacity`.
+
+        Raises `InvalidNameError`, `InvalidTopicError`, `Closed`.
+        """
+        callable_or_none(callback)
+        self._session.check()
+        watch = Watch(self._session, text("robot", robot), text("topic", topic), capacity, when_full)
+        return watch if callback is None else Subscription(watch, callback, f"{robot}/{topic}")
+
+    def transfer(
+        self,
+        robot: str,
+        topic: str,
+        data: Any,
+        *,
+        name: Optional[str] = None,
+        timeout: Optional[float] = None,
+        on_progress: Optional[OnProgress] = None,
+    ) -> None:
+        """Transfers a file (a path, as text or `Path`) or bytes of any size to one robot, and waits until all is there and
+        right. Everything else overtakes it. Links may come and go meanwhile, and either side may be restarted.
+
+        `name`: what it is called there; default: the file's. `timeout`: how long nothing may be heard of the receiver, in
+        seconds; default: it may come back whenever it likes. `on_progress` gets a `Progress` up to ten times a second.
+
+        Raises `TransferRefused`, `TransferFailed`, `TimedOut`, `FileError`, `InvalidNameError`, `InvalidTopicError`.
+        """
+        self.sending(robot, topic, data, name, timeout, on_progress).run()
+
+    def receive_transfers(
+        self,
+        pattern: str,
+        *,
+        folder: Union[str, os.PathLike[str], None] = None,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        at_once: int = 4,
+        patience: float = 600.0,
+        on_progress: Optional[Callable[[Received, Progress], object]] = None,
+    ) -> Transfers:
+        """Takes the transfers of a pattern (`*/maps/*`) that others send to this robot, until what this returns is closed:
+        an iterator of those that ended. Without it none is taken.
+
+        `folder`: they become files there, in a folder for each sender, and go on after a restart; default: in memory.
+        `max_bytes`: larger ones are refused. `at_once`: more of them wait. `patience`: how long nothing may come before one
+        is given up, in seconds.
+
+        Raises `InvalidTopicError`, `FileError`, `Closed`.
+        """
+        callable_or_none(on_progress)
+        self._session.check()
+        return Transfers(
+            self._session,
+            text("pattern", pattern),
+            folder=folder,
+            max_bytes=max_bytes,
+            at_once=at_once,
+            patience=seconds("patience", patience),
+            on_progress=on_progress,
+        )
+
+    def sending(
+        self,
+        robot: str,
+        topic: str,
+        data: Any,
+        name: Optional[str] = None,
+        timeout: Optional[float] = None,
+        on_progress: Optional[OnProgress] = None,
+    ) -> Sending:
+        """What `transfer` runs, for a program that runs it on a thread of its own and may stop it."""
+        callable_or_none(on_progress)
+        self._session.check()
+        if timeout is not None:
+            seconds("timeout", timeout)
+        robot, topic = text("robot", robot), text("topic", topic)
+        return Sending(self._session, robot, topic, data, name=name, patience=timeout, on_progress=on_progress)
 
     def share(self, dictionary: _rect.Dictionary) -> _rect.Codec:
         """Gives a dictionary to whoever asks for it. What is said with the codec that this returns is packed with it, which
