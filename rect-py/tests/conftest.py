@@ -6,7 +6,6 @@ import socket
 from collections.abc import Callable, Iterator
 
 import pytest
-
 import rect
 
 #: How long anything may take before a test fails, in seconds.

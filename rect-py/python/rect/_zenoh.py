@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, Optional, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import zenoh
 
@@ -33,7 +33,7 @@ def qos(treated: tuple[int, bool, bool]) -> dict[str, Any]:
     return {"priority": _PRIORITIES[priority - 1], "express": express, "congestion_control": congestion}
 
 
-def direct(callback: Callable[[Any], object], drop: Optional[Callable[[], object]] = None) -> Any:
+def direct(callback: Callable[[Any], object], drop: Callable[[], object] | None = None) -> Any:
     """A callback on Zenoh's own thread, which nothing of a program's runs on."""
     return zenoh.handlers.Callback(callback, drop, indirect=False)
 
@@ -48,7 +48,7 @@ def payload_bytes(payload: Any) -> bytes:
     return b"" if payload is None else cast(bytes, payload.to_bytes())
 
 
-def patiently(call: Callable[[], T], undo: Optional[Callable[[T], object]] = None) -> T:
+def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None) -> T:
     """The same as `call()`, which may take long: on a thread of its own, so that Ctrl-C ends the wait at once.
 
     `undo` is given the result if nobody waits for it any more.

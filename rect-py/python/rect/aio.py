@@ -5,8 +5,8 @@
         async for message in robot.subscribe("*/arm/angle"):
             print(message.sender, message.value)
 
-A robot belongs to the loop that it was made in. Callbacks and handlers may be plain functions or `async def`; they run on the
-loop.
+A robot belongs to the loop that it was made in. Callbacks and handlers may be plain functions or `async def`; they run
+on the loop.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import inspect
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Generic, Optional, TypeVar, Union, overload
+from typing import Any, Generic, TypeVar, overload
 
 import zenoh as stock
 
-from rect import _rect, robot as blocking
+from rect import _rect
+from rect import robot as blocking
 from rect._zenoh import LARGE_BYTES
 from rect.errors import CodecError, NoService, TimedOut
 from rect.inbox import DEFAULT_CAPACITY, Ended
@@ -51,13 +52,13 @@ def connect(
     name: str,
     *,
     fleet: str = "rect",
-    router: Optional[str] = None,
+    router: str | None = None,
     endpoints: Sequence[str] = (),
     listen: Sequence[str] = (),
-    login: Optional[tuple[str, str]] = None,
-    login_file: Union[str, Path] = DEFAULT_LOGIN_FILE,
+    login: tuple[str, str] | None = None,
+    login_file: str | Path = DEFAULT_LOGIN_FILE,
     timeout: float = 5.0,
-    zenoh: Optional[Mapping[str, Any]] = None,
+    zenoh: Mapping[str, Any] | None = None,
 ) -> Connecting:
     """Joins, as `rect.connect`: `async with connect(...) as robot:`, or `robot = await connect(...)`."""
     return Connecting(Options(name, fleet, router, endpoints, listen, login, login_file, timeout, zenoh or {}))
@@ -68,7 +69,7 @@ class Connecting:
 
     def __init__(self, options: Options) -> None:
         self._options = options
-        self._robot: Optional[Robot] = None
+        self._robot: Robot | None = None
 
     def __await__(self) -> Generator[Any, None, Robot]:
         return self._connect().__await__()
@@ -144,17 +145,17 @@ class Robot:
     def subscribe(
         self,
         pattern: str,
-        callback: Optional[Callable[[Message], object]] = None,
+        callback: Callable[[Message], object] | None = None,
         *,
         capacity: int = DEFAULT_CAPACITY,
         when_full: str = "newest wins",
-    ) -> Union[Subscriber, Subscription[Message]]:
+    ) -> Subscriber | Subscription[Message]:
         """The messages of a pattern, for `async for` or a callback; see `rect.Robot.subscribe`."""
         callable_or_none(callback)
         subscriber = Subscriber(self._robot.subscribe(pattern, capacity=capacity, when_full=when_full))
         return subscriber if callback is None else Subscription(self, subscriber, callback, pattern)
 
-    async def listen(self, robot: str, topic: str, timeout: Optional[float] = None) -> Message:
+    async def listen(self, robot: str, topic: str, timeout: float | None = None) -> Message:
         """The next message of a robot about a topic; see `rect.Robot.listen`."""
         if timeout is not None:
             seconds("timeout", timeout)
@@ -194,7 +195,7 @@ class Robot:
     def serve(self, topic: str) -> Callable[[Handler], Service]: ...
     @overload
     def serve(self, topic: str, handler: Handler) -> Service: ...
-    def serve(self, topic: str, handler: Optional[Handler] = None) -> Union[Service, Callable[[Handler], Service]]:
+    def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
         """Serves a topic by a function or an `async def`, which may yield several answers; see `rect.Robot.serve`."""
         self._session.check()
         text("topic", topic)
@@ -226,11 +227,11 @@ class Robot:
         self,
         robot: str,
         topic: str,
-        callback: Optional[Callable[[Frame], object]] = None,
+        callback: Callable[[Frame], object] | None = None,
         *,
         capacity: int = 1,
         when_full: str = "newest wins",
-    ) -> Union[Watch, Subscription[Frame]]:
+    ) -> Watch | Subscription[Frame]:
         """Watches a robot's stream, for `async for` or a callback; see `rect.Robot.watch`."""
         callable_or_none(callback)
         watch = Watch(self._robot.watch(robot, topic, capacity=capacity, when_full=when_full))
@@ -242,9 +243,9 @@ class Robot:
         topic: str,
         data: Any,
         *,
-        name: Optional[str] = None,
-        timeout: Optional[float] = None,
-        on_progress: Optional[Callable[[Progress], object]] = None,
+        name: str | None = None,
+        timeout: float | None = None,
+        on_progress: Callable[[Progress], object] | None = None,
     ) -> None:
         """Transfers a file or bytes of any size to one robot; cancelled, it stops. See `rect.Robot.transfer`."""
         loop = asyncio.get_running_loop()
@@ -267,11 +268,11 @@ class Robot:
         """The other robots of the fleet that are there now, by name."""
         return await asyncio.to_thread(self._robot.peers)
 
-    async def connections(self, robot: Optional[str] = None, which: str = "") -> Connections:
+    async def connections(self, robot: str | None = None, which: str = "") -> Connections:
         """The connections of a robot's router; see `rect.Robot.connections`."""
         return await asyncio.to_thread(self._robot.connections, robot, which)
 
-    async def ask_registry(self, question: str, *, robot: Optional[str] = None, which: str = "") -> Any:
+    async def ask_registry(self, question: str, *, robot: str | None = None, which: str = "") -> Any:
         """Any other question of the registry; see `rect.Robot.ask_registry`."""
         return await asyncio.to_thread(lambda: self._robot.ask_registry(question, robot=robot, which=which))
 
@@ -279,7 +280,7 @@ class Robot:
     def on_state(self, callback: None = None) -> Events: ...
     @overload
     def on_state(self, callback: Callable[[Event], object]) -> Subscription[Event]: ...
-    def on_state(self, callback: Optional[Callable[[Event], object]] = None) -> Union[Events, Subscription[Event]]:
+    def on_state(self, callback: Callable[[Event], object] | None = None) -> Events | Subscription[Event]:
         """What changes about who can be reached, for `async for` or a callback; see `rect.Robot.on_state`."""
         callable_or_none(callback)
         events = Events(self._robot.on_state())
@@ -311,7 +312,7 @@ class Robot:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    async def _say(self, topic: str, to: Optional[str], value: Any, urgency: str, codec: CodecLike) -> None:
+    async def _say(self, topic: str, to: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
         if len(payload.bytes) < LARGE_BYTES:
@@ -326,7 +327,7 @@ class Subscriber:
     def __init__(self, subscriber: BlockingSubscriber) -> None:
         self._subscriber = subscriber
 
-    async def next(self, timeout: Optional[float] = None) -> Message:
+    async def next(self, timeout: float | None = None) -> Message:
         """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
             return await self._pop(timeout)
@@ -370,7 +371,7 @@ class Subscriber:
     async def __aexit__(self, *_: object) -> None:
         self.close()
 
-    async def _pop(self, timeout: Optional[float]) -> Message:
+    async def _pop(self, timeout: float | None) -> Message:
         message = await self._subscriber._inbox.pop_async(timeout)
         decoder = self._subscriber._session.decoder
         try:
@@ -393,7 +394,7 @@ class Events:
     def __init__(self, events: BlockingEvents) -> None:
         self._events = events
 
-    async def next(self, timeout: Optional[float] = None) -> Event:
+    async def next(self, timeout: float | None = None) -> Event:
         """The next one, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         return await self._events.next_async(timeout)
 
@@ -491,7 +492,7 @@ class Watch:
     def __init__(self, watch: BlockingWatch) -> None:
         self._watch = watch
 
-    async def next(self, timeout: Optional[float] = None) -> Frame:
+    async def next(self, timeout: float | None = None) -> Frame:
         """The newest frame, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
             return await self._watch.next_async(timeout)
@@ -510,7 +511,7 @@ class Watch:
             raise StopAsyncIteration from None
 
     @property
-    def round_trip(self) -> Optional[float]:
+    def round_trip(self) -> float | None:
         """What a small message takes to the sender and back, in seconds, once it has answered one."""
         return self._watch.round_trip
 
@@ -531,7 +532,7 @@ class Transfers:
     def __init__(self, transfers: BlockingTransfers) -> None:
         self._transfers = transfers
 
-    async def next(self, timeout: Optional[float] = None) -> Received:
+    async def next(self, timeout: float | None = None) -> Received:
         """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
             return await self._transfers.next_async(timeout)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Optional
 
 import zenoh
 
@@ -91,11 +90,15 @@ class Decoder:
             # One's own messages are heard, too.
             self._keep(dictionary)
 
-    def _ask(self, sender: str, id: int) -> Optional[_rect.Dictionary]:
+    def _ask(self, sender: str, id: int) -> _rect.Dictionary | None:
         replies: Inbox[zenoh.Reply] = Inbox(16, "oldest wins")
-        asked = {"timeout": _PATIENCE_S, "priority": zenoh.Priority.DATA_HIGH}
         try:
-            self._session.get(self._key(sender, id), direct(replies.push, replies.close), **asked)
+            self._session.get(
+                self._key(sender, id),
+                direct(replies.push, replies.close),
+                timeout=_PATIENCE_S,
+                priority=zenoh.Priority.DATA_HIGH,
+            )
             while True:
                 reply = replies.pop(_PATIENCE_S)
                 if reply.ok is None:

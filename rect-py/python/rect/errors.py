@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Any
 
 
 class RectError(Exception):
@@ -41,7 +41,7 @@ class CodecError(PayloadError):
     `kind`: `unknown`, `option`, `kind`, `damaged`, `too large`, `dictionary` (then `dictionary` is its id), `failed`.
     """
 
-    def __init__(self, text: str, kind: str, dictionary: Optional[int] = None) -> None:
+    def __init__(self, text: str, kind: str, dictionary: int | None = None) -> None:
         super().__init__(text, kind)
         self.dictionary = dictionary
 
@@ -55,13 +55,27 @@ class NoRouter(RectError, ConnectionError):
 
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(
-            f"no router answers at {endpoint}: {reason}. `python -m rect router -l tcp/127.0.0.1:7447` starts one here; "
-            "another one is named by `rect.connect(..., router=...)`"
-        )
-        self.endpoint = endpoint
+            f"no router answers at {endpoint}: {reason}. `python -m rect router -l
+            tcp/127.0.0.1:7447` starts
+         
+          
+           
+            one here;
+           
+            " "another
+            one is named by
+         
+          
+           
+            `rect.connect(..., router=...)`"
+      
+       
+        ) self.endpoint =
+        endpoint
 
 
-class NoService(RectError, LookupError):
+class
+NoService(RectError, LookupError):
     """Nobody has that service. Is the robot there, and does its program run? `there`: the robots that are."""
 
     def __init__(self, robot: str, topic: str, there: list[str]) -> None:
@@ -79,9 +93,10 @@ class TimedOut(RectError, TimeoutError):
 
 
 class ServiceError(RectError):
-    """The service answered with an error. `robot`: who (`None`: a stock program, which does not say); `value`: the error."""
+    """The service answered with an error. `robot`: who (`None`: a stock program, which does not say); `value`: the
+    error."""
 
-    def __init__(self, robot: Optional[str], value: Any, said: str) -> None:
+    def __init__(self, robot: str | None, value: Any, said: str) -> None:
         super().__init__(f"{robot or 'the service'} answers with an error: {said[:500]}")
         self.robot = robot
         self.value = value
@@ -109,7 +124,7 @@ class TransferFailed(TransferError):
 class FileError(RectError, OSError):
     """A file or folder of a transfer can't be used."""
 
-    def __init__(self, text: str, errno: Optional[int] = None) -> None:
+    def __init__(self, text: str, errno: int | None = None) -> None:
         super().__init__(text)
         self.errno = errno
 

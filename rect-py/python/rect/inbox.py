@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from typing import Any, Generic, Optional, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from rect import _rect
 
@@ -48,7 +48,7 @@ class Inbox(Generic[T]):
                 self._taken.wait()
         return False
 
-    def pop(self, timeout: Optional[float] = None) -> T:
+    def pop(self, timeout: float | None = None) -> T:
         """Takes the oldest, once there is one. Raises `Ended`, or `TimeoutError`."""
         deadline = None if timeout is None else time.monotonic() + timeout
         with self._arrived:
@@ -61,7 +61,7 @@ class Inbox(Generic[T]):
                     raise TimeoutError
                 self._arrived.wait(left)
 
-    def try_pop(self) -> Optional[T]:
+    def try_pop(self) -> T | None:
         """Takes the oldest, if there is one."""
         with self._arrived:
             try:
@@ -69,7 +69,7 @@ class Inbox(Generic[T]):
             except Ended:
                 return None
 
-    async def pop_async(self, timeout: Optional[float] = None) -> T:
+    async def pop_async(self, timeout: float | None = None) -> T:
         """The same as `pop`, for asyncio."""
         loop = asyncio.get_running_loop()
         deadline = None if timeout is None else loop.time() + timeout
@@ -117,7 +117,7 @@ class Inbox(Generic[T]):
     def __len__(self) -> int:
         return len(self._queue)
 
-    def _take(self) -> Optional[T]:
+    def _take(self) -> T | None:
         item = self._queue.pop()
         if item is not None:
             self._taken.notify()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from typing import Any, Optional
+from typing import Any
 
 from rect import _rect
 from rect.errors import CodecError
@@ -17,7 +17,7 @@ class Message:
 
     __slots__ = ("_said", "_value", "flaw", "over", "payload")
 
-    def __init__(self, said: _rect.Said, payload: Payload, over: Optional[str] = None) -> None:
+    def __init__(self, said: _rect.Said, payload: Payload, over: str | None = None) -> None:
         self._said = said
         self._value = _UNREAD
         #: What it says, as bytes with an encoding.
@@ -25,7 +25,7 @@ class Message:
         #: By what it came, as `ble`, where its sender has one link with this robot, and that is known.
         self.over = over
         #: Why it is still packed as it came, if it is: it is damaged, or of a codec that is not known here.
-        self.flaw: Optional[CodecError] = None
+        self.flaw: CodecError | None = None
 
     @property
     def value(self) -> Any:
@@ -50,7 +50,7 @@ class Message:
         return self._said.sender
 
     @property
-    def to(self) -> Optional[str]:
+    def to(self) -> str | None:
         """To whom alone; `None`: to all."""
         return self._said.to
 
@@ -70,7 +70,7 @@ class Message:
         return self._said.urgency
 
     @property
-    def sent_at(self) -> Optional[float]:
+    def sent_at(self) -> float | None:
         """When, by the sender's clock, in seconds since 1970; `None` for one of a stock program.
 
         A robot without a clock of its own may be years off.
@@ -79,7 +79,7 @@ class Message:
         return None if sent_ms is None else sent_ms / 1000
 
     @property
-    def sequence(self) -> Optional[int]:
+    def sequence(self) -> int | None:
         """Its number at its publisher; `None` for one of a stock program."""
         return self._said.sequence
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Optional, Union
+from typing import Any
 
 import zenoh
 
@@ -34,13 +34,13 @@ class Options:
 
     name: str
     fleet: str = "rect"
-    router: Optional[str] = None
+    router: str | None = None
     endpoints: Sequence[str] = ()
     listen: Sequence[str] = ()
-    login: Optional[tuple[str, str]] = None
-    login_file: Union[str, Path] = DEFAULT_LOGIN_FILE
+    login: tuple[str, str] | None = None
+    login_file: str | Path = DEFAULT_LOGIN_FILE
     timeout: float = 5.0
-    zenoh: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for what in ("name", "fleet"):
@@ -82,29 +82,33 @@ class Options:
             "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
         }
         if self.is_direct:
-            settings.update({
-                "mode": "peer",
-                "connect/endpoints": list(self.endpoints),
-                "connect/timeout_ms": -1,
-                "connect/exit_on_failure": False,
-                "connect/retry": _retry(200),
-                "listen/endpoints": list(self.listen),
-                "listen/exit_on_failure": True,
-                "scouting/gossip/enabled": False,
-            })
+            settings.update(
+                {
+                    "mode": "peer",
+                    "connect/endpoints": list(self.endpoints),
+                    "connect/timeout_ms": -1,
+                    "connect/exit_on_failure": False,
+                    "connect/retry": _retry(200),
+                    "listen/endpoints": list(self.listen),
+                    "listen/exit_on_failure": True,
+                    "scouting/gossip/enabled": False,
+                }
+            )
         else:
-            settings.update({
-                "mode": "client",
-                "connect/endpoints": [self.router or default_router()],
-                "connect/timeout_ms": int(self.timeout * 1000),
-                "connect/retry": _retry(100),
-            })
+            settings.update(
+                {
+                    "mode": "client",
+                    "connect/endpoints": [self.router or default_router()],
+                    "connect/timeout_ms": int(self.timeout * 1000),
+                    "connect/retry": _retry(100),
+                }
+            )
         login = self.login or _first_login(self.login_file)
         if login:
             user, password = login
             settings["transport/auth/usrpwd"] = {"user": user, "password": password}
         config = zenoh.Config()
-        for key, value in {**settings, **self.zenoh}.items():
+        for key, value in {**settings, **self.settings}.items():
             value = json.dumps(value)
             try:
                 config.insert_json5(key, value)
@@ -133,7 +137,7 @@ def _retry(first_ms: int) -> dict[str, int]:
     return {"period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
-def _first_login(file: Union[str, Path]) -> Optional[tuple[str, str]]:
+def _first_login(file: str | Path) -> tuple[str, str] | None:
     try:
         lines = Path(file).read_text().splitlines()
     except (OSError, UnicodeDecodeError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 import time
-from typing import Any, Optional
+from typing import Any
 
 import zenoh
 
@@ -27,7 +27,7 @@ class Publication:
         self._source = random.getrandbits(16)
         self._next = 0
         self._lock = threading.Lock()
-        self._encoding: tuple[str, Optional[zenoh.Encoding]] = ("", None)
+        self._encoding: tuple[str, zenoh.Encoding | None] = ("", None)
 
     def put(self, payload: Payload) -> None:
         """Says it; waits where the link has no room."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import html
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Optional
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from rect import _rect
 from rect._zenoh import direct, payload_bytes, refused
 from rect.errors import NoService, PayloadError
 from rect.inbox import Ended, Inbox
@@ -30,7 +29,7 @@ class Peer:
     #: Zenoh's id of its router or program.
     id: str
     #: The robot, where it is one of RECT.
-    robot: Optional[str] = None
+    robot: str | None = None
 
 
 @dataclass(frozen=True)
@@ -44,28 +43,28 @@ class Connection:
     #: `connected`, `connecting` (wanted, and not there), `discovered` (a robot that is heard, and not linked).
     state: str
     #: As the file of connections names it, if it does.
-    name: Optional[str] = None
+    name: str | None = None
     #: Who is at the other end, once that is known.
-    peer: Optional[Peer] = None
+    peer: Peer | None = None
     #: For how long it has been there, in seconds.
-    up_s: Optional[float] = None
+    up_s: float | None = None
     #: What went out, `{"batches": ..., "bytes": ...}`, where it is counted.
-    sent: Optional[dict[str, int]] = None
+    sent: dict[str, int] | None = None
     #: What came, where it is counted.
-    received: Optional[dict[str, int]] = None
+    received: dict[str, int] | None = None
     #: There and back, in milliseconds, where it is measured.
-    round_trip_ms: Optional[float] = None
+    round_trip_ms: float | None = None
     #: How strong its signal is, where it was heard within a minute.
-    rssi_dbm: Optional[int] = None
+    rssi_dbm: int | None = None
     #: How often it was made.
-    linked: Optional[int] = None
+    linked: int | None = None
     #: Attempts that came to nothing since then.
-    failed: Optional[int] = None
+    failed: int | None = None
     #: What went wrong last: `{"what": ..., "ago_s": ...}`.
-    last_error: Optional[dict[str, Any]] = None
+    last_error: dict[str, Any] | None = None
 
     @property
-    def robot(self) -> Optional[str]:
+    def robot(self) -> str | None:
         """The robot at the other end, where that is known."""
         return None if self.peer is None else self.peer.robot
 
@@ -76,9 +75,7 @@ class Connections(list[Connection]):
     def _repr_html_(self) -> str:
         columns = ("name", "method", "address", "state", "robot", "up_s", "round_trip_ms", "rssi_dbm")
         head = "".join(f"<th>{column}</th>" for column in columns)
-        rows = (
-            "".join(f"<td>{_cell(getattr(connection, column))}</td>" for column in columns) for connection in self
-        )
+        rows = ("".join(f"<td>{_cell(getattr(connection, column))}</td>" for column in columns) for connection in self)
         return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
@@ -99,8 +96,8 @@ def ask(session: Session, robot: str, question: str, which: str) -> Any:
         session.inboxes.discard(replies)
     if reply.ok is not None:
         return Payload(payload_bytes(reply.ok.payload), JSON).value
-    error = payload_bytes(None if reply.err is None else reply.err.payload)
-    raise service_error(robot, Payload(error, "text/plain"))
+    said = payload_bytes(None if reply.err is None else reply.err.payload)
+    raise service_error(robot, Payload(said, "text/plain"))
 
 
 def peers(session: Session) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Optional
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -51,7 +51,7 @@ class Replies:
     """
 
     def __init__(
-        self, session: Session, robot: Optional[str], topic: str, payload: Payload, urgency: str, timeout: float
+        self, session: Session, robot: str | None, topic: str, payload: Payload, urgency: str, timeout: float
     ) -> None:
         self._session = session
         self._what = f"answer about {topic}"
@@ -92,7 +92,7 @@ class Replies:
             raise self.timed_out() from None
         return self._reply(reply)
 
-    async def next_async(self) -> Optional[Reply]:
+    async def next_async(self) -> Reply | None:
         """The next answer, for asyncio; `None`: there are no more."""
         try:
             reply = await self._inbox.pop_async(self._left())
@@ -154,7 +154,7 @@ class Replies:
         return service_error(robot, payload)
 
 
-def service_error(robot: Optional[str], payload: Payload) -> ServiceError:
+def service_error(robot: str | None, payload: Payload) -> ServiceError:
     """An error that came as an answer."""
     try:
         value = payload.value

@@ -10,7 +10,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Optional, Union, overload
+from typing import Any, Union, overload
 
 import zenoh
 
@@ -26,8 +26,8 @@ from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
 from rect.state import Counters, Counting, Event, Events, Known
-from rect.subscriber import Declared, Subscriber, Subscription, callable_or_none, undeclared
 from rect.stream import Frame, Stream, Watch
+from rect.subscriber import Declared, Subscriber, Subscription, callable_or_none, undeclared
 from rect.transfer import OnProgress, Progress, Received, Sending, Transfers
 from rect.values import codec_of, payload_of
 
@@ -47,21 +47,23 @@ def connect(
     name: str,
     *,
     fleet: str = "rect",
-    router: Optional[str] = None,
+    router: str | None = None,
     endpoints: Sequence[str] = (),
     listen: Sequence[str] = (),
-    login: Optional[tuple[str, str]] = None,
-    login_file: Union[str, Path] = DEFAULT_LOGIN_FILE,
+    login: tuple[str, str] | None = None,
+    login_file: str | Path = DEFAULT_LOGIN_FILE,
     timeout: float = 5.0,
-    zenoh: Optional[Mapping[str, Any]] = None,
+    zenoh: Mapping[str, Any] | None = None,
 ) -> Robot:
     """Joins as a program of that robot, at the router of this computer.
 
     - `fleet`: the team's name.
     - `router`: another router, as `tcp/192.168.0.7:7447`; default: what the environment's `RECT_ENDPOINT` says, else
       `tcp/127.0.0.1:7447`.
-    - `endpoints`, `listen`: without a router: whom to connect to directly, and where others may connect to this program,
-      as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not wait for that.
+    - `endpoints`, `listen`: without a router: whom to connect to directly, and where others may connect to this
+      program,
+      as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not wait for
+      that.
     - `login`: user and password; default: the first line of `login_file`, `user:password`, if it can be read.
     - `timeout`: how long to wait for the router, in seconds, so that a program may be started together with it.
     - `zenoh`: any setting of Zenoh's configuration, by its path; goes before ours.
@@ -92,10 +94,10 @@ class Session:
         #: Called when it closes, before Zenoh does.
         self.endings: list[Callable[[], object]] = []
         self._lock = threading.Lock()
-        self._why_closed: Optional[str] = None
-        self._publications: dict[tuple[str, Optional[str], str], Publication] = {}
-        self.known: Optional[Known] = None
-        self._presence: Optional[zenoh.LivelinessToken] = None
+        self._why_closed: str | None = None
+        self._publications: dict[tuple[str, str | None, str], Publication] = {}
+        self.known: Known | None = None
+        self._presence: zenoh.LivelinessToken | None = None
         _OPEN.add(self)
         try:
             if self.is_direct:
@@ -121,7 +123,7 @@ class Session:
             with contextlib.suppress(IndexError):
                 self.left.popleft().end()
 
-    def publication(self, topic: str, to: Optional[str], urgency: str) -> Publication:
+    def publication(self, topic: str, to: str | None, urgency: str) -> Publication:
         spoken = (topic, to, urgency)
         known = self._publications.get(spoken)
         if known is not None:
@@ -203,7 +205,8 @@ class Robot:
     @property
     def zenoh(self) -> zenoh.Session:
         """The session of Zenoh below, for whatever Zenoh can do and this has no word for."""
-        return self._session.zenoh
+        session: zenoh.Session = self._session.zenoh
+        return session
 
     @property
     def is_closed(self) -> bool:
@@ -221,9 +224,7 @@ class Robot:
         """
         self._say(topic, None, value, urgency, codec)
 
-    def send(
-        self, robot: str, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None
-    ) -> None:
+    def send(self, robot: str, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None) -> None:
         """Says it to one robot alone. Nobody is asked whether it is there: `request` does that.
 
         Raises as `publish`, and `InvalidNameError`.
@@ -251,13 +252,13 @@ class Robot:
     def subscribe(
         self,
         pattern: str,
-        callback: Optional[Callable[[Message], object]] = None,
+        callback: Callable[[Message], object] | None = None,
         *,
         capacity: int = DEFAULT_CAPACITY,
         when_full: str = "newest wins",
-    ) -> Union[Subscriber, Subscription[Message]]:
-        """The messages of a pattern, `<robot>/<topic>` with wildcards (`*/arm/*`): what those robots say to all, and to this
-        one alone. An iterator; or, with a callback, that is called for each, one after another.
+    ) -> Subscriber | Subscription[Message]:
+        """The messages of a pattern, `<robot>/<topic>` with wildcards (`*/arm/*`): what those robots say to all, and
+        to this one alone. An iterator; or, with a callback, that is called for each, one after another.
 
         `capacity`: how many wait for the program. `when_full`: `newest wins` (the oldest is dropped), `oldest wins`, or
         `wait` (whoever sends does).
@@ -269,7 +270,7 @@ class Robot:
         subscriber = Subscriber(self._session, text("pattern", pattern), capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
 
-    def listen(self, robot: str, topic: str, timeout: Optional[float] = None) -> Message:
+    def listen(self, robot: str, topic: str, timeout: float | None = None) -> Message:
         """The next message of a robot about a topic, to all or to this one alone, that is sent from now on.
 
         Raises `TimedOut` (seconds), `InvalidNameError`, `InvalidTopicError`, `Closed`.
@@ -315,9 +316,9 @@ class Robot:
     def serve(self, topic: str) -> Callable[[Handler], Service]: ...
     @overload
     def serve(self, topic: str, handler: Handler) -> Service: ...
-    def serve(self, topic: str, handler: Optional[Handler] = None) -> Union[Service, Callable[[Handler], Service]]:
-        """Serves a topic by a function of a `Request`: what it returns is the answer; a generator gives several. What it
-        raises arrives at the asker as `ServiceError`, and is logged here unless it is a `Refusal`.
+    def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
+        """Serves a topic by a function of a `Request`: what it returns is the answer; a generator gives several. What
+        it raises arrives at the asker as `ServiceError`, and is logged here unless it is a `Refusal`.
 
         As a decorator, or called with the function:
 
@@ -340,19 +341,21 @@ class Robot:
         self,
         topic: str,
         *,
-        mode: Optional[str] = None,
+        mode: str | None = None,
         codec: CodecLike = None,
-        frames_per_s: Optional[float] = None,
-        least_frames_per_s: Optional[float] = None,
-        most_bytes_per_s: Optional[float] = None,
-        feedback: Optional[float] = None,
+        frames_per_s: float | None = None,
+        least_frames_per_s: float | None = None,
+        most_bytes_per_s: float | None = None,
+        feedback: float | None = None,
         photographs: str = "jpeg",
         urgency: str = "normal",
     ) -> Stream:
         """A stream of which the newest frame counts: what is old, a slow link drops.
 
-        `mode`: `adaptive` (pictures at the size, quality and rate that get through; the default without a codec), `fixed`
-        (frames as they are, at most `frames_per_s`; the default with a codec), `sensor` (values as they come; nothing comes
+        `mode`: `adaptive` (pictures at the size, quality and rate that get through; the default without a codec),
+        `fixed`
+        (frames as they are, at most `frames_per_s`; the default with a codec), `sensor` (values as they come; nothing
+        comes
         back). `feedback`: how often receivers say what comes, in seconds. `photographs`: `jpeg`, or `webp`, which is
         smaller and takes longer to write. docs/streams.md tells the rest.
 
@@ -392,11 +395,11 @@ class Robot:
         self,
         robot: str,
         topic: str,
-        callback: Optional[Callable[[Frame], object]] = None,
+        callback: Callable[[Frame], object] | None = None,
         *,
         capacity: int = 1,
         when_full: str = "newest wins",
-    ) -> Union[Watch, Subscription[Frame]]:
+    ) -> Watch | Subscription[Frame]:
         """Watches a robot's stream: the newest frame waits until it is taken. An iterator; or, with a callback, that is
         called for each. A program that wants all values of a sensor gives a larger `capacity`.
 
@@ -413,14 +416,15 @@ class Robot:
         topic: str,
         data: Any,
         *,
-        name: Optional[str] = None,
-        timeout: Optional[float] = None,
-        on_progress: Optional[OnProgress] = None,
+        name: str | None = None,
+        timeout: float | None = None,
+        on_progress: OnProgress | None = None,
     ) -> None:
-        """Transfers a file (a path, as text or `Path`) or bytes of any size to one robot, and waits until all is there and
-        right. Everything else overtakes it. Links may come and go meanwhile, and either side may be restarted.
+        """Transfers a file (a path, as text or `Path`) or bytes of any size to one robot, and waits until all is there
+        and right. Everything else overtakes it. Links may come and go meanwhile, and either side may be restarted.
 
-        `name`: what it is called there; default: the file's. `timeout`: how long nothing may be heard of the receiver, in
+        `name`: what it is called there; default: the file's. `timeout`: how long nothing may be heard of the receiver,
+        in
         seconds; default: it may come back whenever it likes. `on_progress` gets a `Progress` up to ten times a second.
 
         Raises `TransferRefused`, `TransferFailed`, `TimedOut`, `FileError`, `InvalidNameError`, `InvalidTopicError`.
@@ -431,18 +435,18 @@ class Robot:
         self,
         pattern: str,
         *,
-        folder: Union[str, os.PathLike[str], None] = None,
+        folder: str | os.PathLike[str] | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
         at_once: int = 4,
         patience: float = 600.0,
-        on_progress: Optional[Callable[[Received, Progress], object]] = None,
+        on_progress: Callable[[Received, Progress], object] | None = None,
     ) -> Transfers:
-        """Takes the transfers of a pattern (`*/maps/*`) that others send to this robot, until what this returns is closed:
-        an iterator of those that ended. Without it none is taken.
+        """Takes the transfers of a pattern (`*/maps/*`) that others send to this robot, until what this returns is
+        closed: an iterator of those that ended. Without it none is taken.
 
         `folder`: they become files there, in a folder for each sender, and go on after a restart; default: in memory.
-        `max_bytes`: larger ones are refused. `at_once`: more of them wait. `patience`: how long nothing may come before one
-        is given up, in seconds.
+        `max_bytes`: larger ones are refused. `at_once`: more of them wait. `patience`: how long nothing may come
+        before one is given up, in seconds.
 
         Raises `InvalidTopicError`, `FileError`, `Closed`.
         """
@@ -463,9 +467,9 @@ class Robot:
         robot: str,
         topic: str,
         data: Any,
-        name: Optional[str] = None,
-        timeout: Optional[float] = None,
-        on_progress: Optional[OnProgress] = None,
+        name: str | None = None,
+        timeout: float | None = None,
+        on_progress: OnProgress | None = None,
     ) -> Sending:
         """What `transfer` runs, for a program that runs it on a thread of its own and may stop it."""
         callable_or_none(on_progress)
@@ -476,8 +480,8 @@ class Robot:
         return Sending(self._session, robot, topic, data, name=name, patience=timeout, on_progress=on_progress)
 
     def share(self, dictionary: _rect.Dictionary) -> _rect.Codec:
-        """Gives a dictionary to whoever asks for it. What is said with the codec that this returns is packed with it, which
-        small JSON needs to get much smaller; whoever hears it fetches the dictionary once."""
+        """Gives a dictionary to whoever asks for it. What is said with the codec that this returns is packed with it,
+        which small JSON needs to get much smaller; whoever hears it fetches the dictionary once."""
         self._session.check()
         self._session.decoder.share(dictionary)
         return _rect.Codec.packed(dictionary)
@@ -487,7 +491,7 @@ class Robot:
         self._session.check()
         return registry.peers(self._session)
 
-    def connections(self, robot: Optional[str] = None, which: str = "") -> Connections:
+    def connections(self, robot: str | None = None, which: str = "") -> Connections:
         """The connections of this robot's router, or another's; those that `which` selects, as `method=ble` or
         `peer=wombat-2;state=connected` (docs/registry.md).
 
@@ -496,7 +500,7 @@ class Robot:
         self._session.check()
         return registry.connections(self._session, robot or self.name, which)
 
-    def ask_registry(self, question: str, *, robot: Optional[str] = None, which: str = "") -> Any:
+    def ask_registry(self, question: str, *, robot: str | None = None, which: str = "") -> Any:
         """Any other question of the registry, as `connections/count` or `status` (docs/registry.md)."""
         self._session.check()
         return registry.ask(self._session, robot or self.name, text("question", question), which)
@@ -505,11 +509,9 @@ class Robot:
     def on_state(self, callback: None = None) -> Events: ...
     @overload
     def on_state(self, callback: Callable[[Event], object]) -> Subscription[Event]: ...
-    def on_state(
-        self, callback: Optional[Callable[[Event], object]] = None
-    ) -> Union[Events, Subscription[Event]]:
-        """What changes about who can be reached: robots that come and go, links and over which radio, and the router itself;
-        first of all who is there already. An iterator; or, with a callback, that is called for each."""
+    def on_state(self, callback: Callable[[Event], object] | None = None) -> Events | Subscription[Event]:
+        """What changes about who can be reached: robots that come and go, links and over which radio, and the router
+        itself; first of all who is there already. An iterator; or, with a callback, that is called for each."""
         callable_or_none(callback)
         self._session.check()
         events = Events(self._session)
@@ -532,7 +534,7 @@ class Robot:
     def __repr__(self) -> str:
         return f"Robot({self.fleet}/{self.name}{', closed' if self.is_closed else ''})"
 
-    def _say(self, topic: str, to: Optional[str], value: Any, urgency: str, codec: CodecLike) -> None:
+    def _say(self, topic: str, to: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         session = self._session
         session.check()
         payload = payload_of(value, codec_of(codec))
@@ -544,7 +546,7 @@ class Robot:
         session.counting.on_sent(len(payload.bytes))
 
     def _ask(
-        self, robot: Optional[str], topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike
+        self, robot: str | None, topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike
     ) -> Replies:
         self._session.check()
         payload = payload_of(value, codec_of(codec))

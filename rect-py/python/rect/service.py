@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Optional
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -62,7 +62,7 @@ class Request:
         return self.payload.value
 
     @property
-    def from_(self) -> Optional[str]:
+    def from_(self) -> str | None:
         """Who asks; `from` is a word of Python's own."""
         return self.sender
 
@@ -113,7 +113,7 @@ class Request:
 class Requests:
     """The requests to a service, as they come."""
 
-    def __init__(self, session: Session, topic: str, on_request: Optional[Callable[[], object]] = None) -> None:
+    def __init__(self, session: Session, topic: str, on_request: Callable[[], object] | None = None) -> None:
         self._session = session
         self._inbox: Inbox[Request] = Inbox(_WAITING, "oldest wins")
         key = session.place.publication(topic)

@@ -6,7 +6,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Optional
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 class Event:
     """Something has changed about who can be reached."""
 
-    #: `peer_up`, `peer_down` (a robot of the fleet), `link_up`, `link_down` (of this robot's router; without a router, of
-    #: this program), `router_up`, `router_down` (of this program).
+    #: `peer_up`, `peer_down` (a robot of the fleet), `link_up`, `link_down` (of this robot's router; without a router,
+    #: of this program), `router_up`, `router_down` (of this program).
     what: str
     #: Which robot, where that is known.
-    robot: Optional[str] = None
+    robot: str | None = None
     #: Of a link: `ble`, `tcp`, `udp`...
-    method: Optional[str] = None
+    method: str | None = None
     #: Of a link: where it leads.
-    address: Optional[str] = None
+    address: str | None = None
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Events:
             raise refused("who is there is not told", error) from None
         weakref.finalize(self, self._declared.leave).atexit = False
 
-    def next(self, timeout: Optional[float] = None) -> Event:
+    def next(self, timeout: float | None = None) -> Event:
         """The next one, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
             return self._inbox.pop(timeout)
@@ -134,7 +134,7 @@ class Events:
         except TimeoutError:
             raise TimedOut("news of who can be reached", timeout or 0) from None
 
-    async def next_async(self, timeout: Optional[float] = None) -> Event:
+    async def next_async(self, timeout: float | None = None) -> Event:
         """The same for asyncio."""
         try:
             return await self._inbox.pop_async(timeout)
@@ -168,7 +168,7 @@ class Known:
 
     def __init__(self, session: Session) -> None:
         self._links = _rect.Links()
-        self.method: Callable[[str], Optional[str]] = self._links.method
+        self.method: Callable[[str], str | None] = self._links.method
         self._declared = follow(session, self._links.on_connections)
 
 
@@ -184,7 +184,7 @@ def follow(session: Session, on_connections: Callable[[bytes], object]) -> zenoh
             on_connections(payload_bytes(reply.ok.payload))
 
     try:
-        published = session.zenoh.declare_subscriber(key, direct(on_sample))
+        published: zenoh.Subscriber[None] = session.zenoh.declare_subscriber(key, direct(on_sample))
         session.zenoh.get(key, direct(on_reply))
     except zenoh.ZError as error:
         raise refused("the router's connections are not told", error) from None

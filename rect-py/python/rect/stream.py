@@ -9,7 +9,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Optional
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -41,10 +41,10 @@ class Stream:
         session: Session,
         topic: str,
         mode: str,
-        codec: Optional[_rect.Codec],
+        codec: _rect.Codec | None,
         photographs: str,
         urgency: str,
-        **options: Optional[float],
+        **options: float | None,
     ) -> None:
         if photographs not in ("jpeg", "webp"):
             raise OptionError("photographs", photographs, 'it is "jpeg" or "webp"')
@@ -72,8 +72,8 @@ class Stream:
     def send(self, frame: Any) -> int:
         """Sends a frame, if anyone wants one now; to how many groups it went. Does not wait for the link.
 
-        A picture (numpy, Pillow or `Picture`) of an adaptive stream goes at the size and quality that get through; all else
-        goes as it is, by the stream's codec if it has one.
+        A picture (numpy, Pillow or `Picture`) of an adaptive stream goes at the size and quality that get through; all
+        else goes as it is, by the stream's codec if it has one.
 
         Raises `PayloadError`, `CodecError`, `Closed`.
         """
@@ -94,8 +94,9 @@ class Stream:
                 self._put(job, payload.bytes, payload.encoding)
         return len(jobs)
 
-    def send_with(self, pixels: int, encode: Callable[[Optional[int], Optional[float]], Any]) -> int:
-        """There is a frame of so many pixels: `encode(quality, scale)` makes it, once for each group that gets one now, and
+    def send_with(self, pixels: int, encode: Callable[[int | None, float | None], Any]) -> int:
+        """There is a frame of so many pixels: `encode(quality, scale)` makes it, once for each group that gets one
+        now, and
         is not called where nobody does. `quality` 1 to 100, `None`: lossless; `scale` of width and height; both `None`
         where the program's own choice counts. To how many it went."""
         self._session.check()
@@ -128,7 +129,7 @@ class Stream:
     def _frames(self, key: str, group: int, treated: dict[str, Any]) -> zenoh.Publisher:
         """What puts a group's frames, and knows whether anyone wants them."""
         core = self._core
-        publisher = self._session.zenoh.declare_publisher(key, **treated)
+        publisher: zenoh.Publisher = self._session.zenoh.declare_publisher(key, **treated)
         self._declared.add(publisher)
         listener = publisher.declare_matching_listener(
             direct(lambda status: core.on_subscribers(group, status.matching))
@@ -169,9 +170,9 @@ class Frame:
     payload: Payload
     #: Its number. The sender numbers anew when it starts, and when this robot gets other frames than before.
     number: int
-    #: How old it was when it came, in seconds; until the sender has told its time, how much older than the fastest of the
-    #: last minute. `None`: another program's, which does not tell.
-    age: Optional[float]
+    #: How old it was when it came, in seconds; until the sender has told its time, how much older than the fastest of
+    #: the last minute. `None`: another program's, which does not tell.
+    age: float | None
     #: So many before it were not seen: the link dropped them, or this program was not there to take them.
     skipped: int
 
@@ -180,7 +181,7 @@ class Frame:
         """What it says; see `Message.value`."""
         return self.payload.value
 
-    def _repr_png_(self) -> Optional[bytes]:
+    def _repr_png_(self) -> bytes | None:
         value = self.value
         return value._repr_png_() if isinstance(value, Picture) else None
 
@@ -194,10 +195,10 @@ class Watch:
         self._session = session
         self._name = f"{robot}/{topic}"
         self._listening = _Listening(session, robot, topic, capacity, when_full)
-        self._last: Optional[int] = None
+        self._last: int | None = None
         weakref.finalize(self, self._listening.leave).atexit = False
 
-    def next(self, timeout: Optional[float] = None) -> Frame:
+    def next(self, timeout: float | None = None) -> Frame:
         """The newest frame, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
             return self.counted(self._listening.inbox.pop(timeout))
@@ -215,12 +216,12 @@ class Watch:
         except Ended:
             raise StopIteration from None
 
-    async def next_async(self, timeout: Optional[float] = None) -> Frame:
+    async def next_async(self, timeout: float | None = None) -> Frame:
         """The same for asyncio. Raises `Ended`, `TimeoutError`."""
         return self.counted(await self._listening.inbox.pop_async(timeout))
 
     @property
-    def round_trip(self) -> Optional[float]:
+    def round_trip(self) -> float | None:
         """What a small message takes to the sender and back, in seconds, once it has answered one."""
         return self._listening.core.round_trip()
 
@@ -254,8 +255,8 @@ class _Listening:
         self._session = session
         self._keys = [place.frames(robot, topic, group) for group in _GROUPS]
         self._notice_key = place.notice(robot, topic)
-        self._hears: list[Optional[zenoh.Subscriber[None]]] = [None, None]
-        self._group: Optional[tuple[int, float]] = None
+        self._hears: list[zenoh.Subscriber[None] | None] = [None, None]
+        self._group: tuple[int, float] | None = None
         #: Frames that were sent since the first that came.
         self._ordinal = 0
         self._lock = threading.Lock()
@@ -359,7 +360,7 @@ def _tell(session: Session, key: str, notice: bytes) -> None:
         _LOG.debug("%s is not told any more: %s", key, error)
 
 
-def _picture(frame: Any) -> Optional[Picture]:
+def _picture(frame: Any) -> Picture | None:
     """The frame as a picture, if it is one."""
     if isinstance(frame, (str, bytes, dict, list, tuple, int, float, Payload)) or frame is None:
         return None

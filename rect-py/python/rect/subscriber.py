@@ -7,7 +7,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Optional, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import zenoh
 
@@ -36,7 +36,8 @@ class Tally:
 
 
 class Subscriber:
-    """The messages of a pattern, as they come: an iterator that waits for the next, and ends when the session is closed.
+    """The messages of a pattern, as they come: an iterator that waits for the next, and ends when the session is
+    closed.
 
     It ends when it is closed, when its `with` ends, or when nobody has it any more.
     """
@@ -57,7 +58,7 @@ class Subscriber:
                 raise refused("the subscription is refused", error) from None
         weakref.finalize(self, self._declared.leave).atexit = False
 
-    def next(self, timeout: Optional[float] = None) -> Message:
+    def next(self, timeout: float | None = None) -> Message:
         """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
             return self._unpacked(self._inbox.pop(timeout))
@@ -110,7 +111,7 @@ class Subscriber:
 class Declared:
     """What is declared at Zenoh for one handle, and the inbox that it fills; ends once."""
 
-    def __init__(self, session: Session, inbox: Optional[Inbox[Any]] = None) -> None:
+    def __init__(self, session: Session, inbox: Inbox[Any] | None = None) -> None:
         self._session = session
         self._inbox = inbox
         self._declared: list[Any] = []

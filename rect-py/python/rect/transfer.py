@@ -1,6 +1,7 @@
 """Owns the transfers of a session: what a program sends, and what it takes. What is decided, the core decides.
 
-Each transfer that comes has a thread of its own, since files and a full link make it wait; one that is sent has its caller's.
+Each transfer that comes has a thread of its own, since files and a full link make it wait; one that is sent has its
+caller's.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Optional, Union
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -72,11 +73,11 @@ class Received:
     #: How long it is.
     size_bytes: int
     #: Why it is not there, if it is not.
-    error: Optional[TransferError] = None
-    _content: Union[bytes, Path] = field(default=b"", repr=False)
+    error: TransferError | None = None
+    _content: bytes | Path = field(default=b"", repr=False)
 
     @property
-    def content(self) -> Union[bytes, Path]:
+    def content(self) -> bytes | Path:
         """The bytes, or the path of the file. Raises `error`, if it is not there."""
         if self.error is not None:
             raise self.error
@@ -102,9 +103,9 @@ class Sending:
         topic: str,
         data: Any,
         *,
-        name: Optional[str],
-        patience: Optional[float],
-        on_progress: Optional[OnProgress],
+        name: str | None,
+        patience: float | None,
+        on_progress: OnProgress | None,
     ) -> None:
         encoding = None
         source: Any = data
@@ -226,18 +227,18 @@ class Transfers:
         session: Session,
         pattern: str,
         *,
-        folder: Union[str, os.PathLike[str], None],
+        folder: str | os.PathLike[str] | None,
         max_bytes: int,
         at_once: int,
         patience: float,
-        on_progress: Optional[Callable[[Received, Progress], object]],
+        on_progress: Callable[[Received, Progress], object] | None,
     ) -> None:
         self._session = session
         self._pattern = pattern
         self._taking = _Taking(session, pattern, folder, max_bytes, at_once, patience, on_progress)
         weakref.finalize(self, self._taking.leave).atexit = False
 
-    def next(self, timeout: Optional[float] = None) -> Received:
+    def next(self, timeout: float | None = None) -> Received:
         """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         from rect.errors import TimedOut
 
@@ -257,7 +258,7 @@ class Transfers:
         except Ended:
             raise StopIteration from None
 
-    async def next_async(self, timeout: Optional[float] = None) -> Received:
+    async def next_async(self, timeout: float | None = None) -> Received:
         """The same for asyncio. Raises `Ended`, `TimeoutError`."""
         return await self._taking.ended.pop_async(timeout)
 
@@ -282,11 +283,11 @@ class _Taking:
         self,
         session: Session,
         pattern: str,
-        folder: Union[str, os.PathLike[str], None],
+        folder: str | os.PathLike[str] | None,
         max_bytes: int,
         at_once: int,
         patience: float,
-        on_progress: Optional[Callable[[Received, Progress], object]],
+        on_progress: Callable[[Received, Progress], object] | None,
     ) -> None:
         self.ended: Inbox[Received] = Inbox(at_once, "wait")
         self._session = session
@@ -298,7 +299,7 @@ class _Taking:
         self._lock = threading.Lock()
         self._running: dict[str, SimpleQueue[tuple[str, int, bytes]]] = {}
         self._is_stopped = False
-        self._offers: SimpleQueue[Optional[zenoh.Query]] = SimpleQueue()
+        self._offers: SimpleQueue[zenoh.Query | None] = SimpleQueue()
         session.endings.append(self.stop)
         threading.Thread(target=self._answer_all, name="rect inbox", daemon=True).start()
         self._declared = Declared(session)
@@ -431,9 +432,9 @@ def _received(about: Received, pull: _rect.Pull) -> Received:
 class _Told:
     """Tells progress: each news once, and not too often."""
 
-    def __init__(self, callback: Optional[OnProgress]) -> None:
+    def __init__(self, callback: OnProgress | None) -> None:
         self._callback = callback
-        self._told: Optional[tuple[int, int]] = None
+        self._told: tuple[int, int] | None = None
         self._at = 0.0
 
     def tell(self, progress: tuple[int, int], last: bool = False) -> None:

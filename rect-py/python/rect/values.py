@@ -1,13 +1,14 @@
 """Owns values: how what a program says becomes bytes with an encoding, and what came becomes a value again.
 
-What the bytes are, the Rust library decides. numpy and Pillow are imported only where a value of theirs is given or asked for.
+What the bytes are, the Rust library decides. numpy and Pillow are imported only where a value of theirs is given or
+asked for.
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Optional, Union
+from typing import TYPE_CHECKING, Any
 
 from rect import _rect
 from rect.errors import PayloadError
@@ -15,6 +16,7 @@ from rect.errors import PayloadError
 if TYPE_CHECKING:
     import numpy
     import PIL.Image
+    from typing_extensions import TypeGuard
 
 BYTES = "zenoh/bytes"
 TEXT = "text/plain"
@@ -47,6 +49,9 @@ class Payload:
         """
         return value_of(self)
 
+    def __repr__(self) -> str:
+        return f"Payload({len(self.bytes)} bytes, {self.encoding})"
+
 
 @dataclass(frozen=True)
 class Cbor:
@@ -70,8 +75,15 @@ class Picture:
 
     __slots__ = ("format", "height", "pixels", "width")
 
-    def __init__(self, picture: Union[numpy.ndarray[Any, Any], PIL.Image.Image, Picture]) -> None:
+    width: int
+    height: int
+    #: `grey8`, `rgb8` or `rgba8`.
+    format: str
+    pixels: bytes
+
+    def __init__(self, picture: numpy.ndarray[Any, Any] | PIL.Image.Image | Picture) -> None:
         """Of a numpy array of bytes (height x width, or height x width x 3 or 4), or of a Pillow image."""
+        size: tuple[int, int, str, bytes]
         if isinstance(picture, Picture):
             size = (picture.width, picture.height, picture.format, picture.pixels)
         elif _is_array(picture):
@@ -92,7 +104,7 @@ class Picture:
         made.width, made.height, made.format, made.pixels = width, height, format, pixels
         return made
 
-    def __array__(self, dtype: Any = None, copy: Optional[bool] = None) -> numpy.ndarray[Any, Any]:
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> numpy.ndarray[Any, Any]:
         import numpy
 
         channels = _CHANNELS[self.format]
@@ -134,7 +146,7 @@ class Picture:
         return f"Picture({self.width}x{self.height} {self.format})"
 
 
-def payload_of(value: Any, codec: Optional[_rect.Codec] = None) -> Payload:
+def payload_of(value: Any, codec: _rect.Codec | None = None) -> Payload:
     """A value as it is sent, made smaller by a codec if there is one."""
     if codec is not None and codec.name.split(":")[0] in _PICTURE_CODECS and not isinstance(value, (Payload, bytes)):
         value = Picture(value)
@@ -162,7 +174,7 @@ def value_of(payload: Payload) -> Any:
     return payload.bytes
 
 
-def codec_of(codec: Union[str, _rect.Codec, None]) -> Optional[_rect.Codec]:
+def codec_of(codec: str | _rect.Codec | None) -> _rect.Codec | None:
     """The codec that a program names, as `zstd:9` or `jpeg:60`."""
     if codec is None or isinstance(codec, _rect.Codec):
         return codec
@@ -236,11 +248,11 @@ def _pixels_of_pillow(image: PIL.Image.Image) -> tuple[int, int, str, bytes]:
     return image.width, image.height, modes[image.mode], image.tobytes()
 
 
-def _is_array(value: Any) -> bool:
+def _is_array(value: Any) -> TypeGuard[numpy.ndarray[Any, Any]]:
     numpy = sys.modules.get("numpy")
     return numpy is not None and isinstance(value, numpy.ndarray)
 
 
-def _is_pillow(value: Any) -> bool:
+def _is_pillow(value: Any) -> TypeGuard[PIL.Image.Image]:
     image = sys.modules.get("PIL.Image")
     return image is not None and isinstance(value, image.Image)
