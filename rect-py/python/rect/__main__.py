@@ -21,7 +21,7 @@ def main() -> NoReturn:
     """`python -m rect`."""
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(__doc__.split("\n\n", 1)[1])
+        print((__doc__ or "").partition("\n\n")[2])
         raise SystemExit(0 if arguments else 2)
     _run(arguments[1:] if arguments[0] == "router" else arguments)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 
@@ -55,27 +56,13 @@ class NoRouter(RectError, ConnectionError):
 
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(
-            f"no router answers at {endpoint}: {reason}. `python -m rect router -l
-            tcp/127.0.0.1:7447` starts
-         
-          
-           
-            one here;
-           
-            " "another
-            one is named by
-         
-          
-           
-            `rect.connect(..., router=...)`"
-      
-       
-        ) self.endpoint =
-        endpoint
+            f"no router answers at {endpoint}: {reason}. `python -m rect router -l tcp/127.0.0.1:7447` starts one "
+            "here; another one is named by `rect.connect(..., router=...)`"
+        )
+        self.endpoint = endpoint
 
 
-class
-NoService(RectError, LookupError):
+class NoService(RectError, LookupError):
     """Nobody has that service. Is the robot there, and does its program run? `there`: the robots that are."""
 
     def __init__(self, robot: str, topic: str, there: list[str]) -> None:
@@ -93,8 +80,10 @@ class TimedOut(RectError, TimeoutError):
 
 
 class ServiceError(RectError):
-    """The service answered with an error. `robot`: who (`None`: a stock program, which does not say); `value`: the
-    error."""
+    """The service answered with an error.
+
+    `robot`: who (`None`: a stock program, which does not say); `value`: the error.
+    """
 
     def __init__(self, robot: str | None, value: Any, said: str) -> None:
         super().__init__(f"{robot or 'the service'} answers with an error: {said[:500]}")
@@ -137,7 +126,7 @@ class Closed(RectError):
 
 
 def _quoted(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
 
 
 def _seconds(seconds: float) -> str:
