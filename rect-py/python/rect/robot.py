@@ -80,8 +80,11 @@ class Session:
     """What all of one program's handles share: the session below, and what has to end with it."""
 
     def __init__(self, options: Options) -> None:
+        if _FORKED:
+            raise Closed(_AFTER_FORK)
         self.place = options.place()
         self.is_direct = options.is_direct
+        _ONCE_OPEN[:] = [True]
         self.zenoh = options.open()
         self.decoder = Decoder(self.zenoh, self.place)
         self.counting = Counting()
@@ -157,7 +160,7 @@ class Session:
 
     def on_fork(self) -> None:
         """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
-        self._why_closed = "this robot is of the process that forked: call rect.connect in this one, after the fork"
+        self._why_closed = _AFTER_FORK
         _rect.forget(self.zenoh)
         for inbox in list(self.inboxes):
             inbox.on_fork()
@@ -165,6 +168,14 @@ class Session:
             handle.on_fork()
 
 
+_AFTER_FORK = (
+    "Zenoh does not work in a process that was forked from one where it ran: fork before rect.connect, or start processes "
+    'by multiprocessing.get_context("spawn")'
+)
+#: Whether a robot was joined in the process that this one was forked from.
+_FORKED: list[bool] = []
+#: Whether one was joined in this process.
+_ONCE_OPEN: list[bool] = []
 #: All that are open: they end before Python does, whose threads Zenoh's would wait for.
 _OPEN: weakref.WeakSet[Session] = weakref.WeakSet()
 
@@ -176,6 +187,8 @@ def _close_all() -> None:
 
 
 def _on_fork() -> None:
+    if _ONCE_OPEN:
+        _FORKED[:] = [True]
     for session in list(_OPEN):
         session.on_fork()
         _OPEN.discard(session)
