@@ -139,7 +139,12 @@ def test_the_next_message_is_listened_for(pair: Pair) -> None:
     one, two = pair
     with pytest.raises(rect.TimedOut, match="no message wombat-1/arm within 10ms"):
         two.listen("wombat-1", "arm", 0.01)
-    saying = threading.Thread(target=lambda: (until_heard(one, "arm"), one.publish("arm", 7)))
+
+    def say() -> None:
+        until_heard(one, "arm")
+        one.publish("arm", 7)
+
+    saying = threading.Thread(target=say)
     saying.start()
     assert two.listen("wombat-1", "arm", DEADLINE).value == 7
     saying.join()
@@ -199,7 +204,12 @@ def test_state_goes_to_a_callback(pair: Pair) -> None:
     _, two = pair
     seen: list[rect.Event] = []
     came = threading.Event()
-    two.on_state(lambda event: (seen.append(event), came.set()))
+
+    def told(event: rect.Event) -> None:
+        seen.append(event)
+        came.set()
+
+    two.on_state(told)
     assert came.wait(DEADLINE)
     assert seen == [rect.Event("peer_up", "wombat-1")]
 
@@ -297,7 +307,12 @@ def test_many_threads_say_things_at_once(pair: Pair) -> None:
     one, two = pair
     heard = two.subscribe("wombat-1/count", capacity=10_000)
     until_heard(one, "count")
-    threads = [threading.Thread(target=lambda: [one.publish("count", n) for n in range(200)]) for _ in range(8)]
+
+    def count() -> None:
+        for number in range(200):
+            one.publish("count", number)
+
+    threads = [threading.Thread(target=count) for _ in range(8)]
     for thread in threads:
         thread.start()
     messages = [heard.next(DEADLINE) for _ in range(1600)]

@@ -169,8 +169,8 @@ class Session:
 
 
 _AFTER_FORK = (
-    "Zenoh does not work in a process that was forked from one where it ran: fork before rect.connect, or start processes "
-    'by multiprocessing.get_context("spawn")'
+    "Zenoh does not work in a process that was forked from one where it ran: fork before rect.connect, or start "
+    'processes by multiprocessing.get_context("spawn")'
 )
 #: Whether a robot was joined in the process that this one was forked from.
 _FORKED: list[bool] = []
