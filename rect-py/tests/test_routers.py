@@ -1,4 +1,4 @@
-"""Two routers on the simulated air, with a Python robot at one and the Rust library (the `rect` tool) or Python at the other.
+"""Two routers on the simulated air, a Python robot at one, and at the other the Rust library (the `rect` tool) or Python.
 
 RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_routers.py
 """
@@ -94,24 +94,28 @@ def routers() -> Iterator[Routers]:
 
 
 def test_python_hears_what_rust_says_and_over_which_radio(routers: Routers) -> None:
-    with routers.connect("wombat-1") as robot, robot.subscribe("wombat-2/arm/*") as heard:
-        with routers.tool("wombat-2", "pub", "arm/angle", '{"degrees": 12.5}', "--codec", "zstd", "--every", "100ms"):
+    said = ("pub", "arm/angle", '{"degrees": 12.5}', "--codec", "zstd", "--every", "100ms")
+    with (
+        routers.connect("wombat-1") as robot,
+        robot.subscribe("wombat-2/arm/*") as heard,
+        routers.tool("wombat-2", *said),
+    ):
+        message = heard.next(DEADLINE)
+        assert (message.value, message.sender, message.urgency) == ({"degrees": 12.5}, "wombat-2", "normal")
+        while message.over is None:
             message = heard.next(DEADLINE)
-            assert (message.value, message.sender, message.urgency) == ({"degrees": 12.5}, "wombat-2", "normal")
-            while message.over is None:
-                message = heard.next(DEADLINE)
-            assert message.over == "ble"
-            assert message.missed == 0
+        assert message.over == "ble"
+        assert message.missed == 0
 
 
 def test_rust_hears_what_python_says_byte_for_byte(routers: Routers) -> None:
-    with routers.tool("wombat-2", "sub", "wombat-1/**", "--json", "--count", "2") as tool:
-        with routers.connect("wombat-1") as robot:
-            until_heard(robot, "arm/angle")
-            until_heard(robot, "to/wombat-2/note")
-            robot.publish("arm/angle", {"degrees": 1.0}, codec="zstd")
-            robot.send("wombat-2", "note", "psst", urgency="urgent")
-            told = [json.loads(tool.line()) for _ in range(2)]
+    heard = ("sub", "wombat-1/**", "--json", "--count", "2")
+    with routers.tool("wombat-2", *heard) as tool, routers.connect("wombat-1") as robot:
+        until_heard(robot, "arm/angle")
+        until_heard(robot, "to/wombat-2/note")
+        robot.publish("arm/angle", {"degrees": 1.0}, codec="zstd")
+        robot.send("wombat-2", "note", "psst", urgency="urgent")
+        told = [json.loads(tool.line()) for _ in range(2)]
     said = {one["topic"]: one for one in told}
     assert said["arm/angle"]["value"] == {"degrees": 1.0}
     assert said["note"]["value"] == "psst"
@@ -125,7 +129,7 @@ def test_python_asks_what_rust_serves_and_hears_its_errors(routers: Routers) -> 
             assert robot.request("wombat-2", "echo", "hello", timeout=DEADLINE).value == "hello"
         with routers.tool("wombat-2", "serve", "fail", "--", "sh", "-c", "echo on purpose >&2; exit 1"):
             until_served(robot, "wombat-2", "fail")
-            with pytest.raises(rect.ServiceError, match="wombat-2 answers with an error: .*on purpose"):
+            with pytest.raises(rect.ServiceError, match=r"wombat-2 answers with an error: .*on purpose"):
                 robot.request("wombat-2", "fail", timeout=DEADLINE)
 
 
@@ -167,31 +171,39 @@ def test_streams_go_from_rust_to_python(routers: Routers, tmp_path: Path) -> Non
     picture = rect.Picture(numpy.full((48, 64, 3), 90, numpy.uint8))
     file = tmp_path / "frame.png"
     file.write_bytes(picture._repr_png_())
-    with routers.connect("wombat-1") as robot, robot.watch("wombat-2", "camera") as watch:
-        with routers.tool("wombat-2", "stream", "send", "camera", str(file)):
+    with (
+        routers.connect("wombat-1") as robot,
+        robot.watch("wombat-2", "camera") as watch,
+        routers.tool("wombat-2", "stream", "send", "camera", str(file)),
+    ):
+        frame = watch.next(DEADLINE)
+        while frame.number < 3:
             frame = watch.next(DEADLINE)
-            while frame.number < 3:
-                frame = watch.next(DEADLINE)
-            assert isinstance(frame.value, rect.Picture)
-            assert frame.age is not None
+        assert isinstance(frame.value, rect.Picture)
+        assert frame.age is not None
 
 
 def test_streams_go_from_python_to_rust(routers: Routers) -> None:
     picture = numpy.full((48, 64, 3), 90, numpy.uint8)
-    with routers.connect("wombat-1") as robot, robot.stream("camera") as camera:
-        with routers.tool("wombat-2", "stream", "watch", "wombat-1", "camera") as tool:
-            over = threading.Event()
+    over = threading.Event()
+    with (
+        routers.connect("wombat-1") as robot,
+        robot.stream("camera") as camera,
+        routers.tool("wombat-2", "stream", "watch", "wombat-1", "camera") as tool,
+    ):
 
-            def film() -> None:
-                while not over.wait(0.05):
-                    camera.send(picture)
+        def film() -> None:
+            while not over.wait(0.05):
+                camera.send(picture)
 
-            filming = threading.Thread(target=film)
-            filming.start()
+        filming = threading.Thread(target=film)
+        filming.start()
+        try:
             lines = [tool.line() for _ in range(3)]
+        finally:
             over.set()
             filming.join()
-            assert any("64x48" in line or "jpeg" in line or "png" in line for line in lines), lines
+    assert any("64x48" in line for line in lines), lines
 
 
 def test_two_pythons_talk_over_the_radio(routers: Routers) -> None:

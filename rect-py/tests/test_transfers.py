@@ -84,9 +84,12 @@ def test_what_was_there_before_a_restart_of_the_taker_is_not_sent_again(pair: Pa
     one, two = pair
     data = os.urandom(30_000_000)
     began = threading.Event()
-    taken = two.receive_transfers(
-        "*/maps", folder=tmp_path, on_progress=lambda about, progress: progress.held_bytes and began.set()
-    )
+
+    def come(about: rect.Received, progress: rect.Progress) -> None:
+        if progress.held_bytes:
+            began.set()
+
+    taken = two.receive_transfers("*/maps", folder=tmp_path, on_progress=come)
     failed: list[BaseException] = []
 
     def send() -> None:
