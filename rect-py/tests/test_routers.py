@@ -1,4 +1,4 @@
-"""Two routers on the simulated air, a Python robot at one, and at the other the Rust library (the `rect` tool) or Python.
+"""Two routers on the simulated air: a Python robot at one, the Rust library (the `rect` tool) or Python at the other.
 
 RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_routers.py
 """
