@@ -2,7 +2,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use pyo3::{prelude::*, types::PyBytes};
+use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
     codec::{self, dictionary::Packed, Limits},
     dictionary::{self, Dictionaries},
@@ -23,10 +23,10 @@ pub struct Codec(Arc<dyn codec::Codec>);
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Dictionary(pub Arc<dictionary::Dictionary>);
 
-/// Python's bytes as a payload.
-pub fn payload(bytes: &[u8], encoding: &str) -> Payload {
+/// Python's bytes as a payload, which shares them.
+pub fn payload(bytes: PyBackedBytes, encoding: &str) -> Payload {
     let encoding = Encoding::new(encoding.to_owned());
-    Payload::new(Bytes::copy_from_slice(bytes), encoding)
+    Payload::new(Bytes::from_owner(bytes), encoding)
 }
 
 /// A payload as Python's bytes.
@@ -65,7 +65,12 @@ impl Codec {
     }
 
     /// Makes a payload smaller.
-    fn encode<'py>(&self, py: Python<'py>, bytes: &[u8], encoding: &str) -> PyResult<Parts<'py>> {
+    fn encode<'py>(
+        &self,
+        py: Python<'py>,
+        bytes: PyBackedBytes,
+        encoding: &str,
+    ) -> PyResult<Parts<'py>> {
         let payload = payload(bytes, encoding);
         let encoded = py.detach(|| self.0.encode(&payload)).or_raise()?;
         Ok(parts(py, &encoded))
@@ -77,7 +82,7 @@ impl Codec {
 #[pyo3(signature = (bytes, encoding, dictionaries, max_bytes=None))]
 pub fn unpack<'py>(
     py: Python<'py>,
-    bytes: &[u8],
+    bytes: PyBackedBytes,
     encoding: &str,
     dictionaries: Vec<Bound<'py, Dictionary>>,
     max_bytes: Option<usize>,

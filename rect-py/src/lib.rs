@@ -28,7 +28,7 @@ mod _rect {
         connection::{Links, Presence},
         errors::{forget, in_words},
         message::{Inbound, Said},
-        picture::{array_payload, picture, picture_payload, read_array, read_picture, scaled},
+        picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
         place::{check_name, check_topic, encoding_parts, pattern, pattern_of, Place},
         queue::Queue,
         request::{error_encoding, error_from, read_asking, write_asking},

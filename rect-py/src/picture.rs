@@ -1,6 +1,6 @@
 //! Owns pictures and arrays of numbers: how they lie in bytes, and reading what others sent.
 use bytes::Bytes;
-use pyo3::{prelude::*, types::PyBytes};
+use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
     array::{Array, Element},
     codec::CodecError,
@@ -9,7 +9,7 @@ use rect::core::{
 };
 
 use crate::{
-    codec::{limits, parts, payload, Parts},
+    codec::{limits, payload},
     errors::OrRaise,
 };
 
@@ -19,11 +19,16 @@ type Seen<'py> = (u32, u32, &'static str, Bound<'py, PyBytes>);
 type Counted<'py> = (&'static str, Vec<usize>, Bound<'py, PyBytes>);
 
 /// A picture of pixels.
-pub fn picture_of(width: u32, height: u32, format: &str, pixels: &[u8]) -> PyResult<Picture> {
+pub fn picture_of(
+    width: u32,
+    height: u32,
+    format: &str,
+    pixels: PyBackedBytes,
+) -> PyResult<Picture> {
     let all = [Format::Grey8, Format::Rgb8, Format::Rgba8];
     let known = all.into_iter().find(|known| known.as_str() == format);
     let picture = match known {
-        Some(format) => Picture::new(width, height, format, Bytes::copy_from_slice(pixels)),
+        Some(format) => Picture::new(width, height, format, Bytes::from_owner(pixels)),
         None => Err(CodecError::Damaged {
             format: "picture",
             reason: format!("there is no pixel format {format:?}: grey8, rgb8 and rgba8 are"),
@@ -34,21 +39,20 @@ pub fn picture_of(width: u32, height: u32, format: &str, pixels: &[u8]) -> PyRes
 
 /// Raises unless so many bytes are such a picture.
 #[pyfunction]
-pub fn picture(width: u32, height: u32, format: &str, pixels: &[u8]) -> PyResult<()> {
+pub fn picture(width: u32, height: u32, format: &str, pixels: PyBackedBytes) -> PyResult<()> {
     picture_of(width, height, format, pixels).map(drop)
 }
 
-/// A picture as it is sent raw.
+/// The encoding of a picture that is sent raw: its pixels are the payload.
 #[pyfunction]
-pub fn picture_payload<'py>(
-    py: Python<'py>,
+pub fn picture_encoding(
     width: u32,
     height: u32,
     format: &str,
-    pixels: &[u8],
-) -> PyResult<Parts<'py>> {
-    let picture = picture_of(width, height, &format, pixels)?;
-    Ok(parts(py, &picture.to_payload().or_raise()?))
+    pixels: PyBackedBytes,
+) -> PyResult<String> {
+    let picture = picture_of(width, height, format, pixels)?;
+    Ok(picture.to_payload().or_raise()?.encoding.to_string())
 }
 
 /// The picture in a payload.
@@ -56,7 +60,7 @@ pub fn picture_payload<'py>(
 #[pyo3(signature = (bytes, encoding, max_bytes=None, max_pixels=None))]
 pub fn read_picture<'py>(
     py: Python<'py>,
-    bytes: &[u8],
+    bytes: PyBackedBytes,
     encoding: &str,
     max_bytes: Option<usize>,
     max_pixels: Option<usize>,
@@ -72,7 +76,7 @@ pub fn read_picture<'py>(
 pub fn scaled<'py>(
     py: Python<'py>,
     size: (u32, u32, String),
-    pixels: &[u8],
+    pixels: PyBackedBytes,
     wanted: (u32, u32),
 ) -> PyResult<Seen<'py>> {
     let (width, height, format) = size;
@@ -89,18 +93,13 @@ fn seen<'py>(py: Python<'py>, picture: &Picture) -> Seen<'py> {
     (picture.width(), picture.height(), format, pixels)
 }
 
-/// Numbers as they are sent raw: little endian, the last index running fastest.
+/// The encoding of numbers that are sent raw: little endian, the last index running fastest.
 #[pyfunction]
-pub fn array_payload<'py>(
-    py: Python<'py>,
-    element: &str,
-    shape: Vec<usize>,
-    bytes: &[u8],
-) -> PyResult<Parts<'py>> {
+pub fn array_encoding(element: &str, shape: Vec<usize>, bytes: PyBackedBytes) -> PyResult<String> {
     let mut all = Element::ALL.iter().copied();
     let known = all.find(|known| known.as_str() == element);
     let array = match known {
-        Some(element) => Array::new(element, &shape, Bytes::copy_from_slice(bytes)),
+        Some(element) => Array::new(element, &shape, Bytes::from_owner(bytes)),
         None => {
             let all: Vec<_> = Element::ALL.iter().map(|known| known.as_str()).collect();
             let reason = format!("no numbers of {element}: {} are", all.join(", "));
@@ -111,7 +110,7 @@ pub fn array_payload<'py>(
         }
     };
     let array = array.or_raise()?;
-    Ok(parts(py, &array.to_payload().or_raise()?))
+    Ok(array.to_payload().or_raise()?.encoding.to_string())
 }
 
 /// The numbers in a payload, raw or quantised.
@@ -119,7 +118,7 @@ pub fn array_payload<'py>(
 #[pyo3(signature = (bytes, encoding, max_bytes=None))]
 pub fn read_array<'py>(
     py: Python<'py>,
-    bytes: &[u8],
+    bytes: PyBackedBytes,
     encoding: &str,
     max_bytes: Option<usize>,
 ) -> PyResult<Counted<'py>> {

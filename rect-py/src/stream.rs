@@ -4,7 +4,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pyo3::{prelude::*, types::PyBytes};
+use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
     attachment::Attachment,
     stream::{
@@ -119,7 +119,7 @@ impl StreamSender {
         py: Python<'py>,
         job: &Job,
         size: (u32, u32, String),
-        pixels: &[u8],
+        pixels: PyBackedBytes,
     ) -> PyResult<Parts<'py>> {
         let (width, height, format) = size;
         let picture = picture_of(width, height, &format, pixels)?;

@@ -1,16 +1,13 @@
 //! Owns values: dicts, lists, dataclasses and what is in them, as JSON or CBOR and back, in the library's own form.
 use std::fmt;
 
-use bytes::Bytes;
 use pyo3::{
     exceptions::PyTypeError,
     prelude::*,
+    pybacked::PyBackedBytes,
     types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple},
 };
-use rect::core::{
-    encoding::Encoding,
-    payload::{Cbor, Json, Payload, PayloadError, ToPayload},
-};
+use rect::core::payload::{Cbor, Json, PayloadError, ToPayload};
 use serde::{
     de::{MapAccess, SeqAccess, Visitor},
     ser::{SerializeMap, SerializeSeq},
@@ -18,7 +15,7 @@ use serde::{
 };
 
 use crate::{
-    codec::{parts, Parts},
+    codec::{parts, payload, Parts},
     errors::{raised, OrRaise},
 };
 
@@ -72,11 +69,10 @@ pub fn write_value<'py>(value: &Bound<'py, PyAny>, cbor: bool) -> PyResult<Parts
 #[pyfunction]
 pub fn read_value<'py>(
     py: Python<'py>,
-    bytes: &[u8],
-    encoding: String,
+    bytes: PyBackedBytes,
+    encoding: &str,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let payload = Payload::new(Bytes::copy_from_slice(bytes), Encoding::new(encoding));
-    let value: Value = payload.value().or_raise()?;
+    let value: Value = payload(bytes, encoding).value().or_raise()?;
     value.into_python(py)
 }
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
+from collections import deque
 from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any, TypeVar, cast
 
 import zenoh
@@ -53,35 +56,74 @@ def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None) 
 
     `undo` is given the result if nobody waits for it any more.
     """
-    done = threading.Event()
-    lock = threading.Lock()
-    result: list[T] = []
-    failed: list[BaseException] = []
-    gone = False
-
-    def run() -> None:
-        try:
-            made = call()
-        except BaseException as error:
-            failed.append(error)
-        else:
-            with lock:
-                result.append(made)
-                late = gone
-            if late and undo is not None:
-                undo(made)
-        done.set()
-
-    threading.Thread(target=run, name="rect-call", daemon=True).start()
+    if threading.current_thread() is not threading.main_thread():
+        # Ctrl-C is the main thread's.
+        return call()
     try:
-        done.wait()
+        worker = _IDLE.pop()
+    except IndexError:
+        worker = _Worker()
+    job = _Job(call, undo)
+    worker.jobs.put(job)
+    try:
+        job.done.get()
     except BaseException:
-        with lock:
-            gone = True
-            made = list(result)
-        if made and undo is not None:
-            undo(made[0])
+        job.leave()
         raise
-    if failed:
-        raise failed[0]
-    return result[0]
+    if job.error is not None:
+        raise job.error
+    return cast(T, job.result)
+
+
+class _Job:
+    """A call that somebody waits for, as long as they like."""
+
+    def __init__(self, call: Callable[[], Any], undo: Callable[[Any], object] | None) -> None:
+        self.done: SimpleQueue[None] = SimpleQueue()
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self._call = call
+        self._undo = undo
+        self._lock = threading.Lock()
+        self._is_made = self._is_left = False
+
+    def run(self) -> None:
+        try:
+            self.result = self._call()
+        except BaseException as error:
+            self.error = error
+        else:
+            self._either(made=True)
+        self.done.put(None)
+
+    def leave(self) -> None:
+        self._either(made=False)
+
+    def _either(self, made: bool) -> None:
+        with self._lock:
+            other = self._is_left if made else self._is_made
+            self._is_made, self._is_left = self._is_made or made, self._is_left or not made
+        if other and self._undo is not None:
+            self._undo(self.result)
+
+
+class _Worker(threading.Thread):
+    """Makes calls, one after another."""
+
+    def __init__(self) -> None:
+        super().__init__(name="rect call", daemon=True)
+        self.jobs: SimpleQueue[_Job] = SimpleQueue()
+        self.start()
+
+    def run(self) -> None:
+        while True:
+            job = self.jobs.get()
+            job.run()
+            del job
+            _IDLE.append(self)
+
+
+#: Those that wait for a call.
+_IDLE: deque[_Worker] = deque()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_IDLE.clear)

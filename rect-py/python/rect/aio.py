@@ -173,8 +173,11 @@ class Robot:
         codec: CodecLike = None,
     ) -> Reply:
         """Asks a service of a robot, and waits for its first answer; see `rect.Robot.request`."""
-        with self._robot._ask(text("robot", robot), topic, value, timeout, urgency, codec) as replies:
+        replies = self._robot._ask(text("robot", robot), topic, value, timeout, urgency, codec)
+        try:
             reply = await replies.next_async()
+        finally:
+            replies.leave()
         if reply is None:
             raise NoService(robot, topic, await self.peers())
         return reply

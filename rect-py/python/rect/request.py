@@ -59,6 +59,7 @@ class Replies:
         self._deadline = time.monotonic() + timeout
         self._inbox: Inbox[zenoh.Reply] = Inbox(_REPLIES, "wait")
         self._cancellation = zenoh.CancellationToken()
+        self._is_over = False
         asking = _rect.write_asking(session.place.robot, min(int(timeout * 1000), 2**32 - 1))
         treated = qos(_rect.qos(urgency))
         del treated["congestion_control"]
@@ -66,7 +67,7 @@ class Replies:
         try:
             session.zenoh.get(
                 session.place.service(robot, topic),
-                direct(self._inbox.push, self._inbox.close),
+                direct(self._inbox.push, self._on_over),
                 payload=payload.bytes,
                 encoding=payload.encoding,
                 attachment=asking,
@@ -103,12 +104,22 @@ class Replies:
             raise self.timed_out() from None
         return self._reply(reply)
 
-    def close(self) -> None:
-        """Cancels the request, if it has not ended."""
-        is_over = self._inbox.closed
+    def leave(self) -> None:
+        """No more answers are taken; what still runs of the request is cancelled a little later, if it does then."""
         self._inbox.close()
         self._session.inboxes.discard(self._inbox)
-        if not is_over:
+        if not self._is_over:
+            self._session.left.append(self)
+
+    def end(self) -> None:
+        """As `close`."""
+        self.close()
+
+    def close(self) -> None:
+        """Cancels the request, if it has not ended."""
+        self._inbox.close()
+        self._session.inboxes.discard(self._inbox)
+        if not self._is_over and not self._session.is_closed:
             # Waits for a callback that is running, which, once the inbox is closed, waits for nobody.
             self._cancellation.cancel()
 
@@ -120,6 +131,11 @@ class Replies:
 
     def __repr__(self) -> str:
         return f"Replies({self._what})"
+
+    def _on_over(self) -> None:
+        """Zenoh drops the callback when the last answer has come."""
+        self._is_over = True
+        self._inbox.close()
 
     def _left(self) -> float:
         return max(self._deadline - time.monotonic(), 0)

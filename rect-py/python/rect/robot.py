@@ -91,7 +91,7 @@ class Session:
         #: Whatever is declared, until it ends.
         self.handles: set[Declared] = set()
         #: What nobody has any more, and is to be ended where that may take a moment.
-        self.left: deque[Declared] = deque()
+        self.left: deque[Declared | Replies] = deque()
         #: Where somebody waits for answers.
         self.inboxes: set[Inbox[Any]] = set()
         #: Called when it closes, before Zenoh does.
@@ -308,9 +308,12 @@ class Robot:
         Raises `ServiceError` (it answers with an error), `NoService` (nobody serves that there; the text says who is
         there), `TimedOut` (seconds), `InvalidNameError`, `InvalidTopicError`, `PayloadError`, `Closed`.
         """
-        with self._ask(text("robot", robot), topic, value, timeout, urgency, codec) as replies:
+        replies = self._ask(text("robot", robot), topic, value, timeout, urgency, codec)
+        try:
             for reply in replies:
                 return reply
+        finally:
+            replies.leave()
         raise NoService(robot, topic, self.peers())
 
     def request_all(

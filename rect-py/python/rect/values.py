@@ -207,7 +207,7 @@ def _parts(value: Any) -> tuple[bytes, str]:
 
 
 def _raw_picture(picture: Picture) -> tuple[bytes, str]:
-    return _rect.picture_payload(picture.width, picture.height, picture.format, picture.pixels)
+    return picture.pixels, _rect.picture_encoding(picture.width, picture.height, picture.format, picture.pixels)
 
 
 def _raw_array(array: numpy.ndarray[Any, Any]) -> tuple[bytes, str]:
@@ -218,7 +218,8 @@ def _raw_array(array: numpy.ndarray[Any, Any]) -> tuple[bytes, str]:
         # numpy counts bytes, this library bits: "f4" is f32.
         raise PayloadError(f"an array of {array.dtype} can't be sent: {', '.join(_ELEMENTS)} can", "write")
     little = numpy.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-    return _rect.array_payload(kind, list(array.shape), little.tobytes())
+    numbers = little.tobytes()
+    return numbers, _rect.array_encoding(kind, list(array.shape), numbers)
 
 
 def _numpy_of(payload: Payload) -> numpy.ndarray[Any, Any]:
