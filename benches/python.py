@@ -12,10 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import rect
 import zenoh
 from table import Table
-
-import rect
 
 ROUNDS = 15
 PINGS = 300
@@ -44,9 +43,9 @@ def run() -> Table:
     begin, end = memory_mb()
     table.add(f"memory of a subscriber after {MESSAGES:,} messages, MB", f"{end:.1f} ({begin:.1f} before)", "", "")
     table.notes = [
-        f"Medians of {ROUNDS} rounds of {PINGS} pings or {FRAMES} frames each, by turns; the ratio is the median of the "
-        "rounds' own, its middle half in brackets. Plain programs use `json` for the same values. Wanted: latency at most "
-        "1.15, import under 0.3 s, memory flat.",
+        f"Medians of {ROUNDS} rounds of {PINGS} pings or {FRAMES} frames each, by turns; the ratio is the median of "
+        "the rounds' own, its middle half in brackets. Plain programs use `json` for the same values. Wanted: latency "
+        "at most 1.15, import under 0.3 s, memory flat.",
     ]
     return table
 

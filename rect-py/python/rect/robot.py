@@ -96,6 +96,7 @@ class Session:
         self.inboxes: set[Inbox[Any]] = set()
         #: Called when it closes, before Zenoh does.
         self.endings: list[Callable[[], object]] = []
+        self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str], Publication] = {}
@@ -133,7 +134,7 @@ class Session:
             return known
         place = self.place
         key = place.publication(topic) if to is None else place.message(to, topic)
-        made = Publication(self.zenoh, key, urgency)
+        made = Publication(self.zenoh, key, urgency, self.check)
         with self._lock:
             if len(self._publications) >= _MAX_PUBLICATIONS:
                 self._publications.clear()
@@ -157,6 +158,24 @@ class Session:
             patiently(self.zenoh.close)
         except zenoh.ZError as error:
             raise refused("the session does not close", error) from None
+        finally:
+            self._finish()
+
+    def start(self, name: str, run: Callable[[], object]) -> None:
+        """Runs something on a thread of its own, which ends soon after the session does."""
+        thread = threading.Thread(target=run, name=name, daemon=True)
+        self._threads.add(thread)
+        thread.start()
+
+    def _finish(self) -> None:
+        """Waits for what is in Zenoh still: where Python ends, nobody may be."""
+        with self._lock:
+            publications = list(self._publications.values())
+        for publication in publications:
+            publication.finish(_FINISH_S)
+        for thread in list(self._threads):
+            if thread is not threading.current_thread():
+                thread.join(_FINISH_S)
 
     def on_fork(self) -> None:
         """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
@@ -168,6 +187,8 @@ class Session:
             handle.on_fork()
 
 
+#: How long the end waits for one that is in Zenoh still, in seconds.
+_FINISH_S = 1.0
 _AFTER_FORK = (
     "Zenoh does not work in a process that was forked from one where it ran: fork before rect.connect, or start "
     'processes by multiprocessing.get_context("spawn")'

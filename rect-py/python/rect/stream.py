@@ -157,7 +157,7 @@ class Stream:
             notice = core.poll_notice()
             if notice is not None:
                 # Rare, and reliable: it may have to wait for room, which Zenoh's thread may not.
-                threading.Thread(target=_tell, args=(session, notice_key, notice), daemon=True).start()
+                session.start("rect notice", lambda: _tell(session, notice_key, notice))
 
         return on_feedback
 
@@ -272,7 +272,7 @@ class _Listening:
             self._declared.end()
             raise refused("the stream's notices are refused", error) from None
         session.endings.append(self._ended.set)
-        threading.Thread(target=self._run, name="rect watch", daemon=True).start()
+        session.start("rect watch", self._run)
 
     def stop(self) -> None:
         self._ended.set()

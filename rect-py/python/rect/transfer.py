@@ -301,7 +301,7 @@ class _Taking:
         self._is_stopped = False
         self._offers: SimpleQueue[zenoh.Query | None] = SimpleQueue()
         session.endings.append(self.stop)
-        threading.Thread(target=self._answer_all, name="rect inbox", daemon=True).start()
+        session.start("rect inbox", self._answer_all)
         self._declared = Declared(session)
         try:
             self._declared.add(session.zenoh.declare_queryable(self._key, direct(self._on_query)))
@@ -354,8 +354,7 @@ class _Taking:
                 return self._inbox.on_busy(offered)
             taken: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
             self._running[offered.id] = taken
-            run = threading.Thread(target=self._pull, args=(offered, taken), name="rect transfer", daemon=True)
-            run.start()
+            self._session.start("rect transfer", lambda: self._pull(offered, taken))
         return answer
 
     def _pull(self, offered: _rect.Offered, events: SimpleQueue[tuple[str, int, bytes]]) -> None:
