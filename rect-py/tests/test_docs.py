@@ -57,12 +57,6 @@ class Example:
         self.process = subprocess.Popen(command, cwd=folder, stdout=pipe, stderr=pipe, text=True)
         self.tool = Tool(self.process)
 
-    def until(self, said: str) -> str:
-        line = self.tool.line()
-        while said not in line:
-            line = self.tool.line()
-        return line
-
     def __enter__(self) -> Example:
         return self
 
@@ -73,15 +67,15 @@ class Example:
 
 def test_telemetry(endpoint: str, tmp_path: Path) -> None:
     with Example("telemetry", "wombat-1", folder=tmp_path), Example("telemetry", "wombat-2", folder=tmp_path) as two:
-        assert "'battery_volt': 7.2" in two.until("wombat-1: ")
+        assert "'battery_volt': 7.2" in two.tool.until("wombat-1: ")
 
 
 def test_teleoperation(endpoint: str, tmp_path: Path) -> None:
     with Example("teleoperation", "wombat-1", folder=tmp_path) as one:
-        one.until("nobody steers")
+        one.tool.until("nobody steers")
         with Example("teleoperation", "laptop", "wombat-1", folder=tmp_path):
-            assert "'left':" in one.until("laptop says")
-        one.until("nobody steers")
+            assert "'left':" in one.tool.until("laptop says")
+        one.tool.until("nobody steers")
 
 
 def test_camera(endpoint: str, tmp_path: Path) -> None:
@@ -89,25 +83,25 @@ def test_camera(endpoint: str, tmp_path: Path) -> None:
         Example("camera", "wombat-1", folder=tmp_path),
         Example("camera", "laptop", "wombat-1", folder=tmp_path) as two,
     ):
-        assert "Picture(" in two.until("frame 2:")
+        assert "Picture(" in two.tool.until("frame 2:")
 
 
 def test_transfer(endpoint: str, tmp_path: Path) -> None:
     (tmp_path / "map.bin").write_bytes(os.urandom(300_000))
     with Example("transfer", "wombat-1", folder=tmp_path) as one:
-        one.until("takes files")
+        one.tool.until("takes files")
         with Example("transfer", "wombat-2", "wombat-1", "map.bin", folder=tmp_path) as two:
-            two.until("map.bin is there, whole")
-        one.until("map.bin of wombat-2: received/wombat-2/map.bin")
+            two.tool.until("map.bin is there, whole")
+        one.tool.until("map.bin of wombat-2: received/wombat-2/map.bin")
     assert (tmp_path / "received/wombat-2/map.bin").read_bytes() == (tmp_path / "map.bin").read_bytes()
 
 
 def test_request(endpoint: str, tmp_path: Path) -> None:
     with Example("request", "wombat-1", folder=tmp_path) as one:
-        one.until("serves")
+        one.tool.until("serves")
         with Example("request", "wombat-2", "wombat-1", folder=tmp_path) as two:
-            two.until("wombat-1: {'cell': 1, 'volt': 3.6}")
-            two.until("wombat-1 answers with an error: there are the cells 1 and 2")
+            two.tool.until("wombat-1: {'cell': 1, 'volt': 3.6}")
+            two.tool.until("wombat-1 answers with an error: there are the cells 1 and 2")
 
 
 @pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request"])
