@@ -15,6 +15,7 @@ BENCHES = {
     "round_trip": "a Zenoh query over two routers beside a bare channel's ping, on the simulated air",
     "on_air": "bytes a message takes, bytes and time to bring a link up, on the simulated air",
     "loopback": "rect-router beside stock zenohd on TCP loopback",
+    "middleware": "the library beside plain zenoh, gRPC and MQTT on TCP loopback: latency, messages/s, bytes",
     "urgent": "urgent messages beside something large on a slow link: lanes, a plain link, stock zenohd over TCP",
     "urgent_vm": "the same two cases of it on a real kernel's Bluetooth stack in the VM, paced",
     "lanes_cost": "throughput and round trip of lanes beside a plain link, unpaced, in the VM",

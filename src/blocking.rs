@@ -12,13 +12,17 @@
 //! let answer = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
 //! # Ok::<(), rect::Error>(())
 //! ```
+mod stream;
+mod transfer;
+
 use std::{sync::Arc, time::Duration};
 
 use tokio::runtime::{Builder, Runtime};
 
+pub use self::{stream::Frames, transfer::Transfers};
 use crate::{
-    session, Connection, Counters, Error, Event, Message, Name, Options, Pattern, Receiving, Reply,
-    Service, Subscription, ToPayload, Topic, Urgency,
+    session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
+    Receiving, Reply, Service, Subscription, ToPayload, Topic, Urgency,
 };
 
 /// A program of a robot, joined with the others; see [`crate::Robot`].
@@ -262,6 +266,22 @@ impl Robot {
     /// As [`crate::Robot::connections`].
     pub fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.runtime.block_on(self.robot.connections())
+    }
+
+    /// Gives this robot's router a connection, instead of the one of that name if it has one.
+    ///
+    /// # Errors
+    /// As [`crate::Robot::add_connection`].
+    pub fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
+        self.runtime.block_on(self.robot.add_connection(connection))
+    }
+
+    /// Takes a connection from this robot's router.
+    ///
+    /// # Errors
+    /// As [`crate::Robot::remove_connection`].
+    pub fn remove_connection(&self, name: &str) -> Result<(), Error> {
+        self.runtime.block_on(self.robot.remove_connection(name))
     }
 
     /// What changes about who can be reached.

@@ -29,7 +29,7 @@ pub enum Error {
     /// No router. Start one, or name another.
     #[error(
         "no router answers at {endpoint}: {reason}. `rect-router -l tcp/127.0.0.1:7447` starts one here; \
-         another one is named by `Options::router`"
+         another one is named by the option `router`, or by RECT_ENDPOINT"
     )]
     NoRouter {
         /// Where it was looked for.

@@ -24,6 +24,7 @@ pub use crate::core::{
     encoding::Encoding,
     message::Message,
     name::Name,
+    named_connection::NamedConnection,
     payload::{Cbor, Json, Payload, ToPayload},
     queue::WhenFull,
     stream::sender::Options as StreamOptions,

@@ -1,6 +1,7 @@
 //! The upper storey: sessions on zenoh. They move what the [core](crate::core) says, and decide nothing.
 mod decoder;
 mod inbox;
+mod lanes;
 mod options;
 mod publication;
 mod registry;

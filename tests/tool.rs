@@ -205,23 +205,9 @@ fn a_file_is_sent_and_taken() {
             .spawn()
             .expect("it runs"),
     );
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .expect("a runtime");
-    runtime.block_on(async {
-        let bytes = bytes::Bytes::from(vec![9u8; 200_000]);
-        let source = rect::TransferSource::Bytes(bytes, rect::Encoding::BYTES);
-        let sent = a
-            .asynchronous()
-            .transfer("b", "files", source)
-            .expect("named")
-            .named("nine.bin");
-        tokio::time::timeout(PATIENCE, sent)
-            .await
-            .expect("in time")
-            .expect("taken");
-    });
+    let sent = a.transfer("b", "files", vec![9u8; 200_000]).expect("named");
+    let sent = sent.named("nine.bin").patience(PATIENCE);
+    sent.wait().expect("taken");
     let there = std::fs::read(folder.path().join("taken/a/nine.bin")).expect("there");
     assert_eq!(there, vec![9u8; 200_000]);
 }
@@ -252,25 +238,12 @@ fn a_stream_of_pictures_is_watched() {
             .spawn()
             .expect("it runs"),
     );
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .expect("a runtime");
-    let shown = runtime.block_on(async {
-        let watch = a
-            .asynchronous()
-            .watch("b", "camera")
-            .await
-            .expect("watched");
-        let frame = tokio::time::timeout(PATIENCE, watch.recv())
-            .await
-            .expect("in time");
-        frame
-            .expect("open")
-            .payload
-            .picture(&Default::default())
-            .expect("a picture")
-    });
+    let mut watch = a.watch("b", "camera").expect("watched");
+    let frame = watch.next_within(PATIENCE).expect("in time");
+    let shown = frame
+        .payload
+        .picture(&Default::default())
+        .expect("a picture");
     assert!(
         shown.width() <= 64 && shown.width() * 3 == shown.height() * 4,
         "{shown:?}"

@@ -72,6 +72,23 @@ impl Held {
     }
 }
 
+/// Two robots' programs, and what is between them.
+struct Wired {
+    a: Robot,
+    b: Robot,
+    wire: Wire,
+    /// Where `b` listens.
+    there: String,
+}
+
+async fn wired(bytes_per_s: f64) -> Wired {
+    let there = free_endpoint();
+    let b = listening("b", &there).await;
+    let wire = Wire::to(&there, bytes_per_s);
+    let a = dialling("a", &wire.endpoint).await;
+    Wired { a, b, wire, there }
+}
+
 fn in_folder(folder: &tempfile::TempDir) -> ReceiveTransfers {
     ReceiveTransfers::in_folder(folder.path(), 1 << 30)
 }
@@ -87,10 +104,7 @@ fn file_of(received: &rect::Received) -> Vec<u8> {
 async fn five_megabytes_arrive_though_the_link_is_cut_three_times() {
     let _turn = turn().await;
     let (bytes, folder) = (noise(5 * MB), tempfile::tempdir().expect("a folder"));
-    let there = free_endpoint();
-    let b = listening("b", &there).await;
-    let wire = Wire::to(&there, 2e6);
-    let a = dialling("a", &wire.endpoint).await;
+    let Wired { a, b, wire, .. } = wired(2e6).await;
     let received = b
         .receive_transfers("a/maps/*", in_folder(&folder))
         .await
@@ -124,10 +138,7 @@ async fn five_megabytes_arrive_though_the_link_is_cut_three_times() {
 async fn it_goes_on_after_either_side_was_restarted() {
     let _turn = turn().await;
     let (bytes, folder) = (noise(4 * MB), tempfile::tempdir().expect("a folder"));
-    let there = free_endpoint();
-    let b = listening("b", &there).await;
-    let wire = Wire::to(&there, 2e6);
-    let a = dialling("a", &wire.endpoint).await;
+    let Wired { a, b, wire, there } = wired(2e6).await;
     let received = b
         .receive_transfers("*/**", in_folder(&folder))
         .await
@@ -323,10 +334,9 @@ async fn a_file_that_changes_meanwhile_is_an_error_that_says_so() {
     let here = tempfile::tempdir().expect("a folder");
     let path = here.path().join("log");
     fs::write(&path, noise(3 * MB)).expect("written");
-    let there = free_endpoint();
-    let b = listening("b", &there).await;
-    let wire = Wire::to(&there, 1e6);
-    let a = dialling("a", &wire.endpoint).await;
+    let Wired {
+        a, b, wire: _wire, ..
+    } = wired(1e6).await;
     let received = b
         .receive_transfers("*/**", ReceiveTransfers::in_memory(1 << 30))
         .await

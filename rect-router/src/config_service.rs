@@ -1,8 +1,8 @@
 //! Owns changing a robot's connections from elsewhere: `<fleet>/<robot>/@rect/@config/connections`, a query without a
-//! payload to read and one with the new text to change. Who may is Zenoh's access control to decide, for which the key has
+//! payload to read, one with the new text to change all, `?add` with one
+//! connection, `?remove` with the name of one. Who may is Zenoh's access control to decide, for which the key has
 //! a part of its own (`@config`) that no rule matches by chance.
 use std::{
-    borrow::Cow,
     sync::{
         mpsc::{self, TrySendError},
         Arc,
@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::Value;
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};
 
-use crate::connections::{Changes, Connections};
+use crate::connections::{Changes, Connections, Edit};
 
 /// What a reader gets.
 #[derive(Serialize)]
@@ -69,15 +69,15 @@ fn answer(query: Query, key: &str, connections: &Connections) {
             Err(wrong) => query.reply_err(wrong).encoding(Encoding::TEXT_PLAIN).wait(),
         });
     };
-    let Asked { text, expected, by } = match Asked::by(&query) {
+    let Asked { edit, expected, by } = match Asked::by(&query) {
         Ok(asked) => asked,
         Err(wrong) => return reply(query, Err(wrong)),
     };
-    let Some(text) = text else {
+    let Some(edit) = edit else {
         return reply(query, read(connections));
     };
     let mut waits = Some(query);
-    let done = connections.replace(&text, expected.as_deref(), |changes, revision| {
+    let done = connections.edit(&edit, expected.as_deref(), |changes, revision| {
         tracing::info!("the connections are changed by {by}: {changes}");
         if let Some(query) = waits.take() {
             let (revision, changes) = (revision.to_owned(), changes.clone());
@@ -106,8 +106,8 @@ fn json(answer: &impl Serialize) -> Result<Value, String> {
 
 /// What somebody wants.
 struct Asked {
-    /// The new connections; none: to read.
-    text: Option<String>,
+    /// What is to change; none: to read.
+    edit: Option<Edit>,
     expected: Option<String>,
     by: String,
 }
@@ -115,14 +115,17 @@ struct Asked {
 impl Asked {
     fn by(query: &Query) -> Result<Self, String> {
         let (mut expected, mut by) = (None, "somebody who does not say");
+        let mut edit: fn(String) -> Edit = Edit::Whole;
         for (key, value) in query.parameters().iter() {
             match key {
                 "expect" => expected = Some(value.to_owned()),
                 "by" => by = value,
+                "add" => edit = Edit::Add,
+                "remove" => edit = Edit::Remove,
                 _ if key.is_empty() || key.starts_with('_') => {}
                 _ => {
                     return Err(format!(
-                        "`{key}` is unknown; known are expect (a revision) and by (who)"
+                        "`{key}` is unknown; known are add and remove (one connection), expect (a revision) and by (who)"
                     ))
                 }
             }
@@ -132,7 +135,7 @@ impl Asked {
             .transpose()
             .map_err(|_| "the new connections are no text (UTF-8)".to_owned())?;
         Ok(Self {
-            text: text.map(Cow::into_owned),
+            edit: text.map(|text| edit(text.into_owned())),
             expected,
             by: by.to_owned(),
         })

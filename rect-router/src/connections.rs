@@ -1,5 +1,6 @@
 //! Owns the named connections of a router: which are wanted, and what changes when others are.
 mod connection;
+mod edit;
 pub mod file;
 mod fleet;
 mod observed;
@@ -22,14 +23,14 @@ use zenoh_link_slot::Slots;
 
 pub use self::{
     connection::{link, Ends, Snapshot, Trouble},
+    edit::{Edit, EditError},
     file::FileError,
     fleet::Fleet,
-    observed::Traffic,
     watcher::Watching,
 };
 use self::{
     connection::{Connection, Dialled},
-    file::{Limits, Mistake, Wanted},
+    file::{Limits, Wanted},
     spec::Spec,
     store::{revision, Store},
 };
@@ -117,26 +118,27 @@ impl Connections {
         Ok((text, revision))
     }
 
-    /// Puts a new text into the file and takes its connections, if `expected` is the revision of what is there. `answer` is
-    /// told what changes and the new revision, once it is in the file and before links end: whoever asks may come over one
-    /// of them. On an error nothing changes. Waits while links that are to end have their [`GRACE`].
-    pub fn replace(
+    /// Puts what `edit` makes of it into the file and takes its connections, if `expected` is the revision of what is there.
+    /// `answer` is told what changes and the new revision, once it is in the file and before links end: whoever asks may come
+    /// over one of them. On an error nothing changes. Waits while links that are to end have their [`GRACE`].
+    pub fn edit(
         &self,
-        text: &str,
+        edit: &Edit,
         expected: Option<&str>,
         answer: impl FnOnce(&Changes, &str),
-    ) -> Result<(), ReplaceError> {
-        let wanted = file::parse(text, &self.limits)?;
+    ) -> Result<(), EditError> {
         let store = self.store.lock();
         if let Some(expected) = expected {
             let now = revision(&store.read()?);
             if now != expected {
-                return Err(ReplaceError::Outdated { now });
+                return Err(EditError::Outdated { now });
             }
         }
-        store.replace(text)?;
+        let text = edit.applied(|| store.read(), &self.limits)?;
+        let wanted = file::parse(&text, &self.limits)?;
+        store.replace(&text)?;
         let changes = self.difference(&self.rule_of(&wanted), &wanted.connections);
-        answer(&changes, &revision(text));
+        answer(&changes, &revision(&text));
         if changes.end_links() {
             thread::sleep(GRACE);
         }
@@ -249,23 +251,6 @@ impl Changes {
     fn end_links(&self) -> bool {
         !self.removed.is_empty() || !self.changed.is_empty()
     }
-}
-
-/// Why a text is not taken.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplaceError {
-    /// Something in it.
-    #[error("the new connections, {0}")]
-    Mistake(#[from] Mistake),
-    /// Read it, and change what is there now.
-    #[error("somebody else changed the connections: their revision is {now} now, read them again")]
-    Outdated {
-        /// Of what is there.
-        now: String,
-    },
-    /// The system does not let it be written.
-    #[error("the file of connections can't be written: {0}")]
-    Unwritable(#[from] io::Error),
 }
 
 impl fmt::Display for Changes {

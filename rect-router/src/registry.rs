@@ -14,6 +14,7 @@ use std::{
     time::{Instant, SystemTime, UNIX_EPOCH},
 };
 
+use rect::core::connection::{Connection, ConnectionState as State, PeerId, Traffic, Trouble};
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
 use zenoh_link::ble::{
@@ -23,7 +24,7 @@ use zenoh_link::ble::{
 };
 
 use self::{
-    document::{peers, Clock, Connection, Counts, PeerId, State, Status, Trouble},
+    document::{peers, Clock, Counts, Status},
     presence::Presence,
     publisher::publish,
     radio::{round_trip_ms, traffic, Ble},
@@ -32,7 +33,7 @@ use self::{
 };
 use crate::{
     config::Settings,
-    connections::{self, Connections, Ends, Fleet, Snapshot, Traffic},
+    connections::{self, Connections, Ends, Fleet, Snapshot},
     version,
 };
 

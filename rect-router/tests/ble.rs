@@ -3,26 +3,13 @@
 mod support;
 
 use serde_json::Value;
-use support::{arrives, ask, client, repository, Air, Router};
-
-fn wombat(air: &Air, number: u32, more: &[&str]) -> (Router, String) {
-    let config = repository()
-        .join("config/simulation.json5")
-        .display()
-        .to_string();
-    let radio = format!("ble/sim-wombat-{number}#name=wombat-{number}");
-    let mut args = vec!["-c", &config, "-l", "tcp/127.0.0.1:0", "-l", &radio];
-    args.extend(more);
-    let mut router = Router::start_on(air, &args);
-    let endpoint = router.listener();
-    (router, endpoint)
-}
+use support::{arrives, ask, client, simulated, Air, Router};
 
 #[test]
 fn two_wombats_exchange_messages_over_ble_and_the_admin_space_shows_the_link() {
     let air = Air::new();
-    let (_one, here) = wombat(&air, 1, &["-i", "a1"]);
-    let (_two, there) = wombat(
+    let (_one, here) = simulated(&air, 1, &["-i", "a1"]);
+    let (_two, there) = simulated(
         &air,
         2,
         &["-i", "a2", "-e", "ble/wombat-1#adapter=sim-wombat-2"],
@@ -47,13 +34,13 @@ fn two_wombats_exchange_messages_over_ble_and_the_admin_space_shows_the_link() {
 #[test]
 fn a_wombat_that_comes_back_is_linked_again() {
     let air = Air::new();
-    let (one, here) = wombat(&air, 1, &[]);
+    let (one, here) = simulated(&air, 1, &[]);
     let dial = "ble/wombat-1#adapter=sim-wombat-2";
-    let (_two, there) = wombat(&air, 2, &["-i", "a2", "-e", dial]);
+    let (_two, there) = simulated(&air, 2, &["-i", "a2", "-e", dial]);
     let there = client(&there);
     assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
     drop(one);
-    let (_one, here) = wombat(&air, 1, &[]);
+    let (_one, here) = simulated(&air, 1, &[]);
     assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
     let status: Value = ask(&there, "@/a2/router/ble").expect("an answer");
     let peer = &status[0]["peers"][0];
@@ -81,8 +68,8 @@ fn a_ble_listener_without_its_radio_ends_the_router_with_the_links_reason() {
 #[test]
 fn a_router_stops_with_status_0_while_linked_over_ble() {
     let air = Air::new();
-    let (one, here) = wombat(&air, 1, &[]);
-    let (mut two, there) = wombat(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let (one, here) = simulated(&air, 1, &[]);
+    let (mut two, there) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
     assert!(arrives(&client(&there), &client(&here), "rect/wombat-2/x"));
     two.up().signal(nix::sys::signal::Signal::SIGTERM);
     assert_eq!(two.exit().code(), Some(0));

@@ -83,6 +83,35 @@ fn connections_are_read_and_changed_by_a_query_from_another_robot() {
 }
 
 #[test]
+fn one_connection_is_added_or_removed_and_the_rest_of_the_file_stays() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let one = Wombat::start(&air, &folder, 1, &file(&[]));
+    let here = client(&one.endpoint);
+    let text = format!("// ours\n{}", file(&[tcp("base", 1)]));
+    replaced(&here, "", &text).expect("changed");
+    let added = replaced(&here, "?add;by=me", &tcp("laptop", 2).to_string()).expect("added");
+    assert_eq!(added["added"], json!(["laptop"]), "{added:#}");
+    let again = replaced(&here, "?add", &tcp("laptop", 2).to_string()).expect("as it is");
+    assert_eq!(again["revision"], added["revision"]);
+    let removed = replaced(&here, "?remove", "base").expect("removed");
+    assert_eq!(removed["removed"], json!(["base"]), "{removed:#}");
+    let left = fs::read_to_string(&one.file).expect("the file");
+    assert!(
+        left.starts_with("// ours\n") && left.contains("laptop"),
+        "{left}"
+    );
+    let unknown = replaced(&here, "?remove", "base");
+    assert!(unknown.is_err_and(|e| e.contains("there are: laptop")));
+    let wrong = replaced(
+        &here,
+        "?add",
+        r#"{"name": "x", "method": "tcp", "address": "a"}"#,
+    );
+    assert!(wrong.is_err_and(|e| e.contains("tcp needs a port")));
+    assert_eq!(fs::read_to_string(&one.file).expect("the file"), left);
+}
+
+#[test]
 fn who_removes_or_changes_the_connection_he_comes_over_is_answered_first() {
     let over_tcp = |two: &Wombat| tcp("way", two.port());
     let by_radio = |_: &Wombat| ble("way", "wombat-2");

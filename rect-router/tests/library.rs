@@ -4,7 +4,7 @@ mod support;
 
 use std::time::{Duration, Instant};
 
-use rect::{blocking::Robot, Event, Json, Options};
+use rect::{blocking::Robot, ConnectionState, Event, Json, NamedConnection, Options};
 use serde_json::json;
 use support::{ble, file, Air, Wombat, DEADLINE};
 use zenoh_link::ble::radio::sim::{control, Control};
@@ -67,6 +67,31 @@ fn programs_of_two_robots_talk_over_ble_and_are_told_so() {
     });
     let volt: serde_json::Value = answer.expect("one").payload.value().expect("JSON");
     assert_eq!(volt["volt"], 7.2);
+}
+
+#[test]
+fn a_program_gives_its_router_a_connection_and_takes_it_back() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let nobody = file(&[]);
+    let [one, two] = [1, 2].map(|number| Wombat::start(&air, &folder, number, &nobody));
+    let program = program(&two, "wombat-2");
+    let radio = NamedConnection::new("radio", "ble", "wombat-1");
+    program.add_connection(&radio).expect("added");
+    program.add_connection(&radio).expect("as it is");
+    let is_there = || {
+        let all = program.connections().expect("asked");
+        let named = all.iter().find(|one| one.name.as_deref() == Some("radio"));
+        named.is_some_and(|one| one.state == ConnectionState::Connected)
+    };
+    until("it is linked", is_there);
+    program.remove_connection("radio").expect("removed");
+    until("it is not", || !is_there());
+    let error = program.remove_connection("radio").expect_err("gone");
+    assert!(error.to_string().contains("there are: none"), "{error}");
+    let own = NamedConnection::new("me", "ble", "wombat-2");
+    let error = program.add_connection(&own).expect_err("itself");
+    assert!(error.to_string().contains("this robot itself"), "{error}");
+    drop(one);
 }
 
 #[test]

@@ -13,9 +13,9 @@ use std::{
 
 use rect::{
     core::stream::ladder::{Coding, Level, PICTURES},
-    Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
+    Encoding, Frame, Payload, Robot, Stream, StreamOptions, Watch,
 };
-use support::{repository, Air, Router, DEADLINE};
+use support::{joined, simulated, Air, Router, DEADLINE};
 use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
 
 const PIXELS: usize = 320 * 240;
@@ -32,20 +32,8 @@ fn robots() -> Robots {
         pdu: LlPayload::Bytes27,
         ..AirOptions::default()
     });
-    let config = repository()
-        .join("config/simulation.json5")
-        .display()
-        .to_string();
-    let start = |number: u32, more: &[&str]| {
-        let radio = format!("ble/sim-wombat-{number}#name=wombat-{number}");
-        let mut args = vec!["-c", &config, "-l", "tcp/127.0.0.1:0", "-l", &radio];
-        args.extend(more);
-        let mut router = Router::start_on(&air, &args);
-        let endpoint = router.listener();
-        (router, endpoint)
-    };
-    let (one, here) = start(1, &[]);
-    let (two, there) = start(2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let (one, here) = simulated(&air, 1, &[]);
+    let (two, there) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
     Robots {
         _air: air,
         _routers: [one, two],
@@ -57,9 +45,9 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Runtime::new().expect("a runtime")
 }
 
-async fn joined(name: &str, endpoint: &str) -> Robot {
-    let options = Options::new(name).expect("a name").login_file("/none");
-    options.router(endpoint).connect().await.expect("joined")
+async fn stream(sender: &Robot) -> Arc<Stream> {
+    let stream = sender.stream("camera", StreamOptions::default()).await;
+    Arc::new(stream.expect("a stream"))
 }
 
 /// A camera of 20 Hz, until the session ends, on a thread of its own: what photographs take, about.
@@ -124,12 +112,7 @@ async fn one_camera([here, there]: &[String; 2]) {
         joined("wombat-1", here).await,
         joined("wombat-2", there).await,
     );
-    let stream = Arc::new(
-        sender
-            .stream("camera", StreamOptions::default())
-            .await
-            .expect("a stream"),
-    );
+    let stream = stream(&sender).await;
     let watch = receiver.watch("wombat-1", "camera").await.expect("watched");
     let begun = Instant::now();
     let late: Arc<Mutex<Vec<Duration>>> = Arc::default();
@@ -198,12 +181,7 @@ async fn two_watchers([here, there]: &[String; 2]) {
         joined("laptop", here).await,
         joined("wombat-2", there).await,
     );
-    let stream = Arc::new(
-        sender
-            .stream("camera", StreamOptions::default())
-            .await
-            .expect("a stream"),
-    );
+    let stream = stream(&sender).await;
     let slow = robot.watch("wombat-1", "camera").await.expect("watched");
     let fast = laptop.watch("wombat-1", "camera").await.expect("watched");
     camera(stream.clone());

@@ -12,8 +12,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Options, ReceiveTransfers, Robot, Transfers};
-use support::{repository, Air, Router, DEADLINE};
+use rect::{ReceiveTransfers, Robot, Transfers};
+use support::{joined, simulated, Air, Router, DEADLINE};
 use tokio::time::{sleep, timeout};
 
 struct Pair {
@@ -24,27 +24,11 @@ struct Pair {
 
 /// Programs of two robots whose routers are linked over the air.
 async fn pair(air: &Air) -> Pair {
-    let config = repository()
-        .join("config/simulation.json5")
-        .display()
-        .to_string();
-    let router = |number: u32, more: &[&str]| {
-        let radio = format!("ble/sim-wombat-{number}#name=wombat-{number}");
-        let mut args = vec!["-c", &config, "-l", "tcp/127.0.0.1:0", "-l", &radio];
-        args.extend(more);
-        let mut router = Router::start_on(air, &args);
-        let endpoint = router.listener();
-        (router, endpoint)
-    };
-    let (first, here) = router(1, &[]);
-    let (second, there) = router(2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
-    let robot = async |name: &str, endpoint: String| {
-        let options = Options::new(name).expect("a name").login_file("/none");
-        options.router(endpoint).connect().await.expect("a router")
-    };
+    let (first, here) = simulated(air, 1, &[]);
+    let (second, there) = simulated(air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
     let (one, other) = (
-        robot("wombat-1", here).await,
-        robot("wombat-2", there).await,
+        joined("wombat-1", &here).await,
+        joined("wombat-2", &there).await,
     );
     Pair {
         _routers: [first, second],

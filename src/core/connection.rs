@@ -1,4 +1,5 @@
-//! Owns connections as a router's registry tells of them (docs/registry.md), and what is news among them.
+//! Owns connections as a router's registry tells of them (docs/registry.md; the router writes these), and what is news
+//! among them.
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,18 @@ pub enum ConnectionState {
     Connecting,
     /// A robot of the fleet is heard by Bluetooth, and not linked.
     Discovered,
+}
+
+impl ConnectionState {
+    /// By its name.
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "connected" => Some(Self::Connected),
+            "connecting" => Some(Self::Connecting),
+            "discovered" => Some(Self::Discovered),
+            _ => None,
+        }
+    }
 }
 
 /// A connection of a robot's router.
@@ -48,6 +61,27 @@ pub struct Connection {
     pub last_error: Option<Trouble>,
 }
 
+impl Connection {
+    /// One of which no more is known.
+    pub fn of(method: &str, address: &str, state: ConnectionState) -> Self {
+        Self {
+            name: None,
+            method: method.to_owned(),
+            address: address.to_owned(),
+            state,
+            peer: None,
+            up_s: None,
+            sent: None,
+            received: None,
+            round_trip_ms: None,
+            rssi_dbm: None,
+            linked: None,
+            failed: None,
+            last_error: None,
+        }
+    }
+}
+
 /// Somebody at the other end.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PeerId {
@@ -58,12 +92,23 @@ pub struct PeerId {
 }
 
 /// What went one way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Traffic {
-    /// Bytes of Zenoh's batches.
-    pub bytes: u64,
-    /// Zenoh's batches.
+    /// Batches of Zenoh: one or more messages each, or a part of one.
     pub batches: u64,
+    /// Their bytes.
+    pub bytes: u64,
+}
+
+impl std::ops::Add for Traffic {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            batches: self.batches + other.batches,
+            bytes: self.bytes + other.bytes,
+        }
+    }
 }
 
 /// What went wrong.
@@ -189,23 +234,13 @@ mod tests {
     use super::*;
 
     fn connection(method: &str, robot: &str, state: ConnectionState) -> Connection {
+        let (id, robot_name) = ("1".to_owned(), Some(robot.to_owned()));
         Connection {
-            name: None,
-            method: method.to_owned(),
-            address: format!("to-{robot}"),
-            state,
             peer: Some(PeerId {
-                id: "1".to_owned(),
-                robot: Some(robot.to_owned()),
+                id,
+                robot: robot_name,
             }),
-            up_s: None,
-            sent: None,
-            received: None,
-            round_trip_ms: None,
-            rssi_dbm: None,
-            linked: None,
-            failed: None,
-            last_error: None,
+            ..Connection::of(method, &format!("to-{robot}"), state)
         }
     }
 

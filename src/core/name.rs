@@ -4,8 +4,8 @@ use std::{fmt, str::FromStr, sync::Arc};
 /// The longest name, in bytes: what fits a Bluetooth scan response.
 pub const MAX_BYTES: usize = 29;
 
-/// The name of a robot, or of a fleet: 1 to 29 letters, digits, `-`, `_` or `.`, and not that of a Bluetooth adapter
-/// (`hci0`, `sim...`), since `ble/<name>` and `ble/<adapter>` are told apart by it.
+/// The name of a robot, or of a fleet: 1 to 29 letters, digits, `-`, `_` or `.`; not `.` or `..`, and not that of a
+/// Bluetooth adapter (`hci0`, `sim...`), since `ble/<name>` and `ble/<adapter>` are told apart by it.
 ///
 /// ```
 /// use rect::core::name::Name;
@@ -30,6 +30,9 @@ pub enum NameError {
         /// The first such character.
         found: char,
     },
+    /// What every folder calls itself or the one above it: a name may become a file's.
+    #[error("{0:?} is what file systems call a folder: choose another name")]
+    Folder(String),
     /// That of a Bluetooth adapter.
     #[error("{0:?} is what a Bluetooth adapter is called: choose another name")]
     Adapter(String),
@@ -49,6 +52,9 @@ impl Name {
         if let Some(found) = text.chars().find(|&c| !allowed(c)) {
             let name = text.to_owned();
             return Err(NameError::Character { name, found });
+        }
+        if matches!(text, "." | "..") {
+            return Err(NameError::Folder(text.to_owned()));
         }
         if is_adapter(text) {
             return Err(NameError::Adapter(text.to_owned()));
@@ -158,6 +164,8 @@ mod tests {
             "a/b",
             "*",
             "ä",
+            ".",
+            "..",
             "hci0",
             "sim",
             "sim-a",

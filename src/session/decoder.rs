@@ -54,21 +54,15 @@ impl Decoder {
     }
 
     /// The message as it was said. What can't be undone stays as it came, with what is wrong with it.
-    pub(super) async fn message(&self, mut message: Message) -> Message {
-        match self.payload(&message.from, &message.payload).await {
-            Ok(payload) => message.payload = payload,
-            Err(flaw) => message.flaw = Some(flaw),
-        }
-        message
+    pub(super) async fn message(&self, message: Message) -> Message {
+        let payload = self.payload(&message.from, &message.payload).await;
+        unpacked(message, payload)
     }
 
     /// The same with what is known already.
-    pub(super) fn message_now(&self, mut message: Message) -> Message {
-        match self.payload_now(&message.payload) {
-            Ok(payload) => message.payload = payload,
-            Err(flaw) => message.flaw = Some(flaw),
-        }
-        message
+    pub(super) fn message_now(&self, message: Message) -> Message {
+        let payload = self.payload_now(&message.payload);
+        unpacked(message, payload)
     }
 
     /// A payload of that robot's as it was before it was packed.
@@ -96,7 +90,7 @@ impl Decoder {
         if asked.is_some_and(|asked| asked.elapsed() < ASK_AGAIN) {
             return false;
         }
-        let key = self.place.own(Some(from), &format!("dictionary/{id}"));
+        let key = self.key(from, id);
         let asked = self.session.get(&key).timeout(PATIENCE);
         let Ok(replies) = asked.priority(Priority::DataHigh).await else {
             return false;
@@ -130,9 +124,7 @@ impl Decoder {
         if known.served.contains_key(&id) {
             return Ok(());
         }
-        let key = self
-            .place
-            .own(Some(&self.place.robot), &format!("dictionary/{id}"));
+        let key = self.key(&self.place.robot, id);
         let (key_of_answer, shared) = (key.clone(), dictionary.clone());
         let queryable = self.session.declare_queryable(key).complete(true);
         let queryable = queryable.callback(move |query: Query| {
@@ -150,9 +142,22 @@ impl Decoder {
         Ok(())
     }
 
+    /// Where a robot has a dictionary that it made.
+    fn key(&self, robot: &Name, id: u32) -> String {
+        self.place.own(Some(robot), &format!("dictionary/{id}"))
+    }
+
     fn known(&self) -> MutexGuard<'_, Known> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn unpacked(mut message: Message, payload: Result<Payload, CodecError>) -> Message {
+    match payload {
+        Ok(payload) => message.payload = payload,
+        Err(flaw) => message.flaw = Some(flaw),
+    }
+    message
 }
 
 impl Robot {

@@ -10,7 +10,7 @@ use zenoh::Config;
 
 use super::robot::Robot;
 use crate::{
-    core::{key::Place, name::Name, wording},
+    core::{key::Place, login, name::Name, wording},
     error::Error,
 };
 
@@ -141,9 +141,10 @@ impl Options {
     pub async fn connect(self) -> Result<Robot, Error> {
         let config = self.config()?;
         let direct = self.is_direct();
-        let opened = zenoh::open(config).await;
+        let opened = zenoh::open(config.clone()).await;
         let session = opened.map_err(|error| self.refused(direct, &error))?;
-        Robot::start(session, self.place, direct).await
+        let router = (!direct).then_some(config);
+        Robot::start(session, self.place, router).await
     }
 
     fn is_direct(&self) -> bool {
@@ -229,6 +230,6 @@ fn retry(first_ms: u32) -> Value {
 
 fn first_login(file: &Path) -> Option<(String, String)> {
     let text = fs::read_to_string(file).ok()?;
-    let (user, password) = text.lines().find_map(|line| line.split_once(':'))?;
-    Some((user.trim().to_owned(), password.trim().to_owned()))
+    let (user, password) = login::logins(&text).next()?;
+    Some((user.to_owned(), password.to_owned()))
 }

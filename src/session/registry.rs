@@ -1,13 +1,17 @@
-//! Owns asking the routers' registry: who is there, and by which connections (docs/registry.md has the keys).
+//! Owns asking the routers: who is there, and by which connections (docs/registry.md has the keys); and changing those.
 use std::time::Duration;
 
 use serde::de::DeserializeOwned;
-use zenoh::bytes::ZBytes;
+use zenoh::{bytes::ZBytes, query::Reply};
 
 use super::robot::Robot;
 use crate::{
     core::{
-        connection::Connection, encoding::Encoding, name::Name, payload::Payload,
+        connection::Connection,
+        encoding::Encoding,
+        name::Name,
+        named_connection::{NamedConnection, ADD, CONFIG, REMOVE},
+        payload::Payload,
         request::error_from_payload,
     },
     error::Error,
@@ -79,28 +83,109 @@ impl Robot {
         which: &str,
     ) -> Result<T, Error> {
         let key = self.inner.place.own(Some(&robot), question);
-        let selector = if which.is_empty() {
-            key.clone()
-        } else {
-            format!("{key}?{which}")
-        };
-        let asked = self.inner.session.get(selector).timeout(PATIENCE).await;
-        let replies = asked.map_err(Error::zenoh("the registry can't be asked"))?;
-        let json = |bytes: &ZBytes| Payload::new(bytes.to_bytes().into_owned(), Encoding::JSON);
-        match replies
-            .recv_async()
+        let selector = with_parameters(key, which);
+        let answer = self.ask_router(robot, question, selector, None).await?;
+        Ok(answer.value()?)
+    }
+
+    /// Gives this robot's router a connection, instead of the one of that name if it has one; it is dialled from now on, and
+    /// after a restart. One that it has already stays as it is.
+    ///
+    /// ```no_run
+    /// # async fn added(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let base = rect::NamedConnection::new("base", "tcp", "192.168.125.2").port(7447);
+    /// robot.add_connection(&base).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Service`]: the connection can't be, and why; [`Error::NoService`]: no router whose settings name a file of
+    /// connections (`plugins/rect/connections`).
+    pub async fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
+        let robot = self.name().clone();
+        self.add_connection_of(robot, connection).await
+    }
+
+    /// The same at another robot. Its access control has to allow that (`config/README.md`).
+    ///
+    /// # Errors
+    /// As [`add_connection`](Self::add_connection), and [`Error::Name`].
+    pub async fn add_connection_of<N: TryInto<Name>>(
+        &self,
+        robot: N,
+        connection: &NamedConnection,
+    ) -> Result<(), Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.configure(robot.try_into()?, ADD, connection.to_json())
             .await
-            .map(zenoh::query::Reply::into_result)
-        {
-            Ok(Ok(sample)) => Ok(json(sample.payload()).value()?),
+    }
+
+    /// Takes a connection from this robot's router; its link ends.
+    ///
+    /// # Errors
+    /// [`Error::Service`]: it has none of that name; [`Error::NoService`] as [`add_connection`](Self::add_connection).
+    pub async fn remove_connection(&self, name: &str) -> Result<(), Error> {
+        let robot = self.name().clone();
+        self.remove_connection_of(robot, name).await
+    }
+
+    /// The same at another robot. Its access control has to allow that (`config/README.md`).
+    ///
+    /// # Errors
+    /// As [`remove_connection`](Self::remove_connection), and [`Error::Name`].
+    pub async fn remove_connection_of<N: TryInto<Name>>(
+        &self,
+        robot: N,
+        name: &str,
+    ) -> Result<(), Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.configure(robot.try_into()?, REMOVE, name.to_owned())
+            .await
+    }
+
+    async fn configure(&self, robot: Name, how: &str, what: String) -> Result<(), Error> {
+        let key = self.inner.place.own(Some(&robot), CONFIG);
+        let selector = with_parameters(key, &format!("{how};by={}", self.name()));
+        self.ask_router(robot, CONFIG, selector, Some(what)).await?;
+        Ok(())
+    }
+
+    async fn ask_router(
+        &self,
+        robot: Name,
+        question: &str,
+        selector: String,
+        payload: Option<String>,
+    ) -> Result<Payload, Error> {
+        let asked = self.inner.session.get(selector).timeout(PATIENCE);
+        let asked = match payload {
+            Some(payload) => asked.payload(payload).await,
+            None => asked.await,
+        };
+        let replies = asked.map_err(Error::zenoh("the router can't be asked"))?;
+        let json = |bytes: &ZBytes| Payload::new(bytes.to_bytes().into_owned(), Encoding::JSON);
+        match replies.recv_async().await.map(Reply::into_result) {
+            Ok(Ok(sample)) => Ok(json(sample.payload())),
             Ok(Err(error)) => {
                 let (_, payload) = error_from_payload(json(error.payload()));
                 let robot = Some(robot);
                 Err(Error::Service { robot, payload })
             }
-            Err(_) => Err(self
-                .nobody(robot.to_string(), format!("the registry ({question})"))
-                .await),
+            Err(_) => {
+                let topic = format!("the registry ({question})");
+                Err(self.nobody(robot.to_string(), topic).await)
+            }
         }
+    }
+}
+
+fn with_parameters(key: String, parameters: &str) -> String {
+    match parameters {
+        "" => key,
+        _ => format!("{key}?{parameters}"),
     }
 }

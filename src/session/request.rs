@@ -105,9 +105,8 @@ impl Robot {
         let cancellation = CancellationToken::default();
         let qos = self.urgency().qos();
         let closing = Closing(inbox.clone());
-        let asked = self
-            .inner
-            .session
+        let session = self.inner.lanes.of(self.urgency()).await;
+        let asked = session
             .get(place.service(robot.as_ref(), &topic))
             .payload(payload.bytes)
             .encoding(payload.encoding.as_str())

@@ -2,14 +2,15 @@
 use std::{
     collections::HashMap,
     fmt,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use tokio::runtime::Handle;
-use zenoh::{liveliness::LivelinessToken, Session};
+use zenoh::{liveliness::LivelinessToken, Config, Session};
 
 use super::{
     decoder::Decoder,
+    lanes::Lanes,
     options::Options,
     publication::Publication,
     state::{self, Counting, Known},
@@ -39,6 +40,7 @@ pub struct Robot {
 
 pub(super) struct Inner {
     pub(super) session: Session,
+    pub(super) lanes: Lanes,
     pub(super) place: Place,
     pub(super) runtime: Handle,
     publications: Mutex<HashMap<Spoken, Arc<Publication>>>,
@@ -75,7 +77,13 @@ pub async fn connect(robot: &str) -> Result<Robot, Error> {
 }
 
 impl Robot {
-    pub(super) async fn start(session: Session, place: Place, direct: bool) -> Result<Self, Error> {
+    /// `router`: how it was joined, where there is one.
+    pub(super) async fn start(
+        session: Session,
+        place: Place,
+        router: Option<Config>,
+    ) -> Result<Self, Error> {
+        let direct = router.is_none();
         let (presence, known) = if direct {
             (Some(state::say_there(&session, &place).await?), None)
         } else {
@@ -83,6 +91,7 @@ impl Robot {
         };
         let decoder = Decoder::new(&session, &place);
         let inner = Inner {
+            lanes: Lanes::new(session.clone(), router),
             session,
             place,
             runtime: Handle::current(),
@@ -110,7 +119,8 @@ impl Robot {
         &self.inner.place.fleet
     }
 
-    /// The session of Zenoh below, for whatever Zenoh can do and this has no word for.
+    /// The session of Zenoh below, for whatever Zenoh can do and this has no word for. What is urgent, and bulk, goes over
+    /// sessions of their own.
     pub fn zenoh(&self) -> &Session {
         &self.inner.session
     }
@@ -188,7 +198,7 @@ impl Robot {
     /// # Errors
     /// [`Error::Zenoh`].
     pub async fn close(&self) -> Result<(), Error> {
-        let closed = self.inner.session.close().await;
+        let closed = self.inner.lanes.close().await;
         closed.map_err(Error::zenoh("the session does not close"))
     }
 
@@ -202,16 +212,20 @@ impl Robot {
 
     async fn say(&self, topic: Topic, to: Option<Name>, payload: Payload) -> Result<(), Error> {
         let urgency = self.urgency;
-        let publication = self.publication(Spoken { topic, to, urgency })?;
+        let publication = self.publication(Spoken { topic, to, urgency }).await?;
         let bytes = payload.bytes.len();
         publication.put(payload).await?;
         self.inner.counting.on_sent(bytes);
         Ok(())
     }
 
-    fn publication(&self, spoken: Spoken) -> Result<Arc<Publication>, Error> {
-        let publications = self.inner.publications.lock();
-        let mut publications = publications.unwrap_or_else(PoisonError::into_inner);
+    async fn publication(&self, spoken: Spoken) -> Result<Arc<Publication>, Error> {
+        if let Some(known) = self.publications().get(&spoken) {
+            return Ok(known.clone());
+        }
+        let session = self.inner.lanes.of(spoken.urgency).await;
+        let mut publications = self.publications();
+        // Somebody may have been faster.
         if let Some(known) = publications.get(&spoken) {
             return Ok(known.clone());
         }
@@ -220,13 +234,18 @@ impl Robot {
             None => place.publication(&spoken.topic),
             Some(to) => place.message(to, &spoken.topic),
         };
-        let qos = spoken.urgency.qos();
-        let publication = Arc::new(Publication::declare(&self.inner.session, key, qos)?);
+        let publication = Publication::declare(session, key, spoken.urgency.qos())?;
+        let publication = Arc::new(publication);
         if publications.len() >= MAX_PUBLICATIONS {
             publications.clear();
         }
         publications.insert(spoken, publication.clone());
         Ok(publication)
+    }
+
+    fn publications(&self) -> MutexGuard<'_, HashMap<Spoken, Arc<Publication>>> {
+        let publications = self.inner.publications.lock();
+        publications.unwrap_or_else(PoisonError::into_inner)
     }
 }
 

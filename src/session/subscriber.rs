@@ -184,7 +184,7 @@ impl Subscriber {
     /// The next message, once there is one; `None`: the session was closed. The first message that is packed with a
     /// dictionary waits until that has come; who drops this future meanwhile loses that message.
     pub async fn recv(&self) -> Option<Message> {
-        Some(self.decoder.message(self.inbox.pop().await?).await)
+        decoded(&self.inbox, &self.decoder).await
     }
 
     /// The next message, if there is one.
@@ -208,15 +208,18 @@ impl Subscriber {
     }
 }
 
+async fn decoded(inbox: &Inbox<Message>, decoder: &Decoder) -> Option<Message> {
+    Some(decoder.message(inbox.pop().await?).await)
+}
+
 impl Stream for Subscriber {
     type Item = Message;
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Message>> {
         let (inbox, decoder) = (self.inbox.clone(), self.decoder.clone());
         let next = self.next.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let waiting = next.get_or_insert_with(|| {
-            Box::pin(async move { Some(decoder.message(inbox.pop().await?).await) })
-        });
+        let waiting =
+            next.get_or_insert_with(|| Box::pin(async move { decoded(&inbox, &decoder).await }));
         let polled = waiting.as_mut().poll(context);
         if polled.is_ready() {
             *next = None;

@@ -1,7 +1,7 @@
 //! Owns what the commands share that ask a running router: a session with it, and the robots' answers.
-use std::{fs, path::Path, time::Duration};
+use std::{fs, time::Duration};
 
-use rect::core::wording;
+use rect::core::{login, wording};
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
@@ -20,7 +20,8 @@ pub(super) fn session(args: &RouterArgs) -> Result<Session, Failure> {
     ] {
         config.insert_json5(key, &value.to_string())?;
     }
-    if let Some((user, password)) = first_login(&args.users) {
+    let users = fs::read_to_string(&args.users).unwrap_or_default();
+    if let Some((user, password)) = login::logins(&users).next() {
         let login = serde_json::json!({ "user": user, "password": password });
         config.insert_json5("transport/auth/usrpwd", &login.to_string())?;
     }
@@ -77,10 +78,4 @@ pub(super) fn show(
     );
     println!("{shown}");
     Ok(())
-}
-
-fn first_login(users: &Path) -> Option<(String, String)> {
-    let text = fs::read_to_string(users).ok()?;
-    let (user, password) = text.lines().find_map(|line| line.split_once(':'))?;
-    Some((user.trim().to_owned(), password.trim().to_owned()))
 }

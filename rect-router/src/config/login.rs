@@ -2,6 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
+use rect::core::login;
 use zenoh::Config;
 
 use super::ConfigError;
@@ -42,11 +43,8 @@ pub(super) fn log_in_as(
     let Logins { path, text } = logins.ok_or_else(|| ConfigError::NoLoginFile {
         user: user.to_owned(),
     })?;
-    let password = text
-        .lines()
-        .filter_map(|line| line.split_once(':'))
-        .find(|(name, _)| name.trim() == user)
-        .map(|(_, password)| password.trim())
+    let (_, password) = login::logins(&text)
+        .find(|(name, _)| *name == user)
         .ok_or_else(|| ConfigError::NoSuchLogin {
             user: user.to_owned(),
             path: path.clone(),

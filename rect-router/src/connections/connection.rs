@@ -6,6 +6,7 @@ use std::{
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
+use rect::core::connection::Traffic;
 use zenoh_link::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,
@@ -13,10 +14,7 @@ use zenoh_link::{
 use zenoh_link_slot::Dial;
 use zenoh_result::ZResult;
 
-use super::{
-    observed::{ObservedLink, Traffic},
-    spec::Spec,
-};
+use super::{observed::ObservedLink, spec::Spec};
 
 /// A connection that programs know by name.
 pub struct Connection {

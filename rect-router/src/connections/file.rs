@@ -121,7 +121,7 @@ pub fn parse(text: &str, limits: &Limits) -> Result<Wanted, Mistake> {
 }
 
 /// Comments, and commas after the last one; nothing else that JSON has not.
-fn json_with_comments() -> ParseOptions {
+pub(super) fn json_with_comments() -> ParseOptions {
     ParseOptions {
         allow_comments: true,
         allow_trailing_commas: true,

@@ -9,33 +9,13 @@ use std::{
 };
 
 use async_trait::async_trait;
-use serde::Serialize;
+use rect::core::connection::Traffic;
 use tokio_util::sync::CancellationToken;
 use zenoh_link::{LinkAuthId, LinkUnicastTrait, Locator};
 use zenoh_protocol::core::Priority;
 use zenoh_result::{bail, ZResult};
 
 use super::connection::Connection;
-
-/// What went one way.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Traffic {
-    /// Batches of Zenoh: one or more messages each, or a part of one.
-    pub batches: u64,
-    /// Their bytes.
-    pub bytes: u64,
-}
-
-impl std::ops::Add for Traffic {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
-        Self {
-            batches: self.batches + other.batches,
-            bytes: self.bytes + other.bytes,
-        }
-    }
-}
 
 /// Counts while others read.
 #[derive(Default)]

@@ -1,103 +1,11 @@
-//! Owns what the registry says: connections and peers, as JSON that any Zenoh tool shows.
+//! Owns what the registry says beside connections themselves, which are the library's: peers, counts, a robot at a glance,
+//! as JSON that any Zenoh tool shows.
 use std::collections::BTreeMap;
 
+use rect::core::connection::{Connection, ConnectionState as State, PeerId};
 use serde::Serialize;
 
-use crate::{config::AutoConnect, connections::Traffic};
-
-/// Whether a connection carries messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum State {
-    /// It does.
-    Connected,
-    /// It is wanted, and dialled until it does.
-    Connecting,
-    /// A robot of the fleet is heard, and not linked.
-    Discovered,
-}
-
-impl State {
-    /// By its name.
-    pub fn parse(text: &str) -> Option<Self> {
-        match text {
-            "connected" => Some(Self::Connected),
-            "connecting" => Some(Self::Connecting),
-            "discovered" => Some(Self::Discovered),
-            _ => None,
-        }
-    }
-}
-
-/// A connection that is wanted, there, or possible.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Connection {
-    /// As the file names it; `null`: one that the other side made, or that has no name.
-    pub name: Option<String>,
-    /// `ble`, `tcp`, `udp`, ...
-    pub method: String,
-    /// Whom or where, without the method.
-    pub address: String,
-    /// Whether it carries messages.
-    pub state: State,
-    /// Who is at the other end, once that is known.
-    pub peer: Option<PeerId>,
-    /// For how long it has been there, in seconds.
-    pub up_s: Option<f64>,
-    /// What went out, where it is counted.
-    pub sent: Option<Traffic>,
-    /// What came, where it is counted.
-    pub received: Option<Traffic>,
-    /// There and back, in milliseconds, where it is measured.
-    pub round_trip_ms: Option<f64>,
-    /// How strong its signal is, in dBm, where it was heard within a minute.
-    pub rssi_dbm: Option<i16>,
-    /// How often it was made.
-    pub linked: Option<u64>,
-    /// Attempts that came to nothing since then.
-    pub failed: Option<u64>,
-    /// What went wrong last.
-    pub last_error: Option<Trouble>,
-}
-
-impl Connection {
-    /// One of which no more is known.
-    pub fn of(method: &str, address: &str, state: State) -> Self {
-        Self {
-            name: None,
-            method: method.to_owned(),
-            address: address.to_owned(),
-            state,
-            peer: None,
-            up_s: None,
-            sent: None,
-            received: None,
-            round_trip_ms: None,
-            rssi_dbm: None,
-            linked: None,
-            failed: None,
-            last_error: None,
-        }
-    }
-}
-
-/// Somebody at the other end.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct PeerId {
-    /// Zenoh's identifier.
-    pub id: String,
-    /// The robot's name, for one of RECT.
-    pub robot: Option<String>,
-}
-
-/// What went wrong.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Trouble {
-    /// In words.
-    pub what: String,
-    /// Seconds ago.
-    pub ago_s: f64,
-}
+use crate::config::AutoConnect;
 
 /// Somebody, with the connections there are to it.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -6,12 +6,10 @@ use std::{
     time::Duration,
 };
 
+use rect::core::connection::{Connection, ConnectionState as State};
 use zenoh::{bytes::Encoding, Wait};
 
-use super::{
-    document::{Connection, State},
-    Sources,
-};
+use super::Sources;
 
 /// Several changes within so long are published as one.
 const TOGETHER: Duration = Duration::from_millis(50);
@@ -75,9 +73,10 @@ impl Others {
 
 #[cfg(test)]
 mod tests {
+    use rect::core::connection::PeerId;
     use zenoh_link::ble::BLE_LOCATOR_PREFIX as BLE;
 
-    use super::{super::document::PeerId, *};
+    use super::*;
 
     fn heard(robot: &str, rssi_dbm: i16) -> Connection {
         Connection {

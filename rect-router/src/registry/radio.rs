@@ -1,12 +1,11 @@
 //! Owns what the registry takes from the radio: its links, and whom it hears.
+use rect::core::connection::Traffic;
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link::ble::{
     status::{nodes, Count, HeardStatus, LinkStatus},
     BLE_LOCATOR_PREFIX as BLE,
 };
-
-use crate::connections::Traffic;
 
 /// What the radio tells.
 pub struct Ble {

@@ -1,7 +1,8 @@
 //! Owns the parameters of a question to the registry: `?method=ble;state=connected`.
+use rect::core::connection::{Connection, ConnectionState as State};
 use zenoh::query::Parameters;
 
-use super::document::{Connection, Peer, State};
+use super::document::Peer;
 
 /// What is asked for; what is left out holds for all.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -1,6 +1,7 @@
 //! A router as a child process, and the waiting for it: by its log and with a deadline, never by sleeping.
 #![allow(dead_code, unused_imports)] // each test file uses its part
 
+mod program;
 mod session;
 mod team;
 mod wombat;
@@ -23,9 +24,10 @@ use serde_json::Value;
 use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SimAir, SOCKET_VARIABLE};
 
 pub use self::{
+    program::joined,
     session::{admin, answers, arrives, ask, change, client, client_with},
     team::{init, program, rect_router, said, start, start_with},
-    wombat::{ble, connected, file, tcp, Wombat},
+    wombat::{ble, connected, file, simulated, tcp, Wombat},
 };
 
 /// No step of any test takes this long, not even on a busy machine.

@@ -25,22 +25,9 @@ impl Wombat {
 
     /// With other settings than those.
     pub fn start_with(air: &Air, number: u32, mut settings: Value, file: PathBuf) -> Self {
-        let config = repository().join("config/simulation.json5");
         settings["robot"] = json!(format!("wombat-{number}"));
-        let mut router = Router::start_on(
-            air,
-            &[
-                "-c",
-                &config.display().to_string(),
-                "-l",
-                "tcp/127.0.0.1:0",
-                "-l",
-                &format!("ble/sim-wombat-{number}#name=wombat-{number}"),
-                "--cfg",
-                &format!("plugins/rect:{settings}"),
-            ],
-        );
-        let endpoint = router.listener();
+        let settings = format!("plugins/rect:{settings}");
+        let (mut router, endpoint) = simulated(air, number, &["--cfg", &settings]);
         router.up();
         Self {
             router,
@@ -61,6 +48,18 @@ impl Wombat {
         fs::write(&new, connections.to_string()).expect("written");
         fs::rename(&new, &self.file).expect("renamed");
     }
+}
+
+/// A router with the simulation's configuration on the air as `wombat-<number>`, and where its programs reach it.
+pub fn simulated(air: &Air, number: u32, more: &[&str]) -> (Router, String) {
+    let config = repository().join("config/simulation.json5");
+    let config = config.display().to_string();
+    let radio = format!("ble/sim-wombat-{number}#name=wombat-{number}");
+    let mut args = vec!["-c", &config, "-l", "tcp/127.0.0.1:0", "-l", &radio];
+    args.extend(more);
+    let mut router = Router::start_on(air, &args);
+    let endpoint = router.listener();
+    (router, endpoint)
 }
 
 /// The content of a file of connections.

@@ -1,10 +1,7 @@
 //! Owns `rect bench`: how good the way to another robot is. The other side runs `rect bench --serve`.
 use std::{
     process::ExitCode,
-    sync::{
-        atomic::{AtomicU64, Ordering},
-        Arc,
-    },
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -13,6 +10,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use rect::{Json, Name, Robot, Urgency};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use tokio::{
+    sync::{watch, Semaphore},
+    time::{timeout, timeout_at},
+};
 
 use crate::{
     session::{name, JoinArguments},
@@ -23,10 +24,19 @@ use crate::{
 const ECHO: &str = "rect-bench/echo";
 const COUNT: &str = "rect-bench/count";
 const LOAD: &str = "rect-bench/load";
+/// By which the other side tells that more may come.
+const MORE: &str = "rect-bench/more";
+/// So many messages of the load may be on their way: 128 kB fill any link that a robot has, and drain within 4 s over the
+/// slowest. Without a bound the queues on the way take some 20 MB.
+const WINDOW: usize = 32;
+/// So many that came are told of at once.
+const TOLD: u64 = 4;
 /// Small, as a command or a sensor's value.
 const PING_BYTES: usize = 16;
 /// A message of the load, in bytes.
 const LOAD_BYTES: usize = 4096;
+/// For how long nothing may be told of the load until it is taken for lost.
+const LOST_AFTER: Duration = Duration::from_secs(2);
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Measure the way to another robot: round trip idle and under load, goodput, loss. There: rect bench --serve
@@ -53,7 +63,8 @@ pub struct BenchArguments {
 struct Heard {
     messages: u64,
     bytes: u64,
-    missed: u64,
+    /// How long ago the last of it came.
+    last_ago_s: f64,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -79,12 +90,12 @@ pub async fn run(arguments: BenchArguments) -> Done {
     let loaded = round_trip(&robot, &other, duration, &bar).await?;
     let said = loading.await??;
     let after = settled(&robot, &other, &bar).await?;
-    let took = began.elapsed();
+    let took = began.elapsed().as_secs_f64() - after.last_ago_s;
     bar.finish_and_clear();
     let bytes = after.bytes.saturating_sub(before.bytes);
     let arrived = after.messages.saturating_sub(before.messages);
     let lost = said.saturating_sub(arrived);
-    let goodput_kb_s = bytes as f64 / 1000.0 / took.as_secs_f64();
+    let goodput_kb_s = bytes as f64 / 1000.0 / took.max(f64::EPSILON);
     let method = robot.connections_of(&other, "").await.ok();
     let me = robot.name().as_str();
     let by = method.and_then(|all| {
@@ -119,22 +130,23 @@ pub async fn run(arguments: BenchArguments) -> Done {
 }
 
 async fn serve(robot: &Robot) -> Done {
-    let (messages, bytes, missed) = (
-        Arc::<AtomicU64>::default(),
-        Arc::<AtomicU64>::default(),
-        Arc::<AtomicU64>::default(),
-    );
-    let heard = {
-        let (messages, bytes, missed) = (messages.clone(), bytes.clone(), missed.clone());
-        move |message: rect::Message| {
-            messages.fetch_add(1, Ordering::Relaxed);
-            bytes.fetch_add(message.payload.bytes.len() as u64, Ordering::Relaxed);
-            missed.fetch_add(message.missed.into(), Ordering::Relaxed);
+    let (counts, came) = watch::channel((Heard::default(), Instant::now()));
+    let heard = robot.subscribe(format!("*/{LOAD}").as_str()).await?;
+    let telling = robot.clone();
+    let counting = async move {
+        while let Some(message) = heard.recv().await {
+            counts.send_modify(|(heard, last)| {
+                heard.messages += 1;
+                heard.bytes += message.payload.bytes.len() as u64;
+                *last = Instant::now();
+            });
+            let messages = counts.borrow().0.messages;
+            if messages % TOLD == 0 {
+                telling.send(&message.from, MORE, "").await?;
+            }
         }
+        Ok::<_, rect::Error>(())
     };
-    let _heard = robot
-        .on_message(format!("*/{LOAD}").as_str(), heard)
-        .await?;
     let _echo = robot
         .serve(ECHO, |request| async move {
             Ok::<_, String>(request.payload.clone())
@@ -142,13 +154,12 @@ async fn serve(robot: &Robot) -> Done {
         .await?;
     let _count = robot
         .serve(COUNT, move |_| {
-            let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-            let (messages, bytes, missed) = (read(&messages), read(&bytes), read(&missed));
+            let (heard, last) = *came.borrow();
+            let last_ago_s = last.elapsed().as_secs_f64();
             async move {
                 Ok::<_, String>(Json(Heard {
-                    messages,
-                    bytes,
-                    missed,
+                    last_ago_s,
+                    ..heard
                 }))
             }
         })
@@ -157,7 +168,8 @@ async fn serve(robot: &Robot) -> Done {
         "rect: `rect bench {}` at the other robot measures; Ctrl-C ends this",
         robot.name()
     );
-    std::future::pending().await
+    counting.await?;
+    Ok(ExitCode::SUCCESS)
 }
 
 async fn count(robot: &Robot, other: &Name) -> Result<Heard, Failure> {
@@ -184,9 +196,26 @@ async fn settled(robot: &Robot, other: &Name, bar: &ProgressBar) -> Result<Heard
 
 async fn load(robot: Robot, other: Name, duration: Duration) -> Result<u64, rect::Error> {
     let bulk = robot.with(Urgency::Bulk);
-    let began = Instant::now();
+    let may = Arc::new(Semaphore::new(WINDOW));
+    let more = may.clone();
+    let pattern = format!("{other}/{MORE}");
+    let _more = robot
+        .on_message(pattern.as_str(), move |_| more.add_permits(TOLD as usize))
+        .await?;
+    let end = tokio::time::Instant::now() + duration;
     let mut said = 0;
-    while began.elapsed() < duration {
+    // What is lost (UDP) gives no room back: half a window is taken for lost then.
+    while tokio::time::Instant::now() < end {
+        let room = timeout(LOST_AFTER, may.acquire());
+        match timeout_at(end, room).await {
+            Ok(Ok(Ok(one))) => one.forget(),
+            Ok(Ok(Err(_closed))) => break,
+            Ok(Err(_)) => {
+                may.add_permits(WINDOW / 2);
+                continue;
+            }
+            Err(_over) => break,
+        }
         bulk.send(&other, LOAD, vec![0u8; LOAD_BYTES]).await?;
         said += 1;
     }

@@ -4,6 +4,7 @@ mod air;
 mod ask;
 mod bench;
 mod completion;
+mod configure;
 mod dictionary;
 mod doctor;
 mod listen;
@@ -29,6 +30,7 @@ Examples, at a robot whose router runs (rect-router; `rect-router init wombat-1`
   rect stream watch wombat-2 camera        # its pictures, as fresh as the link allows
   rect transfer send wombat-2 map.bin      # a file of any size
   rect peers                               # who is there
+  rect connect base tcp 10.0.0.2 --port 7447  # a connection by that name
   rect bench wombat-2                      # how good the link to it is (`rect bench --serve` there)";
 
 /// The Robot Extensible Communication Toolkit: robots that talk over Bluetooth LE, TCP and UDP.
@@ -50,6 +52,8 @@ enum Command {
     Transfer(transfer::TransferArguments),
     Peers(registry::PeersArguments),
     Connections(registry::ConnectionsArguments),
+    Connect(configure::ConnectArguments),
+    Disconnect(configure::DisconnectArguments),
     Bench(bench::BenchArguments),
     Doctor(doctor::DoctorArguments),
     Dictionary(dictionary::DictionaryArguments),
@@ -85,6 +89,8 @@ fn main() -> ExitCode {
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Peers(arguments) => wait(registry::peers(arguments)),
         Command::Connections(arguments) => wait(registry::connections(arguments)),
+        Command::Connect(arguments) => wait(configure::connect(arguments)),
+        Command::Disconnect(arguments) => wait(configure::disconnect(arguments)),
         Command::Bench(arguments) => wait(bench::run(arguments)),
         Command::Doctor(arguments) => wait(doctor::run(arguments)),
     };

@@ -45,6 +45,8 @@ pub struct Transfer {
     pub(super) on_progress: Option<Box<dyn FnMut(Progress) + Send>>,
 }
 
+type Outcome = oneshot::Receiver<Result<(), Error>>;
+
 impl Transfer {
     pub(super) fn new(
         session: Session,
@@ -90,8 +92,17 @@ impl Transfer {
         self
     }
 
-    /// Begins; what is returned waits for the end, and ends it when dropped.
-    fn begin(self) -> impl Future<Output = Result<(), Error>> + Send {
+    /// Begins it, and waits for its end: for programs without `async`. Panics inside of an async runtime.
+    ///
+    /// # Errors
+    /// As when awaited.
+    pub fn wait(self) -> Result<(), Error> {
+        let (_stop, outcome) = self.begin()?;
+        outcome.blocking_recv().unwrap_or(Err(Error::Closed))
+    }
+
+    /// Begins; the first that is returned ends it when dropped, the other has how it ended.
+    fn begin(self) -> Result<(Stop, Outcome), Error> {
         let (events, incoming) = mpsc::sync_channel(WAITING);
         let (done, outcome) = oneshot::channel();
         let stop = Stop::new(&events);
@@ -101,14 +112,11 @@ impl Transfer {
             // Nobody waits any more where it was dropped.
             let _ = done.send(how);
         });
-        async move {
-            let _stop = stop;
-            if let Err(error) = started {
-                let (what, reason) = ("no thread for the transfer", error.to_string());
-                return Err(Error::Zenoh { what, reason });
-            }
-            outcome.await.unwrap_or(Err(Error::Closed))
-        }
+        started.map_err(|error| Error::Zenoh {
+            what: "no thread for the transfer",
+            reason: error.to_string(),
+        })?;
+        Ok((stop, outcome))
     }
 }
 
@@ -117,7 +125,11 @@ impl IntoFuture for Transfer {
     type IntoFuture = Pin<Box<dyn Future<Output = Result<(), Error>> + Send>>;
 
     fn into_future(self) -> Self::IntoFuture {
-        Box::pin(self.begin())
+        let begun = self.begin();
+        Box::pin(async move {
+            let (_stop, outcome) = begun?;
+            outcome.await.unwrap_or(Err(Error::Closed))
+        })
     }
 }
 

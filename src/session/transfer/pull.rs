@@ -96,9 +96,7 @@ impl Pull {
         on_held: impl Fn(u64),
     ) -> Result<(), Fault> {
         let about = Incoming::from(&self.offer);
-        let key = self
-            .place
-            .own(Some(&self.offer.from), &transfer::source(self.id));
+        let key = self.source();
         let mut told = Told::default();
         let mut tell = |progress: Progress, last| {
             on_held(progress.held_bytes);
@@ -147,6 +145,12 @@ impl Pull {
         }
     }
 
+    /// Where its sender answers.
+    fn source(&self) -> String {
+        let source = transfer::source(self.id);
+        self.place.own(Some(&self.offer.from), &source)
+    }
+
     fn ask(&self, key: &str, ask_for: Ask) {
         let (replies, end) = (self.events.clone(), self.events.clone());
         let ticket = ask_for.ticket;
@@ -183,9 +187,7 @@ impl Pull {
 
     /// Tells the sender that it is over.
     pub(super) fn tell_end(&self) {
-        let key = self
-            .place
-            .own(Some(&self.offer.from), &transfer::source(self.id));
+        let key = self.source();
         let (payload, timeout) = (Request::Ended.encode(), Duration::from_secs(5));
         ask(
             &self.session,

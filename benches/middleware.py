@@ -1,0 +1,167 @@
+"""The library beside plain zenoh, gRPC and MQTT at the same jobs, on TCP loopback: latency, messages/s, bytes."""
+
+import os
+import statistics
+import subprocess
+from collections import defaultdict
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from peers import figures_of
+from robots import free_port, is_listening, wait_until
+from routers import Router
+from table import Table
+from traffic import percentile
+
+SIZES = [64, 1024]
+ROUNDS = 8
+SECONDS = 1.0
+WANTED = 1.1
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Two programs that talk by one middleware, with or without one between them."""
+
+    name: str
+    middleware: str
+    over: str | None
+    beside: str
+
+
+PAIRINGS = [
+    Pairing("RECT", "rect", None, "zenoh"),
+    Pairing("zenoh", "zenoh", None, "zenoh"),
+    Pairing("gRPC", "grpc", None, "zenoh"),
+    Pairing("RECT over rect-router", "rect", "rect-router", "zenoh over zenohd"),
+    Pairing("zenoh over rect-router", "zenoh", "rect-router", "zenoh over zenohd"),
+    Pairing("zenoh over zenohd", "zenoh", "stock zenohd", "zenoh over zenohd"),
+    Pairing("MQTT over rumqttd", "mqtt", "rumqttd", "zenoh over zenohd"),
+]
+
+
+class Program:
+    """`middleware` at work, until the end."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._process = subprocess.Popen([os.environ["RECT_MIDDLEWARE"], *arguments])
+
+    def __enter__(self) -> "Program":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        self._process.wait(10)
+
+
+class Pair:
+    """A pairing whose one program runs; the other one is run to measure."""
+
+    def __init__(self, pairing: Pairing, between: dict[str, str], stack: ExitStack) -> None:
+        self.pairing = pairing
+        port = free_port()
+        address = between[pairing.over] if pairing.over else f"127.0.0.1:{port}"
+        self._where = [address, *(["--router"] if pairing.over else [])]
+        stack.enter_context(Program("serve", pairing.middleware, *self._where))
+        if not pairing.over:
+            wait_until(f"{pairing.name} listens", 20, lambda: is_listening(port))
+
+    def measure(self, job: str, size: int) -> dict:
+        load = ["--bytes", str(size), "--seconds", str(SECONDS)]
+        command = [os.environ["RECT_MIDDLEWARE"], "measure", self.pairing.middleware, job, *self._where, *load]
+        return figures_of(command)
+
+
+class Measured:
+    """What each pairing did, round by round."""
+
+    def __init__(self) -> None:
+        self.times_us: dict[tuple[str, str], list[list[float]]] = defaultdict(list)
+        self.rates: dict[str, list[float]] = defaultdict(list)
+        self.lost: dict[str, int] = defaultdict(int)
+        self.bytes: dict[str, dict] = {}
+
+    def round(self, pairs: list[Pair], size: int) -> None:
+        for job in ("publish", "request"):
+            for pair in pairs:
+                self.times_us[pair.pairing.name, job].append(pair.measure(job, size)["times_us"])
+        for pair in pairs:
+            figures = pair.measure("flood", size)
+            self.rates[pair.pairing.name].append(figures["messages_per_s"])
+            self.lost[pair.pairing.name] += figures["lost"]
+
+    def row(self, pairing: Pairing) -> list[str]:
+        cells = []
+        # There and back by publishing is two messages.
+        for job, share in (("publish", 0.5), ("request", 1.0)):
+            ours, others = (self.times_us[name, job] for name in (pairing.name, pairing.beside))
+            every = [time * share for times in ours for time in times]
+            cells += [f"{percentile(every, place):,.0f} us" for place in (0.5, 0.99)]
+            cells.append(ratio([percentile(times, 0.5) for times in ours], [percentile(t, 0.5) for t in others]))
+        rates = self.rates[pairing.name]
+        cells += [f"{statistics.median(rates):,.0f}", ratio(rates, self.rates[pairing.beside])]
+        counted = self.bytes[pairing.name]
+        return cells + [f"{counted[what]:.0f}" for what in ("bytes_per_message", "bytes_per_request")]
+
+
+def run() -> Table:
+    latency, rate = ["p50", "p99", "to zenoh"], ["messages/s", "to zenoh"]
+    columns = [f"publish {latency[0]}", *latency[1:], f"request {latency[0]}", *latency[1:], *rate]
+    table = Table(
+        "The same jobs on TCP loopback: RECT beside plain zenoh, gRPC and MQTT",
+        ["payload, what", *columns, "bytes per message", "bytes per request"],
+    )
+    with ExitStack() as stack:
+        pairs = started(stack)
+        for size in SIZES:
+            measured = Measured()
+            for pair in pairs:
+                measured.bytes[pair.pairing.name] = pair.measure("bytes", size)
+            for n in range(ROUNDS):
+                # By turns in going first: whoever does may find a cooler or a hotter machine.
+                turned = pairs[n % len(pairs) :] + pairs[: n % len(pairs)]
+                measured.round(turned[::-1] if n % 2 else turned, size)
+                print(f"  {size} B: round {n + 1} of {ROUNDS}", flush=True)
+            for pair in pairs:
+                table.add(f"{size} B: {pair.pairing.name}", *measured.row(pair.pairing))
+            lost = [f"{name}: {count}" for name, count in measured.lost.items() if count]
+            if lost:
+                table.notes.append(f"Lost at {size} B: {', '.join(lost)}.")
+    table.notes += notes()
+    return table
+
+
+def started(stack: ExitStack) -> list[Pair]:
+    between = {}
+    for program in ("rect-router", "stock zenohd"):
+        between[program] = stack.enter_context(Router(program)).endpoint.removeprefix("tcp/")
+    port = free_port()
+    between["rumqttd"] = f"127.0.0.1:{port}"
+    stack.enter_context(Program("broker", between["rumqttd"]))
+    wait_until("rumqttd is up", 20, lambda: is_listening(port))
+    return [Pair(pairing, between, stack) for pairing in PAIRINGS]
+
+
+def ratio(ours: list[float], others: list[float]) -> str:
+    if ours is others:
+        return "1"
+    ratios = [one / other for one, other in zip(ours, others, strict=True)]
+    low, middle, high = statistics.quantiles(ratios, n=4)
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+
+
+def notes() -> list[str]:
+    return [
+        f"Two processes, {ROUNDS} rounds of {SECONDS} s for each figure, by turns; all samples of all rounds together, "
+        "messages/s: the median. To zenoh: the median of the rounds' own ratios, of the p50s and of the messages/s, to "
+        "plain zenoh, direct or over zenohd; its middle half in brackets. Wanted of RECT at 64 B: at most "
+        f"{WANTED:.2f} of zenoh's latency.",
+        "Publish: half the time of a message there and one back, both published. Request: until the answer is there. "
+        "Messages/s: one way, as fast as it goes with nothing lost, counted where they arrive. Bytes: of the TCP "
+        "streams, both directions added, on the connection of the one who publishes or asks, 200 messages 5 ms apart.",
+        "All: Rust, tokio's default runtime, messages taken by an async `recv`, TCP_NODELAY. RECT: its defaults; for "
+        "messages/s its subscriber holds the sender up (`WhenFull::Wait`), by default the newest message wins. zenoh: "
+        "congestion control Block as RECT's. gRPC: tonic; what is published goes over one stream. MQTT: 3.1.1, QoS 1 "
+        "both ways (rumqttc to rumqttd, which acknowledge every message); a request is a message there and one back, "
+        "one at a time. rumqttd leaves TCP_NODELAY off; here it is set.",
+    ]

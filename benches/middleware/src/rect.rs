@@ -1,0 +1,81 @@
+//! Owns RECT's part: the library as its users get it.
+use std::{sync::Arc, time::Duration};
+
+use bytes::Bytes;
+use rect::{Receiving, Robot, Subscriber, WhenFull};
+
+use super::{
+    peer::{About, Meeting, Outcome, Peer},
+    tally::Tally,
+};
+
+const SERVER: &str = "server";
+const PATIENCE: Duration = Duration::from_secs(10);
+
+pub struct Rect {
+    robot: Robot,
+    echoes: Subscriber,
+}
+
+impl Peer for Rect {
+    async fn serve(meeting: Meeting, tally: Arc<Tally>) -> Outcome<()> {
+        let options = rect::Options::new(SERVER)?;
+        let at = format!("tcp/{}", meeting.address);
+        let robot = match meeting.router {
+            true => options.router(at).connect().await?,
+            false => options.listen(at).connect().await?,
+        };
+        let answering = tally.clone();
+        let _service = robot
+            .serve("service", move |request| {
+                let answer = answering.answer(request.payload.bytes.clone());
+                async move { Ok::<_, String>(answer) }
+            })
+            .await?;
+        // By default the newest wins; the flood is one of which each counts.
+        let each = Receiving {
+            when_full: WhenFull::Wait,
+            ..Receiving::default()
+        };
+        let flood = robot.subscribe_with("client/flood", each).await?;
+        tokio::spawn(async move {
+            while flood.recv().await.is_some() {
+                tally.on_message();
+            }
+        });
+        let echo = robot.subscribe("client/echo").await?;
+        while let Some(message) = echo.recv().await {
+            robot.publish("back", message.payload).await?;
+        }
+        Ok(())
+    }
+
+    async fn join(meeting: Meeting) -> Outcome<Self> {
+        let options = rect::Options::new("client")?;
+        let at = format!("tcp/{}", meeting.address);
+        let robot = match meeting.router {
+            true => options.router(at).connect().await?,
+            false => options.endpoint(at).connect().await?,
+        };
+        let echoes = robot.subscribe("server/back").await?;
+        Ok(Self { robot, echoes })
+    }
+
+    async fn publish(&self, about: About, payload: Bytes) -> Outcome<()> {
+        let topic = match about {
+            About::Echo => "echo",
+            About::Flood => "flood",
+        };
+        Ok(self.robot.publish(topic, payload).await?)
+    }
+
+    async fn next_echo(&mut self) -> Outcome<Bytes> {
+        let message = self.echoes.recv().await.ok_or("the session ended")?;
+        Ok(message.payload.bytes)
+    }
+
+    async fn request(&mut self, payload: Bytes) -> Outcome<Bytes> {
+        let asked = self.robot.request(SERVER, "service", payload, PATIENCE);
+        Ok(asked.await?.payload.bytes)
+    }
+}

@@ -1,0 +1,113 @@
+//! Owns plain zenoh's part: the same keys, the same priority and congestion control, and nothing else of RECT's.
+use std::sync::Arc;
+
+use bytes::Bytes;
+use zenoh::{
+    bytes::ZBytes,
+    handlers::FifoChannelHandler,
+    pubsub::{Publisher, Subscriber},
+    qos::CongestionControl,
+    sample::Sample,
+    Config, Session,
+};
+
+use super::{
+    peer::{About, Meeting, Outcome, Peer},
+    tally::Tally,
+};
+
+const ECHO: &str = "rect/client/echo";
+const FLOOD: &str = "rect/client/flood";
+const BACK: &str = "rect/server/back";
+const SERVICE: &str = "rect/server/service";
+
+pub struct Zenoh {
+    session: Session,
+    echo: Publisher<'static>,
+    flood: Publisher<'static>,
+    echoes: Subscriber<FifoChannelHandler<Sample>>,
+}
+
+impl Peer for Zenoh {
+    async fn serve(meeting: Meeting, tally: Arc<Tally>) -> Outcome<()> {
+        let session = session(meeting, "listen").await?;
+        let back = publisher(&session, BACK).await?;
+        let service = session.declare_queryable(SERVICE).complete(true).await?;
+        let answering = tally.clone();
+        tokio::spawn(async move {
+            while let Ok(query) = service.recv_async().await {
+                let asked = query.payload().map(bytes).unwrap_or_default();
+                let answered = query.reply(SERVICE, answering.answer(asked)).await;
+                if let Err(error) = answered {
+                    eprintln!("an answer was not sent: {error}");
+                }
+            }
+        });
+        let flood = session.declare_subscriber(FLOOD).await?;
+        tokio::spawn(async move {
+            while flood.recv_async().await.is_ok() {
+                tally.on_message();
+            }
+        });
+        let echo = session.declare_subscriber(ECHO).await?;
+        while let Ok(sample) = echo.recv_async().await {
+            back.put(sample.payload().clone()).await?;
+        }
+        Ok(())
+    }
+
+    async fn join(meeting: Meeting) -> Outcome<Self> {
+        let session = session(meeting, "connect").await?;
+        Ok(Self {
+            echo: publisher(&session, ECHO).await?,
+            flood: publisher(&session, FLOOD).await?,
+            echoes: session.declare_subscriber(BACK).await?,
+            session,
+        })
+    }
+
+    async fn publish(&self, about: About, payload: Bytes) -> Outcome<()> {
+        let publisher = match about {
+            About::Echo => &self.echo,
+            About::Flood => &self.flood,
+        };
+        publisher.put(payload).await
+    }
+
+    async fn next_echo(&mut self) -> Outcome<Bytes> {
+        Ok(bytes(self.echoes.recv_async().await?.payload()))
+    }
+
+    async fn request(&mut self, payload: Bytes) -> Outcome<Bytes> {
+        let replies = self.session.get(SERVICE).payload(payload).await?;
+        match replies.recv_async().await?.into_result() {
+            Ok(sample) => Ok(bytes(sample.payload())),
+            Err(error) => Err(format!("{error:?}").into()),
+        }
+    }
+}
+
+async fn session(meeting: Meeting, end: &str) -> Outcome<Session> {
+    let mut config = Config::default();
+    let (mode, end) = match meeting.router {
+        true => ("client", "connect"),
+        false => ("peer", end),
+    };
+    let endpoints = format!("[\"tcp/{}\"]", meeting.address);
+    config.insert_json5("mode", &format!("\"{mode}\""))?;
+    // No other way than the one that is measured.
+    config.insert_json5("scouting/multicast/enabled", "false")?;
+    config.insert_json5("scouting/gossip/enabled", "false")?;
+    config.insert_json5("listen/endpoints", "[]")?;
+    config.insert_json5(&format!("{end}/endpoints"), &endpoints)?;
+    zenoh::open(config).await
+}
+
+async fn publisher(session: &Session, key: &'static str) -> Outcome<Publisher<'static>> {
+    let publisher = session.declare_publisher(key);
+    publisher.congestion_control(CongestionControl::Block).await
+}
+
+fn bytes(payload: &ZBytes) -> Bytes {
+    Bytes::copy_from_slice(&payload.to_bytes())
+}
