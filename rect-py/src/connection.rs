@@ -5,10 +5,37 @@ use pyo3::prelude::*;
 use rect::core::{
     connection::{self, Connection, Event},
     name::Name,
+    named_connection::NamedConnection,
 };
+use serde_json::Value;
 
 /// What happened, to which robot, over which method, to which address.
 type Told = (&'static str, Option<String>, Option<String>, Option<String>);
+
+/// A connection as a router takes it; `options` is JSON.
+#[pyfunction]
+pub fn named_connection(
+    name: String,
+    method: String,
+    address: String,
+    port: Option<u16>,
+    psm: Option<u16>,
+    options: &[u8],
+) -> String {
+    let mut connection = NamedConnection::new(name, method, address);
+    if let Some(port) = port {
+        connection = connection.port(port);
+    }
+    if let Some(psm) = psm {
+        connection = connection.psm(psm);
+    }
+    let options: serde_json::Map<String, Value> =
+        serde_json::from_slice(options).unwrap_or_default();
+    for (key, value) in options {
+        connection = connection.option(key, value);
+    }
+    connection.to_json()
+}
 
 /// The links of a router, as it tells of them.
 #[pyclass(frozen, module = "rect._rect")]

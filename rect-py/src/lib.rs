@@ -25,11 +25,11 @@ mod _rect {
     use crate::{
         attachment::{read_attachment, write_attachment},
         codec::{unpack, Codec, Dictionary},
-        connection::{Links, Presence},
+        connection::{named_connection, Links, Presence},
         errors::{forget, in_words},
         message::{Inbound, Said},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
-        place::{check_name, check_topic, encoding_parts, pattern, pattern_of, Place},
+        place::{check_name, check_topic, encoding_parts, first_login, pattern, pattern_of, Place},
         queue::Queue,
         request::{error_encoding, error_from, read_asking, write_asking},
         stream::{Job, StreamReceiver, StreamSender},
@@ -42,10 +42,15 @@ mod _rect {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        use rect::core::{queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS, transfer};
+        use rect::core::{
+            named_connection, queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS, transfer,
+        };
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_MS", DEFAULT_TIMEOUT_MS)?;
         module.add("TRANSFER_INBOX", transfer::INBOX)?;
+        module.add("CONFIG", named_connection::CONFIG)?;
+        module.add("ADD", named_connection::ADD)?;
+        module.add("REMOVE", named_connection::REMOVE)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

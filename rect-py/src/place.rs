@@ -3,6 +3,7 @@ use pyo3::prelude::*;
 use rect::core::{
     encoding::Encoding,
     key,
+    login::logins,
     name::Name,
     stream::{self, Group},
     topic::{Pattern, Topic},
@@ -60,6 +61,13 @@ pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
         encoding.schema().map(str::to_owned),
         encoding.unpacked("zstd").map(|below| below.to_string()),
     )
+}
+
+/// The first user and password of a login file's text.
+#[pyfunction]
+pub fn first_login(text: &str) -> Option<(String, String)> {
+    let first = logins(text).next();
+    first.map(|(user, password)| (user.to_owned(), password.to_owned()))
 }
 
 #[pymethods]

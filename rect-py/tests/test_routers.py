@@ -86,7 +86,11 @@ class Tool:
 
 
 @pytest.fixture(scope="module")
-def routers() -> Iterator[Routers]:
+def routers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Routers]:
+    folder = tmp_path_factory.mktemp("connections")
+    files = {name: folder / f"{name}.json" for name in ("wombat-1", "wombat-2")}
+    for file in files.values():
+        file.write_text('{"connections": []}')
     os.environ["RECT_ROUTER"] = program("RECT_ROUTER", "rect-router")
     os.environ["RECT_TOOL"] = program("RECT_TOOL", "rect")
     from robots import rect_settings  # type: ignore[import-not-found, unused-ignore]
@@ -94,7 +98,8 @@ def routers() -> Iterator[Routers]:
 
     with Room("desk") as room:
         one, two = (
-            room.add_robot(name, arguments=tuple(rect_settings({"robot": name}))) for name in ("wombat-1", "wombat-2")
+            room.add_robot(name, arguments=tuple(rect_settings({"robot": name, "connections": str(wanted)})))
+            for name, wanted in files.items()
         )
         wait_for_link(one, two)
         yield Routers(room, one, two)
@@ -237,6 +242,31 @@ def test_the_registry_answers_and_is_shown_as_a_table(routers: Routers) -> None:
             robot.connections(which="state=nonsense")
         with pytest.raises(rect.NoService, match="nobody serves the registry"):
             robot.connections("wombat-9")
+
+
+def test_connections_are_added_and_removed(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot:
+        robot.add_connection("base", "tcp", "127.0.0.1", port=9)
+        assert [one.address for one in robot.connections(which="name=base")] == ["127.0.0.1:9"]
+        robot.remove_connection("base")
+        assert robot.connections(which="name=base") == []
+        with pytest.raises(rect.ServiceError, match="base"):
+            robot.remove_connection("base")
+        with pytest.raises(rect.ServiceError, match="nonsense"):
+            robot.add_connection("base", "nonsense", "127.0.0.1")
+
+
+def test_what_is_urgent_and_bulk_has_a_connection_of_its_own(routers: Routers) -> None:
+    with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
+        heard = two.subscribe("wombat-1/x")
+        until_heard(one, "x")
+        for urgency in ("normal", "urgent", "bulk"):
+            one.publish("x", urgency, urgency=urgency)
+        assert {(said.value, said.urgency) for said in (heard.next(DEADLINE) for _ in range(3))} == {
+            (urgency, urgency) for urgency in ("normal", "urgent", "bulk")
+        }
+        assert len(one._session.lanes.all()) == 3
+        assert len(two._session.lanes.all()) == 1
 
 
 def test_state_tells_of_robots_and_links(routers: Routers) -> None:

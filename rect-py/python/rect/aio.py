@@ -275,6 +275,14 @@ class Robot:
         """The connections of a robot's router; see `rect.Robot.connections`."""
         return await asyncio.to_thread(self._robot.connections, robot, which)
 
+    async def add_connection(self, name: str, method: str, address: str, **options: Any) -> None:
+        """Gives a robot's router a connection; see `rect.Robot.add_connection`."""
+        await asyncio.to_thread(lambda: self._robot.add_connection(name, method, address, **options))
+
+    async def remove_connection(self, name: str, *, robot: str | None = None) -> None:
+        """Takes a connection from a robot's router; see `rect.Robot.remove_connection`."""
+        await asyncio.to_thread(lambda: self._robot.remove_connection(name, robot=robot))
+
     async def ask_registry(self, question: str, *, robot: str | None = None, which: str = "") -> Any:
         """Any other question of the registry; see `rect.Robot.ask_registry`."""
         return await asyncio.to_thread(lambda: self._robot.ask_registry(question, robot=robot, which=which))
@@ -318,7 +326,7 @@ class Robot:
     async def _say(self, topic: str, to: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
-        if len(payload.bytes) < LARGE_BYTES:
+        if len(payload.bytes) < LARGE_BYTES and self._session.lanes.is_open(urgency):
             self._robot._say(topic, to, payload, urgency, None)
         else:
             await asyncio.to_thread(self._robot._say, topic, to, payload, urgency, None)

@@ -57,7 +57,7 @@ class NoRouter(RectError, ConnectionError):
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(
             f"no router answers at {endpoint}: {reason}. `python -m rect router -l tcp/127.0.0.1:7447` starts one "
-            "here; another one is named by `rect.connect(..., router=...)`"
+            "here; another one is named by the option `router`, or by RECT_ENDPOINT"
         )
         self.endpoint = endpoint
 

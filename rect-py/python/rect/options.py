@@ -139,8 +139,6 @@ def _retry(first_ms: int) -> dict[str, int]:
 
 def _first_login(file: str | Path) -> tuple[str, str] | None:
     try:
-        lines = Path(file).read_text().splitlines()
+        return _rect.first_login(Path(file).read_text())
     except (OSError, UnicodeDecodeError):
         return None
-    user, colon, password = next((line for line in lines if ":" in line), "").partition(":")
-    return (user.strip(), password.strip()) if colon else None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from rect import _rect
 from rect._zenoh import direct, payload_bytes, refused
 from rect.errors import NoService, PayloadError
 from rect.inbox import Ended, Inbox
@@ -81,21 +82,30 @@ class Connections(list[Connection]):
 
 def ask(session: Session, robot: str, question: str, which: str) -> Any:
     """The answer of a robot's registry to a question (docs/registry.md), of those that `which` selects."""
+    return _ask_router(session, robot, question, which, None).value
+
+
+def configure(session: Session, robot: str, how: str, what: str) -> None:
+    """Changes a robot's connections."""
+    _ask_router(session, robot, _rect.CONFIG, f"{how};by={session.place.robot}", what.encode())
+
+
+def _ask_router(session: Session, robot: str, question: str, parameters: str, payload: bytes | None) -> Payload:
     key = session.place.own(robot, question)
     replies: Inbox[zenoh.Reply] = Inbox(1, "oldest wins")
     session.inboxes.add(replies)
     try:
-        selector = f"{key}?{which}" if which else key
-        session.zenoh.get(selector, direct(replies.push, replies.close), timeout=_PATIENCE_S)
+        selector = f"{key}?{parameters}" if parameters else key
+        session.zenoh.get(selector, direct(replies.push, replies.close), timeout=_PATIENCE_S, payload=payload)
         reply = replies.pop(_PATIENCE_S)
     except zenoh.ZError as error:
-        raise refused("the registry can't be asked", error) from None
+        raise refused("the router can't be asked", error) from None
     except (Ended, TimeoutError):
         raise NoService(robot, f"the registry ({question})", peers(session)) from None
     finally:
         session.inboxes.discard(replies)
     if reply.ok is not None:
-        return Payload(payload_bytes(reply.ok.payload), JSON).value
+        return Payload(payload_bytes(reply.ok.payload), JSON)
     said = payload_bytes(None if reply.err is None else reply.err.payload)
     raise service_error(robot, Payload(said, "text/plain"))
 

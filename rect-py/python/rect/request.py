@@ -65,7 +65,7 @@ class Replies:
         del treated["congestion_control"]
         session.inboxes.add(self._inbox)
         try:
-            session.zenoh.get(
+            session.lanes.of(urgency).get(
                 session.place.service(robot, topic),
                 direct(self._inbox.push, self._on_over),
                 payload=payload.bytes,

@@ -19,6 +19,7 @@ from rect._zenoh import LARGE_BYTES, patiently, refused
 from rect.decoder import Decoder
 from rect.errors import Closed, NoService
 from rect.inbox import DEFAULT_CAPACITY, Inbox
+from rect.lanes import Lanes
 from rect.message import Message
 from rect.options import DEFAULT_LOGIN_FILE, Options, seconds, text
 from rect.publication import Publication
@@ -86,6 +87,7 @@ class Session:
         self.is_direct = options.is_direct
         _ONCE_OPEN[:] = [True]
         self.zenoh = options.open()
+        self.lanes = Lanes(self.zenoh, None if self.is_direct else options.open)
         self.decoder = Decoder(self.zenoh, self.place)
         self.counting = Counting()
         #: Whatever is declared, until it ends.
@@ -134,7 +136,7 @@ class Session:
             return known
         place = self.place
         key = place.publication(topic) if to is None else place.message(to, topic)
-        made = Publication(self.zenoh, key, urgency, self.check)
+        made = Publication(self.lanes.of(urgency), key, urgency, self.check)
         with self._lock:
             if len(self._publications) >= _MAX_PUBLICATIONS:
                 self._publications.clear()
@@ -155,7 +157,7 @@ class Session:
             undeclared(self._presence)
         _OPEN.discard(self)
         try:
-            patiently(self.zenoh.close)
+            patiently(self.lanes.close)
         except zenoh.ZError as error:
             raise refused("the session does not close", error) from None
         finally:
@@ -180,7 +182,8 @@ class Session:
     def on_fork(self) -> None:
         """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
         self._why_closed = _AFTER_FORK
-        _rect.forget(self.zenoh)
+        for zenoh_session in self.lanes.all():
+            _rect.forget(zenoh_session)
         for inbox in list(self.inboxes):
             inbox.on_fork()
         for handle in list(self.handles):
@@ -238,7 +241,8 @@ class Robot:
 
     @property
     def zenoh(self) -> zenoh.Session:
-        """The session of Zenoh below, for whatever Zenoh can do and this has no word for."""
+        """The session of Zenoh below, for whatever Zenoh can do and this has no word for. What is urgent, and bulk,
+        goes over sessions of their own where there is a router."""
         session: zenoh.Session = self._session.zenoh
         return session
 
@@ -536,6 +540,39 @@ class Robot:
         """
         self._session.check()
         return registry.connections(self._session, robot or self.name, which)
+
+    def add_connection(
+        self,
+        name: str,
+        method: str,
+        address: str,
+        *,
+        port: int | None = None,
+        psm: int | None = None,
+        options: Mapping[str, Any] | None = None,
+        robot: str | None = None,
+    ) -> None:
+        """Gives this robot's router, or another's, a connection, instead of the one of that name if it has one; it is
+        dialled from now on, and after a restart.
+
+        `method`: `ble`, `tcp`, `udp`; `address`: a host, for `ble` a robot's name or Bluetooth address; `options` of
+        the method's locator, as `{"mtu": 512}`.
+
+        Raises `ServiceError` (it can't be, and why), `NoService` (no router whose settings name a file of connections).
+        """
+        self._session.check()
+        known = _rect.write_value(dict(options or {}))[0]
+        given = (text("name", name), text("method", method), text("address", address))
+        connection = _rect.named_connection(*given, port, psm, known)
+        registry.configure(self._session, robot or self.name, _rect.ADD, connection)
+
+    def remove_connection(self, name: str, *, robot: str | None = None) -> None:
+        """Takes a connection from this robot's router, or another's; its link ends.
+
+        Raises `ServiceError` (it has none of that name), `NoService` as `add_connection`.
+        """
+        self._session.check()
+        registry.configure(self._session, robot or self.name, _rect.REMOVE, text("name", name))
 
     def ask_registry(self, question: str, *, robot: str | None = None, which: str = "") -> Any:
         """Any other question of the registry, as `connections/count` or `status` (docs/registry.md)."""
