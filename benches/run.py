@@ -23,6 +23,7 @@ BENCHES = {
     "registry": "time to an answer with 5 and 500 connections; 20 routers agree on a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",
     "stream": "a camera over a slow link, adaptive and fixed: frames, ages, quality, urgent messages the while",
+    "python": "the Python package beside plain eclipse-zenoh: latency, frames, import time, memory",
     "idle": "memory, threads and size beside stock zenohd",
 }
 

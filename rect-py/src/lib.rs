@@ -1,0 +1,56 @@
+//! The native half of the Python package `rect`: the Rust library's core, which does no I/O, as Python's classes.
+//!
+//! Nothing is decided here. Each class is a shell over a type of the core; the sessions around it are Python's, over
+//! eclipse-zenoh (`python/rect/`).
+mod attachment;
+mod codec;
+mod connection;
+mod errors;
+mod message;
+mod picture;
+mod place;
+mod queue;
+mod request;
+mod stream;
+mod transfer;
+mod urgency;
+mod value;
+
+use pyo3::prelude::*;
+
+/// What the Python package `rect` takes from the Rust library.
+#[pymodule]
+mod _rect {
+    #[pymodule_export]
+    use crate::{
+        attachment::{read_attachment, write_attachment},
+        codec::{unpack, Codec, Dictionary},
+        connection::{named_connection, Links, Presence},
+        errors::{forget, in_words},
+        message::{Inbound, Said},
+        picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
+        place::{check_name, check_topic, encoding_parts, first_login, pattern, pattern_of, Place},
+        queue::Queue,
+        request::{error_encoding, error_from, read_asking, write_asking},
+        stream::{Job, StreamReceiver, StreamSender},
+        transfer::{transfer_ended, Inbox, Offered, Pull, TransferSender},
+        urgency::{qos, qos_of_frames},
+        value::{read_value, write_value},
+    };
+
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        use rect::core::{
+            named_connection, queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS, transfer,
+        };
+        module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
+        module.add("DEFAULT_TIMEOUT_MS", DEFAULT_TIMEOUT_MS)?;
+        module.add("TRANSFER_INBOX", transfer::INBOX)?;
+        module.add("CONFIG", named_connection::CONFIG)?;
+        module.add("ADD", named_connection::ADD)?;
+        module.add("REMOVE", named_connection::REMOVE)?;
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

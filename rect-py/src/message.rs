@@ -1,0 +1,105 @@
+//! Owns making messages of what Zenoh delivers, and what is missing among them.
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use bytes::Bytes;
+use pyo3::prelude::*;
+use rect::core::{
+    encoding::Encoding,
+    message::{self, Delivered, Message},
+    payload::Payload,
+};
+
+use crate::{place::Place, urgency};
+
+/// The messages of one subscription.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Inbound(Mutex<message::Inbound>);
+
+/// What a message says of itself, beside its payload.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Said(Message);
+
+#[pymethods]
+impl Inbound {
+    #[new]
+    fn new(place: &Place) -> Self {
+        Self(Mutex::new(message::Inbound::new(place.0.clone())))
+    }
+
+    /// A message; `None`: none for this robot, or one that the other subscription brings.
+    fn on_delivered(
+        &self,
+        key: &str,
+        attachment: Option<&[u8]>,
+        priority: u8,
+        directed: bool,
+    ) -> Option<Said> {
+        let delivered = Delivered {
+            key,
+            // The bytes stay Python's; the core passes them on without looking.
+            payload: Payload::new(Bytes::new(), Encoding::BYTES),
+            attachment,
+            priority,
+            directed,
+        };
+        self.inbound().on_delivered(delivered).map(Said)
+    }
+
+    /// What came of each robot, and what did not.
+    fn tallies(&self) -> Vec<(String, u64, u64)> {
+        let inbound = self.inbound();
+        let tallies = inbound.tallies();
+        tallies
+            .map(|(robot, tally)| (robot.to_string(), tally.received, tally.missed))
+            .collect()
+    }
+}
+
+impl Inbound {
+    fn inbound(&self) -> MutexGuard<'_, message::Inbound> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Said {
+    #[getter]
+    fn sender(&self) -> &str {
+        self.0.from.as_str()
+    }
+
+    #[getter]
+    fn to(&self) -> Option<&str> {
+        self.0.to.as_ref().map(|to| to.as_str())
+    }
+
+    #[getter]
+    fn topic(&self) -> &str {
+        self.0.topic.as_str()
+    }
+
+    #[getter]
+    fn urgency(&self) -> &'static str {
+        urgency::word(self.0.urgency)
+    }
+
+    #[getter]
+    fn sent_ms(&self) -> Option<u64> {
+        self.0.sent_ms
+    }
+
+    #[getter]
+    fn sequence(&self) -> Option<u32> {
+        self.0.sequence
+    }
+
+    #[getter]
+    fn missed(&self) -> u32 {
+        self.0.missed
+    }
+
+    #[getter]
+    fn late(&self) -> bool {
+        self.0.late
+    }
+}

@@ -1,0 +1,366 @@
+//! Owns values: dicts, lists, dataclasses and what is in them, as JSON or CBOR and back, in the library's own form.
+use std::fmt;
+
+use pyo3::{
+    exceptions::PyTypeError,
+    prelude::*,
+    pybacked::PyBackedBytes,
+    types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple},
+};
+use rect::core::payload::{Cbor, Json, PayloadError, ToPayload};
+use serde::{
+    de::{MapAccess, SeqAccess, Visitor},
+    ser::{SerializeMap, SerializeSeq},
+    Deserialize, Deserializer, Serialize, Serializer,
+};
+
+use crate::{
+    codec::{parts, payload, Parts},
+    errors::{raised, OrRaise},
+};
+
+/// As deep as the library reads.
+const MAX_DEPTH: usize = 127;
+
+/// What JSON and CBOR can say.
+enum Value {
+    Null,
+    Bool(bool),
+    Int(i64),
+    Unsigned(u64),
+    Float(f64),
+    Text(String),
+    Bytes(Vec<u8>),
+    List(Vec<Value>),
+    Map(Vec<(Value, Value)>),
+}
+
+/// Which of the two.
+#[derive(Clone, Copy, PartialEq)]
+enum Form {
+    Json,
+    Cbor,
+}
+
+impl Form {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Json => "JSON",
+            Self::Cbor => "CBOR",
+        }
+    }
+}
+
+/// A value as JSON, or as CBOR.
+#[pyfunction]
+#[pyo3(signature = (value, cbor=false))]
+pub fn write_value<'py>(value: &Bound<'py, PyAny>, cbor: bool) -> PyResult<Parts<'py>> {
+    let form = if cbor { Form::Cbor } else { Form::Json };
+    let mut path = Path::default();
+    let value_read = read(value, form, &mut path)?;
+    let payload = match form {
+        Form::Json => Json(&value_read).to_payload(),
+        Form::Cbor => Cbor(&value_read).to_payload(),
+    };
+    Ok(parts(value.py(), &payload.or_raise()?))
+}
+
+/// The value in JSON or CBOR, by its encoding.
+#[pyfunction]
+pub fn read_value<'py>(
+    py: Python<'py>,
+    bytes: PyBackedBytes,
+    encoding: &str,
+) -> PyResult<Bound<'py, PyAny>> {
+    let value: Value = payload(bytes, encoding).value().or_raise()?;
+    value.into_python(py)
+}
+
+/// Where in a value one is, for errors: `reading.angles[2]`.
+#[derive(Default)]
+struct Path(Vec<String>);
+
+impl Path {
+    fn error(&self, py: Python<'_>, form: Form, what: impl fmt::Display) -> PyErr {
+        let at = match self.0.concat() {
+            at if at.is_empty() => "the value".to_owned(),
+            at => format!("its field {}", at.trim_start_matches('.')),
+        };
+        let error = PayloadError::Write {
+            what: form.name(),
+            reason: format!("{at} {what}"),
+        };
+        raised(py, "PayloadError", (error.to_string(), "write"))
+    }
+}
+
+fn read(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value> {
+    if path.0.len() > MAX_DEPTH {
+        path.0.truncate(3);
+        return Err(path.error(value.py(), form, "is nested too deeply, or in itself"));
+    }
+    if value.is_none() {
+        return Ok(Value::Null);
+    }
+    if let Ok(text) = value.cast::<PyString>() {
+        let text = text.to_cow();
+        let text = text.map_err(|_| path.error(value.py(), form, "is text that is not UTF-8"))?;
+        return Ok(Value::Text(text.into_owned()));
+    }
+    if let Ok(truth) = value.cast::<PyBool>() {
+        return Ok(Value::Bool(truth.is_true()));
+    }
+    if value.is_instance_of::<PyFloat>() {
+        let number: f64 = value.extract()?;
+        if form == Form::Json && !number.is_finite() {
+            let what = format!("is {number}, which JSON has no word for: None, or rect.Cbor, has");
+            return Err(path.error(value.py(), form, what));
+        }
+        return Ok(Value::Float(number));
+    }
+    if value.is_instance_of::<PyInt>() {
+        return value
+            .extract()
+            .map(Value::Int)
+            .or_else(|_| value.extract().map(Value::Unsigned))
+            .map_err(|_| path.error(value.py(), form, "is an integer of more than 64 bits"));
+    }
+    if let Ok(map) = value.cast::<PyDict>() {
+        let mut all = Vec::with_capacity(map.len());
+        for (key, item) in map.iter() {
+            all.push((read_key(&key, form, path)?, {
+                path.0.push(format!(".{}", shown(&key)));
+                let item = read(&item, form, path)?;
+                path.0.pop();
+                item
+            }));
+        }
+        return Ok(Value::Map(all));
+    }
+    if let Ok(list) = value.cast::<PyList>() {
+        return read_list(list.iter(), form, path);
+    }
+    if let Ok(tuple) = value.cast::<PyTuple>() {
+        return read_list(tuple.iter(), form, path);
+    }
+    read_other(value, form, path)
+}
+
+/// What is less common: bytes, dataclasses, and numpy's numbers and arrays.
+fn read_other(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value> {
+    let py = value.py();
+    let bytes = if let Ok(bytes) = value.cast::<PyBytes>() {
+        Some(bytes.as_bytes().to_vec())
+    } else if let Ok(bytes) = value.cast::<PyByteArray>() {
+        Some(bytes.to_vec())
+    } else {
+        None
+    };
+    if let Some(bytes) = bytes {
+        return match form {
+            Form::Cbor => Ok(Value::Bytes(bytes)),
+            Form::Json => {
+                let what = "is bytes, which JSON has no word for: rect.Cbor has";
+                Err(path.error(py, form, what))
+            }
+        };
+    }
+    let class = value.get_type();
+    if let Ok(fields) = class.getattr("__dataclass_fields__") {
+        let mut all = Vec::new();
+        for field in fields.cast_into::<PyDict>()?.keys() {
+            let name = field.cast_into::<PyString>()?;
+            // Variables of the class are among them, and are not of the value.
+            let Ok(item) = value.getattr(&name) else {
+                continue;
+            };
+            path.0.push(format!(".{name}"));
+            all.push((Value::Text(name.to_string()), read(&item, form, path)?));
+            path.0.pop();
+        }
+        return Ok(Value::Map(all));
+    }
+    let is_numpy = value.hasattr("dtype")? && value.hasattr("tolist")?;
+    if is_numpy {
+        let plain = value.call_method0("tolist")?;
+        if !plain.get_type().is(&class) {
+            return read(&plain, form, path);
+        }
+    }
+    let what = format!(
+        "is a {}: dicts, lists, text, numbers, True, False, None and dataclasses of them can be said",
+        class.name()?
+    );
+    Err(path.error(py, form, what))
+}
+
+fn read_list<'py>(
+    items: impl Iterator<Item = Bound<'py, PyAny>>,
+    form: Form,
+    path: &mut Path,
+) -> PyResult<Value> {
+    let mut all = Vec::new();
+    for (n, item) in items.enumerate() {
+        path.0.push(format!("[{n}]"));
+        all.push(read(&item, form, path)?);
+        path.0.pop();
+    }
+    Ok(Value::List(all))
+}
+
+fn read_key(key: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value> {
+    let is_text = key.is_instance_of::<PyString>();
+    let is_number = key.is_instance_of::<PyInt>() && !key.is_instance_of::<PyBool>();
+    if is_text || is_number || form == Form::Cbor {
+        return read(key, form, path);
+    }
+    let what = format!("has the key {}: keys are text in JSON", shown(key));
+    Err(path.error(key.py(), form, what))
+}
+
+fn shown(key: &Bound<'_, PyAny>) -> String {
+    let text = key.str().map(|text| text.to_string());
+    text.unwrap_or_default().chars().take(60).collect()
+}
+
+impl Value {
+    fn into_python(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+        Ok(match self {
+            Self::Null => py.None().into_bound(py),
+            Self::Bool(truth) => PyBool::new(py, truth).to_owned().into_any(),
+            Self::Int(number) => number.into_pyobject(py)?.into_any(),
+            Self::Unsigned(number) => number.into_pyobject(py)?.into_any(),
+            Self::Float(number) => PyFloat::new(py, number).into_any(),
+            Self::Text(text) => PyString::new(py, &text).into_any(),
+            Self::Bytes(bytes) => PyBytes::new(py, &bytes).into_any(),
+            Self::List(items) => {
+                let items = items.into_iter().map(|item| item.into_python(py));
+                PyList::new(py, items.collect::<PyResult<Vec<_>>>()?)?.into_any()
+            }
+            Self::Map(items) => {
+                let map = PyDict::new(py);
+                for (key, item) in items {
+                    let key = key.into_python(py)?;
+                    map.set_item(&key, item.into_python(py)?)
+                        .map_err(|error| unhashable(py, &key, error))?;
+                }
+                map.into_any()
+            }
+        })
+    }
+}
+
+/// A key that Python's dicts can't have, such as a list.
+fn unhashable(py: Python<'_>, key: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
+    if !error.is_instance_of::<PyTypeError>(py) {
+        return error;
+    }
+    let error = PayloadError::Read {
+        what: "CBOR",
+        reason: format!("a key is {}, which a dict can't have", shown(key)),
+    };
+    raised(py, "PayloadError", (error.to_string(), "read"))
+}
+
+impl Serialize for Value {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Null => to.serialize_unit(),
+            Self::Bool(truth) => to.serialize_bool(*truth),
+            Self::Int(number) => to.serialize_i64(*number),
+            Self::Unsigned(number) => to.serialize_u64(*number),
+            Self::Float(number) => to.serialize_f64(*number),
+            Self::Text(text) => to.serialize_str(text),
+            Self::Bytes(bytes) => to.serialize_bytes(bytes),
+            Self::List(items) => {
+                let mut list = to.serialize_seq(Some(items.len()))?;
+                items
+                    .iter()
+                    .try_for_each(|item| list.serialize_element(item))?;
+                list.end()
+            }
+            Self::Map(items) => {
+                let mut map = to.serialize_map(Some(items.len()))?;
+                let mut items = items.iter();
+                items.try_for_each(|(key, item)| map.serialize_entry(key, item))?;
+                map.end()
+            }
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Value {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_any(Reading)
+    }
+}
+
+struct Reading;
+
+impl<'de> Visitor<'de> for Reading {
+    type Value = Value;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a value")
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_none<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_some<D: Deserializer<'de>>(self, from: D) -> Result<Value, D::Error> {
+        Value::deserialize(from)
+    }
+
+    fn visit_bool<E>(self, truth: bool) -> Result<Value, E> {
+        Ok(Value::Bool(truth))
+    }
+
+    fn visit_i64<E>(self, number: i64) -> Result<Value, E> {
+        Ok(Value::Int(number))
+    }
+
+    fn visit_u64<E>(self, number: u64) -> Result<Value, E> {
+        Ok(Value::Unsigned(number))
+    }
+
+    fn visit_f64<E>(self, number: f64) -> Result<Value, E> {
+        Ok(Value::Float(number))
+    }
+
+    fn visit_str<E>(self, text: &str) -> Result<Value, E> {
+        Ok(Value::Text(text.to_owned()))
+    }
+
+    fn visit_string<E>(self, text: String) -> Result<Value, E> {
+        Ok(Value::Text(text))
+    }
+
+    fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Value, E> {
+        Ok(Value::Bytes(bytes.to_vec()))
+    }
+
+    fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Value, E> {
+        Ok(Value::Bytes(bytes))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Value, A::Error> {
+        let mut all = Vec::new();
+        while let Some(item) = items.next_element()? {
+            all.push(item);
+        }
+        Ok(Value::List(all))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut items: A) -> Result<Value, A::Error> {
+        let mut all = Vec::new();
+        while let Some(item) = items.next_entry()? {
+            all.push(item);
+        }
+        Ok(Value::Map(all))
+    }
+}

@@ -1,0 +1,66 @@
+"""Robots for the tests: two in one process, linked directly. What reaches whom is waited for, never slept for."""
+
+from __future__ import annotations
+
+import queue
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import rect
+
+#: How long anything may take before a test fails, in seconds.
+DEADLINE = 30.0
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[rect.Robot, rect.Robot]]:
+    """`wombat-1` and `wombat-2`, each of which knows the other."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with rect.connect("wombat-1", listen=[endpoint]) as one, rect.connect("wombat-2", endpoints=[endpoint]) as two:
+        for robot in (one, two):
+            until_peer(robot)
+        yield one, two
+
+
+def until_peer(robot: rect.Robot) -> None:
+    """Waits until it knows of another robot."""
+    with robot.on_state() as events:
+        while events.next(DEADLINE).what != "peer_up":
+            pass
+
+
+def until_heard(speaker: rect.Robot, topic: str) -> None:
+    """Waits until another program would hear what it says about a topic; its own do so at once."""
+    publisher = speaker.zenoh.declare_publisher(f"rect/{speaker.name}/{topic}", allowed_destination=_remote())
+    _until_matching(publisher)
+
+
+def until_served(asker: rect.Robot, robot: str, topic: str) -> None:
+    """Waits until a service of another program's can be asked."""
+    querier = asker.zenoh.declare_querier(f"rect/{robot}/{topic}", allowed_destination=_remote())
+    _until_matching(querier)
+
+
+def _until_matching(declared: Any) -> None:
+    changes: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    listener = declared.declare_matching_listener(lambda status: changes.put(status.matching))
+    matching = declared.matching_status.matching
+    while not matching:
+        matching = changes.get(timeout=DEADLINE)
+    listener.undeclare()
+    declared.undeclare()
+
+
+def _remote() -> Any:
+    import zenoh
+
+    return zenoh.Locality.REMOTE

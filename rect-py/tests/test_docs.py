@@ -1,0 +1,109 @@
+"""The tutorial's Python, one block after another, and the examples.
+
+RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_docs.py
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import DEADLINE, free_port
+from test_routers import Tool, program
+
+_REPOSITORY = Path(__file__).resolve().parents[2]
+_EXAMPLES = _REPOSITORY / "examples"
+
+
+@pytest.fixture
+def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A router for programs that name none."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    monkeypatch.setenv("RECT_ENDPOINT", endpoint)
+    with subprocess.Popen([program("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting"]) as router:
+        try:
+            yield endpoint
+        finally:
+            router.terminate()
+
+
+def test_the_tutorial_does_what_it_says(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (_REPOSITORY / "docs" / "python.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) > 10
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "tutorial.py"
+    file.write_text("\n".join(blocks))
+    done = subprocess.run(
+        [sys.executable, str(file)], capture_output=True, text=True, timeout=DEADLINE * 2, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "wombat-1 arm/angle {'degrees': 12.5}" in done.stdout
+    assert "nobody serves double at wombat-7; robots there:" in done.stdout
+
+
+class Example:
+    """A running example."""
+
+    def __init__(self, name: str, *arguments: str, folder: Path) -> None:
+        command = [sys.executable, str(_EXAMPLES / name / "main.py"), *arguments]
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen(command, cwd=folder, stdout=pipe, stderr=pipe, text=True)
+        self.tool = Tool(self.process)
+
+    def __enter__(self) -> Example:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+def test_telemetry(endpoint: str, tmp_path: Path) -> None:
+    with Example("telemetry", "wombat-1", folder=tmp_path), Example("telemetry", "wombat-2", folder=tmp_path) as two:
+        assert "'battery_volt': 7.2" in two.tool.until("wombat-1: ")
+
+
+def test_teleoperation(endpoint: str, tmp_path: Path) -> None:
+    with Example("teleoperation", "wombat-1", folder=tmp_path) as one:
+        one.tool.until("nobody steers")
+        with Example("teleoperation", "laptop", "wombat-1", folder=tmp_path):
+            assert "'left':" in one.tool.until("laptop says")
+        one.tool.until("nobody steers")
+
+
+def test_camera(endpoint: str, tmp_path: Path) -> None:
+    with (
+        Example("camera", "wombat-1", folder=tmp_path),
+        Example("camera", "laptop", "wombat-1", folder=tmp_path) as two,
+    ):
+        assert "Picture(" in two.tool.until("frame 2:")
+
+
+def test_transfer(endpoint: str, tmp_path: Path) -> None:
+    (tmp_path / "map.bin").write_bytes(os.urandom(300_000))
+    with Example("transfer", "wombat-1", folder=tmp_path) as one:
+        one.tool.until("takes files")
+        with Example("transfer", "wombat-2", "wombat-1", "map.bin", folder=tmp_path) as two:
+            two.tool.until("map.bin is there, whole")
+        one.tool.until("map.bin of wombat-2: received/wombat-2/map.bin")
+    assert (tmp_path / "received/wombat-2/map.bin").read_bytes() == (tmp_path / "map.bin").read_bytes()
+
+
+def test_request(endpoint: str, tmp_path: Path) -> None:
+    with Example("request", "wombat-1", folder=tmp_path) as one:
+        one.tool.until("serves")
+        with Example("request", "wombat-2", "wombat-1", folder=tmp_path) as two:
+            two.tool.until("wombat-1: {'cell': 1, 'volt': 3.6}")
+            two.tool.until("wombat-1 answers with an error: there are the cells 1 and 2")
+
+
+@pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request"])
+def test_an_example_is_short(name: str) -> None:
+    assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) < 40

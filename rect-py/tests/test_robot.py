@@ -1,0 +1,322 @@
+"""Two robots, linked directly, say and hear; and what they are told when they may not.
+
+pytest rect-py/tests/test_robot.py
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy
+import pytest
+import rect
+from conftest import DEADLINE, until_heard
+
+Pair = tuple[rect.Robot, rect.Robot]
+
+
+def test_what_is_said_to_all_is_heard_with_who_when_and_which(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("*/arm/*")
+    until_heard(one, "arm/angle")
+    for number in range(3):
+        one.publish("arm/angle", {"degrees": number}, urgency="urgent")
+    messages = [heard.next(DEADLINE) for _ in range(3)]
+    assert [message.value for message in messages] == [{"degrees": number} for number in range(3)]
+    first = messages[0]
+    assert (first.sender, first.from_, first.topic, first.to) == ("wombat-1", "wombat-1", "arm/angle", None)
+    assert (first.urgency, first.encoding, first.sequence, first.missed) == ("urgent", "application/json", 0, 0)
+    assert first.sent_at is not None
+    assert heard.tallies == {"wombat-1": rect.Tally(3, 0)}
+    assert (two.counters().received, one.counters().sent) == (3, 3)
+
+
+def test_what_is_said_to_one_is_heard_by_that_one_alone(pair: Pair) -> None:
+    one, two = pair
+    mine, anyones = two.subscribe("wombat-1/note"), one.subscribe("*/**")
+    until_heard(one, "to/wombat-2/note")
+    one.send("wombat-2", "note", "psst")
+    one.publish("after", "")
+    message = mine.next(DEADLINE)
+    assert (message.value, message.to) == ("psst", "wombat-2")
+    assert anyones.next(DEADLINE).topic == "after"
+
+
+@pytest.mark.parametrize(
+    ("value", "codec"),
+    [
+        ("text", None),
+        (b"\0bytes", None),
+        ([1, 2.5, None, True], "zstd"),
+        ({"big": "x" * 100_000}, "zstd:19"),
+        (rect.Cbor({"raw": b"\0"}), None),
+        (rect.Picture.of_pixels(2, 2, "rgb8", bytes(12)), "png"),
+    ],
+)
+def test_every_kind_of_value_arrives_as_what_it_is(pair: Pair, value: Any, codec: str | None) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/thing")
+    until_heard(one, "thing")
+    one.publish("thing", value, codec=codec)
+    assert heard.next(DEADLINE).value == (value.value if isinstance(value, rect.Cbor) else value)
+
+
+def test_an_array_arrives_as_one(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/thing")
+    until_heard(one, "thing")
+    array = numpy.arange(6, dtype=numpy.float32).reshape(2, 3)
+    one.publish("thing", array)
+    assert numpy.array_equal(heard.next(DEADLINE).value, array)
+
+
+def test_a_dictionary_is_fetched_by_whoever_hears(pair: Pair) -> None:
+    one, two = pair
+    samples = [b'{"angle_deg": %d, "moving": true, "battery_volt": 7.2}' % n for n in range(2000)]
+    codec = one.share(rect.Dictionary.train(samples, 4096))
+    heard = two.subscribe("wombat-1/telemetry")
+    until_heard(one, "telemetry")
+    value = {"angle_deg": 45, "moving": False, "battery_volt": 7.1}
+    for _ in range(2):
+        one.publish("telemetry", value, codec=codec)
+        message = heard.next(DEADLINE)
+        assert (message.value, message.flaw) == (value, None)
+
+
+def test_a_callback_is_called_for_each_and_goes_on_after_it_raised(
+    pair: Pair, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, two = pair
+    done = threading.Event()
+    values: list[Any] = []
+
+    def callback(message: rect.Message) -> None:
+        values.append(message.value)
+        if message.value == 1:
+            raise ValueError("on purpose")
+        if message.value == 2:
+            done.set()
+
+    two.subscribe("wombat-1/count", callback)
+    until_heard(one, "count")
+    with caplog.at_level(logging.ERROR, "rect"):
+        for number in range(3):
+            one.publish("count", number)
+        assert done.wait(DEADLINE)
+    assert values == [0, 1, 2]
+    assert "the callback for wombat-1/count raised" in caplog.text
+    assert "on purpose" in caplog.text
+
+
+@pytest.mark.parametrize(("when_full", "kept"), [("newest wins", [8, 9]), ("oldest wins", [0, 1])])
+def test_what_has_no_room_is_dropped_and_counted(pair: Pair, when_full: str, kept: list[int]) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/count", capacity=2, when_full=when_full)
+    last = two.subscribe("wombat-1/count")
+    until_heard(one, "count")
+    for number in range(10):
+        one.publish("count", number)
+    for number in range(10):
+        assert last.next(DEADLINE).value == number
+    assert heard.dropped == 8
+    assert [heard.next(DEADLINE).value for _ in range(2)] == kept
+
+
+def test_where_the_rule_is_to_wait_nothing_is_dropped(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/count", capacity=1, when_full="wait")
+    until_heard(one, "count")
+    for number in range(50):
+        one.publish("count", number)
+    assert [heard.next(DEADLINE).value for _ in range(50)] == list(range(50))
+    assert heard.dropped == 0
+
+
+def test_the_next_message_is_listened_for(pair: Pair) -> None:
+    one, two = pair
+    with pytest.raises(rect.TimedOut, match="no message wombat-1/arm within 10ms"):
+        two.listen("wombat-1", "arm", 0.01)
+
+    def say() -> None:
+        until_heard(one, "arm")
+        one.publish("arm", 7)
+
+    saying = threading.Thread(target=say)
+    saying.start()
+    assert two.listen("wombat-1", "arm", DEADLINE).value == 7
+    saying.join()
+
+
+def test_a_stock_program_is_heard_and_hears(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/plain")
+    until_heard(one, "plain")
+    one.zenoh.put("rect/wombat-1/plain", b"7", encoding="application/json")
+    message = heard.next(DEADLINE)
+    assert (message.value, message.sequence, message.sent_at) == (7, None, None)
+
+
+def test_what_is_damaged_is_delivered_as_it_came_with_the_reason(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/plain")
+    until_heard(one, "plain")
+    one.zenoh.put("rect/wombat-1/plain", b"no frame", encoding="application/json;zstd")
+    message = heard.next(DEADLINE)
+    assert message.payload.bytes == b"no frame"
+    assert isinstance(message.flaw, rect.CodecError)
+    with pytest.raises(rect.CodecError, match="no valid zstd"):
+        _ = message.value
+
+
+def test_messages_are_shown(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/thing")
+    until_heard(one, "thing")
+    one.publish("thing", "<b>")
+    one.publish("thing", rect.Picture.of_pixels(1, 1, "grey8", b"\0"))
+    text, picture = heard.next(DEADLINE), heard.next(DEADLINE)
+    assert repr(text) == "Message(wombat-1/thing, '<b>')"
+    assert "&lt;b&gt;" in text._repr_html_()
+    assert "data:image/png" in picture._repr_html_()
+
+
+def test_what_nobody_has_any_more_ends(pair: Pair) -> None:
+    one, _ = pair
+    one.subscribe("*/x")
+    handles = len(one._session.handles)
+    one.publish("y", "")
+    assert len(one._session.handles) == handles - 1
+
+
+def test_peers_are_those_that_are_there(pair: Pair) -> None:
+    one, two = pair
+    assert (one.peers(), two.peers()) == (["wombat-2"], ["wombat-1"])
+    with two.on_state() as events:
+        assert events.next(DEADLINE) == rect.Event("peer_up", "wombat-1")
+        one.close()
+        assert {events.next(DEADLINE).what for _ in range(2)} == {"peer_down", "link_down"}
+
+
+def test_state_goes_to_a_callback(pair: Pair) -> None:
+    _, two = pair
+    seen: list[rect.Event] = []
+    came = threading.Event()
+
+    def told(event: rect.Event) -> None:
+        seen.append(event)
+        came.set()
+
+    two.on_state(told)
+    assert came.wait(DEADLINE)
+    assert seen == [rect.Event("peer_up", "wombat-1")]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "said"),
+    [
+        (lambda robot: robot.publish("a b/*", 1), rect.InvalidTopicError, "has a wildcard in it"),
+        (lambda robot: robot.publish("", 1), rect.InvalidTopicError, "a topic is 1 to 200 bytes long"),
+        (lambda robot: robot.publish("/a", 1), rect.InvalidTopicError, 'the topic "/a" is not one'),
+        (lambda robot: robot.publish("@rect/x", 1), rect.InvalidTopicError, "for RECT's own messages"),
+        (lambda robot: robot.publish("x" * 201, 1), rect.InvalidTopicError, "a topic is 1 to 200 bytes long"),
+        (lambda robot: robot.publish(7, 1), TypeError, "topic is text, not a int"),
+        (lambda robot: robot.publish("x", 1, urgency="soon"), rect.OptionError, 'the option urgency can\'t be "soon"'),
+        (lambda robot: robot.publish("x", 1, codec="zip"), rect.CodecError, 'there is no codec "zip"'),
+        (lambda robot: robot.publish("x", 1, codec=7), TypeError, "codec is text such as"),
+        (lambda robot: robot.send("wombat 2", "x", 1), rect.InvalidNameError, "has ' ' in it"),
+        (lambda robot: robot.send("wömbat", "x", 1), rect.InvalidNameError, "has 'ö' in it"),
+        (lambda robot: robot.send("", "x", 1), rect.InvalidNameError, "1 to 29 bytes long"),
+        (lambda robot: robot.send(None, "x", 1), TypeError, "robot is text, not a NoneType"),
+        (lambda robot: robot.subscribe("arm"), rect.InvalidTopicError, "a pattern is `<robot>/<topic>`"),
+        (lambda robot: robot.subscribe("*/x", 7), TypeError, "callback is a function, not a int"),
+        (lambda robot: robot.subscribe("*/x", when_full="?"), rect.OptionError, '"newest wins"'),
+        (lambda robot: robot.subscribe("*/x", capacity="1"), TypeError, "capacity is a whole number, not a str"),
+        (lambda robot: robot.listen("*", "x", 1), rect.InvalidNameError, "has '*' in it"),
+        (lambda robot: robot.listen("a", "x", -1), rect.OptionError, "the option timeout can't be -1"),
+        (lambda robot: robot.request("a", "x", timeout="1"), TypeError, "timeout is a number of seconds, not a str"),
+        (lambda robot: robot.serve("x", 7), TypeError, "handler is a function, not a int"),
+        (lambda robot: robot.stream("x", mode="fast"), rect.OptionError, '"adaptive", "fixed" or "sensor"'),
+        (lambda robot: robot.stream("x", frames_per_s=0), rect.OptionError, "the option frames_per_s can't be"),
+        (lambda robot: robot.stream("x", photographs="gif"), rect.OptionError, '"jpeg" or "webp"'),
+        (lambda robot: robot.transfer("a", "x", "/no/such/file"), rect.FileError, "/no/such/file: No such file"),
+        (lambda robot: robot.transfer("a", "x", b"", name="../x"), rect.TransferError, "can't name a file here"),
+    ],
+)
+def test_what_is_wrong_is_named(
+    pair: Pair, wrong: Callable[[rect.Robot], object], error: type[Exception], said: str
+) -> None:
+    with pytest.raises(error) as raised:
+        wrong(pair[0])
+    assert said in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["", "a b", "a/b", "*", "wömbat", "hci0", "sim-1", "x" * 30])
+def test_a_robot_that_may_not_be_called_so_does_not_join(name: str) -> None:
+    with pytest.raises(rect.InvalidNameError):
+        rect.connect(name)
+    with pytest.raises(rect.InvalidNameError):
+        rect.connect("wombat-1", fleet=name)
+
+
+def test_without_a_router_it_is_said_how_to_start_one() -> None:
+    with pytest.raises(rect.NoRouter, match=r"`python -m rect router -l tcp/127.0.0.1:7447` starts one here"):
+        rect.connect("wombat-1", router="tcp/127.0.0.1:9", timeout=0.2)
+
+
+def test_a_locator_that_is_none_is_named() -> None:
+    with pytest.raises(rect.OptionError, match="listen or endpoint"):
+        rect.connect("wombat-1", listen=["nonsense/127.0.0.1:7447"])
+    with pytest.raises(rect.OptionError, match="listen/endpoints"):
+        rect.connect("wombat-1", listen=["nonsense"])
+    with pytest.raises(rect.OptionError, match="no/such/setting"):
+        rect.connect("wombat-1", listen=["tcp/127.0.0.1:0"], zenoh={"no/such/setting": 1})
+    wrong: Any = "tcp/127.0.0.1:0"
+    with pytest.raises(TypeError, match="listen is a list of locators"):
+        rect.connect("wombat-1", listen=wrong)
+
+
+def test_a_closed_robot_says_so(pair: Pair) -> None:
+    one, _ = pair
+    heard = one.subscribe("*/x")
+    one.close()
+    one.close()
+    assert list(heard) == []
+    assert repr(one) == "Robot(rect/wombat-1, closed)"
+    calls: list[Callable[[], object]] = [
+        lambda: one.publish("x", 1),
+        lambda: one.subscribe("*/x"),
+        lambda: one.request("wombat-2", "x"),
+        lambda: one.serve("x", print),
+        lambda: one.peers(),
+        lambda: one.stream("x"),
+        lambda: one.watch("wombat-2", "x"),
+        lambda: one.transfer("wombat-2", "x", b""),
+        lambda: one.receive_transfers("*/x"),
+        lambda: one.on_state(),
+        lambda: heard.next(1),
+    ]
+    for call in calls:
+        with pytest.raises(rect.Closed, match="the session is closed"):
+            call()
+
+
+def test_many_threads_say_things_at_once(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/count", capacity=10_000)
+    until_heard(one, "count")
+
+    def count() -> None:
+        for number in range(200):
+            one.publish("count", number)
+
+    threads = [threading.Thread(target=count) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    messages = [heard.next(DEADLINE) for _ in range(1600)]
+    for thread in threads:
+        thread.join()
+    assert [message.sequence for message in messages] == list(range(1600))
+    assert heard.tallies["wombat-1"] == rect.Tally(1600, 0)

@@ -1,0 +1,298 @@
+"""Two routers on the simulated air: a Python robot at one, the Rust library (the `rect` tool) or Python at the other.
+
+RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_routers.py
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy
+import pytest
+import rect
+from conftest import DEADLINE, until_heard, until_served
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "demo"))
+
+
+def program(variable: str, name: str) -> str:
+    """Where it is; a test that needs it fails where it is not built."""
+    found = os.environ.get(variable) or shutil.which(name)
+    assert found, (
+        f"{name} is not built: `cargo build --profile quick -p rect -p rect-router`, and name it by {variable}"
+    )
+    return found
+
+
+class Routers:
+    """`wombat-1` and `wombat-2`, whose routers are linked by Bluetooth."""
+
+    def __init__(self, room: Any, one: Any, two: Any) -> None:
+        self.room = room
+        self.endpoints = {"wombat-1": one.endpoint(), "wombat-2": two.endpoint()}
+
+    def connect(self, name: str) -> rect.Robot:
+        return rect.connect(name, router=self.endpoints[name])
+
+    @contextmanager
+    def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:
+        """The `rect` command at a robot's router."""
+        own = ["--as", robot, "--router", self.endpoints[robot]]
+        # What is after `--` is another program's.
+        at = arguments.index("--") if "--" in arguments else len(arguments)
+        command = [program("RECT_TOOL", "rect"), *arguments[:at], *own, *arguments[at:]]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            try:
+                yield Tool(process)
+            finally:
+                process.terminate()
+
+
+class Tool:
+    """A running command, of which lines are taken."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        for stream in (process.stdout, process.stderr):
+            threading.Thread(target=self._read, args=(stream,), daemon=True).start()
+
+    def line(self) -> str:
+        return self._lines.get(timeout=DEADLINE)
+
+    def until(self, said: str) -> str:
+        """The first line that has that in it; Zenoh's log may be between."""
+        line = self.line()
+        while said not in line:
+            line = self.line()
+        return line
+
+    def ends(self) -> int:
+        return self.process.wait(DEADLINE)
+
+    def _read(self, stream: Any) -> None:
+        for line in stream:
+            self._lines.put(line.rstrip("\n"))
+
+
+@pytest.fixture(scope="module")
+def routers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Routers]:
+    folder = tmp_path_factory.mktemp("connections")
+    files = {name: folder / f"{name}.json" for name in ("wombat-1", "wombat-2")}
+    for file in files.values():
+        file.write_text('{"connections": []}')
+    os.environ["RECT_ROUTER"] = program("RECT_ROUTER", "rect-router")
+    os.environ["RECT_TOOL"] = program("RECT_TOOL", "rect")
+    from robots import rect_settings  # type: ignore[import-not-found, unused-ignore]
+    from room import Room, wait_for_link  # type: ignore[import-not-found, unused-ignore]
+
+    with Room("desk") as room:
+        one, two = (
+            room.add_robot(name, arguments=tuple(rect_settings({"robot": name, "connections": str(wanted)})))
+            for name, wanted in files.items()
+        )
+        wait_for_link(one, two)
+        yield Routers(room, one, two)
+
+
+def test_python_hears_what_rust_says_and_over_which_radio(routers: Routers) -> None:
+    said = ("pub", "arm/angle", '{"degrees": 12.5}', "--codec", "zstd", "--every", "100ms")
+    with (
+        routers.connect("wombat-1") as robot,
+        robot.subscribe("wombat-2/arm/*") as heard,
+        routers.tool("wombat-2", *said),
+    ):
+        message = heard.next(DEADLINE)
+        assert (message.value, message.sender, message.urgency) == ({"degrees": 12.5}, "wombat-2", "normal")
+        while message.over is None:
+            message = heard.next(DEADLINE)
+        assert message.over == "ble"
+        assert message.missed == 0
+
+
+def test_rust_hears_what_python_says_byte_for_byte(routers: Routers) -> None:
+    heard = ("sub", "wombat-1/**", "--json", "--count", "2")
+    with routers.tool("wombat-2", *heard) as tool, routers.connect("wombat-1") as robot:
+        until_heard(robot, "arm/angle")
+        until_heard(robot, "to/wombat-2/note")
+        robot.publish("arm/angle", {"degrees": 1.0}, codec="zstd")
+        robot.send("wombat-2", "note", "psst", urgency="urgent")
+        told = [json.loads(tool.line()) for _ in range(2)]
+    said = {one["topic"]: one for one in told}
+    assert said["arm/angle"]["value"] == {"degrees": 1.0}
+    assert said["note"]["value"] == "psst"
+    assert said["note"]["urgency"] == "urgent"
+
+
+def test_python_asks_what_rust_serves_and_hears_its_errors(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot:
+        with routers.tool("wombat-2", "serve", "echo", "--", "cat"):
+            until_served(robot, "wombat-2", "echo")
+            assert robot.request("wombat-2", "echo", "hello", timeout=DEADLINE).value == "hello"
+        with routers.tool("wombat-2", "serve", "fail", "--", "sh", "-c", "echo on purpose >&2; exit 1"):
+            until_served(robot, "wombat-2", "fail")
+            with pytest.raises(rect.ServiceError, match=r"wombat-2 answers with an error: .*on purpose"):
+                robot.request("wombat-2", "fail", timeout=DEADLINE)
+
+
+def test_rust_asks_what_python_serves_and_hears_its_errors(routers: Routers) -> None:
+    def battery(request: rect.Request) -> dict[str, Any]:
+        if request.value != {"cell": 1}:
+            raise rect.Refusal("there is the cell 1")
+        return {"asker": request.sender, "volt": 3.6}
+
+    with routers.connect("wombat-1") as robot, routers.connect("wombat-2") as other:
+        robot.serve("battery", battery)
+        until_served(other, "wombat-1", "battery")
+        with routers.tool("wombat-2", "request", "wombat-1", "battery", '{"cell": 1}', "--timeout", "20s") as tool:
+            assert "3.6" in tool.until("wombat-2")
+            assert tool.ends() == 0
+        with routers.tool("wombat-2", "request", "wombat-1", "battery", "9", "--timeout", "20s") as tool:
+            tool.until("there is the cell 1")
+            assert tool.ends() != 0
+
+
+def test_files_go_both_ways(routers: Routers, tmp_path: Path) -> None:
+    source = tmp_path / "map.bin"
+    source.write_bytes(os.urandom(60_000))
+    with routers.connect("wombat-1") as robot:
+        with robot.receive_transfers("*/**") as files:
+            with routers.tool("wombat-2", "transfer", "send", "wombat-1", str(source)) as tool:
+                received = files.next(DEADLINE)
+                assert tool.ends() == 0
+            assert received.content == source.read_bytes()
+            topic = received.topic
+        folder = tmp_path / "in"
+        with routers.tool("wombat-2", "transfer", "receive", "--folder", str(folder)):
+            robot.transfer("wombat-2", topic, source, timeout=DEADLINE)
+        assert (folder / "wombat-1" / "map.bin").read_bytes() == source.read_bytes()
+
+
+def test_streams_go_from_rust_to_python(routers: Routers, tmp_path: Path) -> None:
+    picture = rect.Picture(numpy.full((48, 64, 3), 90, numpy.uint8))
+    file = tmp_path / "frame.png"
+    file.write_bytes(picture._repr_png_())
+    with (
+        routers.connect("wombat-1") as robot,
+        robot.watch("wombat-2", "camera") as watch,
+        routers.tool("wombat-2", "stream", "send", "camera", str(file)),
+    ):
+        frame = watch.next(DEADLINE)
+        while frame.number < 3:
+            frame = watch.next(DEADLINE)
+        assert isinstance(frame.value, rect.Picture)
+        assert frame.age is not None
+
+
+def test_streams_go_from_python_to_rust(routers: Routers) -> None:
+    picture = numpy.full((48, 64, 3), 90, numpy.uint8)
+    over = threading.Event()
+    with (
+        routers.connect("wombat-1") as robot,
+        robot.stream("camera") as camera,
+        routers.tool("wombat-2", "stream", "watch", "wombat-1", "camera") as tool,
+    ):
+
+        def film() -> None:
+            while not over.wait(0.05):
+                camera.send(picture)
+
+        filming = threading.Thread(target=film)
+        filming.start()
+        try:
+            lines = [tool.line() for _ in range(3)]
+        finally:
+            over.set()
+            filming.join()
+    assert any("64x48" in line for line in lines), lines
+
+
+def test_two_pythons_talk_over_the_radio(routers: Routers) -> None:
+    with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
+        one.serve("double", lambda request: request.value * 2)
+        heard = two.subscribe("wombat-1/count")
+        until_heard(one, "count")
+        for number in range(20):
+            one.publish("count", number)
+        assert [heard.next(DEADLINE).value for _ in range(20)] == list(range(20))
+        until_served(two, "wombat-1", "double")
+        assert two.request("wombat-1", "double", 21, timeout=DEADLINE).value == 42
+        assert two.peers() == ["wombat-1"]
+
+
+def test_the_registry_answers_and_is_shown_as_a_table(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot:
+        linked = robot.connections(which="method=ble;state=connected")
+        assert [(one.method, one.state, one.robot) for one in linked] == [("ble", "connected", "wombat-2")]
+        assert "<td>wombat-2</td>" in linked._repr_html_()
+        assert [one.robot for one in robot.connections("wombat-2", "method=ble;state=connected")] == ["wombat-1"]
+        count = robot.ask_registry("connections/count", which="state=connected")
+        assert count["methods"]["ble"]["connected"] == 1
+        with pytest.raises(rect.ServiceError, match="state"):
+            robot.connections(which="state=nonsense")
+        with pytest.raises(rect.NoService, match="nobody serves the registry"):
+            robot.connections("wombat-9")
+
+
+def test_connections_are_added_and_removed(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot:
+        robot.add_connection("base", "tcp", "127.0.0.1", port=9)
+        assert [one.address for one in robot.connections(which="name=base")] == ["127.0.0.1:9"]
+        robot.remove_connection("base")
+        assert robot.connections(which="name=base") == []
+        with pytest.raises(rect.ServiceError, match="base"):
+            robot.remove_connection("base")
+        with pytest.raises(rect.ServiceError, match="nonsense"):
+            robot.add_connection("base", "nonsense", "127.0.0.1")
+
+
+def test_what_is_urgent_and_bulk_has_a_connection_of_its_own(routers: Routers) -> None:
+    with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
+        heard = two.subscribe("wombat-1/x")
+        until_heard(one, "x")
+        for urgency in ("normal", "urgent", "bulk"):
+            one.publish("x", urgency, urgency=urgency)
+        assert {(said.value, said.urgency) for said in (heard.next(DEADLINE) for _ in range(3))} == {
+            (urgency, urgency) for urgency in ("normal", "urgent", "bulk")
+        }
+        assert len(one._session.lanes.all()) == 3
+        assert len(two._session.lanes.all()) == 1
+
+
+def test_state_tells_of_robots_and_links(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot, robot.on_state() as events:
+        seen: dict[str, rect.Event] = {}
+        while not {"peer_up", "link_up"} <= seen.keys() or seen["link_up"].method != "ble":
+            event = events.next(DEADLINE)
+            seen[event.what] = event
+        assert seen["peer_up"].robot == "wombat-2"
+
+
+def test_the_module_runs_the_router_it_is_given() -> None:
+    environment = {**os.environ, "RECT_ROUTER": program("RECT_ROUTER", "rect-router")}
+    for arguments in (["router", "--version"], ["--help"]):
+        command = [sys.executable, "-m", "rect", *arguments]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "router" in done.stdout
+
+
+def test_without_a_router_in_the_wheel_it_is_said_what_to_do(tmp_path: Path) -> None:
+    from rect import __main__ as module
+
+    code = f"import rect.__main__ as m; from pathlib import Path; m._ROUTER = Path({str(tmp_path)!r}) / 'x'; m.router()"
+    environment = {"PATH": "/nowhere", "HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "has no router" in done.stderr
+    assert module._ROUTER.name == "rect-router"
