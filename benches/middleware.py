@@ -14,8 +14,8 @@ from table import Table
 from traffic import percentile
 
 SIZES = [64, 1024]
-ROUNDS = 8
-SECONDS = 1.0
+ROUNDS = 16
+SECONDS = 0.5
 WANTED = 1.1
 
 
@@ -57,14 +57,18 @@ class Program:
 class Pair:
     """A pairing whose one program runs; the other one is run to measure."""
 
-    def __init__(self, pairing: Pairing, between: dict[str, str], stack: ExitStack) -> None:
+    def __init__(self, pairing: Pairing, stack: ExitStack) -> None:
         self.pairing = pairing
-        port = free_port()
-        address = between[pairing.over] if pairing.over else f"127.0.0.1:{port}"
-        self._where = [address, *(["--router"] if pairing.over else [])]
-        stack.enter_context(Program("serve", pairing.middleware, *self._where))
-        if not pairing.over:
-            wait_until(f"{pairing.name} listens", 20, lambda: is_listening(port))
+        if pairing.over == "rumqttd":
+            self._where = [listening(stack, "broker"), "--router"]
+        elif pairing.over:
+            # Each its own: the keys are the same ones, and a request goes to all that serve it.
+            router = stack.enter_context(Router(pairing.over))
+            self._where = [router.endpoint.removeprefix("tcp/"), "--router"]
+        else:
+            self._where = [listening(stack, "serve", pairing.middleware)]
+        if pairing.over:
+            stack.enter_context(Program("serve", pairing.middleware, *self._where))
 
     def measure(self, job: str, size: int) -> dict:
         load = ["--bytes", str(size), "--seconds", str(SECONDS)]
@@ -112,7 +116,7 @@ def run() -> Table:
         ["payload, what", *columns, "bytes per message", "bytes per request"],
     )
     with ExitStack() as stack:
-        pairs = started(stack)
+        pairs = [Pair(pairing, stack) for pairing in PAIRINGS]
         for size in SIZES:
             measured = Measured()
             for pair in pairs:
@@ -131,19 +135,17 @@ def run() -> Table:
     return table
 
 
-def started(stack: ExitStack) -> list[Pair]:
-    between = {}
-    for program in ("rect-router", "stock zenohd"):
-        between[program] = stack.enter_context(Router(program)).endpoint.removeprefix("tcp/")
+def listening(stack: ExitStack, *arguments: str) -> str:
+    """The address of a program that listens."""
     port = free_port()
-    between["rumqttd"] = f"127.0.0.1:{port}"
-    stack.enter_context(Program("broker", between["rumqttd"]))
-    wait_until("rumqttd is up", 20, lambda: is_listening(port))
-    return [Pair(pairing, between, stack) for pairing in PAIRINGS]
+    address = f"127.0.0.1:{port}"
+    stack.enter_context(Program(*arguments, address))
+    wait_until(f"{' '.join(arguments)} listens", 20, lambda: is_listening(port))
+    return address
 
 
 def ratio(ours: list[float], others: list[float]) -> str:
-    if ours is others:
+    if ours == others:
         return "1"
     ratios = [one / other for one, other in zip(ours, others, strict=True)]
     low, middle, high = statistics.quantiles(ratios, n=4)
