@@ -256,7 +256,7 @@ def test_connections_are_added_and_removed(routers: Routers) -> None:
             assert time.monotonic() < until
         with pytest.raises(rect.ServiceError, match="base"):
             robot.remove_connection("base")
-        with pytest.raises(rect.ServiceError, match="nonsense"):
+        with pytest.raises(rect.ServiceError, match="a method is ble, tcp, udp"):
             robot.add_connection("base", "nonsense", "127.0.0.1")
 
 
