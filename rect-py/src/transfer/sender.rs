@@ -123,7 +123,6 @@ impl TransferSender {
     }
 
     /// What programs of the receiver answered to an offer.
-    #[allow(clippy::needless_pass_by_value)]
     fn on_answers(&self, answers: Vec<Vec<u8>>) {
         let answers = answers.iter().filter_map(|bytes| Answer::decode(bytes));
         let answers: Vec<_> = answers.collect();
