@@ -160,7 +160,8 @@ def notes() -> list[str]:
         f"{WANTED:.2f} of zenoh's latency.",
         "Publish: half the time of a message there and one back, both published. Request: until the answer is there. "
         "Messages/s: one way, as fast as it goes with nothing lost, counted where they arrive. Bytes: of the TCP "
-        "streams, both directions added, on the connection of the one who publishes or asks, 200 messages 5 ms apart.",
+        "streams, both directions added, on the connection of the one who publishes or asks, 200 messages 5 ms apart. "
+        "The p99s are mostly of whatever else the machine does.",
         "All: Rust, tokio's default runtime, messages taken by an async `recv`, TCP_NODELAY. RECT: its defaults; for "
         "messages/s its subscriber holds the sender up (`WhenFull::Wait`), by default the newest message wins. zenoh: "
         "congestion control Block as RECT's. gRPC: tonic; what is published goes over one stream. MQTT: 3.1.1, QoS 1 "
