@@ -11,16 +11,23 @@ use crate::core::queue::{Pushed, Queue};
 /// A queue with somebody at either end.
 #[derive(Debug)]
 pub(super) struct Inbox<T> {
-    queue: Mutex<Queue<T>>,
+    state: Mutex<State<T>>,
     closed: AtomicBool,
     arrived: Notify,
     taken: Condvar,
 }
 
+#[derive(Debug)]
+struct State<T> {
+    queue: Queue<T>,
+    /// How many wait for room: to wake nobody is a system call, too.
+    waiting: usize,
+}
+
 impl<T> Inbox<T> {
     pub(super) fn new(queue: Queue<T>) -> Arc<Self> {
         Arc::new(Self {
-            queue: Mutex::new(queue),
+            state: Mutex::new(State { queue, waiting: 0 }),
             closed: AtomicBool::new(false),
             arrived: Notify::new(),
             taken: Condvar::new(),
@@ -30,22 +37,24 @@ impl<T> Inbox<T> {
     /// Puts one in; where the rule is to wait, once there is room. `false`: it was refused, or nobody takes any more.
     pub(super) fn push(&self, item: T) -> bool {
         let mut item = item;
-        let mut queue = self.queue();
+        let mut state = self.state();
         let kept = loop {
-            if self.closed.load(Ordering::Acquire) {
+            if self.is_closed() {
                 return false;
             }
-            match queue.push(item) {
+            match state.queue.push(item) {
                 Pushed::Full(back) => {
                     item = back;
-                    let waited = self.taken.wait(queue);
-                    queue = waited.unwrap_or_else(PoisonError::into_inner);
+                    state.waiting += 1;
+                    let waited = self.taken.wait(state);
+                    state = waited.unwrap_or_else(PoisonError::into_inner);
+                    state.waiting -= 1;
                 }
                 Pushed::Kept | Pushed::DroppedOldest => break true,
                 Pushed::DroppedNewest => break false,
             }
         };
-        drop(queue);
+        drop(state);
         self.arrived.notify_one();
         kept
     }
@@ -57,7 +66,7 @@ impl<T> Inbox<T> {
             if let Some(item) = self.try_pop() {
                 return Some(item);
             }
-            if self.closed.load(Ordering::Acquire) {
+            if self.is_closed() {
                 return None;
             }
             arrived.await;
@@ -66,29 +75,36 @@ impl<T> Inbox<T> {
 
     /// Takes the oldest, if there is one.
     pub(super) fn try_pop(&self) -> Option<T> {
-        let item = self.queue().pop();
-        if item.is_some() {
+        let mut state = self.state();
+        let item = state.queue.pop();
+        let is_awaited = state.waiting > 0;
+        drop(state);
+        if item.is_some() && is_awaited {
             self.taken.notify_one();
         }
         item
     }
 
     pub(super) fn dropped(&self) -> u64 {
-        self.queue().dropped()
+        self.state().queue.dropped()
     }
 
     /// Nothing comes any more; what waits can still be taken.
     pub(super) fn close(&self) {
-        let queue = self.queue();
+        let state = self.state();
         self.closed.store(true, Ordering::Release);
-        drop(queue);
+        drop(state);
         self.taken.notify_all();
         self.arrived.notify_waiters();
         self.arrived.notify_one();
     }
 
-    fn queue(&self) -> MutexGuard<'_, Queue<T>> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -1,11 +1,10 @@
 //! Owns asking a service, and its answers.
 use std::{fmt, sync::Arc, time::Duration};
 
-use tokio::time::Instant;
+use tokio::{runtime::Handle, time::Instant};
 use zenoh::{
     cancellation::CancellationToken,
     query::{ConsolidationMode, QueryTarget},
-    Wait,
 };
 
 use super::{
@@ -44,6 +43,7 @@ pub struct Replies {
     deadline: Instant,
     timeout: Duration,
     cancellation: CancellationToken,
+    runtime: Handle,
 }
 
 impl Robot {
@@ -131,6 +131,7 @@ impl Robot {
             deadline: Instant::now() + timeout,
             timeout,
             cancellation,
+            runtime: self.inner.runtime.clone(),
         })
     }
 
@@ -207,9 +208,16 @@ impl fmt::Debug for Replies {
 
 impl Drop for Replies {
     fn drop(&mut self) {
+        // All have answered.
+        if self.inbox.is_closed() {
+            return;
+        }
         self.inbox.close();
-        // Waits for a callback that is running, which, once the inbox is closed, waits for nobody.
-        let _ = self.cancellation.cancel().wait();
+        // Not waited for: what comes meanwhile finds the inbox closed, and to wait would cost each request a thread.
+        let cancelled = self.cancellation.cancel();
+        self.runtime.spawn(async move {
+            let _ = cancelled.await;
+        });
     }
 }
 
