@@ -59,14 +59,12 @@ fn a_name_leads_nowhere_else() {
 
 #[test]
 fn a_robots_name_leads_nowhere_else() {
-    for bad in [".", "..", ".x"] {
-        let from = Name::new(bad).expect("a name so far");
-        let offer = Offer { from, ..sample(1) };
-        assert_eq!(
-            Offer::decode(&offer.encode()),
-            Err(OfferError::Malformed("sender"))
-        );
-    }
+    let from = Name::new(".x").expect("a name, elsewhere");
+    let offer = Offer { from, ..sample(1) };
+    assert_eq!(
+        Offer::decode(&offer.encode()),
+        Err(OfferError::Malformed("sender"))
+    );
 }
 
 #[test]
