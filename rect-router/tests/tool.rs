@@ -40,11 +40,12 @@ fn said(output: &Output) -> String {
 fn says(at: &Wombat, arguments: &[&str], text: &str) -> String {
     let deadline = Instant::now() + DEADLINE;
     loop {
-        let output = said(&ran(at, arguments));
-        if output.contains(text) {
-            return output;
+        let output = ran(at, arguments);
+        let shown = String::from_utf8_lossy(&output.stdout);
+        if shown.contains(text) {
+            return shown.into_owned();
         }
-        assert!(Instant::now() < deadline, "{arguments:?}: {output}");
+        assert!(Instant::now() < deadline, "{arguments:?}: {}", said(&output));
     }
 }
 
