@@ -45,7 +45,11 @@ fn says(at: &Wombat, arguments: &[&str], text: &str) -> String {
         if shown.contains(text) {
             return shown.into_owned();
         }
-        assert!(Instant::now() < deadline, "{arguments:?}: {}", said(&output));
+        assert!(
+            Instant::now() < deadline,
+            "{arguments:?}: {}",
+            said(&output)
+        );
     }
 }
 

@@ -182,8 +182,8 @@ class Session:
     def on_fork(self) -> None:
         """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
         self._why_closed = _AFTER_FORK
-        for zenoh_session in self.lanes.all():
-            _rect.forget(zenoh_session)
+        # With it all of Zenoh's that it leads to: their ends would wait for locks that the parent's threads held.
+        _rect.forget(self)
         for inbox in list(self.inboxes):
             inbox.on_fork()
         for handle in list(self.handles):

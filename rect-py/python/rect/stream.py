@@ -18,7 +18,7 @@ from rect._zenoh import direct, payload_bytes, qos, refused
 from rect.errors import OptionError, PayloadError, TimedOut
 from rect.inbox import Ended, Inbox
 from rect.publication import now_ms
-from rect.subscriber import Declared, undeclared
+from rect.subscriber import Declared
 from rect.values import JSON, Payload, Picture, payload_of
 
 if TYPE_CHECKING:
@@ -291,9 +291,6 @@ class _Listening:
             _LOG.debug("%s: %s", self._notice_key, error)
         finally:
             self.inbox.close()
-            for heard in self._hears:
-                if heard is not None and not self._session.is_closed:
-                    undeclared(heard)
 
     def _tick(self) -> None:
         group = self.core.poll_group()
@@ -319,7 +316,9 @@ class _Listening:
     def _listen(self, group: int) -> None:
         """Listens to a group's key; the other's is left a little later."""
         if self._hears[group] is None:
-            self._hears[group] = self._session.zenoh.declare_subscriber(self._keys[group], direct(self._on_frame))
+            heard = self._session.zenoh.declare_subscriber(self._keys[group], direct(self._on_frame))
+            self._hears[group] = heard
+            self._declared.add(heard)
         if self._group is None or self._group[0] != group:
             self._group = (group, time.monotonic())
             return

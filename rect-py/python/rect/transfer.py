@@ -14,6 +14,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -184,10 +185,9 @@ class Sending:
             if reply.ok is not None:
                 self._push(("answer", number, payload_bytes(reply.ok.payload)))
 
-        def on_end() -> None:
-            # Without room for this one, the offer's own deadline ends it.
-            self._push(("answered", number, None))
-
+        # Where nobody is there, Zenoh calls it at once, on this thread: without a word of Python, in which a Ctrl-C would be
+        # raised, and lost in Zenoh.
+        on_end = partial(self._events.put, ("answered", number, None))
         key = self._session.place.own(self._to, _rect.TRANSFER_INBOX)
         _ask(self._session, key, self._core.offer, timeout, on_reply, on_end, zenoh.QueryTarget.ALL)
 
