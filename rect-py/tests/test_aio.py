@@ -60,21 +60,27 @@ def test_callbacks_may_be_plain_or_async_and_go_on_after_they_raised(caplog: pyt
     async def test(one: rect.aio.Robot, two: rect.aio.Robot) -> None:
         plain: list[int] = []
         awaited: list[int] = []
-        done = asyncio.Event()
+        loop, both = asyncio.get_running_loop(), [asyncio.Event(), asyncio.Event()]
 
         async def callback(message: rect.Message) -> None:
             await asyncio.sleep(0)
             awaited.append(message.value)
             if message.value == 0:
                 raise ValueError("on purpose")
-            done.set()
+            both[0].set()
 
-        two.subscribe("wombat-1/count", lambda message: plain.append(message.value))
+        def plain_callback(message: rect.Message) -> None:
+            plain.append(message.value)
+            if message.value == 1:
+                loop.call_soon_threadsafe(both[1].set)
+
+        two.subscribe("wombat-1/count", plain_callback)
         two.subscribe("wombat-1/count", callback)
         await asyncio.to_thread(until_heard, one._robot, "count")
         await one.publish("count", 0)
         await one.publish("count", 1)
-        await done.wait()
+        for done in both:
+            await done.wait()
         assert (plain, awaited) == ([0, 1], [0, 1])
 
     with caplog.at_level(logging.ERROR, "rect"):

@@ -185,8 +185,8 @@ class Sending:
             if reply.ok is not None:
                 self._push(("answer", number, payload_bytes(reply.ok.payload)))
 
-        # Where nobody is there, Zenoh calls it at once, on this thread: without a word of Python, in which a Ctrl-C would be
-        # raised, and lost in Zenoh.
+        # Where nobody is there, Zenoh calls it at once, on this thread: without a word of Python, in which a Ctrl-C
+        # would be raised, and lost in Zenoh.
         on_end = partial(self._events.put, ("answered", number, None))
         key = self._session.place.own(self._to, _rect.TRANSFER_INBOX)
         _ask(self._session, key, self._core.offer, timeout, on_reply, on_end, zenoh.QueryTarget.ALL)
