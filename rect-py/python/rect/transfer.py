@@ -137,10 +137,13 @@ class Sending:
         session.endings.append(self.stop)
         declared = Declared(session)
         try:
+            # It may have closed before it knew of this.
+            session.check()
             on_query = direct(lambda query: self._push(("query", query, None)))
             declared.add(session.zenoh.declare_queryable(key, on_query, complete=True))
             self._run(key)
         except zenoh.ZError as error:
+            session.check()
             raise refused("the transfer can't be served", error) from None
         finally:
             declared.end()
