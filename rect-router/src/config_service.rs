@@ -1,7 +1,6 @@
 //! Owns changing a robot's connections from elsewhere: `<fleet>/<robot>/@rect/@config/connections`, a query without a
-//! payload to read, one with the new text to change all, `?add` with one
-//! connection, `?remove` with the name of one. Who may is Zenoh's access control to decide, for which the key has
-//! a part of its own (`@config`) that no rule matches by chance.
+//! payload to read, one with the new text to change all, `?add` with one connection, `?remove` with the name of one. Who may is
+//! Zenoh's access control to decide, for which the key has a part of its own (`@config`) that no rule matches by chance.
 use std::{
     sync::{
         mpsc::{self, TrySendError},
@@ -10,6 +9,7 @@ use std::{
     thread,
 };
 
+use rect::core::named_connection::{ADD, CONFIG, REMOVE};
 use serde::Serialize;
 use serde_json::Value;
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};
@@ -36,7 +36,7 @@ const WAITING: usize = 16;
 
 /// Answers until its session is closed.
 pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zenoh::Result<()> {
-    let key = format!("{own}/@config/connections");
+    let key = format!("{own}/{CONFIG}");
     let key_of_answer = key.clone();
     let (queries, next) = mpsc::sync_channel(WAITING);
     // A change takes its time, and Zenoh's own threads have others to serve.
@@ -120,8 +120,8 @@ impl Asked {
             match key {
                 "expect" => expected = Some(value.to_owned()),
                 "by" => by = value,
-                "add" => edit = Edit::Add,
-                "remove" => edit = Edit::Remove,
+                ADD => edit = Edit::Add,
+                REMOVE => edit = Edit::Remove,
                 _ if key.is_empty() || key.starts_with('_') => {}
                 _ => {
                     return Err(format!(

@@ -82,9 +82,7 @@ impl Robot {
         question: &str,
         which: &str,
     ) -> Result<T, Error> {
-        let key = self.inner.place.own(Some(&robot), question);
-        let selector = with_parameters(key, which);
-        let answer = self.ask_router(robot, question, selector, None).await?;
+        let answer = self.ask_router(robot, question, which, None).await?;
         Ok(answer.value()?)
     }
 
@@ -148,9 +146,9 @@ impl Robot {
     }
 
     async fn configure(&self, robot: Name, how: &str, what: String) -> Result<(), Error> {
-        let key = self.inner.place.own(Some(&robot), CONFIG);
-        let selector = with_parameters(key, &format!("{how};by={}", self.name()));
-        self.ask_router(robot, CONFIG, selector, Some(what)).await?;
+        let parameters = format!("{how};by={}", self.name());
+        self.ask_router(robot, CONFIG, &parameters, Some(what))
+            .await?;
         Ok(())
     }
 
@@ -158,9 +156,14 @@ impl Robot {
         &self,
         robot: Name,
         question: &str,
-        selector: String,
+        parameters: &str,
         payload: Option<String>,
     ) -> Result<Payload, Error> {
+        let key = self.inner.place.own(Some(&robot), question);
+        let selector = match parameters {
+            "" => key,
+            _ => format!("{key}?{parameters}"),
+        };
         let asked = self.inner.session.get(selector).timeout(PATIENCE);
         let asked = match payload {
             Some(payload) => asked.payload(payload).await,
@@ -180,12 +183,5 @@ impl Robot {
                 Err(self.nobody(robot.to_string(), topic).await)
             }
         }
-    }
-}
-
-fn with_parameters(key: String, parameters: &str) -> String {
-    match parameters {
-        "" => key,
-        _ => format!("{key}?{parameters}"),
     }
 }

@@ -23,7 +23,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, patiently, payload_bytes, refused
-from rect.errors import Closed, TransferError, TransferFailed
+from rect.errors import Closed, TimedOut, TransferError, TransferFailed
 from rect.inbox import Ended, Inbox
 from rect.subscriber import Declared
 from rect.values import Payload, payload_of
@@ -243,8 +243,6 @@ class Transfers:
 
     def next(self, timeout: float | None = None) -> Received:
         """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
-        from rect.errors import TimedOut
-
         try:
             return self._taking.ended.pop(timeout)
         except Ended:
