@@ -44,6 +44,7 @@ from rect.transfer import Transfers as BlockingTransfers
 from rect.values import codec_of, payload_of
 
 T = TypeVar("T")
+H = TypeVar("H", bound="_Handle")
 _LOG = logging.getLogger("rect")
 Handler = Callable[[Request], Any]
 
@@ -332,10 +333,28 @@ class Robot:
             await asyncio.to_thread(self._robot._say, topic, to, payload, urgency, None)
 
 
-class Subscriber:
+class _Handle:
+    """What ends when it is closed; see the one of the same name in `rect`, which does it."""
+
+    def __init__(self, handle: Any) -> None:
+        self._handle = handle
+
+    def close(self) -> None:
+        """Ends it."""
+        self._handle.close()
+
+    async def __aenter__(self: H) -> H:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+
+class Subscriber(_Handle):
     """The messages of a pattern, as they come, for `async for`; see `rect.Subscriber`."""
 
     def __init__(self, subscriber: BlockingSubscriber) -> None:
+        super().__init__(subscriber)
         self._subscriber = subscriber
 
     async def next(self, timeout: float | None = None) -> Message:
@@ -366,20 +385,10 @@ class Subscriber:
         """How many came of each robot, and how many of its did not."""
         return self._subscriber.tallies
 
-    def close(self) -> None:
-        """Ends it."""
-        self._subscriber.close()
-
     def __enter__(self) -> Subscriber:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    async def __aenter__(self) -> Subscriber:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
         self.close()
 
     async def _pop(self, timeout: float | None) -> Message:
@@ -396,13 +405,14 @@ class Subscriber:
         return message
 
 
-class Events:
+class Events(_Handle):
     """What changes about who can be reached, for `async for`; see `rect.Events`."""
 
     dropped = 0
     tallies: Mapping[str, Tally] = {}
 
     def __init__(self, events: BlockingEvents) -> None:
+        super().__init__(events)
         self._events = events
 
     async def next(self, timeout: float | None = None) -> Event:
@@ -417,16 +427,6 @@ class Events:
             return await self._events._inbox.pop_async()
         except Ended:
             raise StopAsyncIteration from None
-
-    def close(self) -> None:
-        """Ends it."""
-        self._events.close()
-
-    async def __aenter__(self) -> Events:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self.close()
 
 
 class Subscription(Generic[T]):
@@ -468,10 +468,11 @@ class Subscription(Generic[T]):
                 _LOG.exception("the callback for %s raised", self._about)
 
 
-class Stream:
+class Stream(_Handle):
     """A stream that this program sends; see `rect.Stream`."""
 
     def __init__(self, stream: BlockingStream) -> None:
+        super().__init__(stream)
         self._stream = stream
 
     async def send(self, frame: Any) -> int:
@@ -483,24 +484,15 @@ class Stream:
         """What goes out, what gets through, and why it is as it is."""
         return self._stream.status
 
-    def close(self) -> None:
-        """Ends it."""
-        self._stream.close()
 
-    async def __aenter__(self) -> Stream:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self.close()
-
-
-class Watch:
+class Watch(_Handle):
     """A stream that this program watches, for `async for`; see `rect.Watch`."""
 
     dropped = 0
     tallies: Mapping[str, Tally] = {}
 
     def __init__(self, watch: BlockingWatch) -> None:
+        super().__init__(watch)
         self._watch = watch
 
     async def next(self, timeout: float | None = None) -> Frame:
@@ -526,21 +518,12 @@ class Watch:
         """What a small message takes to the sender and back, in seconds, once it has answered one."""
         return self._watch.round_trip
 
-    def close(self) -> None:
-        """Ends it."""
-        self._watch.close()
 
-    async def __aenter__(self) -> Watch:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self.close()
-
-
-class Transfers:
+class Transfers(_Handle):
     """The transfers that come, for `async for`; see `rect.Transfers`."""
 
     def __init__(self, transfers: BlockingTransfers) -> None:
+        super().__init__(transfers)
         self._transfers = transfers
 
     async def next(self, timeout: float | None = None) -> Received:
@@ -561,21 +544,12 @@ class Transfers:
         except Ended:
             raise StopAsyncIteration from None
 
-    def close(self) -> None:
-        """Takes no more."""
-        self._transfers.close()
 
-    async def __aenter__(self) -> Transfers:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self.close()
-
-
-class Replies:
+class Replies(_Handle):
     """The answers to one request, as they come, for `async for`; see `rect.Replies`."""
 
     def __init__(self, replies: BlockingReplies) -> None:
+        super().__init__(replies)
         self._replies = replies
 
     def __aiter__(self) -> AsyncIterator[Reply]:
@@ -586,16 +560,6 @@ class Replies:
         if reply is None:
             raise StopAsyncIteration
         return reply
-
-    def close(self) -> None:
-        """Cancels the request, if it has not ended."""
-        self._replies.close()
-
-    async def __aenter__(self) -> Replies:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self.close()
 
 
 class Service:
