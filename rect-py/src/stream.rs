@@ -251,6 +251,13 @@ impl StreamReceiver {
         Some(PyBytes::new(py, &feedback.encode()))
     }
 
+    /// In how many seconds to poll again, unless the sender says something before.
+    fn poll_in(&self) -> f64 {
+        let now = Instant::now();
+        let at = self.core().poll_at(now);
+        at.saturating_duration_since(now).as_secs_f64()
+    }
+
     /// What a small message takes to the sender and back, in seconds, once it is known.
     fn round_trip(&self) -> Option<f64> {
         let round_trip = self.core().round_trip();

@@ -22,11 +22,9 @@ from rect.subscriber import Declared
 from rect.values import JSON, Payload, Picture, payload_of
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 _LOG = logging.getLogger("rect")
-#: How often it is looked whether there is something to say.
-_TICK_S = 0.1
 #: The key of a group that is left is listened to for so long still: what is on its way comes.
 _LINGER_S = 0.3
 _PATIENCE_S = 3.0
@@ -96,9 +94,8 @@ class Stream:
 
     def send_with(self, pixels: int, encode: Callable[[int | None, float | None], Any]) -> int:
         """There is a frame of so many pixels: `encode(quality, scale)` makes it, once for each group that gets one
-        now, and
-        is not called where nobody does. `quality` 1 to 100, `None`: lossless; `scale` of width and height; both `None`
-        where the program's own choice counts. To how many it went."""
+        now, and is not called where nobody does. `quality` 1 to 100, `None`: lossless; `scale` of width and height;
+        both `None` where the program's own choice counts. To how many it went."""
         self._session.check()
         with self._sending:
             jobs = self._core.offer(pixels)
@@ -260,7 +257,9 @@ class _Listening:
         #: Frames that were sent since the first that came.
         self._ordinal = 0
         self._lock = threading.Lock()
-        self._ended = threading.Event()
+        self._is_ended = False
+        #: The sender has said something, or it ends.
+        self._told = threading.Event()
         self._declared = Declared(session, self.inbox)
         treated = qos(_rect.qos("urgent"))
         treated["congestion_control"] = zenoh.CongestionControl.DROP
@@ -271,28 +270,35 @@ class _Listening:
         except zenoh.ZError as error:
             self._declared.end()
             raise refused("the stream's notices are refused", error) from None
-        session.endings.append(self._ended.set)
+        session.endings.append(self._told.set)
         session.start("rect watch", self._run)
 
     def stop(self) -> None:
-        self._ended.set()
+        self._end()
         self._declared.end()
 
     def leave(self) -> None:
-        self._ended.set()
+        self._end()
         self._declared.leave()
+
+    def _end(self) -> None:
+        self._is_ended = True
+        self._told.set()
 
     def _run(self) -> None:
         try:
-            while not self._ended.is_set() and not self._session.is_closed:
-                self._tick()
-                self._ended.wait(_TICK_S)
+            while True:
+                self._told.clear()
+                if self._is_ended or self._session.is_closed:
+                    break
+                self._told.wait(self._poll())
         except zenoh.ZError as error:
             _LOG.debug("%s: %s", self._notice_key, error)
         finally:
             self.inbox.close()
 
-    def _tick(self) -> None:
+    def _poll(self) -> float:
+        """Does what is due; in how many seconds there may be more to do."""
         group = self.core.poll_group()
         asks, says = self.core.poll_question(), self.core.poll_feedback()
         if asks:
@@ -301,13 +307,18 @@ class _Listening:
             self._listen(group)
         if says is not None:
             self._says.put(says)
+        poll_in: float = self.core.poll_in()
+        if self._group is not None and self._hears[1 - self._group[0]] is not None:
+            return min(poll_in, max(self._group[1] + _LINGER_S - time.monotonic(), 0))
+        return poll_in
 
     def _ask(self) -> None:
-        core, asked = self.core, time.monotonic()
+        core, told, asked = self.core, self._told, time.monotonic()
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 core.on_answer(payload_bytes(reply.ok.payload), time.monotonic() - asked)
+                told.set()
 
         treated = qos(_rect.qos("urgent"))
         del treated["congestion_control"]
@@ -329,6 +340,7 @@ class _Listening:
 
     def _on_notice(self, sample: zenoh.Sample) -> None:
         self.core.on_notice(payload_bytes(sample.payload))
+        self._told.set()
 
     def _on_frame(self, sample: zenoh.Sample) -> None:
         attachment = sample.attachment

@@ -250,6 +250,25 @@ impl Receiver {
         })
     }
 
+    /// When to poll again, unless the sender says something before that.
+    pub fn poll_at(&self, now: Instant) -> Instant {
+        let group = (self.group.is_none()).then(|| self.born + STRANGE_AFTER);
+        let feedback = self
+            .feedback_every
+            .filter(|_| self.group.is_some() && self.answers > 0);
+        let feedback = feedback.map(|every| {
+            let from = if self.span.frames > 0 {
+                self.span.since
+            } else {
+                // What comes meanwhile is told that much later at most.
+                now.min(self.span.since + IDLE.max(every) - every)
+            };
+            from + every
+        });
+        let first = [group, feedback].into_iter().flatten().min();
+        first.map_or(self.ask_at, |first| first.min(self.ask_at))
+    }
+
     /// What a small message takes there and back, where the sender has answered.
     pub fn round_trip(&self) -> Option<Duration> {
         self.offset.round_trip()
@@ -392,6 +411,57 @@ mod tests {
             (said.frames, said.age_ms, said.pace_bytes_per_s),
             (5, 40, None)
         );
+    }
+
+    #[test]
+    fn polled_only_when_it_wants_to_be_it_is_prompt() {
+        let start = Instant::now();
+        let mut receiver = receiver(start);
+        let (mut polls, mut poll_at, mut questions) = (0, start, Vec::new());
+        let (mut untold_ms, mut told_ms) = (None, 0);
+        for at_ms in 0..20_000 {
+            let now = start + ms(at_ms);
+            if at_ms == 250 {
+                let notice = Notice {
+                    feedback_ms: 500,
+                    ..Notice::default()
+                };
+                receiver.on_answer(&notice, start, now);
+                poll_at = now;
+            }
+            // Frames for a while, and none for a while.
+            if at_ms % 100 == 0 && (1000..4000).contains(&(at_ms % 10_000)) {
+                receiver.on_frame(frame(1, at_ms as u32, at_ms), 2000, now);
+                untold_ms = untold_ms.or(Some(at_ms));
+            }
+            if now < poll_at {
+                continue;
+            }
+            polls += 1;
+            if receiver.poll_question(now) {
+                questions.push(at_ms);
+            }
+            receiver.poll_group(now);
+            if receiver.poll_feedback(now).is_some() {
+                let waited_ms = untold_ms.take().map_or(0, |since| at_ms - since);
+                assert!(waited_ms <= 500, "told {waited_ms} ms later");
+                assert!(
+                    at_ms - told_ms <= 2000,
+                    "nothing said from {told_ms} to {at_ms}"
+                );
+                told_ms = at_ms;
+            }
+            poll_at = receiver.poll_at(now);
+            assert!(poll_at > now, "it would never rest");
+        }
+        assert_eq!(
+            (untold_ms, questions),
+            (
+                None,
+                vec![0, 650, 1650, 2650, 3650, 4650, 9650, 14650, 19650]
+            )
+        );
+        assert!(polls <= 50, "{polls} in 20 s");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::task::JoinHandle;
+use tokio::{sync::Notify, task::JoinHandle};
 use zenoh::{
     bytes::ZBytes,
     pubsub::{Publisher, Subscriber},
@@ -35,8 +35,6 @@ use crate::{
     },
 };
 
-/// How often it is looked whether there is something to say.
-const TICK: Duration = Duration::from_millis(100);
 /// The key of a group that is left is listened to for so long still: what is on its way comes.
 const LINGER: Duration = Duration::from_millis(300);
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -65,6 +63,8 @@ pub struct Watch {
 
 struct Shared {
     core: Mutex<Counted>,
+    /// The sender has said something.
+    told: Notify,
     inbox: Arc<Inbox<Frame>>,
 }
 
@@ -124,7 +124,11 @@ impl Robot {
             receiver,
             ordinal: 0,
         });
-        let shared = Arc::new(Shared { core, inbox });
+        let shared = Arc::new(Shared {
+            core,
+            told: Notify::new(),
+            inbox,
+        });
         let listening = Listening::declare(&inner.session, &inner.place, robot, topic, &shared)?;
         let task = inner.runtime.spawn(listening.run());
         Ok(Watch {
@@ -198,10 +202,12 @@ impl Listening {
         let notices = session
             .declare_subscriber(notice_key(&sender, &topic))
             .callback({
-                let shared = shared.clone();
+                let shared = Told(shared.clone());
                 move |sample: Sample| {
+                    let shared = &shared.0;
                     if let Ok(notice) = Notice::decode(&sample.payload().to_bytes()) {
                         shared.core().receiver.on_notice(&notice);
+                        shared.told.notify_one();
                     }
                 }
             })
@@ -220,20 +226,24 @@ impl Listening {
     }
 
     async fn run(mut self) {
-        let mut ticks = tokio::time::interval(TICK);
-        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         while !self.session.is_closed() {
-            ticks.tick().await;
-            if let Err(error) = self.tick().await {
-                tracing::debug!("{}/{}: {error}", self.sender.robot, self.topic);
-                break;
+            let poll_at = match self.poll(Instant::now()).await {
+                Ok(poll_at) => poll_at,
+                Err(error) => {
+                    tracing::debug!("{}/{}: {error}", self.sender.robot, self.topic);
+                    break;
+                }
+            };
+            tokio::select! {
+                () = tokio::time::sleep_until(poll_at.into()) => {}
+                () = self.shared.told.notified() => {}
             }
         }
         self.shared.inbox.close();
     }
 
-    async fn tick(&mut self) -> zenoh::Result<()> {
-        let now = Instant::now();
+    /// Does what is due; when there may be more to do.
+    async fn poll(&mut self, now: Instant) -> zenoh::Result<Instant> {
         let (group, asks, says) = {
             let receiver = &mut self.shared.core().receiver;
             (
@@ -251,7 +261,12 @@ impl Listening {
         if let Some(feedback) = says {
             self.says.put(feedback.encode()).await?;
         }
-        Ok(())
+        let left_at = self.group.and_then(|(group, since)| {
+            let other = self.hears[1 - group.index()].as_ref();
+            other.map(|_| since + LINGER)
+        });
+        let poll_at = self.shared.core().receiver.poll_at(now);
+        Ok(left_at.map_or(poll_at, |left_at| left_at.min(poll_at)))
     }
 
     async fn ask(&self) -> zenoh::Result<()> {
@@ -268,6 +283,7 @@ impl Listening {
                     sample.and_then(|sample| Notice::decode(&sample.payload().to_bytes()).ok());
                 if let Some(notice) = notice {
                     shared.core().receiver.on_answer(&notice, asked, now);
+                    shared.told.notify_one();
                 }
             })
             .await
@@ -326,6 +342,16 @@ impl Shared {
         };
         drop(core);
         self.inbox.push(frame);
+    }
+}
+
+/// Where the sender's notices come in: a callback that Zenoh drops with the session, at the latest.
+struct Told(Arc<Shared>);
+
+impl Drop for Told {
+    fn drop(&mut self) {
+        self.0.inbox.close();
+        self.0.told.notify_one();
     }
 }
 
