@@ -243,3 +243,24 @@ async fn without_a_router_the_error_says_how_to_start_one() {
     let error = wrong.connect().await.expect_err("no locator").to_string();
     assert!(error.contains("nonsense"), "{error}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn closing_ends_whatever_waits() {
+    let (a, b) = pair("a", "b").await;
+    let messages = a.subscribe("b/**").await.expect("subscribed");
+    let requests = a.requests("echo").await.expect("served");
+    let events = a.events().await.expect("told");
+    let frames = a.watch("b", "camera").await.expect("watched");
+    let waiting = async {
+        while events.next().await.is_some() {}
+        (
+            messages.recv().await.is_none(),
+            requests.next().await.is_none(),
+            frames.recv().await.is_none(),
+        )
+    };
+    let (ended, closed) = tokio::join!(timeout(PATIENCE, waiting), a.close());
+    closed.expect("closed");
+    assert_eq!(ended.expect("in time"), (true, true, true));
+    b.close().await.expect("closed");
+}

@@ -1,7 +1,10 @@
 //! Owns the waiting at a queue: Zenoh's threads put in, the program takes out.
-use std::sync::{
-    atomic::{AtomicBool, Ordering},
-    Arc, Condvar, Mutex, MutexGuard, PoisonError,
+use std::{
+    ops::Deref,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
+    },
 };
 
 use tokio::sync::Notify;
@@ -105,6 +108,29 @@ impl<T> Inbox<T> {
 
     fn state(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Where an inbox is filled: a callback that Zenoh drops, with the session at the latest, which ends the inbox.
+pub(super) struct Filling<T>(Arc<Inbox<T>>);
+
+impl<T> Filling<T> {
+    pub(super) fn new(inbox: &Arc<Inbox<T>>) -> Self {
+        Self(inbox.clone())
+    }
+}
+
+impl<T> Deref for Filling<T> {
+    type Target = Inbox<T>;
+
+    fn deref(&self) -> &Inbox<T> {
+        &self.0
+    }
+}
+
+impl<T> Drop for Filling<T> {
+    fn drop(&mut self) {
+        self.0.close();
     }
 }
 

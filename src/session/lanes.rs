@@ -11,8 +11,8 @@ pub(super) struct Lanes {
     normal: Session,
     /// To open the others with; `None`: without a router there is nobody to take in turns.
     config: Option<Config>,
-    urgent: OnceCell<Session>,
-    bulk: OnceCell<Session>,
+    /// By urgency.
+    apart: [OnceCell<Session>; 3],
 }
 
 impl Lanes {
@@ -20,18 +20,16 @@ impl Lanes {
         Self {
             normal,
             config,
-            urgent: OnceCell::new(),
-            bulk: OnceCell::new(),
+            apart: Default::default(),
         }
     }
 
     /// Where to speak with that urgency.
     pub(super) async fn of(&self, urgency: Urgency) -> &Session {
-        let own = match urgency {
-            Urgency::Urgent => &self.urgent,
-            Urgency::Normal => return &self.normal,
-            Urgency::Bulk => &self.bulk,
-        };
+        if !urgency.goes_apart() {
+            return &self.normal;
+        }
+        let own = &self.apart[urgency as usize];
         if let Some(session) = own.get() {
             return session;
         }
@@ -54,7 +52,7 @@ impl Lanes {
 
     pub(super) async fn close(&self) -> zenoh::Result<()> {
         self.normal.close().await?;
-        for other in [&self.urgent, &self.bulk] {
+        for other in &self.apart {
             if let Some(session) = other.get() {
                 session.close().await?;
             }

@@ -8,7 +8,11 @@ use zenoh::{
 };
 
 use super::{
-    decoder::Decoder, inbox::Inbox, publication::priority, robot::Robot, subscriber::payload,
+    decoder::Decoder,
+    inbox::{Filling, Inbox},
+    publication::priority,
+    robot::Robot,
+    subscriber::payload,
 };
 use crate::{
     core::{
@@ -104,7 +108,8 @@ impl Robot {
         };
         let cancellation = CancellationToken::default();
         let qos = self.urgency().qos();
-        let closing = Closing(inbox.clone());
+        // Zenoh drops the callback when the last answer has come.
+        let filling = Filling::new(&inbox);
         let session = self.inner.lanes.of(self.urgency()).await;
         let asked = session
             .get(place.service(robot.as_ref(), &topic))
@@ -118,7 +123,7 @@ impl Robot {
             .timeout(timeout)
             .cancellation_token(cancellation.clone())
             .callback(move |reply| {
-                closing.0.push(reply);
+                filling.push(reply);
             });
         asked
             .await
@@ -218,14 +223,5 @@ impl Drop for Replies {
         self.runtime.spawn(async move {
             let _ = cancelled.await;
         });
-    }
-}
-
-/// Zenoh drops the callback when the last answer has come.
-struct Closing(Arc<Inbox<zenoh::query::Reply>>);
-
-impl Drop for Closing {
-    fn drop(&mut self) {
-        self.0.close();
     }
 }

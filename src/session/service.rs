@@ -8,7 +8,12 @@ use zenoh::{
     Wait,
 };
 
-use super::{decoder::Decoder, inbox::Inbox, robot::Robot, subscriber};
+use super::{
+    decoder::Decoder,
+    inbox::{Filling, Inbox},
+    robot::Robot,
+    subscriber,
+};
 use crate::{
     core::{
         encoding,
@@ -64,12 +69,12 @@ impl Robot {
         let place = self.inner.place.clone();
         let key = place.publication(&topic.try_into()?);
         let inbox = Inbox::new(Queue::new(WAITING, WhenFull::OldestWins));
-        let incoming = inbox.clone();
+        let filling = Filling::new(&inbox);
         let key_of_answers = key.clone();
         let on_query = move |query: Query| {
             let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
             let busy = request.query.clone();
-            if !incoming.push(request) {
+            if !filling.push(request) {
                 let said = format!("{WAITING} requests wait already: ask later");
                 let error =
                     error_to_payload(&place.robot, Payload::new(said, encoding::Encoding::TEXT));

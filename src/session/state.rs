@@ -15,7 +15,7 @@ use zenoh::{
 };
 
 use super::{
-    inbox::Inbox,
+    inbox::{Filling, Inbox},
     robot::Robot,
     subscriber::{called, Subscription},
 };
@@ -117,13 +117,13 @@ impl Robot {
         let links = info.link_events_listener().history(false);
         let links = links.callback(on_link(inbox.clone(), inner.direct)).await;
         let presence = Mutex::new(Presence::default());
-        let (place, heard) = (inner.place.clone(), inbox.clone());
+        let (place, filling) = (inner.place.clone(), Filling::new(&inbox));
         let peers = inner.session.liveliness();
         let peers = peers.declare_subscriber(place.own(None, "alive/*"));
         let peers = peers.history(true).callback(move |sample: Sample| {
             let event = on_presence(&place, &presence, &sample);
             event.into_iter().for_each(|event| {
-                heard.push(event);
+                filling.push(event);
             });
         });
         let peers = peers.await.map_err(refused())?;

@@ -14,7 +14,12 @@ use futures_core::Stream;
 use tokio::task::JoinHandle;
 use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 
-use super::{decoder::Decoder, inbox::Inbox, robot::Robot, state::Known};
+use super::{
+    decoder::Decoder,
+    inbox::{Filling, Inbox},
+    robot::Robot,
+    state::Known,
+};
 use crate::{
     core::{
         encoding::Encoding,
@@ -98,7 +103,7 @@ impl Robot {
         let inbound = Arc::new(Mutex::new(Inbound::new(place.clone())));
         let [all, mine] = place.subscriptions(pattern);
         let declare = |key: String, directed: bool| {
-            let (inbox, inbound) = (inbox.clone(), inbound.clone());
+            let (filling, inbound) = (Filling::new(&inbox), inbound.clone());
             let counting = self.inner.counting.clone();
             let links = self.inner.known.as_ref().map(Known::links);
             let on_sample = move |sample: Sample| {
@@ -110,7 +115,7 @@ impl Robot {
                     message.over = links.method(&message.from).map(str::to_owned);
                 }
                 counting.on_received(message.payload.bytes.len(), message.missed);
-                inbox.push(message);
+                filling.push(message);
             };
             let declared = self
                 .inner
