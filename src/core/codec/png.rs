@@ -1,7 +1,7 @@
 //! Owns PNG: pictures as they are; photographs in about half of their bytes.
 use std::io::Cursor;
 
-use png::{BitDepth, ColorType, Decoder, Encoder, Transformations};
+use png::{BitDepth, ColorType, Compression, Decoder, Encoder, Transformations};
 
 use super::{damaged, no_option, Codec, CodecError, Limits};
 use crate::core::{
@@ -47,6 +47,7 @@ impl Codec for Png {
 fn write(picture: &Picture) -> Result<Vec<u8>, png::EncodingError> {
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(&mut bytes, picture.width(), picture.height());
+    encoder.set_compression(Compression::Fast);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_color(match picture.format() {
         Format::Grey8 => ColorType::Grayscale,
