@@ -34,7 +34,7 @@ mod _rect {
         request::{error_encoding, error_from, read_asking, write_asking},
         stream::{Job, StreamReceiver, StreamSender},
         transfer::{transfer_ended, Inbox, Offered, Pull, TransferSender},
-        urgency::{qos, qos_of_frames},
+        urgency::{goes_apart, qos, qos_of_frames},
         value::{read_value, write_value},
     };
 

@@ -25,6 +25,12 @@ pub fn qos_of_frames(py: Python<'_>, urgency: &str) -> PyResult<Treated> {
     Ok(treated(named(py, urgency)?.qos().newest_wins()))
 }
 
+/// Whether what is so urgent has a connection of its own to the router.
+#[pyfunction]
+pub fn goes_apart(py: Python<'_>, urgency: &str) -> PyResult<bool> {
+    Ok(named(py, urgency)?.goes_apart())
+}
+
 /// The word for it.
 pub fn word(urgency: Urgency) -> &'static str {
     match urgency {

@@ -52,6 +52,12 @@ impl Urgency {
         }
     }
 
+    /// Whether it has a connection of its own to the router, which takes in one connection in order: where bulk waits for
+    /// room on a radio, a stop command behind it on the same one would wait, too.
+    pub fn goes_apart(self) -> bool {
+        self != Self::Normal
+    }
+
     /// Of a message that came at that priority of Zenoh's; a stock program may use any.
     pub fn of(priority: u8) -> Self {
         match priority {

@@ -13,10 +13,9 @@ from collections.abc import Callable
 
 import zenoh
 
+from rect import _rect
 from rect.errors import RectError
 
-#: What does not go with the rest.
-_APART = ("urgent", "bulk")
 _LOG = logging.getLogger("rect")
 
 
@@ -31,7 +30,7 @@ class Lanes:
 
     def of(self, urgency: str) -> zenoh.Session:
         """Where to speak with that urgency."""
-        if urgency not in _APART or self._open is None:
+        if self._open is None or not _rect.goes_apart(urgency):
             return self._normal
         with self._lock:
             known = self._others.get(urgency)
@@ -49,7 +48,7 @@ class Lanes:
 
     def is_open(self, urgency: str) -> bool:
         """Whether speaking so has to wait for no connection."""
-        return urgency not in _APART or self._open is None or urgency in self._others
+        return self._open is None or urgency in self._others or not _rect.goes_apart(urgency)
 
     def all(self) -> list[zenoh.Session]:
         """All that are open."""
