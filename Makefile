@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/quick
 
-.PHONY: help demo test test-kernels check bench fuzz router
+.PHONY: help demo test test-kernels check docs bench fuzz router
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -28,6 +28,11 @@ check: ## Formatters and linters of every language
 	cargo clippy -p rect --no-default-features --lib -- -D warnings
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
+
+docs: ## The API's pages for Rust and Python, into target/doc and target/docs
+	@scripts/setup python
+	cargo doc --no-deps -p rect
+	@scripts/docs-python
 
 bench: ## Comparisons, into benches/results/ (an hour; BENCH="goodput idle" for some of them)
 	@scripts/setup bench
