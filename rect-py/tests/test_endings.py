@@ -16,6 +16,8 @@ from conftest import DEADLINE, free_port
 _BEGINNING = """
 import os, signal, sys, threading, time
 import rect
+# Whoever runs the tests may be in the background, where Ctrl-C is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 endpoint = "tcp/127.0.0.1:{port}"
 one = rect.connect("wombat-1", listen=[endpoint])
 two = rect.connect("wombat-2", endpoints=[endpoint])

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 from collections import deque
 from collections.abc import Callable
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, TypeVar, cast
 
 import zenoh
 
 from rect import _rect
 from rect.errors import ZenohError
+from rect.waiters import at_once
 
 T = TypeVar("T")
 
@@ -66,7 +68,7 @@ def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None) 
     job = _Job(call, undo)
     worker.jobs.put(job)
     try:
-        job.done.get()
+        job.wait()
     except BaseException:
         job.leave()
         raise
@@ -79,7 +81,7 @@ class _Job:
     """A call that somebody waits for, as long as they like."""
 
     def __init__(self, call: Callable[[], Any], undo: Callable[[Any], object] | None) -> None:
-        self.done: SimpleQueue[None] = SimpleQueue()
+        self._done: SimpleQueue[None] = SimpleQueue()
         self.result: Any = None
         self.error: BaseException | None = None
         self._call = call
@@ -94,7 +96,12 @@ class _Job:
             self.error = error
         else:
             self._either(made=True)
-        self.done.put(None)
+        self._done.put(None)
+
+    def wait(self) -> None:
+        while True:
+            with contextlib.suppress(Empty):
+                return self._done.get(timeout=at_once(None))
 
     def leave(self) -> None:
         self._either(made=False)

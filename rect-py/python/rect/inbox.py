@@ -1,17 +1,17 @@
 """Owns the waiting at a queue: Zenoh's threads put in, the program takes out.
 
-Who waits, waits on Python's own locks, so that Ctrl-C ends it at once and nothing of Zenoh is held up. In the forms for
-asyncio nobody waits: the loop is told.
+Nothing of Zenoh is held up by who waits. In the forms for asyncio nobody waits: the loop is told.
 """
 
 from __future__ import annotations
 
 import asyncio
-import threading
-import time
+import contextlib
+from collections import deque
 from typing import Any, Generic, TypeVar, cast
 
 from rect import _rect
+from rect.waiters import Waiters
 
 T = TypeVar("T")
 
@@ -30,80 +30,68 @@ class Inbox(Generic[T]):
         if isinstance(capacity, bool) or not isinstance(capacity, int):
             raise TypeError(f"capacity is a whole number, not a {type(capacity).__name__}")
         self._queue = _rect.Queue(max(capacity, 1), when_full)
-        lock = threading.RLock()
-        self._arrived = threading.Condition(lock)
-        self._taken = threading.Condition(lock)
+        self._arrived = Waiters()
+        self._taken = Waiters()
         self._closed = False
-        self._tasks: list[tuple[asyncio.AbstractEventLoop, asyncio.Future[None]]] = []
+        self._tasks: deque[tuple[asyncio.AbstractEventLoop, asyncio.Future[None]]] = deque()
 
     def push(self, item: T) -> bool:
         """Puts one in; where the rule is to wait, once there is room. `False`: refused, or nobody takes any more."""
-        with self._arrived:
-            while not self._closed:
-                kept = self._queue.push(item)
-                if kept is not None:
-                    self._arrived.notify()
-                    self._wake_tasks()
-                    return kept
-                self._taken.wait()
-        return False
+        kept = self._queue.push(item) if not self._closed else False
+        if kept is None:
+            kept = self._taken.until(lambda: self._queue.push(item) if not self._closed else False)
+        self._arrived.wake()
+        if self._tasks:
+            self._wake_tasks()
+        return bool(kept)
 
     def pop(self, timeout: float | None = None) -> T:
         """Takes the oldest, once there is one. Raises `Ended`, or `TimeoutError`."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-        with self._arrived:
-            while True:
-                item = self._take()
-                if item is not None:
-                    return item
-                left = None if deadline is None else deadline - time.monotonic()
-                if left is not None and left <= 0:
-                    raise TimeoutError
-                self._arrived.wait(left)
+        item = self._arrived.until(self._take, timeout)
+        if item is None:
+            raise TimeoutError
+        return item
 
     def try_pop(self) -> T | None:
         """Takes the oldest, if there is one."""
-        with self._arrived:
-            try:
-                return self._take()
-            except Ended:
-                return None
+        try:
+            return self._take()
+        except Ended:
+            return None
 
     async def pop_async(self, timeout: float | None = None) -> T:
         """The same as `pop`, for asyncio."""
         loop = asyncio.get_running_loop()
         deadline = None if timeout is None else loop.time() + timeout
         while True:
-            with self._arrived:
+            told: asyncio.Future[None] = loop.create_future()
+            self._tasks.append((loop, told))
+            try:
                 item = self._take()
                 if item is not None:
                     return item
-                told: asyncio.Future[None] = loop.create_future()
-                self._tasks.append((loop, told))
-            left = None if deadline is None else deadline - loop.time()
-            try:
+                left = None if deadline is None else deadline - loop.time()
                 if left is not None and left <= 0:
                     raise TimeoutError
                 # asyncio's own error was another one before Python 3.11.
                 await asyncio.wait([told], timeout=left)
             finally:
-                self._leave(loop, told)
+                with contextlib.suppress(ValueError):
+                    self._tasks.remove((loop, told))
 
     def close(self) -> None:
         """Nothing comes any more; what waits can still be taken."""
-        with self._arrived:
-            self._closed = True
-            self._arrived.notify_all()
-            self._taken.notify_all()
-            self._wake_tasks()
+        self._closed = True
+        self._arrived.wake_all()
+        self._taken.wake_all()
+        self._wake_tasks()
 
     def on_fork(self) -> None:
-        """In a child process: whoever had the lock is not there."""
-        lock = threading.RLock()
-        self._arrived = threading.Condition(lock)
-        self._taken = threading.Condition(lock)
+        """In a child process, where nobody waits, and nothing comes."""
         self._closed = True
-        self._tasks = []
+        self._arrived = Waiters()
+        self._taken = Waiters()
+        self._tasks = deque()
 
     @property
     def closed(self) -> bool:
@@ -119,23 +107,25 @@ class Inbox(Generic[T]):
 
     def _take(self) -> T | None:
         item = self._queue.pop()
-        if item is not None:
-            self._taken.notify()
-            return cast(T, item)
-        if self._closed:
-            raise Ended
-        return None
+        if item is None:
+            if not self._closed:
+                return None
+            # It may have come before the end did.
+            item = self._queue.pop()
+            if item is None:
+                raise Ended
+        self._taken.wake()
+        return cast(T, item)
 
     def _wake_tasks(self) -> None:
-        tasks, self._tasks = self._tasks, []
-        for loop, told in tasks:
-            if not loop.is_closed():
+        for _ in range(len(self._tasks)):
+            try:
+                loop, told = self._tasks.popleft()
+            except IndexError:
+                return
+            # A loop that was closed meanwhile has nobody who waits.
+            with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(_set, told)
-
-    def _leave(self, loop: asyncio.AbstractEventLoop, told: asyncio.Future[None]) -> None:
-        with self._arrived:
-            if (loop, told) in self._tasks:
-                self._tasks.remove((loop, told))
 
 
 def _set(told: asyncio.Future[Any]) -> None:

@@ -16,7 +16,7 @@ from rect.request import service_error
 from rect.values import JSON, Payload
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 #: Routers answer at once; a slow link with much on it takes a while.
 _PATIENCE_S = 5.0

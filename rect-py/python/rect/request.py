@@ -16,7 +16,7 @@ from rect.inbox import Ended, Inbox
 from rect.values import Payload
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 #: How many answers wait for the program; a service that sends more waits.
 _REPLIES = 64

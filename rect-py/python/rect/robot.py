@@ -1,39 +1,30 @@
-"""Owns a program's place among the robots: the session, and what it says."""
+"""Owns a program's place among the robots: everything that it can do there, in blocking form."""
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import os
-import threading
-import weakref
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Union, overload
 
 import zenoh
 
-from rect import _rect, registry, state
-from rect._zenoh import LARGE_BYTES, patiently, refused
-from rect.decoder import Decoder
-from rect.errors import Closed, NoService
-from rect.inbox import DEFAULT_CAPACITY, Inbox
-from rect.lanes import Lanes
+from rect import _rect, registry
+from rect._zenoh import LARGE_BYTES, patiently
+from rect.errors import NoService
+from rect.inbox import DEFAULT_CAPACITY
 from rect.message import Message
 from rect.options import DEFAULT_LOGIN_FILE, Options, seconds, text
-from rect.publication import Publication
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
-from rect.state import Counters, Counting, Event, Events, Known
+from rect.session import Session
+from rect.state import Counters, Event, Events
 from rect.stream import Frame, Stream, Watch
-from rect.subscriber import Declared, Subscriber, Subscription, callable_or_none, undeclared
+from rect.subscriber import Subscriber, Subscription, callable_or_none
 from rect.transfer import OnProgress, Progress, Received, Sending, Transfers
 from rect.values import codec_of, payload_of
 
-#: The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
-_MAX_PUBLICATIONS = 256
 #: How long a request waits unless told otherwise, in seconds.
 DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_MS / 1000
 
@@ -62,9 +53,8 @@ def connect(
     - `router`: another router, as `tcp/192.168.0.7:7447`; default: what the environment's `RECT_ENDPOINT` says, else
       `tcp/127.0.0.1:7447`.
     - `endpoints`, `listen`: without a router: whom to connect to directly, and where others may connect to this
-      program,
-      as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not wait for
-      that.
+      program, as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not
+      wait for that.
     - `login`: user and password; default: the first line of `login_file`, `user:password`, if it can be read.
     - `timeout`: how long to wait for the router, in seconds, so that a program may be started together with it.
     - `zenoh`: any setting of Zenoh's configuration, by its path; goes before ours.
@@ -75,152 +65,6 @@ def connect(
     ...     robot.publish("greeting", "hello")
     """
     return Robot(Options(name, fleet, router, endpoints, listen, login, login_file, timeout, zenoh or {}))
-
-
-class Session:
-    """What all of one program's handles share: the session below, and what has to end with it."""
-
-    def __init__(self, options: Options) -> None:
-        if _FORKED:
-            raise Closed(_AFTER_FORK)
-        self.place = options.place()
-        self.is_direct = options.is_direct
-        _ONCE_OPEN[:] = [True]
-        self.zenoh = options.open()
-        self.lanes = Lanes(self.zenoh, None if self.is_direct else options.open)
-        self.decoder = Decoder(self.zenoh, self.place)
-        self.counting = Counting()
-        #: Whatever is declared, until it ends.
-        self.handles: set[Declared] = set()
-        #: What nobody has any more, and is to be ended where that may take a moment.
-        self.left: deque[Declared | Replies] = deque()
-        #: Where somebody waits for answers.
-        self.inboxes: set[Inbox[Any]] = set()
-        #: Called when it closes, before Zenoh does.
-        self.endings: list[Callable[[], object]] = []
-        self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-        self._lock = threading.Lock()
-        self._why_closed: str | None = None
-        self._publications: dict[tuple[str, str | None, str], Publication] = {}
-        self.known: Known | None = None
-        self._presence: zenoh.LivelinessToken | None = None
-        _OPEN.add(self)
-        try:
-            if self.is_direct:
-                self._presence = state.say_there(self.zenoh, self.place)
-            else:
-                self.known = Known(self)
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def is_closed(self) -> bool:
-        return self._why_closed is not None
-
-    def closed_error(self) -> Closed:
-        return Closed(self._why_closed or "the session is closed")
-
-    def check(self) -> None:
-        """Raises if it is closed; ends what nobody has any more."""
-        if self._why_closed is not None:
-            raise self.closed_error()
-        while self.left:
-            with contextlib.suppress(IndexError):
-                self.left.popleft().end()
-
-    def publication(self, topic: str, to: str | None, urgency: str) -> Publication:
-        spoken = (topic, to, urgency)
-        known = self._publications.get(spoken)
-        if known is not None:
-            return known
-        place = self.place
-        key = place.publication(topic) if to is None else place.message(to, topic)
-        made = Publication(self.lanes.of(urgency), key, urgency, self.check)
-        with self._lock:
-            if len(self._publications) >= _MAX_PUBLICATIONS:
-                self._publications.clear()
-            return self._publications.setdefault(spoken, made)
-
-    def close(self) -> None:
-        with self._lock:
-            if self._why_closed is not None:
-                return
-            self._why_closed = "the session is closed"
-        for ending in list(self.endings):
-            ending()
-        for handle in list(self.handles):
-            handle.end()
-        for inbox in list(self.inboxes):
-            inbox.close()
-        if self._presence is not None:
-            undeclared(self._presence)
-        _OPEN.discard(self)
-        try:
-            patiently(self.lanes.close)
-        except zenoh.ZError as error:
-            raise refused("the session does not close", error) from None
-        finally:
-            self._finish()
-
-    def start(self, name: str, run: Callable[[], object]) -> None:
-        """Runs something on a thread of its own, which ends soon after the session does."""
-        thread = threading.Thread(target=run, name=name, daemon=True)
-        self._threads.add(thread)
-        thread.start()
-
-    def _finish(self) -> None:
-        """Waits for what is in Zenoh still: where Python ends, nobody may be."""
-        with self._lock:
-            publications = list(self._publications.values())
-        for publication in publications:
-            publication.finish(_FINISH_S)
-        for thread in list(self._threads):
-            if thread is not threading.current_thread():
-                thread.join(_FINISH_S)
-
-    def on_fork(self) -> None:
-        """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
-        self._why_closed = _AFTER_FORK
-        # With it all of Zenoh's that it leads to: their ends would wait for locks that the parent's threads held.
-        _rect.forget(self)
-        for inbox in list(self.inboxes):
-            inbox.on_fork()
-        for handle in list(self.handles):
-            handle.on_fork()
-
-
-#: How long the end waits for one that is in Zenoh still, in seconds.
-_FINISH_S = 1.0
-_AFTER_FORK = (
-    "Zenoh does not work in a process that was forked from one where it ran: fork before rect.connect, or start "
-    'processes by multiprocessing.get_context("spawn")'
-)
-#: Whether a robot was joined in the process that this one was forked from.
-_FORKED: list[bool] = []
-#: Whether one was joined in this process.
-_ONCE_OPEN: list[bool] = []
-#: All that are open: they end before Python does, whose threads Zenoh's would wait for.
-_OPEN: weakref.WeakSet[Session] = weakref.WeakSet()
-
-
-def _close_all() -> None:
-    for session in list(_OPEN):
-        with contextlib.suppress(Exception):
-            session.close()
-
-
-def _on_fork() -> None:
-    if _ONCE_OPEN:
-        _FORKED[:] = [True]
-    for session in list(_OPEN):
-        session.on_fork()
-        _OPEN.discard(session)
-
-
-atexit.register(_close_all)
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_on_fork)
 
 
 class Robot:
@@ -394,11 +238,9 @@ class Robot:
         """A stream of which the newest frame counts: what is old, a slow link drops.
 
         `mode`: `adaptive` (pictures at the size, quality and rate that get through; the default without a codec),
-        `fixed`
-        (frames as they are, at most `frames_per_s`; the default with a codec), `sensor` (values as they come; nothing
-        comes
-        back). `feedback`: how often receivers say what comes, in seconds. `photographs`: `jpeg`, or `webp`, which is
-        smaller and takes longer to write. docs/streams.md tells the rest.
+        `fixed` (frames as they are, at most `frames_per_s`; the default with a codec), `sensor` (values as they come;
+        nothing comes back). `feedback`: how often receivers say what comes, in seconds. `photographs`: `jpeg`, or
+        `webp`, which is smaller and takes longer to write. docs/streams.md tells the rest.
 
         Raises `InvalidTopicError`, `OptionError`, `CodecError`, `Closed`.
         """
@@ -465,8 +307,8 @@ class Robot:
         and right. Everything else overtakes it. Links may come and go meanwhile, and either side may be restarted.
 
         `name`: what it is called there; default: the file's. `timeout`: how long nothing may be heard of the receiver,
-        in
-        seconds; default: it may come back whenever it likes. `on_progress` gets a `Progress` up to ten times a second.
+        in seconds; default: it may come back whenever it likes. `on_progress` gets a `Progress` up to ten times a
+        second.
 
         Raises `TransferRefused`, `TransferFailed`, `TimedOut`, `FileError`, `InvalidNameError`, `InvalidTopicError`.
         """

@@ -19,7 +19,7 @@ from rect.subscriber import Declared
 from rect.values import Payload, payload_of
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 _LOG = logging.getLogger("rect")
 #: How many requests wait for the program; more are answered with an error at once.

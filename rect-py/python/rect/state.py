@@ -17,7 +17,7 @@ from rect.inbox import DEFAULT_CAPACITY, Ended, Inbox
 from rect.subscriber import Declared
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from rect.message import Message
 from rect.values import Payload
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 T = TypeVar("T")
 _LOG = logging.getLogger("rect")

@@ -27,9 +27,10 @@ from rect.errors import Closed, TimedOut, TransferError, TransferFailed
 from rect.inbox import Ended, Inbox
 from rect.subscriber import Declared
 from rect.values import Payload, payload_of
+from rect.waiters import at_once
 
 if TYPE_CHECKING:
-    from rect.robot import Session
+    from rect.session import Session
 
 _LOG = logging.getLogger("rect")
 #: How many requests and answers wait for the thread of a transfer. What has no room is lost, and asked for again.
@@ -163,7 +164,7 @@ class Sending:
                 self._offer(number, seconds)
                 continue
             try:
-                what, about, answer = self._events.get(timeout=max(seconds, 0))
+                what, about, answer = self._events.get(timeout=at_once(max(seconds, 0)))
             except Empty:
                 self._session.check()
                 continue
