@@ -3,6 +3,7 @@ pub mod array;
 pub mod attachment;
 pub mod codec;
 pub mod connection;
+pub mod counters;
 pub mod dictionary;
 pub mod encoding;
 pub mod gaps;

@@ -21,6 +21,7 @@ pub use session::*;
 
 pub use crate::core::{
     connection::{Connection, ConnectionState, Event, Link},
+    counters::Counters,
     encoding::Encoding,
     message::Message,
     name::Name,

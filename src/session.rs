@@ -17,7 +17,7 @@ pub use options::Options;
 pub use request::{Replies, Reply};
 pub use robot::{connect, Robot};
 pub use service::{Request, Requests, Service};
-pub use state::{Counters, Events};
+pub use state::Events;
 pub use stream::{Frame, Stream, Watch};
 pub use subscriber::{Receiving, Subscriber, Subscription};
 pub use transfer::{

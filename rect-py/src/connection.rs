@@ -62,11 +62,12 @@ impl Links {
         let news = lock(&self.0).on_connections(&all);
         news.into_iter().map(told).collect()
     }
+}
 
+impl Links {
     /// By what a robot is linked with this one, where it is one way.
-    fn method(&self, robot: &str) -> Option<String> {
-        let robot = Name::new(robot).ok()?;
-        lock(&self.0).method(&robot).map(str::to_owned)
+    pub fn method_of(&self, robot: &Name) -> Option<String> {
+        lock(&self.0).method(robot).map(str::to_owned)
     }
 }
 

@@ -3,8 +3,10 @@
 //! Nothing is decided here. Each class is a shell over a type of the core; the sessions around it are Python's, over
 //! eclipse-zenoh (`python/rect/`).
 mod attachment;
+mod callback;
 mod codec;
 mod connection;
+mod counters;
 mod errors;
 mod message;
 mod picture;
@@ -24,8 +26,10 @@ mod _rect {
     #[pymodule_export]
     use crate::{
         attachment::{read_attachment, write_attachment},
+        callback::{Moment, OnMessage, OnRequest},
         codec::{unpack, Codec, Dictionary},
         connection::{named_connection, Links, Presence},
+        counters::Counting,
         errors::{forget, in_words},
         message::{Inbound, Said},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 use rect::core::{
     encoding::Encoding,
     message::{self, Delivered, Message},
+    name::Name,
     payload::Payload,
 };
 
@@ -27,7 +28,7 @@ impl Inbound {
     }
 
     /// A message; `None`: none for this robot, or one that the other subscription brings.
-    fn on_delivered(
+    pub fn on_delivered(
         &self,
         key: &str,
         attachment: Option<&[u8]>,
@@ -58,6 +59,12 @@ impl Inbound {
 impl Inbound {
     fn inbound(&self) -> MutexGuard<'_, message::Inbound> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Said {
+    pub fn from(&self) -> &Name {
+        &self.0.from
     }
 }
 
@@ -94,7 +101,7 @@ impl Said {
     }
 
     #[getter]
-    fn missed(&self) -> u32 {
+    pub fn missed(&self) -> u32 {
         self.0.missed
     }
 

@@ -1,12 +1,32 @@
-//! Owns the queue between what comes and the program: bounded, with the core's rules for when it is full.
-use pyo3::prelude::*;
+//! Owns the queue between what comes and the program: bounded, with the core's rules for when it is full, and those who wait
+//! at its ends. Zenoh's threads fill it without a line of Python, which would cost a thread that is none of Python's more
+//! than all the rest.
+use std::{
+    collections::VecDeque,
+    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+};
+
+use pyo3::{intern, prelude::*};
 use rect::core::queue::{self, Pushed, WhenFull};
 
 use crate::errors::raised;
 
-/// What waits for a program. Whoever uses it sees to it that it is one at a time.
-#[pyclass(module = "rect._rect")]
-pub struct Queue(queue::Queue<Py<PyAny>>);
+/// What waits for a program.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Queue {
+    state: Mutex<State>,
+    taken: Condvar,
+}
+
+struct State {
+    queue: queue::Queue<Py<PyAny>>,
+    /// The locks at which threads wait for something to come, held, in their order.
+    waiting: VecDeque<Py<PyAny>>,
+    /// Called when something has come, or nothing comes any more.
+    alarm: Option<Py<PyAny>>,
+    is_closed: bool,
+    is_over: bool,
+}
 
 #[pymethods]
 impl Queue {
@@ -21,29 +41,135 @@ impl Queue {
                 return Err(raised(py, "OptionError", ("when_full", when_full, known)));
             }
         };
-        Ok(Self(queue::Queue::new(capacity, when_full)))
+        let state = State {
+            queue: queue::Queue::new(capacity, when_full),
+            waiting: VecDeque::new(),
+            alarm: None,
+            is_closed: false,
+            is_over: false,
+        };
+        Ok(Self {
+            state: Mutex::new(state),
+            taken: Condvar::new(),
+        })
     }
 
-    /// Puts one in: `True`, kept; `False`, dropped; `None`, there is no room, and it is to be tried again.
-    fn push(&mut self, item: Py<PyAny>) -> Option<bool> {
-        match self.0.push(item) {
-            Pushed::Kept | Pushed::DroppedOldest => Some(true),
-            Pushed::DroppedNewest => Some(false),
-            Pushed::Full(_) => None,
+    /// Puts one in; where the rule is to wait, once there is room. `False`: dropped, or nobody takes any more.
+    pub fn push(&self, py: Python<'_>, item: Py<PyAny>) -> PyResult<bool> {
+        let mut item = item;
+        // What is dropped may run Python: after the lock.
+        let (kept, _dropped) = loop {
+            let mut state = self.state();
+            if state.is_closed {
+                break (false, Some(item));
+            }
+            match state.queue.push(item) {
+                Pushed::Kept => break (true, None),
+                Pushed::DroppedOldest(oldest) => break (true, Some(oldest)),
+                Pushed::DroppedNewest(newest) => break (false, Some(newest)),
+                Pushed::Full(back) => item = back,
+            }
+            drop(state);
+            py.detach(|| self.wait_for_room());
+        };
+        if kept {
+            self.wake(py)?;
         }
+        Ok(kept)
+    }
+
+    /// The same, as a callback of Zenoh's.
+    fn __call__(&self, py: Python<'_>, item: Py<PyAny>) -> PyResult<()> {
+        self.push(py, item).map(|_| ())
     }
 
     /// The oldest that waits.
-    fn pop(&mut self) -> Option<Py<PyAny>> {
-        self.0.pop()
+    fn pop(&self) -> Option<Py<PyAny>> {
+        let item = self.state().queue.pop();
+        if item.is_some() {
+            self.taken.notify_one();
+        }
+        item
+    }
+
+    /// Whoever waits for the longest, by its lock, is to look again.
+    fn wake(&self, py: Python<'_>) -> PyResult<()> {
+        let mut state = self.state();
+        let first = state.waiting.pop_front();
+        let alarm = state.alarm.as_ref().map(|alarm| alarm.clone_ref(py));
+        drop(state);
+        if let Some(lock) = first {
+            lock.call_method0(py, intern!(py, "release"))?;
+        }
+        if let Some(alarm) = alarm {
+            alarm.call0(py)?;
+        }
+        Ok(())
+    }
+
+    /// Waits at that lock, which it holds: released, it is to look again.
+    fn enter(&self, lock: Py<PyAny>) {
+        self.state().waiting.push_back(lock);
+    }
+
+    /// Does not wait any more. `False`: it was woken.
+    fn leave(&self, lock: &Bound<'_, PyAny>) -> bool {
+        let mut state = self.state();
+        let at = state.waiting.iter().position(|known| known.is(lock));
+        at.is_some_and(|at| state.waiting.remove(at).is_some())
+    }
+
+    /// What to call when something has come, or nothing comes any more; `None`: nothing.
+    fn set_alarm(&self, alarm: Option<Py<PyAny>>) {
+        let _before = std::mem::replace(&mut self.state().alarm, alarm);
+    }
+
+    /// Nothing comes any more; what waits can still be taken.
+    pub fn close(&self, py: Python<'_>) -> PyResult<()> {
+        let waiting = {
+            let mut state = self.state();
+            state.is_closed = true;
+            state.waiting.len()
+        };
+        self.taken.notify_all();
+        (0..waiting.max(1)).try_for_each(|_| self.wake(py))
+    }
+
+    /// The same, by whoever fills it: all has come.
+    fn end(&self, py: Python<'_>) -> PyResult<()> {
+        self.state().is_over = true;
+        self.close(py)
+    }
+
+    #[getter]
+    fn is_closed(&self) -> bool {
+        self.state().is_closed
+    }
+
+    /// Whether it was closed by whoever fills it.
+    #[getter]
+    fn is_over(&self) -> bool {
+        self.state().is_over
     }
 
     #[getter]
     fn dropped(&self) -> u64 {
-        self.0.dropped()
+        self.state().queue.dropped()
     }
 
     fn __len__(&self) -> usize {
-        self.0.len()
+        self.state().queue.len()
+    }
+}
+
+impl Queue {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait_for_room(&self) {
+        let has_none = |state: &mut State| state.queue.is_full() && !state.is_closed;
+        let waited = self.taken.wait_while(self.state(), has_none);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 }

@@ -25,9 +25,9 @@ pub enum Pushed<T> {
     /// It waits.
     Kept,
     /// It waits, and the oldest is gone.
-    DroppedOldest,
+    DroppedOldest(T),
     /// It is gone.
-    DroppedNewest,
+    DroppedNewest(T),
     /// There is no room; to be tried again when something was taken.
     Full(T),
 }
@@ -58,18 +58,18 @@ impl<T> Queue<T> {
             self.waiting.push_back(item);
             return Pushed::Kept;
         }
-        match self.when_full {
+        let oldest = match self.when_full {
             WhenFull::Wait => return Pushed::Full(item),
-            WhenFull::NewestWins => {
-                self.waiting.pop_front();
-                self.waiting.push_back(item);
-            }
-            WhenFull::OldestWins => {}
-        }
+            WhenFull::NewestWins => self.waiting.pop_front(),
+            WhenFull::OldestWins => None,
+        };
         self.dropped += 1;
-        match self.when_full {
-            WhenFull::NewestWins => Pushed::DroppedOldest,
-            _ => Pushed::DroppedNewest,
+        match oldest {
+            Some(oldest) => {
+                self.waiting.push_back(item);
+                Pushed::DroppedOldest(oldest)
+            }
+            None => Pushed::DroppedNewest(item),
         }
     }
 
@@ -86,6 +86,11 @@ impl<T> Queue<T> {
     /// How many wait.
     pub fn len(&self) -> usize {
         self.waiting.len()
+    }
+
+    /// Whether the next one finds no room.
+    pub fn is_full(&self) -> bool {
+        self.waiting.len() >= self.capacity
     }
 
     /// Whether none waits.
@@ -109,10 +114,10 @@ mod tests {
     fn when_it_is_full_the_stated_one_goes() {
         use Pushed::{DroppedNewest, DroppedOldest, Full, Kept};
         let (pushed, left, dropped) = filled(WhenFull::NewestWins);
-        assert_eq!(pushed, [Kept, Kept, DroppedOldest, DroppedOldest]);
+        assert_eq!(pushed, [Kept, Kept, DroppedOldest(1), DroppedOldest(2)]);
         assert_eq!((left, dropped), (vec![3, 4], 2));
         let (pushed, left, dropped) = filled(WhenFull::OldestWins);
-        assert_eq!(pushed, [Kept, Kept, DroppedNewest, DroppedNewest]);
+        assert_eq!(pushed, [Kept, Kept, DroppedNewest(3), DroppedNewest(4)]);
         assert_eq!((left, dropped), (vec![1, 2], 2));
         let (pushed, left, dropped) = filled(WhenFull::Wait);
         assert_eq!(pushed, [Kept, Kept, Full(3), Full(4)]);

@@ -53,8 +53,8 @@ impl<T> Inbox<T> {
                     state = waited.unwrap_or_else(PoisonError::into_inner);
                     state.waiting -= 1;
                 }
-                Pushed::Kept | Pushed::DroppedOldest => break true,
-                Pushed::DroppedNewest => break false,
+                Pushed::Kept | Pushed::DroppedOldest(_) => break true,
+                Pushed::DroppedNewest(_) => break false,
             }
         };
         drop(state);

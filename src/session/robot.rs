@@ -13,11 +13,12 @@ use super::{
     lanes::Lanes,
     options::Options,
     publication::Publication,
-    state::{self, Counting, Known},
+    state::{self, Known},
 };
 use crate::{
     core::{
         codec::Codec,
+        counters::Counting,
         key::Place,
         name::Name,
         payload::{Payload, ToPayload},

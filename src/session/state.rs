@@ -1,10 +1,6 @@
 //! Owns what a program is told about who can be reached, and its counters.
-use std::sync::{
-    atomic::{AtomicU64, Ordering},
-    Arc, Mutex, PoisonError,
-};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::Serialize;
 use tokio::task::JoinHandle;
 use zenoh::{
     bytes::ZBytes,
@@ -22,6 +18,7 @@ use super::{
 use crate::{
     core::{
         connection::{Connection, Event, Link, Links, Presence},
+        counters::Counters,
         key::Place,
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
     },
@@ -35,45 +32,6 @@ pub struct Events {
     _peers: zenoh::pubsub::Subscriber<()>,
     _links: zenoh::session::LinkEventsListener<()>,
     _registry: Option<zenoh::pubsub::Subscriber<()>>,
-}
-
-/// What a program has said and heard, since it joined.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Counters {
-    /// Messages said, answers and requests not counted.
-    pub sent: u64,
-    /// Their payloads, in bytes, as they were sent.
-    pub sent_bytes: u64,
-    /// Messages heard, each subscription's.
-    pub received: u64,
-    /// Their payloads, in bytes, as they came.
-    pub received_bytes: u64,
-    /// Messages that did not arrive, by their numbers.
-    pub missed: u64,
-}
-
-/// The counters where they are counted.
-#[derive(Debug, Default)]
-pub(super) struct Counting {
-    sent: AtomicU64,
-    sent_bytes: AtomicU64,
-    received: AtomicU64,
-    received_bytes: AtomicU64,
-    missed: AtomicU64,
-}
-
-impl Counting {
-    pub(super) fn on_sent(&self, bytes: usize) {
-        self.sent.fetch_add(1, Ordering::Relaxed);
-        self.sent_bytes.fetch_add(bytes as u64, Ordering::Relaxed);
-    }
-
-    pub(super) fn on_received(&self, bytes: usize, missed: u32) {
-        self.received.fetch_add(1, Ordering::Relaxed);
-        self.received_bytes
-            .fetch_add(bytes as u64, Ordering::Relaxed);
-        self.missed.fetch_add(missed.into(), Ordering::Relaxed);
-    }
 }
 
 /// The links of this robot's router, as far as it tells.
@@ -166,15 +124,7 @@ impl Robot {
 
     /// What this program has said and heard.
     pub fn counters(&self) -> Counters {
-        let counting = &self.inner.counting;
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        Counters {
-            sent: read(&counting.sent),
-            sent_bytes: read(&counting.sent_bytes),
-            received: read(&counting.received),
-            received_bytes: read(&counting.received_bytes),
-            missed: read(&counting.missed),
-        }
+        self.inner.counting.read()
     }
 }
 

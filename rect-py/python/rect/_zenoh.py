@@ -14,7 +14,7 @@ import zenoh
 
 from rect import _rect
 from rect.errors import ZenohError
-from rect.waiters import at_once
+from rect.waiting import at_once
 
 T = TypeVar("T")
 

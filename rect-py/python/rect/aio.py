@@ -38,7 +38,7 @@ from rect.stream import Frame
 from rect.stream import Stream as BlockingStream
 from rect.stream import Watch as BlockingWatch
 from rect.subscriber import Subscriber as BlockingSubscriber
-from rect.subscriber import Tally, callable_or_none
+from rect.subscriber import Tally, as_it_came, callable_or_none
 from rect.transfer import Progress, Received
 from rect.transfer import Transfers as BlockingTransfers
 from rect.values import codec_of, payload_of
@@ -392,7 +392,7 @@ class Subscriber(_Handle):
         self.close()
 
     async def _pop(self, timeout: float | None) -> Message:
-        message = await self._subscriber._inbox.pop_async(timeout)
+        message = as_it_came(await self._subscriber._inbox.pop_async(timeout))
         decoder = self._subscriber._session.decoder
         try:
             message.payload = decoder.payload_now(message.payload)

@@ -95,7 +95,7 @@ class Decoder:
         try:
             self._session.get(
                 self._key(sender, id),
-                direct(replies.push, replies.close),
+                direct(replies.queue, replies.queue.end),
                 timeout=_PATIENCE_S,
                 priority=zenoh.Priority.DATA_HIGH,
             )

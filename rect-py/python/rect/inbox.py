@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
+import time
 from collections import deque
 from typing import Any, Generic, TypeVar, cast
 
 from rect import _rect
-from rect.waiters import Waiters
+from rect.waiting import at_once
 
 T = TypeVar("T")
 
@@ -29,27 +31,39 @@ class Inbox(Generic[T]):
     def __init__(self, capacity: int, when_full: str) -> None:
         if isinstance(capacity, bool) or not isinstance(capacity, int):
             raise TypeError(f"capacity is a whole number, not a {type(capacity).__name__}")
-        self._queue = _rect.Queue(max(capacity, 1), when_full)
-        self._arrived = Waiters()
-        self._taken = Waiters()
-        self._closed = False
+        #: Where Zenoh's threads put in, best without a line of Python: it costs a thread of theirs more than all else.
+        self.queue = _rect.Queue(max(capacity, 1), when_full)
         self._tasks: deque[tuple[asyncio.AbstractEventLoop, asyncio.Future[None]]] = deque()
 
     def push(self, item: T) -> bool:
         """Puts one in; where the rule is to wait, once there is room. `False`: refused, or nobody takes any more."""
-        kept = self._queue.push(item) if not self._closed else False
-        if kept is None:
-            kept = self._taken.until(lambda: self._queue.push(item) if not self._closed else False)
-        self._arrived.wake()
-        if self._tasks:
-            self._wake_tasks()
-        return bool(kept)
+        return self.queue.push(item)
 
     def pop(self, timeout: float | None = None) -> T:
         """Takes the oldest, once there is one. Raises `Ended`, or `TimeoutError`."""
-        item = self._arrived.until(self._take, timeout)
-        if item is None:
-            raise TimeoutError
+        item = self._take()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while item is None:
+            left = None if deadline is None else deadline - time.monotonic()
+            lock = threading.Lock()
+            lock.acquire()
+            try:
+                self.queue.enter(lock)
+                # It may have come before this one was known to wait.
+                item = self._take()
+                if item is None:
+                    if left is not None and left <= 0:
+                        raise TimeoutError
+                    seconds = at_once(left)
+                    lock.acquire(timeout=-1 if seconds is None else min(seconds, threading.TIMEOUT_MAX))
+            except BaseException:
+                self._leave(lock)
+                raise
+            if item is not None:
+                self._leave(lock)
+                return item
+            self.queue.leave(lock)
+            item = self._take()
         return item
 
     def try_pop(self) -> T | None:
@@ -66,6 +80,7 @@ class Inbox(Generic[T]):
         while True:
             told: asyncio.Future[None] = loop.create_future()
             self._tasks.append((loop, told))
+            self.queue.set_alarm(self._wake_tasks)
             try:
                 item = self._take()
                 if item is not None:
@@ -81,43 +96,43 @@ class Inbox(Generic[T]):
 
     def close(self) -> None:
         """Nothing comes any more; what waits can still be taken."""
-        self._closed = True
-        self._arrived.wake_all()
-        self._taken.wake_all()
-        self._wake_tasks()
+        self.queue.close()
 
     def on_fork(self) -> None:
         """In a child process, where nobody waits, and nothing comes."""
-        self._closed = True
-        self._arrived = Waiters()
-        self._taken = Waiters()
+        _rect.forget(self.queue)
+        self.queue = _rect.Queue(1, "oldest wins")
+        self.queue.close()
         self._tasks = deque()
 
     @property
     def closed(self) -> bool:
-        return self._closed
+        return self.queue.is_closed
 
     @property
     def dropped(self) -> int:
         """How many were dropped so far."""
-        return self._queue.dropped
+        return self.queue.dropped
 
     def __len__(self) -> int:
-        return len(self._queue)
+        return len(self.queue)
 
     def _take(self) -> T | None:
-        item = self._queue.pop()
-        if item is None:
-            if not self._closed:
-                return None
+        item = self.queue.pop()
+        if item is None and self.queue.is_closed:
             # It may have come before the end did.
-            item = self._queue.pop()
+            item = self.queue.pop()
             if item is None:
                 raise Ended
-        self._taken.wake()
-        return cast(T, item)
+        return cast("T | None", item)
+
+    def _leave(self, lock: threading.Lock) -> None:
+        """It does not wait any more. If it was woken meanwhile, the next one is to look instead."""
+        if not self.queue.leave(lock):
+            self.queue.wake()
 
     def _wake_tasks(self) -> None:
+        self.queue.set_alarm(None)
         for _ in range(len(self._tasks)):
             try:
                 loop, told = self._tasks.popleft()

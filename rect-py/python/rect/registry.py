@@ -96,7 +96,7 @@ def _ask_router(session: Session, robot: str, question: str, parameters: str, pa
     session.inboxes.add(replies)
     try:
         selector = f"{key}?{parameters}" if parameters else key
-        session.zenoh.get(selector, direct(replies.push, replies.close), timeout=_PATIENCE_S, payload=payload)
+        session.zenoh.get(selector, direct(replies.queue, replies.queue.end), timeout=_PATIENCE_S, payload=payload)
         reply = replies.pop(_PATIENCE_S)
     except zenoh.ZError as error:
         raise refused("the router can't be asked", error) from None
@@ -117,7 +117,7 @@ def peers(session: Session) -> list[str]:
     there = set()
     try:
         alive = session.place.own(None, "alive/*")
-        session.zenoh.liveliness().get(alive, direct(replies.push, replies.close), timeout=_PATIENCE_S)
+        session.zenoh.liveliness().get(alive, direct(replies.queue, replies.queue.end), timeout=_PATIENCE_S)
         while True:
             reply = replies.pop(_PATIENCE_S)
             if reply.ok is not None:

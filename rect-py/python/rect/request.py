@@ -59,7 +59,6 @@ class Replies:
         self._deadline = time.monotonic() + timeout
         self._inbox: Inbox[zenoh.Reply] = Inbox(_REPLIES, "wait")
         self._cancellation = zenoh.CancellationToken()
-        self._is_over = False
         asking = _rect.write_asking(session.place.robot, min(int(timeout * 1000), 2**32 - 1))
         treated = qos(_rect.qos(urgency))
         del treated["congestion_control"]
@@ -67,7 +66,8 @@ class Replies:
         try:
             session.lanes.of(urgency).get(
                 session.place.service(robot, topic),
-                direct(self._inbox.push, self._on_over),
+                # Zenoh drops the callback when the last answer has come.
+                direct(self._inbox.queue, self._inbox.queue.end),
                 payload=payload.bytes,
                 encoding=payload.encoding,
                 attachment=asking,
@@ -108,7 +108,7 @@ class Replies:
         """No more answers are taken; what still runs of the request is cancelled a little later, if it does then."""
         self._inbox.close()
         self._session.inboxes.discard(self._inbox)
-        if not self._is_over:
+        if not self._inbox.queue.is_over:
             self._session.left.append(self)
 
     def end(self) -> None:
@@ -119,7 +119,7 @@ class Replies:
         """Cancels the request, if it has not ended."""
         self._inbox.close()
         self._session.inboxes.discard(self._inbox)
-        if not self._is_over and not self._session.is_closed:
+        if not self._inbox.queue.is_over and not self._session.is_closed:
             # Waits for a callback that is running, which, once the inbox is closed, waits for nobody.
             self._cancellation.cancel()
 
@@ -131,11 +131,6 @@ class Replies:
 
     def __repr__(self) -> str:
         return f"Replies({self._what})"
-
-    def _on_over(self) -> None:
-        """Zenoh drops the callback when the last answer has come."""
-        self._is_over = True
-        self._inbox.close()
 
     def _left(self) -> float:
         return max(self._deadline - time.monotonic(), 0)

@@ -435,7 +435,7 @@ class Robot:
 
     def counters(self) -> Counters:
         """What this program has said and heard."""
-        return self._session.counting.read()
+        return Counters(*self._session.counting.read())
 
     def close(self) -> None:
         """Ends the session, and all that belongs to it. Closed twice is closed."""

@@ -41,7 +41,7 @@ class Request:
 
     __slots__ = ("_key", "_me", "_query", "deadline", "payload", "sender")
 
-    def __init__(self, query: zenoh.Query, me: str, key: str) -> None:
+    def __init__(self, query: zenoh.Query, me: str, key: str, ago: float = 0) -> None:
         attachment = query.attachment
         asking = None if attachment is None else _rect.read_asking(attachment.to_bytes())
         sender, timeout_ms = asking or (None, _rect.DEFAULT_TIMEOUT_MS)
@@ -54,7 +54,7 @@ class Request:
         #: What is asked, as bytes with an encoding.
         self.payload = Payload(payload_bytes(query.payload), "zenoh/bytes" if encoding is None else str(encoding))
         #: Until when an answer is of use, by `time.monotonic()`.
-        self.deadline = time.monotonic() + timeout_ms / 1000
+        self.deadline = time.monotonic() - ago + timeout_ms / 1000
 
     @property
     def value(self) -> Any:
@@ -113,23 +113,14 @@ class Request:
 class Requests:
     """The requests to a service, as they come."""
 
-    def __init__(self, session: Session, topic: str, on_request: Callable[[], object] | None = None) -> None:
+    def __init__(self, session: Session, topic: str) -> None:
         self._session = session
-        self._inbox: Inbox[Request] = Inbox(_WAITING, "oldest wins")
-        key = session.place.publication(topic)
-        me = session.place.robot
-
-        def on_query(query: zenoh.Query) -> None:
-            request = Request(query, me, key)
-            if not self._inbox.push(request):
-                request.refuse(f"{_WAITING} requests wait already: ask later")
-                request.close()
-            elif on_request is not None:
-                on_request()
-
+        self._inbox: Inbox[tuple[zenoh.Query, _rect.Moment]] = Inbox(_WAITING, "oldest wins")
+        self._key = session.place.publication(topic)
+        on_request = _rect.OnRequest(self._inbox.queue, _busy(session.place.robot, self._key))
         self._declared = Declared(session, self._inbox)
         try:
-            self._declared.add(session.zenoh.declare_queryable(key, direct(on_query), complete=True))
+            self._declared.add(session.zenoh.declare_queryable(self._key, direct(on_request), complete=True))
         except zenoh.ZError as error:
             self._declared.end()
             raise refused("the service is refused", error) from None
@@ -137,18 +128,21 @@ class Requests:
     def next(self) -> Request:
         """The next request that is of use. Raises `Ended`."""
         while True:
-            request = self._inbox.pop()
-            if self.is_of_use(request):
+            request = self._request(*self._inbox.pop())
+            if self._is_of_use(request):
                 return request
 
     async def next_async(self) -> Request:
         """The same for asyncio."""
         while True:
-            request = await self._inbox.pop_async()
-            if self.is_of_use(request):
+            request = self._request(*await self._inbox.pop_async())
+            if self._is_of_use(request):
                 return request
 
-    def is_of_use(self, request: Request) -> bool:
+    def _request(self, query: zenoh.Query, came: _rect.Moment) -> Request:
+        return Request(query, self._session.place.robot, self._key, came.ago())
+
+    def _is_of_use(self, request: Request) -> bool:
         """Unpacks it; one that can't be unpacked is answered with that error, and one too late is left."""
         if request.remaining == 0:
             request.close()
@@ -165,9 +159,6 @@ class Requests:
     def close(self) -> None:
         self._declared.end()
 
-    def __len__(self) -> int:
-        return len(self._inbox)
-
 
 class Service:
     """A service that answers by a function, until this is closed, or the robot is. Up to 16 requests at a time."""
@@ -178,7 +169,8 @@ class Service:
         self._lock = threading.Lock()
         self._workers = 0
         self._idle = 0
-        self._requests = Requests(session, topic, self._on_request)
+        self._requests = Requests(session, topic)
+        self._see_to_the_next()
 
     def close(self) -> None:
         """Ends it. What is worked on is still answered."""
@@ -197,25 +189,36 @@ class Service:
     def __repr__(self) -> str:
         return f"Service({self._topic})"
 
-    def _on_request(self) -> None:
+    def _see_to_the_next(self) -> None:
+        """Somebody waits for the next request, unless all that may work do."""
         with self._lock:
-            if self._idle >= len(self._requests) or self._workers >= AT_A_TIME:
+            if self._idle or self._workers >= AT_A_TIME:
                 return
+            self._idle += 1
             self._workers += 1
         threading.Thread(target=self._work, name=f"rect {self._topic}", daemon=True).start()
 
     def _work(self) -> None:
         while True:
-            with self._lock:
-                self._idle += 1
             try:
                 request = self._requests.next()
             except Ended:
                 return
-            finally:
-                with self._lock:
-                    self._idle -= 1
+            with self._lock:
+                self._idle -= 1
+            self._see_to_the_next()
             answer(request, self._handler)
+            with self._lock:
+                self._idle += 1
+
+
+def _busy(me: str, key: str) -> Callable[[zenoh.Query], None]:
+    def refuse(query: zenoh.Query) -> None:
+        request = Request(query, me, key)
+        request.refuse(f"{_WAITING} requests wait already: ask later")
+        request.close()
+
+    return refuse
 
 
 def answer(request: Request, handler: Callable[[Request], Any]) -> None:

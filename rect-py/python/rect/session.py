@@ -22,7 +22,7 @@ from rect.lanes import Lanes
 from rect.options import Options
 from rect.publication import Publication
 from rect.request import Replies
-from rect.state import Counting, Known
+from rect.state import Known
 from rect.subscriber import Declared, undeclared
 
 #: The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
@@ -41,7 +41,7 @@ class Session:
         self.zenoh = options.open()
         self.lanes = Lanes(self.zenoh, None if self.is_direct else options.open)
         self.decoder = Decoder(self.zenoh, self.place)
-        self.counting = Counting()
+        self.counting = _rect.Counting()
         #: Whatever is declared, until it ends.
         self.handles: set[Declared] = set()
         #: What nobody has any more, and is to be ended where that may take a moment.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -49,29 +48,6 @@ class Counters:
     received_bytes: int
     #: Messages that did not arrive, by their numbers.
     missed: int
-
-
-class Counting:
-    """The counters where they are counted."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._sent = self._sent_bytes = self._received = self._received_bytes = self._missed = 0
-
-    def on_sent(self, size: int) -> None:
-        with self._lock:
-            self._sent += 1
-            self._sent_bytes += size
-
-    def on_received(self, size: int, missed: int) -> None:
-        with self._lock:
-            self._received += 1
-            self._received_bytes += size
-            self._missed += missed
-
-    def read(self) -> Counters:
-        with self._lock:
-            return Counters(self._sent, self._sent_bytes, self._received, self._received_bytes, self._missed)
 
 
 class Events:
@@ -167,9 +143,8 @@ class Known:
     """The links of this robot's router, as far as it tells."""
 
     def __init__(self, session: Session) -> None:
-        self._links = _rect.Links()
-        self.method: Callable[[str], str | None] = self._links.method
-        self._declared = follow(session, self._links.on_connections)
+        self.links = _rect.Links()
+        self._declared = follow(session, self.links.on_connections)
 
 
 def follow(session: Session, on_connections: Callable[[bytes], object]) -> zenoh.Subscriber[None]:

@@ -7,12 +7,12 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, Union
 
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, refused
+from rect._zenoh import direct, refused
 from rect.errors import CodecError, TimedOut
 from rect.inbox import Ended, Inbox
 from rect.message import Message
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 T = TypeVar("T")
+#: What a message says of itself, its payload, its encoding, and by what it came, where that is known.
+_Heard = tuple[_rect.Said, bytes, str, Union[str, None]]
 _LOG = logging.getLogger("rect")
 
 
@@ -45,12 +47,13 @@ class Subscriber:
     def __init__(self, session: Session, pattern: str, capacity: int, when_full: str) -> None:
         self._session = session
         self._pattern = pattern
-        self._inbox: Inbox[Message] = Inbox(capacity, when_full)
+        self._inbox: Inbox[_Heard] = Inbox(capacity, when_full)
         self._inbound = _rect.Inbound(session.place)
         keys = session.place.subscriptions(pattern)
-        hears = [_heard(session, self._inbound, self._inbox, directed) for directed in (False, True)]
+        links = None if session.known is None else session.known.links
         self._declared = Declared(session, self._inbox)
-        for key, heard in zip(keys, hears):
+        for key, directed in zip(keys, (False, True)):
+            heard = _rect.OnMessage(self._inbox.queue, self._inbound, session.counting, links, directed)
             try:
                 self._declared.add(session.zenoh.declare_subscriber(key, direct(heard)))
             except zenoh.ZError as error:
@@ -61,7 +64,7 @@ class Subscriber:
     def next(self, timeout: float | None = None) -> Message:
         """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
-            return self._unpacked(self._inbox.pop(timeout))
+            return self._unpacked(as_it_came(self._inbox.pop(timeout)))
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
@@ -72,7 +75,7 @@ class Subscriber:
 
     def __next__(self) -> Message:
         try:
-            return self._unpacked(self._inbox.pop())
+            return self._unpacked(as_it_came(self._inbox.pop()))
         except Ended:
             raise StopIteration from None
 
@@ -106,6 +109,12 @@ class Subscriber:
         except CodecError as flaw:
             message.flaw = flaw
         return message
+
+
+def as_it_came(heard: _Heard) -> Message:
+    """The message, still packed."""
+    said, payload, encoding, over = heard
+    return Message(said, Payload(payload, encoding), over)
 
 
 class Declared:
@@ -202,26 +211,3 @@ def callable_or_none(callback: object) -> None:
     """Raises unless it can be called."""
     if callback is not None and not callable(callback):
         raise TypeError(f"callback is a function, not a {type(callback).__name__}")
-
-
-def _heard(
-    session: Session, inbound: _rect.Inbound, inbox: Inbox[Message], directed: bool
-) -> Callable[[zenoh.Sample], None]:
-    counting, known = session.counting, session.known
-
-    def heard(sample: zenoh.Sample) -> None:
-        attachment = sample.attachment
-        said = inbound.on_delivered(
-            str(sample.key_expr),
-            None if attachment is None else attachment.to_bytes(),
-            int(sample.priority),  # type: ignore[call-overload]
-            directed,
-        )
-        if said is None:
-            return
-        payload = Payload(payload_bytes(sample.payload), str(sample.encoding))
-        over = None if known is None else known.method(said.sender)
-        counting.on_received(len(payload.bytes), said.missed)
-        inbox.push(Message(said, payload, over))
-
-    return heard

@@ -27,7 +27,7 @@ from rect.errors import Closed, TimedOut, TransferError, TransferFailed
 from rect.inbox import Ended, Inbox
 from rect.subscriber import Declared
 from rect.values import Payload, payload_of
-from rect.waiters import at_once
+from rect.waiting import at_once
 
 if TYPE_CHECKING:
     from rect.session import Session
