@@ -1,5 +1,7 @@
 """Robots as processes: a router each, with stock eclipse-zenoh clients. For the demo, the scenarios, the benches."""
 
+from __future__ import annotations
+
 import json
 import os
 import shutil
@@ -53,7 +55,7 @@ class Robot:
         ble_options: str | None = None,
         wait: bool = True,
         listens: list[str] | None = None,
-    ) -> "Robot":
+    ) -> Robot:
         """Starts the router; it dials `dials` and listens on `listens` too, by radio with `ble_options`.
 
         Whatever is left out is the same as before.

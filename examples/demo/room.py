@@ -1,5 +1,7 @@
 """A simulated room with robots in it: the air, a router for each robot, and what the demo does to the radio."""
 
+from __future__ import annotations
+
 import json
 import os
 import shutil
@@ -17,7 +19,7 @@ class Room:
         self._air_options = ["--condition", condition, *air_options]
         self._robots: list[Robot] = []
 
-    def __enter__(self) -> "Room":
+    def __enter__(self) -> Room:
         self._folder = Path(tempfile.mkdtemp(prefix="rect-demo-"))
         self._environment = {"RECT_AIR": str(self._folder / "air.sock")}
         command = [os.environ.get("RECT_TOOL", "rect"), "air", "serve", *self._air_options]
