@@ -23,13 +23,16 @@ BENCHES = {
     "registry": "time to an answer with 5 and 500 connections; 20 routers agree on a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",
     "stream": "a camera over a slow link, adaptive and fixed: frames, ages, quality, urgent messages the while",
+    "transfer": "a file of 5 MB over a slow link, whole and with three cuts; urgent messages the while",
     "python": "the Python package beside plain eclipse-zenoh: latency, frames, import time, memory",
     "idle": "memory, threads and size beside stock zenohd",
 }
 
 
 def module(name: str) -> ModuleType:
-    """By its file: Python itself has a `codecs`."""
+    """By its name, by which a process of its own finds it too; by its file where Python itself has one of that name."""
+    if name not in sys.stdlib_module_names:
+        return importlib.import_module(name)
     spec = importlib.util.spec_from_file_location(f"bench_{name}", HERE / f"{name}.py")
     assert spec is not None and spec.loader is not None
     bench = importlib.util.module_from_spec(spec)

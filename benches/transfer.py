@@ -1,0 +1,171 @@
+"""A file of 5 MB over a slow link, whole and with three cuts; urgent messages of the same program the while.
+
+The runs go at the same time, each on an air of its own.
+"""
+
+import multiprocessing
+import os
+import tempfile
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import rect
+from pairs import INTERVAL_MS, ble_pair_endpoints, room
+from robots import wait_until
+from table import Table
+from traffic import STRAGGLERS_S, percentile
+from urgent import RATES, raw_bytes_per_s
+
+FILE_BYTES = 5_000_000
+CUTS = 3
+CUT_S = 3
+PERIOD_S = 0.05
+LIMIT_S = 900
+WANTED_SHARE, WANTED_URGENT_MS = 0.92, 100
+
+
+@dataclass
+class Outcome:
+    kb_per_s: float
+    carried: int
+    """Bytes that the link carried, both ways."""
+    grown_mb: float
+    """By so much the program's memory grew."""
+    urgent_sent: int
+    urgent_ms: list[float]
+
+
+def run() -> Table:
+    runs = [(rate, cuts) for rate in RATES for cuts in (0, CUTS)]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(len(runs), mp_context=context) as pool:
+        raw = dict(zip(RATES, pool.map(raw_bytes_per_s, RATES.values()), strict=True))
+        outcomes = dict(zip(runs, pool.map(measured, *zip(*runs, strict=True)), strict=True))
+    table = Table(
+        "A file of 5 MB over a slow link",
+        ["link", "cuts", "kB/s (of raw)", "carried more", "memory grew", "urgent arrived", "p50", "p99", "outcome"],
+    )
+    for (rate, cuts), outcome in outcomes.items():
+        share = outcome.kb_per_s * 1000 / raw[rate]
+        faults = []
+        p50, p99 = (percentile(outcome.urgent_ms, part) for part in (0.5, 0.99))
+        if not cuts:
+            if share < WANTED_SHARE:
+                faults.append("slow")
+            if len(outcome.urgent_ms) < outcome.urgent_sent:
+                faults.append("urgent lost")
+            if p99 > WANTED_URGENT_MS:
+                faults.append("urgent late")
+        # What the pieces' own overhead and the urgent messages take is the same without cuts.
+        more = outcome.carried - outcomes[rate, 0].carried
+        table.add(
+            f"{rate} ({raw[rate] / 1000:.1f} raw)",
+            str(cuts),
+            f"{outcome.kb_per_s:.1f} ({share:.2f})",
+            f"{more / 1000:.0f} kB" if cuts else "",
+            f"{outcome.grown_mb:.1f} MB",
+            f"{len(outcome.urgent_ms)}/{outcome.urgent_sent}",
+            "" if cuts else f"{p50:.0f} ms",
+            "" if cuts else f"{p99:.0f} ms",
+            ", ".join(faults) or "ok",
+        )
+    table.notes = [
+        f"The simulated air (condition desk, interval {INTERVAL_MS} ms; link-layer packets of 27 and of 251 bytes), "
+        "`config/simulation.json5`; the Python package, both ends in one process, from a file into a folder. Raw: a "
+        f"bare channel at its best SDU size. Cuts: the air is cut for {CUT_S} s at a quarter, half and three quarters; "
+        "the rate is over all of the time, and what is urgent and said without a link reaches nobody. Carried more: "
+        "than without cuts, the link's new beginnings among it. Urgent: a number every 50 ms from the program that "
+        "sends the file.",
+        f"Wanted without cuts: {WANTED_SHARE} of raw, urgent p99 below {WANTED_URGENT_MS} ms.",
+    ]
+    return table
+
+
+def measured(rate: str, cuts: int) -> Outcome:
+    with tempfile.TemporaryDirectory() as name, room(RATES[rate]) as air:
+        folder = Path(name)
+        file = folder / "map.bin"
+        file.write_bytes(os.urandom(FILE_BYTES))
+        near, far = ble_pair_endpoints(air)
+        with rect.connect("wombat-1", router=near) as here, rect.connect("wombat-2", router=far) as there:
+            arriving = there.receive_transfers("*/map", folder=folder / "arrived")
+            urgent = Urgent(here, there)
+            at = [FILE_BYTES * (n + 1) // (cuts + 1) for n in range(cuts)]
+
+            def on_progress(progress: rect.Progress) -> None:
+                if at and progress.held_bytes >= at[0]:
+                    at.pop(0)
+                    threading.Thread(target=cut, args=(air,)).start()
+
+            before, memory, started = carried(air), rss_mb(), time.monotonic()
+            with urgent:
+                here.transfer("wombat-2", "map", file, on_progress=on_progress)
+            took = time.monotonic() - started
+            received = arriving.next(LIMIT_S)
+            assert Path(received.content).read_bytes() == file.read_bytes()
+            grown = rss_mb() - memory
+        return Outcome(FILE_BYTES / took / 1000, carried(air) - before, grown, urgent.sent, urgent.ages_ms)
+
+
+def cut(air) -> None:
+    air.cut()
+    time.sleep(CUT_S)
+    air.restore()
+
+
+def carried(air) -> int:
+    return sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"])
+
+
+def rss_mb() -> float:
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmRSS:")[1].split()[0]) / 1000
+
+
+class Urgent:
+    """A number every 50 ms, urgent; how old each is on arrival."""
+
+    def __init__(self, here: rect.Robot, there: rect.Robot) -> None:
+        self.ages_ms: list[float] = []
+        self.sent = 0
+        self._here = here
+        self._due: list[float] = []
+        self._is_reached = False
+        self._ended = threading.Event()
+        self._heard = there.subscribe("wombat-1/stop", self._on_message)
+        wait_until("the urgent messages' way is there", 20, self._reaches)
+        self._thread = threading.Thread(target=self._send, daemon=True)
+
+    def __enter__(self) -> "Urgent":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        ended = time.monotonic()
+        while len(self.ages_ms) < self.sent and time.monotonic() - ended < STRAGGLERS_S:
+            time.sleep(PERIOD_S)
+
+    def _reaches(self) -> bool:
+        self._here.publish("stop", -1, urgency="urgent")
+        return self._is_reached
+
+    def _on_message(self, message: rect.Message) -> None:
+        now = time.monotonic()
+        if message.value < 0:
+            self._is_reached = True
+        else:
+            self.ages_ms.append((now - self._due[message.value]) * 1000)
+
+    def _send(self) -> None:
+        due = time.monotonic()
+        while not self._ended.is_set():
+            self._due.append(due)
+            self._here.publish("stop", self.sent, urgency="urgent")
+            self.sent += 1
+            due += PERIOD_S
+            self._ended.wait(max(due - time.monotonic(), 0))
