@@ -54,6 +54,11 @@ impl Encoding {
         self.0.split_once(';').map(|(_, schema)| schema)
     }
 
+    /// Whether it is text, as JSON is too.
+    pub fn is_text(&self) -> bool {
+        self.media_type().starts_with("text/") || *self == Self::JSON
+    }
+
     /// The same, packed by what `packing` names.
     #[must_use]
     pub fn packed(&self, packing: &str) -> Self {

@@ -78,8 +78,7 @@ impl Payload {
     /// # Errors
     /// It is something else ([`PayloadError::Other`]), or no UTF-8.
     pub fn text(&self) -> Result<&str, PayloadError> {
-        let is_text = self.encoding.media_type().starts_with("text/") || self.is(&Encoding::JSON);
-        if !is_text {
+        if !self.encoding.is_text() {
             return Err(self.other("text"));
         }
         std::str::from_utf8(&self.bytes).map_err(|error| read("text", error))
