@@ -1,0 +1,188 @@
+//! Owns C's callbacks: what they are called with, that none runs once it has been dropped, and that what they need is
+//! released exactly once.
+use std::{
+    cell::RefCell,
+    ffi::c_void,
+    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+};
+
+/// Called once when a callback will not be called any more, with its `context`; may be NULL. That is so even where the call
+/// that it was given to fails.
+pub type Release = Option<extern "C" fn(context: *mut c_void)>;
+
+/// What a callback needs, and how often it runs now.
+pub struct Callback {
+    context: Context,
+    state: Mutex<State>,
+    idle: Condvar,
+}
+
+struct Context(*mut c_void, Release);
+
+// SAFETY: rect.h says on which threads callbacks run, and that what they need has to bear that.
+unsafe impl Send for Context {}
+// SAFETY: as above.
+unsafe impl Sync for Context {}
+
+#[derive(Default)]
+struct State {
+    running: usize,
+    is_closed: bool,
+    is_released: bool,
+}
+
+thread_local! {
+    /// The callbacks that this thread is in, by address.
+    static INSIDE: RefCell<Vec<usize>> = const { RefCell::new(Vec::new()) };
+}
+
+impl Callback {
+    /// Takes over the context, which is released in any case.
+    pub fn new(context: *mut c_void, release: Release) -> Self {
+        Self {
+            context: Context(context, release),
+            state: Mutex::default(),
+            idle: Condvar::new(),
+        }
+    }
+
+    /// Calls it, unless it was closed; whether it was called.
+    pub fn run(&self, call: impl FnOnce(*mut c_void)) -> bool {
+        {
+            let mut state = self.state();
+            if state.is_closed {
+                return false;
+            }
+            state.running += 1;
+        }
+        let _running = Running::begin(self);
+        call(self.context.0);
+        true
+    }
+
+    /// It is not called any more. Waits for those that run, but for the one from which this is called.
+    pub fn close(&self) {
+        let here = self.address();
+        let own = INSIDE.with_borrow(|inside| inside.iter().filter(|&&at| at == here).count());
+        let mut state = self.state();
+        state.is_closed = true;
+        while state.running > own {
+            let waited = self.idle.wait(state);
+            state = waited.unwrap_or_else(PoisonError::into_inner);
+        }
+        self.release_if_over(state);
+    }
+
+    fn release_if_over(&self, mut state: MutexGuard<'_, State>) {
+        let is_over = state.is_closed && state.running == 0 && !state.is_released;
+        if !is_over {
+            return;
+        }
+        state.is_released = true;
+        drop(state);
+        if let Context(context, Some(release)) = self.context {
+            release(context);
+        }
+    }
+
+    fn address(&self) -> usize {
+        std::ptr::from_ref(self).addr()
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A call under way; over when it is dropped, however that comes.
+struct Running<'a>(&'a Callback);
+
+impl<'a> Running<'a> {
+    fn begin(callback: &'a Callback) -> Self {
+        INSIDE.with_borrow_mut(|inside| inside.push(callback.address()));
+        Self(callback)
+    }
+}
+
+impl Drop for Running<'_> {
+    fn drop(&mut self) {
+        INSIDE.with_borrow_mut(Vec::pop);
+        let mut state = self.0.state();
+        state.running -= 1;
+        self.0.idle.notify_all();
+        self.0.release_if_over(state);
+    }
+}
+
+impl Drop for Callback {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{
+        atomic::{AtomicUsize, Ordering},
+        mpsc, Arc,
+    };
+
+    use super::*;
+
+    extern "C" fn count(context: *mut c_void) {
+        // SAFETY: each test gives a counter that outlives the callback.
+        let counter = unsafe { &*context.cast::<AtomicUsize>() };
+        counter.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn counted(released: &AtomicUsize) -> Callback {
+        let context = std::ptr::from_ref(released).cast_mut().cast();
+        Callback::new(context, Some(count))
+    }
+
+    #[test]
+    fn it_is_released_once_whoever_closes_it() {
+        let released = AtomicUsize::new(0);
+        drop(counted(&released));
+        assert_eq!(released.load(Ordering::SeqCst), 1, "never called");
+        let callback = counted(&released);
+        assert!(callback.run(|_| callback.close()), "from inside");
+        assert_eq!(released.load(Ordering::SeqCst), 2);
+        callback.close();
+        assert!(!callback.run(|_| panic!("it was closed")));
+        drop(callback);
+        assert_eq!(released.load(Ordering::SeqCst), 2);
+    }
+
+    #[test]
+    fn who_closes_it_waits_for_the_one_that_runs() {
+        let released = Arc::new(AtomicUsize::new(0));
+        let callback = Arc::new(counted(&released));
+        let (began, begins) = mpsc::channel();
+        let (go, goes) = mpsc::channel::<()>();
+        let running = std::thread::spawn({
+            let callback = callback.clone();
+            move || {
+                callback.run(|_| {
+                    began.send(()).expect("waited for");
+                    goes.recv().expect("let go");
+                })
+            }
+        });
+        begins.recv().expect("began");
+        let closing = std::thread::spawn({
+            let (callback, released) = (callback.clone(), released.clone());
+            move || {
+                callback.close();
+                released.load(Ordering::SeqCst)
+            }
+        });
+        assert_eq!(released.load(Ordering::SeqCst), 0, "it runs still");
+        go.send(()).expect("waits");
+        assert!(running.join().expect("no panic"));
+        // Whichever of the two threads is last releases it, maybe a moment after the other went on.
+        closing.join().expect("no panic");
+        drop(callback);
+        assert_eq!(released.load(Ordering::SeqCst), 1);
+    }
+}
