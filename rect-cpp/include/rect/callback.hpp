@@ -1,0 +1,116 @@
+/// @file
+/// Owns callbacks: what they throw never leaves them.
+#ifndef RECT_CALLBACK_HPP
+#define RECT_CALLBACK_HPP
+
+#include <atomic>
+#include <cstdio>
+#include <exception>
+#include <type_traits>
+#include <utility>
+
+#include "abi.hpp"
+
+#if defined(__SANITIZE_THREAD__)
+#define RECT_THREAD_SANITIZER 1
+#elif defined(__has_feature)
+#if __has_feature(thread_sanitizer)
+#define RECT_THREAD_SANITIZER 1
+#endif
+#endif
+
+#if defined(RECT_THREAD_SANITIZER)
+extern "C" void __tsan_acquire(void* address);
+extern "C" void __tsan_release(void* address);
+#endif
+
+namespace rect {
+inline namespace RECT_ABI {
+
+/// Called with what a callback has thrown.
+using OnCallbackError = void (*)(const char* what) noexcept;
+
+/// @cond
+namespace detail {
+
+inline std::atomic<OnCallbackError>& on_callback_error() noexcept {
+    static std::atomic<OnCallbackError> function{nullptr};
+    return function;
+}
+
+inline void report(const char* what) noexcept {
+    if (const auto function = on_callback_error().load()) {
+        function(what);
+    } else {
+        std::fprintf(stderr, "rect: a callback has thrown: %s\n", what);
+    }
+}
+
+/// Runs it; what it throws is reported.
+template <class Run>
+bool guarded(Run run) noexcept {
+    try {
+        run();
+        return true;
+    } catch (const std::exception& error) {
+        report(error.what());
+    } catch (...) {
+        report("something that is no std::exception");
+    }
+    return false;
+}
+
+// The library's locks order a callback's calls, and are not seen by a thread sanitizer, since it is not built with one.
+inline void acquire([[maybe_unused]] void* context) noexcept {
+#if defined(RECT_THREAD_SANITIZER)
+    __tsan_acquire(context);
+#endif
+}
+
+inline void release([[maybe_unused]] void* context) noexcept {
+#if defined(RECT_THREAD_SANITIZER)
+    __tsan_release(context);
+#endif
+}
+
+/// A function on its way to C, which takes it over.
+template <class F>
+class Callback {
+public:
+    template <class G>
+    explicit Callback(G&& function) : function_(new F(std::forward<G>(function))) {
+        detail::release(function_);
+    }
+
+    /// For C, as `context`.
+    [[nodiscard]] void* context() const noexcept { return function_; }
+
+    /// For C, as `release`.
+    static void done(void* context) noexcept {
+        acquire(context);
+        delete static_cast<F*>(context);
+    }
+
+    /// For C, as `callback`: shows what C has as `View`.
+    template <class Raw, class View>
+    static void call(const Raw* raw, void* context) noexcept {
+        acquire(context);
+        guarded([&] { (*static_cast<F*>(context))(View(*raw)); });
+        detail::release(context);
+    }
+
+private:
+    F* function_;
+};
+
+}  // namespace detail
+/// @endcond
+
+/// From now on this function is told what callbacks have thrown, instead of stderr; `nullptr`: stderr again. It may be called
+/// on several threads at once.
+inline void on_callback_error(OnCallbackError function) noexcept { detail::on_callback_error() = function; }
+
+}  // namespace RECT_ABI
+}  // namespace rect
+
+#endif
