@@ -1,0 +1,32 @@
+"""Runs a program with two routers on the simulated air: `wombat-1` at RECT_ROUTER_1, `wombat-2` at RECT_ROUTER_2.
+
+RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect .venv/bin/python rect-cpp/tests/in_the_air.py PROGRAM ...
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "demo"))
+
+from robots import rect_settings  # noqa: E402
+from room import Room, wait_for_link  # noqa: E402
+
+
+def main(*command: str) -> int:
+    with tempfile.TemporaryDirectory() as folder, Room("desk") as room:
+        robots = []
+        for name in ("wombat-1", "wombat-2"):
+            wanted = Path(folder) / f"{name}.json"
+            wanted.write_text('{"connections": []}')
+            settings = rect_settings({"robot": name, "connections": str(wanted)})
+            robots.append(room.add_robot(name, arguments=tuple(settings)))
+        wait_for_link(*robots)
+        endpoints = {f"RECT_ROUTER_{n}": robot.endpoint() for n, robot in enumerate(robots, 1)}
+        return subprocess.run(command, env=os.environ | endpoints, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,128 @@
+// What a program may get wrong: NULL, lengths, text that is not UTF-8, numbers out of range. Each is an error that names it.
+#include <cstring>
+#include <limits>
+#include <string>
+
+#include "pair.hpp"
+
+namespace {
+
+rect_robot alone() {
+    static const auto robot = joined("wombat-1", free_endpoint(), "");
+    return robot.raw();
+}
+
+// The text of an argument's error.
+std::string wrong(rect_code code, const rect_error& error) {
+    CHECK(code == RECT_CODE_ARGUMENT);
+    CHECK(error.code == code);
+    return error.text;
+}
+
+using Catch::Matchers::ContainsSubstring;
+
+const rect_payload hello = rect_payload_text("hello");
+
+}  // namespace
+
+TEST_CASE("NULL is an error that names the argument") {
+    rect_error error;
+    rect_robot robot;
+    CHECK_THAT(wrong(rect_connect(nullptr, nullptr, &robot, &error), error), ContainsSubstring("name is NULL"));
+    CHECK_THAT(wrong(rect_connect("wombat-1", nullptr, nullptr, &error), error), ContainsSubstring("robot is NULL"));
+    CHECK_THAT(wrong(rect_robot_publish(alone(), nullptr, &hello, &error), error), ContainsSubstring("topic is NULL"));
+    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", nullptr, &error), error), ContainsSubstring("payload is NULL"));
+    CHECK_THAT(wrong(rect_robot_subscribe(alone(), "*/n", nullptr, nullptr, &error), error), ContainsSubstring("subscriber is NULL"));
+    rect_subscription subscription;
+    CHECK_THAT(wrong(rect_robot_on_message(alone(), "*/n", nullptr, nullptr, nullptr, nullptr, &subscription, &error), error),
+               ContainsSubstring("callback is NULL"));
+    rect_service service;
+    CHECK_THAT(wrong(rect_robot_serve(alone(), "s", nullptr, nullptr, nullptr, &service, &error), error),
+               ContainsSubstring("callback is NULL"));
+    CHECK_THAT(wrong(rect_robot_counters(alone(), nullptr, &error), error), ContainsSubstring("counters is NULL"));
+    CHECK_THAT(wrong(rect_robot_add_connection(alone(), nullptr, nullptr, &error), error), ContainsSubstring("connection is NULL"));
+    CHECK_THAT(wrong(rect_drop(nullptr, &error), error), ContainsSubstring("id is NULL"));
+    // Without anywhere to write the reason, too.
+    CHECK(rect_robot_publish(alone(), nullptr, nullptr, nullptr) == RECT_CODE_ARGUMENT);
+}
+
+TEST_CASE("lengths that can't be are errors") {
+    rect_error error;
+    const rect_payload none{nullptr, 5, {nullptr, 0}};
+    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &none, &error), error), ContainsSubstring("payload.data is NULL, and 5 long"));
+    const rect_payload huge{"x", std::numeric_limits<std::size_t>::max(), {nullptr, 0}};
+    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &huge, &error), error), ContainsSubstring("can't be"));
+    const rect_payload no_encoding{"x", 1, {nullptr, 3}};
+    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &no_encoding, &error), error), ContainsSubstring("payload.encoding is NULL"));
+    const std::string long_encoding(201, 'a');
+    CHECK(rect::PayloadView({}, long_encoding).encoding().size() == 201);
+    CHECK(must(rect::connect("w", [] { rect::Options o; o.listen = {free_endpoint()}; return o; }()))
+              .publish("n", rect::PayloadView({}, long_encoding)).error().code == rect::Code::argument);
+    const rect_payload empty{nullptr, 0, {nullptr, 0}};
+    CHECK(rect_robot_publish(alone(), "n", &empty, &error) == RECT_CODE_OK);
+    CHECK(rect_payload_text(nullptr).len == 0);
+}
+
+TEST_CASE("text that is not UTF-8 is an error that says where") {
+    rect_error error;
+    CHECK_THAT(wrong(rect_robot_publish(alone(), "a\xff", &hello, &error), error), ContainsSubstring("topic is not UTF-8: its byte 1"));
+    const auto payload = rect_payload_json("{\"a\": \"\xc3\x28\"}");
+    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &payload, &error), error), ContainsSubstring("payload.data is not UTF-8"));
+    rect_options options{};
+    options.fleet = "\x80";
+    rect_robot robot;
+    CHECK_THAT(wrong(rect_connect("wombat-1", &options, &robot, &error), error), ContainsSubstring("options.fleet is not UTF-8"));
+    const auto robot_cpp = joined("wombat-2", free_endpoint(), "");
+    CHECK(robot_cpp.publish(std::string("a\0b", 3), "1").error().code == rect::Code::argument);
+    CHECK(robot_cpp.publish(std::string_view("a\0b", 3), "1").error().code == rect::Code::argument);
+}
+
+TEST_CASE("names, topics, patterns and codecs are told apart from what is none") {
+    const auto robot = joined("wombat-1", free_endpoint(), "");
+    CHECK(rect::connect("hci0").error().code == rect::Code::name);
+    CHECK(robot.publish("a/*", "1").error().code == rect::Code::topic);
+    CHECK(robot.send("a b", "n", "1").error().code == rect::Code::name);
+    CHECK(robot.subscribe("n").error().code == rect::Code::topic);
+    CHECK(robot.subscribe("hci0/n").error().code == rect::Code::name);
+    CHECK(robot.encoded("zstd:99").error().code == rect::Code::codec);
+    CHECK(rect::Dictionary::train({"a", "b"}, 4096).error().code == rect::Code::dictionary);
+    CHECK(rect::Dictionary::read({}).error().code == rect::Code::dictionary);
+}
+
+TEST_CASE("numbers out of their range are errors") {
+    rect_error error;
+    rect_robot same;
+    CHECK_THAT(wrong(rect_robot_with(alone(), 3, &same, &error), error), ContainsSubstring("urgency is 3, and may be 0 to 2"));
+    const rect_receiving receiving{0, 7};
+    rect_subscriber subscriber;
+    CHECK_THAT(wrong(rect_robot_subscribe(alone(), "*/n", &receiving, &subscriber, &error), error), ContainsSubstring("when_full is 7"));
+    rect_buffer buffer;
+    CHECK_THAT(wrong(rect_picture_payload(1, 1, 9, "x", 1, &buffer, &error), error), ContainsSubstring("format is 9"));
+    CHECK(rect_picture_payload(4, 4, RECT_FORMAT_RGB8, "x", 1, &buffer, &error) == RECT_CODE_CODEC);
+}
+
+TEST_CASE("options of joining are checked") {
+    rect::Options options;
+    options.router = "tcp/127.0.0.1:1";
+    options.patience = 50ms;
+    const auto no_router = rect::connect("wombat-1", options);
+    REQUIRE_FALSE(no_router.has_value());
+    CHECK(no_router.error().code == rect::Code::no_router);
+    CHECK_THAT(no_router.error().text, ContainsSubstring("rect-router"));
+    options = {};
+    options.listen = {"carrier-pigeon/roof"};
+    CHECK(rect::connect("wombat-1", options).error().code == rect::Code::option);
+    options = {};
+    options.zenoh = {{"transport/unicast/max_links", "{"}};
+    CHECK(rect::connect("wombat-1", options).error().code == rect::Code::argument);
+    options.zenoh = {{"no/such/setting", "1"}};
+    CHECK(rect::connect("wombat-1", options).error().code == rect::Code::option);
+}
+
+TEST_CASE("a connection that can't be, without a router, is an error that says so") {
+    const auto robot = joined("wombat-1", free_endpoint(), "");
+    rect::NamedConnection connection{"base", "tcp", "192.168.125.2"};
+    connection.options = "[]";
+    CHECK(robot.add_connection(connection).error().code == rect::Code::argument);
+    CHECK(robot.connections().error().code == rect::Code::no_service);
+}

@@ -1,0 +1,164 @@
+// What must be equal in every language, as vectors in tests/conformance: C++'s turn. Keys and attachments are not a C++
+// program's to make.
+#include <cstdlib>
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "pair.hpp"
+
+namespace {
+
+using Json = nlohmann::json;
+
+// Those of every file.
+constexpr rect::Limits limits{65'536, 4096};
+
+Json cases(const std::string& file) {
+    std::ifstream stream(std::string(RECT_VECTORS) + "/" + file + ".json");
+    const auto all = Json::parse(stream)["cases"];
+    REQUIRE_FALSE(all.empty());
+    return all;
+}
+
+std::string bytes(const Json& hex) {
+    const auto text = hex.get<std::string>();
+    std::string all;
+    for (std::size_t n = 0; n + 1 < text.size(); n += 2) {
+        all.push_back(static_cast<char>(std::stoi(text.substr(n, 2), nullptr, 16)));
+    }
+    return all;
+}
+
+std::string hex(rect::span<const std::uint8_t> bytes) {
+    static constexpr char digits[] = "0123456789abcdef";
+    std::string text;
+    for (const auto byte : bytes) {
+        text += digits[byte >> 4];
+        text += digits[byte & 15];
+    }
+    return text;
+}
+
+rect::Payload payload(const Json& in) { return {bytes(in["bytes"]), in["encoding"].get<std::string>()}; }
+
+// Which kind of error the vectors mean by a code: a codec's errors have more kinds there than codes.
+bool is_error(const Json& out, rect::Code code) {
+    const auto kind = out["error"].get<std::string>();
+    const bool is_payload = kind == "other" || kind == "read" || kind == "write";
+    return code == (is_payload ? rect::Code::payload : rect::Code::codec);
+}
+
+}  // namespace
+
+TEST_CASE("names, topics and patterns are told from what is none") {
+    using Check = rect_code (*)(const char*, rect_error*);
+    const std::map<std::string, Check> checks{
+        {"names", rect_check_name}, {"topics", rect_check_topic}, {"patterns", rect_check_pattern}};
+    for (const auto& [file, check] : checks) {
+        for (const auto& one : cases(file)) {
+            CAPTURE(file, one["in"]);
+            const auto text = one["in"].get<std::string>();
+            const bool is_one = one["out"].is_boolean() ? one["out"].get<bool>() : !one["out"].is_null();
+            rect_error error;
+            CHECK((check(text.c_str(), &error) == RECT_CODE_OK) == is_one);
+        }
+    }
+}
+
+TEST_CASE("codecs have the same names") {
+    for (const auto& one : cases("codecs")) {
+        CAPTURE(one["in"]);
+        rect_string name;
+        rect_error error;
+        const auto code = rect_codec_name(one["in"].get<std::string>().c_str(), &name, &error);
+        if (one["out"].is_object()) {
+            CHECK(is_error(one["out"], static_cast<rect::Code>(code)));
+        } else {
+            REQUIRE(code == RECT_CODE_OK);
+            const rect::Handle handle(name.id);
+            CHECK(rect::detail::view(name.text) == one["out"].get<std::string>());
+        }
+    }
+}
+
+TEST_CASE("dictionaries have the same id") {
+    for (const auto& one : cases("dictionaries")) {
+        const auto all = bytes(one["in"]);
+        const auto dictionary = rect::Dictionary::read({reinterpret_cast<const std::uint8_t*>(all.data()), all.size()});
+        CHECK(dictionary.has_value() == !one["out"].is_null());
+        if (dictionary) {
+            CHECK(must(dictionary->number()) == one["out"].get<std::uint32_t>());
+        }
+    }
+}
+
+TEST_CASE("packings are undone alike") {
+    for (const auto& one : cases("packings")) {
+        const auto& in = one["in"];
+        std::optional<rect::Dictionary> dictionary;
+        if (in.contains("dictionary") && !in["dictionary"].is_null()) {
+            const auto all = bytes(in["dictionary"]);
+            dictionary = must(rect::Dictionary::read({reinterpret_cast<const std::uint8_t*>(all.data()), all.size()}));
+        }
+        const auto packed = payload(in);
+        const auto unpacked = rect::unpack(packed.view(), dictionary ? &*dictionary : nullptr, limits);
+        CAPTURE(in["encoding"], one["out"]);
+        if (one["out"].contains("error")) {
+            REQUIRE_FALSE(unpacked.has_value());
+            CHECK(is_error(one["out"], unpacked.error().code));
+        } else {
+            CHECK(must(unpacked ? rect::expected<std::string>(hex(unpacked->view().bytes())) : rect::unexpected<rect::Error>(unpacked.error())) ==
+                  one["out"]["bytes"].get<std::string>());
+            CHECK(unpacked->view().encoding() == one["out"]["encoding"].get<std::string>());
+        }
+    }
+}
+
+TEST_CASE("pictures are read alike") {
+    for (const auto& one : cases("pictures")) {
+        const auto& out = one["out"];
+        const auto packed = payload(one["in"]);
+        const auto picture = packed.view().picture(limits);
+        CAPTURE(one["in"]["encoding"], out.contains("error"));
+        if (out.contains("error")) {
+            REQUIRE_FALSE(picture.has_value());
+            CHECK(is_error(out, picture.error().code));
+            continue;
+        }
+        REQUIRE(picture.has_value());
+        CHECK(picture->width() == out["width"].get<std::uint32_t>());
+        CHECK(picture->height() == out["height"].get<std::uint32_t>());
+        const std::map<std::string, rect::Format> formats{
+            {"grey8", rect::Format::grey8}, {"rgb8", rect::Format::rgb8}, {"rgba8", rect::Format::rgba8}};
+        CHECK(picture->format() == formats.at(out["format"].get<std::string>()));
+        const auto wanted = bytes(out["pixels"]);
+        REQUIRE(picture->pixels().size() == wanted.size());
+        // Decoders of pictures with loss round differently.
+        int off = 0;
+        for (std::size_t n = 0; n < wanted.size(); ++n) {
+            off = std::max(off, std::abs(int(picture->pixels()[n]) - int(static_cast<std::uint8_t>(wanted[n]))));
+        }
+        CHECK(off <= (out["off"].is_null() ? 0 : out["off"].get<int>()));
+    }
+}
+
+TEST_CASE("arrays are read alike") {
+    const char* const elements[] = {"u8", "i8", "u16", "i16", "u32", "i32", "i64", "f32", "f64"};
+    for (const auto& one : cases("arrays")) {
+        const auto& out = one["out"];
+        const auto packed = payload(one["in"]);
+        const auto array = packed.view().array(limits);
+        CAPTURE(one["in"]["encoding"]);
+        if (out.contains("error")) {
+            REQUIRE_FALSE(array.has_value());
+            CHECK(is_error(out, array.error().code));
+            continue;
+        }
+        REQUIRE(array.has_value());
+        CHECK(elements[array->element()] == out["element"].get<std::string>());
+        CHECK(Json(std::vector<std::size_t>(array->shape().begin(), array->shape().end())) == out["shape"]);
+        CHECK(hex(array->bytes()) == out["bytes"].get<std::string>());
+    }
+}

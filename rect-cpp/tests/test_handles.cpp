@@ -1,0 +1,112 @@
+// Handles: dropped twice, by several threads, used afterwards, moved, and waited on meanwhile.
+#include <thread>
+#include <vector>
+
+#include "pair.hpp"
+
+TEST_CASE("a handle that was dropped is an error wherever it is used, and so is dropping a copy of it") {
+    rect::Options options;
+    options.listen = {free_endpoint()};
+    auto robot = must(rect::connect("wombat-1", options));
+    rect_robot copy = robot.raw();
+    robot.drop();
+    robot.drop();
+    rect_error error;
+    CHECK(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE);
+    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("dropped already"));
+    CHECK(copy.id == 0);
+    CHECK(rect_drop(&copy.id, &error) == RECT_CODE_OK);
+
+    CHECK(robot.name().error().code == rect::Code::handle);
+    CHECK(robot.publish("n", "1").error().code == rect::Code::handle);
+    CHECK(robot.subscribe("*/n").error().code == rect::Code::handle);
+    CHECK(robot.peers().error().code == rect::Code::handle);
+    CHECK(robot.counters().error().code == rect::Code::handle);
+    CHECK(robot.close().error().code == rect::Code::handle);
+    CHECK(rect::Subscriber().next(0ms).error().code == rect::Code::handle);
+    CHECK(rect::Replies().next().error().code == rect::Code::handle);
+    CHECK(rect::Stream().send("x").error().code == rect::Code::handle);
+    CHECK(rect::Watch().next(0ms).error().code == rect::Code::handle);
+    CHECK(rect::Transfers().next(0ms).error().code == rect::Code::handle);
+}
+
+TEST_CASE("a handle of something else is an error") {
+    Pair pair;
+    const auto subscriber = must(pair.one.subscribe("*/n"));
+    const rect_robot no_robot{subscriber.id()};
+    rect_names names;
+    rect_error error;
+    CHECK(rect_robot_peers(no_robot, &names, &error) == RECT_CODE_HANDLE);
+    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("robot"));
+    CHECK(must(subscriber.dropped()) == 0);
+}
+
+TEST_CASE("several threads drop the same variable, and use it meanwhile") {
+    Pair pair;
+    for (int round = 0; round < 20; ++round) {
+        auto same = must(pair.one.with(rect::Urgency::bulk));
+        auto subscription = must(pair.one.subscribe("*/n", [](const rect::MessageView&) {}));
+        std::vector<std::thread> threads;
+        for (int n = 0; n < 4; ++n) {
+            threads.emplace_back([&] {
+                const auto said = same.publish("n", "1");
+                if (!said && said.error().code != rect::Code::handle) {
+                    std::abort();
+                }
+                same.drop();
+                subscription.drop();
+            });
+        }
+        for (auto& thread : threads) {
+            thread.join();
+        }
+        CHECK(same.id() == 0);
+        CHECK(subscription.id() == 0);
+    }
+    must(pair.one.publish("n", "the session is still there"));
+}
+
+TEST_CASE("what was moved from is nothing, and what was moved to is the same") {
+    Pair pair;
+    auto first = must(pair.one.subscribe("*/n"));
+    const auto id = first.id();
+    auto second = std::move(first);
+    CHECK(first.id() == 0);  // NOLINT: that is what is tested
+    CHECK(second.id() == id);
+    second = must(pair.one.subscribe("*/m"));
+    rect_subscriber old{id};
+    CHECK(rect_drop(&old.id, nullptr) == RECT_CODE_HANDLE);
+    auto& self = second;
+    second = std::move(self);
+    CHECK(must(second.dropped()) == 0);
+}
+
+TEST_CASE("who waits is woken when another thread drops it, or closes the session") {
+    Pair pair;
+    auto subscriber = must(pair.one.subscribe("*/never"));
+    auto watch = must(pair.one.watch("wombat-2", "never"));
+    const auto other = must(pair.one.subscribe("*/never"));
+    rect::Code codes[3] = {};
+    std::thread first([&] { codes[0] = subscriber.next().error().code; });
+    std::thread second([&] { codes[1] = watch.next().error().code; });
+    std::thread third([&] { codes[2] = other.next().error().code; });
+    subscriber.drop();
+    watch.drop();
+    first.join();
+    second.join();
+    must(pair.one.close());
+    third.join();
+    // It may have been dropped before the thread asked.
+    for (const auto code : {codes[0], codes[1]}) {
+        CHECK((code == rect::Code::closed || code == rect::Code::handle));
+    }
+    CHECK(codes[2] == rect::Code::closed);
+}
+
+TEST_CASE("a closed session says so") {
+    Pair pair;
+    must(pair.one.close());
+    CHECK_FALSE(pair.one.publish("n", "1").has_value());
+    CHECK_FALSE(pair.one.subscribe("*/n").has_value());
+    must(pair.one.close());
+}

@@ -1,0 +1,70 @@
+// JSON and CBOR by nlohmann::json.
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <numeric>
+#include <rect/nlohmann.hpp>
+#include <string>
+
+#include "pair.hpp"
+
+namespace {
+
+struct Reading {
+    double degrees;
+    std::string name;
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Reading, degrees, name)
+
+rect::PayloadView view(const std::string& bytes, const char* encoding) {
+    return {{reinterpret_cast<const std::uint8_t*>(bytes.data()), bytes.size()}, encoding};
+}
+
+}  // namespace
+
+TEST_CASE("a struct goes as JSON or CBOR, and comes back as it was") {
+    Pair pair;
+    const auto subscriber = must(pair.two.subscribe("*/json"));
+    const Reading reading{12.5, "arm"};
+    const auto json = pair.heard(subscriber, "json", reading);
+    CHECK(json->payload.encoding() == "application/json");
+    CHECK(must(json->payload.value<Reading>()).degrees == 12.5);
+    CHECK(must(json->payload.value<nlohmann::json>())["name"] == "arm");
+    const auto other = must(pair.two.subscribe("*/cbor"));
+    const auto cbor = pair.heard(other, "cbor", rect::Cbor(reading));
+    CHECK(cbor->payload.encoding() == "application/cbor");
+    CHECK(must(cbor->payload.value<Reading>()).name == "arm");
+    const auto numbers = must(pair.two.subscribe("*/number"));
+    CHECK(must(pair.heard(numbers, "number", 42)->payload.value<int>()) == 42);
+}
+
+TEST_CASE("what is no JSON, of another shape, or too deep is an error") {
+    const auto code = [](const auto& got) { return got.error().code; };
+    CHECK(code(view("{", "application/json").value<Reading>()) == rect::Code::payload);
+    CHECK(code(view("{}", "application/json").value<Reading>()) == rect::Code::payload);
+    CHECK(code(view("{}", "text/plain").value<Reading>()) == rect::Code::payload);
+    CHECK(code(view("", "application/cbor").value<nlohmann::json>()) == rect::Code::payload);
+    const auto deep_json = view(std::string(1'000'000, '['), "application/json").value<nlohmann::json>();
+    CHECK_THAT(deep_json.error().text, Catch::Matchers::ContainsSubstring("too deeply"));
+    const auto deep_cbor = view(std::string(1'000'000, '\x81'), "application/cbor").value<nlohmann::json>();
+    CHECK_THAT(deep_cbor.error().text, Catch::Matchers::ContainsSubstring("too deeply"));
+    // Text in JSON is UTF-8.
+    CHECK(code(rect::Adapter<std::string>::to_payload("\xff")) == rect::Code::payload);
+}
+
+TEST_CASE("a service may take and return values") {
+    Pair pair;
+    const auto service = must(pair.two.serve("sum", [](const rect::Request& request) {
+        return request.payload.value<std::vector<int>>().transform(
+            [](const auto& numbers) { return std::accumulate(numbers.begin(), numbers.end(), 0); });
+    }));
+    rect::expected<rect::Reply> reply = pair.one.request("wombat-2", "sum", std::vector<int>{1, 2, 3}, deadline);
+    until([&] {
+        if (!reply) {
+            reply = pair.one.request("wombat-2", "sum", std::vector<int>{1, 2, 3}, deadline);
+        }
+        return reply.has_value();
+    });
+    CHECK(must(reply->payload.value<int>()) == 6);
+    const auto refused = pair.one.request("wombat-2", "sum", "one and two", deadline);
+    CHECK(refused.error().code == rect::Code::service);
+}

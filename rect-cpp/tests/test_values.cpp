@@ -1,0 +1,82 @@
+// Values: text, bytes, pictures, arrays; and the small parts of the headers.
+#include <array>
+#include <vector>
+
+#include "pair.hpp"
+
+static_assert(!std::is_copy_constructible_v<rect::Robot> && std::is_nothrow_move_constructible_v<rect::Robot>);
+static_assert(!std::is_copy_constructible_v<rect::Message> && std::is_nothrow_move_assignable_v<rect::Message>);
+
+TEST_CASE("text and bytes come back as they were") {
+    Pair pair;
+    const auto subscriber = must(pair.two.subscribe("*/v"));
+    const std::vector<std::uint8_t> bytes{0, 1, 255};
+    CHECK(must(pair.heard(subscriber, "v", "hä")->payload.text()) == "hä");
+    const auto other = must(pair.two.subscribe("*/b"));
+    const auto message = pair.heard(other, "b", bytes);
+    CHECK(message->payload.encoding() == "zenoh/bytes");
+    CHECK(std::equal(bytes.begin(), bytes.end(), message->payload.bytes().begin(), message->payload.bytes().end()));
+    const auto error = message->payload.text().error();
+    CHECK(error.code == rect::Code::payload);
+    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("zenoh/bytes, not text"));
+}
+
+TEST_CASE("arrays come back with their shape and their numbers") {
+    Pair pair;
+    const auto subscriber = must(pair.two.subscribe("*/scan"));
+    const std::array<float, 6> scan{1.5F, -2, 3, 4, 5, 6e9F};
+    const auto message = pair.heard(subscriber, "scan", must(rect::numbers(scan, {2, 3})));
+    CHECK(message->payload.encoding() == "application/octet-stream;array;f32;2x3");
+    const auto array = must(message->payload.array());
+    REQUIRE(array.shape().size() == 2);
+    CHECK(array.shape()[1] == 3);
+    const auto numbers = array.numbers<float>();
+    CHECK(std::equal(scan.begin(), scan.end(), numbers.begin(), numbers.end()));
+    CHECK(array.numbers<double>().empty());
+    CHECK(rect::numbers(scan, {2, 2}).error().code == rect::Code::codec);
+    CHECK(must(rect::numbers(std::vector<std::int64_t>{1, 2})).view().encoding() == "application/octet-stream;array;i64;2");
+}
+
+TEST_CASE("pictures are made smaller, and read again") {
+    const std::vector<std::uint8_t> pixels(16 * 8, 200);
+    const rect::Picture picture(16, 8, rect::Format::grey8, pixels);
+    Pair pair;
+    const auto subscriber = must(pair.two.subscribe("*/photo"));
+    const auto raw = pair.heard(subscriber, "photo", picture);
+    const auto png = must(rect::encode("png", raw->payload));
+    CHECK(png.view().encoding() == "image/png");
+    const auto read = must(png.view().picture());
+    CHECK(read.width() == 16);
+    CHECK(read.height() == 8);
+    CHECK(read.format() == rect::Format::grey8);
+    CHECK(std::equal(pixels.begin(), pixels.end(), read.pixels().begin(), read.pixels().end()));
+    CHECK(png.view().picture({0, 100}).error().code == rect::Code::codec);
+    CHECK(png.view().array().error().code == rect::Code::payload);
+}
+
+TEST_CASE("a span is of whatever has data and a size") {
+    const int array[] = {1, 2, 3};
+    std::vector<int> vector{4, 5};
+    const rect::span<const int> of_array = array;
+    const rect::span<int> of_vector = vector;
+    const rect::span<const int> of_const = static_cast<const std::vector<int>&>(vector);
+    CHECK(of_array.size() == 3);
+    CHECK(of_array.back() == 3);
+    of_vector[0] = 7;
+    CHECK(of_const.front() == 7);
+    CHECK(of_const.size_bytes() == 8);
+    CHECK(rect::span<const int>().empty());
+    int sum = 0;
+    for (const int number : of_array) {
+        sum += number;
+    }
+    CHECK(sum == 6);
+}
+
+TEST_CASE("timeouts are as long as they can be") {
+    CHECK(rect::detail::ms(-5ms) == 0);
+    CHECK(rect::detail::ms(7s) == 7000);
+    CHECK(rect::detail::ms(std::chrono::hours(24 * 365)) == RECT_FOREVER - 1);
+    CHECK(rect::detail::ms(rect::forever) == RECT_FOREVER);
+    CHECK(std::string(rect::version()) == "0.1.0");
+}
