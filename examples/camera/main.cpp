@@ -1,0 +1,54 @@
+// Camera: pictures as fresh as the link allows. On Wi-Fi they are large and good, over Bluetooth small, by themselves.
+//
+//     build/default/examples/camera wombat-1              # shows pictures to whoever watches
+//     build/default/examples/camera laptop wombat-1       # watches
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <iostream>
+#include <rect.hpp>
+#include <thread>
+#include <vector>
+
+constexpr int width = 320;
+constexpr int height = 240;
+
+// What a camera would see: a bright ball that goes round before a grey wall.
+std::vector<std::uint8_t> seen(int n) {
+    const double x = 160 + 80 * std::cos(n / 10.0);
+    const double y = 120 + 80 * std::sin(n / 10.0);
+    std::vector<std::uint8_t> pixels;
+    pixels.reserve(width * height * 3);
+    for (int row = 0; row < height; ++row) {
+        for (int column = 0; column < width; ++column) {
+            const bool is_ball = std::hypot(column - x, row - y) < 20;
+            const auto wall = static_cast<std::uint8_t>(90 + row / 4);
+            pixels.insert(pixels.end(), {std::uint8_t(is_ball ? 250 : 90), std::uint8_t(is_ball ? 200 : 90), is_ball ? std::uint8_t(30) : wall});
+        }
+    }
+    return pixels;
+}
+
+void watch(const rect::Robot& robot, const char* other) {
+    const auto camera = robot.watch(other, "camera").value();
+    while (const auto frame = camera.next()) {
+        const auto picture = (*frame)->payload.picture().value();
+        const auto age = (*frame)->age().value_or(std::chrono::microseconds(0));
+        std::cout << "frame " << (*frame)->number() << ": " << picture.width() << "x" << picture.height() << ", "
+                  << age.count() / 1000 << " ms old, " << (*frame)->skipped() << " skipped before it" << std::endl;
+    }
+}
+
+int main(int argc, char** argv) {
+    const auto robot = rect::connect(argc > 1 ? argv[1] : "wombat-1").value();
+    if (argc > 2) {
+        watch(robot, argv[2]);
+        return 0;
+    }
+    const auto camera = robot.stream("camera").value();
+    for (int n = 0;; ++n) {
+        const auto pixels = seen(n);
+        camera.send(rect::Picture(width, height, rect::Format::rgb8, pixels)).value();
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+}

@@ -1,0 +1,54 @@
+// Teleoperation: steering commands overtake everything else, and a robot that hears none for half a second stops.
+//
+//     build/default/examples/teleoperation wombat-1             # is driven
+//     build/default/examples/teleoperation laptop wombat-1      # drives it
+#include <chrono>
+#include <cmath>
+#include <iostream>
+#include <rect.hpp>
+#include <rect/nlohmann.hpp>
+#include <thread>
+
+using namespace std::chrono_literals;
+
+struct Drive {
+    double left;
+    double right;
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Drive, left, right)
+
+constexpr Drive stop{0, 0};
+
+void drive(const rect::Robot& robot, const char* other) {
+    const auto urgent = robot.with(rect::Urgency::urgent).value();
+    for (int n = 0; n < 200; ++n) {
+        const auto left = std::sin(n / 20.0);
+        urgent.send(other, "drive", rect::Cbor(Drive{left, -left})).value();
+        std::this_thread::sleep_for(50ms);
+    }
+    urgent.send(other, "drive", rect::Cbor(stop)).value();
+}
+
+void be_driven(const rect::Robot& robot) {
+    const auto commands = robot.subscribe("*/drive").value();
+    for (;;) {
+        const auto message = commands.next(500ms);
+        if (message) {
+            const auto command = (*message)->payload.value<Drive>().value();
+            std::cout << (*message)->from() << " says " << command.left << " " << command.right << std::endl;
+        } else if (message.error().code == rect::Code::timed_out) {
+            std::cout << "nobody steers: " << stop.left << " " << stop.right << std::endl;
+        } else {
+            return;
+        }
+    }
+}
+
+int main(int argc, char** argv) {
+    const auto robot = rect::connect(argc > 1 ? argv[1] : "wombat-1").value();
+    if (argc > 2) {
+        drive(robot, argv[2]);
+    } else {
+        be_driven(robot);
+    }
+}
