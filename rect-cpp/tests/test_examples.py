@@ -1,0 +1,130 @@
+"""The examples, and the programs of docs/cpp.md and docs/c.md, built and run.
+
+RECT_ROUTER=target/quick/rect-router pytest rect-cpp/tests --build rect-cpp/build/default
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import re
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+_REPOSITORY = Path(__file__).resolve().parents[2]
+#: How long anything may take before a test fails, in seconds.
+_DEADLINE = 30.0
+
+
+class Example:
+    """A running example, of which lines are taken."""
+
+    def __init__(self, program: Path, *arguments: str, folder: Path) -> None:
+        command = [program, *arguments]
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, cwd=folder, stdout=pipe, stderr=subprocess.STDOUT, text=True)
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def until(self, said: str) -> str:
+        """The first line that has that in it."""
+        line = self._lines.get(timeout=_DEADLINE)
+        while said not in line:
+            line = self._lines.get(timeout=_DEADLINE)
+        return line
+
+    def __enter__(self) -> Example:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line.rstrip("\n"))
+
+
+@pytest.fixture
+def examples(build: Path, endpoint: str) -> Path:
+    return build / "examples"
+
+
+def test_telemetry(examples: Path, tmp_path: Path) -> None:
+    with (
+        Example(examples / "telemetry", "wombat-1", folder=tmp_path),
+        Example(examples / "telemetry", "wombat-2", folder=tmp_path) as two,
+    ):
+        assert "7.2 V" in two.until("wombat-1: ")
+
+
+def test_teleoperation(examples: Path, tmp_path: Path) -> None:
+    with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
+        one.until("nobody steers: 0 0")
+        with Example(examples / "teleoperation", "laptop", "wombat-1", folder=tmp_path):
+            one.until("laptop says")
+        one.until("nobody steers")
+
+
+def test_camera(examples: Path, tmp_path: Path) -> None:
+    with (
+        Example(examples / "camera", "wombat-1", folder=tmp_path),
+        Example(examples / "camera", "laptop", "wombat-1", folder=tmp_path) as two,
+    ):
+        assert "ms old" in two.until("frame 2:")
+
+
+def test_transfer(examples: Path, tmp_path: Path) -> None:
+    (tmp_path / "map.bin").write_bytes(os.urandom(300_000))
+    with Example(examples / "transfer", "wombat-1", folder=tmp_path) as one:
+        one.until("takes files")
+        with Example(examples / "transfer", "wombat-2", "wombat-1", "map.bin", folder=tmp_path) as two:
+            two.until("map.bin is there, whole")
+        one.until("map.bin of wombat-2: received/wombat-2/map.bin")
+    assert (tmp_path / "received/wombat-2/map.bin").read_bytes() == (tmp_path / "map.bin").read_bytes()
+
+
+def test_request(examples: Path, tmp_path: Path) -> None:
+    with Example(examples / "request", "wombat-1", folder=tmp_path) as one:
+        one.until("serves")
+        with Example(examples / "request", "wombat-2", "wombat-1", folder=tmp_path) as two:
+            two.until('wombat-1: {"cell":1,"volt":3.6}')
+            two.until("wombat-1 answers with an error: there are the cells 1 and 2")
+
+
+def test_wombat(examples: Path, tmp_path: Path) -> None:
+    with Example(examples / "wombat", "wombat-1", folder=tmp_path) as one:
+        one.until("motors off")
+        with Example(examples / "teleoperation", "laptop", "wombat-1", folder=tmp_path):
+            one.until("motor 3: ")
+        one.until("motors off")
+
+
+@pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request", "wombat"])
+def test_an_example_is_short(name: str) -> None:
+    assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80
+
+
+@pytest.mark.parametrize(("page", "language", "compiler"), [("cpp", "cpp", ["g++", "-std=c++17"]), ("c", "c", ["gcc", "-std=c99"])])
+def test_the_programs_of_a_page_do_what_they_say(
+    page: str, language: str, compiler: list[str], build: Path, endpoint: str, tmp_path: Path
+) -> None:
+    text = (_REPOSITORY / "docs" / f"{page}.md").read_text()
+    programs = [block for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL) if "int main" in block]
+    assert programs
+    for n, program in enumerate(programs):
+        source = tmp_path / f"{n}.{language}"
+        source.write_text(program)
+        lib = build / "lib"
+        warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+        include = f"-I{_REPOSITORY / 'rect-cpp' / 'include'}"
+        link = [f"-L{lib}", "-lrect", f"-Wl,-rpath,{lib}", "-lpthread"]
+        subprocess.run([*compiler, *warnings, include, source, *link, "-o", tmp_path / str(n)], check=True)
+        with Example(tmp_path / str(n), folder=tmp_path) as running:
+            for said in re.findall(r"(?://|/\*) says: (.*?)(?: \*/)?$", program, re.MULTILINE):
+                running.until(said)
