@@ -30,9 +30,9 @@ std::vector<std::uint8_t> seen(int n) {
 }
 
 void watch(const rect::Robot& robot, const char* other) {
-    const auto camera = robot.watch(other, "camera").value();
+    const auto camera = rect::must(robot.watch(other, "camera"));
     while (const auto frame = camera.next()) {
-        const auto picture = (*frame)->payload.picture().value();
+        const auto picture = rect::must((*frame)->payload.picture());
         const auto age = (*frame)->age().value_or(std::chrono::microseconds(0));
         std::cout << "frame " << (*frame)->number() << ": " << picture.width() << "x" << picture.height() << ", "
                   << age.count() / 1000 << " ms old, " << (*frame)->skipped() << " skipped before it" << std::endl;
@@ -40,15 +40,15 @@ void watch(const rect::Robot& robot, const char* other) {
 }
 
 int main(int argc, char** argv) {
-    const auto robot = rect::connect(argc > 1 ? argv[1] : "wombat-1").value();
+    const auto robot = rect::must(rect::connect(argc > 1 ? argv[1] : "wombat-1"));
     if (argc > 2) {
         watch(robot, argv[2]);
         return 0;
     }
-    const auto camera = robot.stream("camera").value();
+    const auto camera = rect::must(robot.stream("camera"));
     for (int n = 0;; ++n) {
         const auto pixels = seen(n);
-        camera.send(rect::Picture(width, height, rect::Format::rgb8, pixels)).value();
+        rect::must(camera.send(rect::Picture(width, height, rect::Format::rgb8, pixels)));
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
     }
 }

@@ -7,7 +7,7 @@
 #include <rect.hpp>
 
 int main(int argc, char** argv) {
-    const auto robot = rect::connect(argc > 1 ? argv[1] : "wombat-1").value();
+    const auto robot = rect::must(rect::connect(argc > 1 ? argv[1] : "wombat-1"));
     if (argc > 3) {
         const auto sent = robot.transfer(argv[2], "files", rect::File{argv[3]}, {}, [](const rect::Progress& progress) {
             std::printf("%3.0f %%\n", progress.fraction() * 100);
@@ -19,8 +19,8 @@ int main(int argc, char** argv) {
     options.folder = "received";
     // Whoever sends more is refused.
     options.max_bytes = 1 << 30;
-    const auto files = robot.receive_transfers("*/files", options).value();
-    std::cout << robot.name().value() << " takes files; Ctrl-C ends this" << std::endl;
+    const auto files = rect::must(robot.receive_transfers("*/files", options));
+    std::cout << rect::must(robot.name()) << " takes files; Ctrl-C ends this" << std::endl;
     for (;;) {
         const auto file = files.next();
         if (file) {

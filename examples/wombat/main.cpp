@@ -21,10 +21,10 @@ constexpr int light_port = 1;
 int percent(double share) { return static_cast<int>(std::clamp(share, -1.0, 1.0) * 100); }
 
 int main(int argc, char** argv) {
-    const auto robot = rect::connect(argc > 1 ? argv[1] : "wombat-1").value();
-    const auto light = robot.stream("light", rect::StreamOptions::sensor()).value();
-    const auto commands = robot.subscribe("*/drive", {1, rect::WhenFull::newest_wins}).value();
-    const auto battery = robot.serve("battery", [](const rect::Request&) { return json(power_level()); }).value();
+    const auto robot = rect::must(rect::connect(argc > 1 ? argv[1] : "wombat-1"));
+    const auto light = rect::must(robot.stream("light", rect::StreamOptions::sensor()));
+    const auto commands = rect::must(robot.subscribe("*/drive", {1, rect::WhenFull::newest_wins}));
+    const auto battery = rect::must(robot.serve("battery", [](const rect::Request&) { return json(power_level()); }));
 
     auto heard = std::chrono::steady_clock::now();
     while (!side_button()) {
@@ -38,7 +38,7 @@ int main(int argc, char** argv) {
             // Nobody steers.
             ao();
         }
-        light.send(json(analog(light_port))).value();
+        rect::must(light.send(json(analog(light_port))));
     }
     ao();
 }

@@ -726,6 +726,11 @@ enum rect_code rect_dictionary_number(struct rect_dictionary dictionary,
 enum rect_code rect_drop(uint64_t *id,
                          struct rect_error *error);
 
+// How many things have an `id` now: a test that ends with as many as it began has dropped all that it had.
+//
+// Thread: any.
+size_t rect_live(void);
+
 // Whether a text may be the name of a robot or a fleet; if not, why.
 //
 // Thread: any.

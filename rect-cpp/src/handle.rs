@@ -101,14 +101,10 @@ pub fn remove(handle: u64) -> Result<(), Failure> {
     Ok(())
 }
 
-/// How many objects there are.
-#[cfg(test)]
-pub fn live() -> usize {
-    read()
-        .slots
-        .iter()
-        .filter(|slot| slot.object.is_some())
-        .count()
+fn live() -> usize {
+    let table = read();
+    let there = table.slots.iter().filter(|slot| slot.object.is_some());
+    there.count()
 }
 
 fn read() -> RwLockReadGuard<'static, Table> {
@@ -140,6 +136,14 @@ pub unsafe extern "C" fn rect_drop(
             handle => remove(handle),
         }
     })
+}
+
+/// How many things have an `id` now: a test that ends with as many as it began has dropped all that it had.
+///
+/// Thread: any.
+#[no_mangle]
+pub extern "C" fn rect_live() -> usize {
+    live()
 }
 
 #[cfg(test)]

@@ -11,7 +11,6 @@
 #include <condition_variable>
 #include <mutex>
 #include <rect.hpp>
-#include <stdexcept>
 #include <string>
 
 #include "catch_amalgamated.hpp"
@@ -38,16 +37,8 @@ inline std::string free_endpoint() {
     return "tcp/127.0.0.1:" + std::to_string(ntohs(address.sin_port));
 }
 
-// What is there, or an exception with why not; on any thread, which Catch2's own checks are not for.
-template <class T>
-T must(rect::expected<T> got) {
-    if (!got) {
-        throw std::runtime_error(got.error().text);
-    }
-    if constexpr (!std::is_void_v<T>) {
-        return std::move(*got);
-    }
-}
+// On any thread, which Catch2's own checks are not for.
+using rect::must;
 
 // Does it again and again until there is what is waited for.
 template <class Done>

@@ -161,10 +161,10 @@ int main(void) {
     streams(one, two);
     transfers(one, two);
     copy = one;
-    must(rect_robot_close(one, &error), "close");
     must(rect_drop(&one.id, &error), "drop");
     check(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE, "dropped twice is an error");
     must(rect_drop(&two.id, &error), "drop");
+    check(rect_live() == 0, "all is dropped");
     printf("all passed\n");
     return 0;
 }

@@ -26,7 +26,7 @@ class Example:
     def __init__(self, program: Path, *arguments: str, folder: Path) -> None:
         command = [program, *arguments]
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, cwd=folder, stdout=pipe, stderr=subprocess.STDOUT, text=True)
+        self._process = subprocess.Popen(command, cwd=folder, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True)
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True).start()
 

@@ -1,4 +1,5 @@
 // Messages: said to all and to one, heard by a subscriber, a callback, or just the next one.
+#include <atomic>
 #include <thread>
 
 #include "pair.hpp"
@@ -60,13 +61,15 @@ TEST_CASE("a callback is called for each message, on a thread of its own, and ma
 
 TEST_CASE("the next message about a topic is waited for") {
     Pair pair;
+    std::atomic<bool> is_heard{false};
     std::thread speaking([&] {
-        while (pair.one.publish("battery", "7.2")) {
+        while (!is_heard) {
+            must(pair.one.publish("battery", "7.2"));
             std::this_thread::sleep_for(5ms);
         }
     });
     const auto message = pair.two.listen("wombat-1", "battery", deadline);
-    must(pair.one.close());
+    is_heard = true;
     speaking.join();
     REQUIRE(message.has_value());
     CHECK((*message)->topic() == "battery");

@@ -10,19 +10,7 @@
 #include <utility>
 
 #include "abi.hpp"
-
-#if defined(__SANITIZE_THREAD__)
-#define RECT_THREAD_SANITIZER 1
-#elif defined(__has_feature)
-#if __has_feature(thread_sanitizer)
-#define RECT_THREAD_SANITIZER 1
-#endif
-#endif
-
-#if defined(RECT_THREAD_SANITIZER)
-extern "C" void __tsan_acquire(void* address);
-extern "C" void __tsan_release(void* address);
-#endif
+#include "sanitizer.hpp"
 
 namespace rect {
 inline namespace RECT_ABI {
@@ -60,19 +48,6 @@ bool guarded(Run run) noexcept {
     return false;
 }
 
-// The library's locks order a callback's calls, and are not seen by a thread sanitizer, since it is not built with one.
-inline void acquire([[maybe_unused]] void* context) noexcept {
-#if defined(RECT_THREAD_SANITIZER)
-    __tsan_acquire(context);
-#endif
-}
-
-inline void release([[maybe_unused]] void* context) noexcept {
-#if defined(RECT_THREAD_SANITIZER)
-    __tsan_release(context);
-#endif
-}
-
 /// A function on its way to C, which takes it over.
 template <class F>
 class Callback {
@@ -97,6 +72,7 @@ public:
         acquire(context);
         guarded([&] { (*static_cast<F*>(context))(View(*raw)); });
         detail::release(context);
+        release_all();
     }
 
 private:

@@ -3,7 +3,9 @@
 #ifndef RECT_ERROR_HPP
 #define RECT_ERROR_HPP
 
+#include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 #include "../rect.h"
@@ -71,20 +73,43 @@ struct Error {
 };
 
 #if RECT_HAS_STD_EXPECTED
-/// What a call gives, or why it does not: `std::expected` where the standard has it, otherwise the same by `tl::expected`.
+/// What a call gives, or why it does not: `std::expected` where the standard has it, otherwise the same by `nonstd::expected`.
 template <class T, class E = Error>
 using expected = std::expected<T, E>;
 /// The second of the two.
 template <class E>
 using unexpected = std::unexpected<E>;
 #else
-/// What a call gives, or why it does not: `std::expected` where the standard has it, otherwise the same by `tl::expected`.
+/// What a call gives, or why it does not: `std::expected` where the standard has it, otherwise the same by `nonstd::expected`.
 template <class T, class E = Error>
-using expected = tl::expected<T, E>;
+using expected = nonstd::expected<T, E>;
 /// The second of the two.
 template <class E>
-using unexpected = tl::unexpected<E>;
+using unexpected = nonstd::unexpected_type<E>;
 #endif
+
+/// What `must` throws: what() is the error's text.
+class Failed : public std::runtime_error {
+public:
+    /// Of an error.
+    explicit Failed(const Error& error) : std::runtime_error(error.text), code_(error.code) {}
+    /// What kind of failure.
+    [[nodiscard]] Code code() const noexcept { return code_; }
+
+private:
+    Code code_;
+};
+
+/// What a call gives, or a Failed is thrown: `auto robot = rect::must(rect::connect("wombat-1"));`.
+template <class T>
+T must(expected<T> got) {
+    if (!got) {
+        throw Failed(got.error());
+    }
+    if constexpr (!std::is_void_v<T>) {
+        return std::move(*got);
+    }
+}
 
 /// @cond
 namespace detail {

@@ -7,6 +7,7 @@
 #include <cstdint>
 
 #include "error.hpp"
+#include "sanitizer.hpp"
 
 namespace rect {
 inline namespace RECT_ABI {
@@ -35,6 +36,7 @@ public:
     void drop() noexcept {
         auto id = id_.exchange(0);
         rect_drop(&id, nullptr);
+        detail::acquire_all();
     }
 
     /// Its number in C; 0 when there is nothing any more.

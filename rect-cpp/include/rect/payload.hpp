@@ -117,8 +117,13 @@ private:
 /// @cond
 namespace detail {
 
+// Containers of bytes, and not what only says that it can become one, as nlohmann::json does.
+template <class T, class = void>
+inline constexpr bool is_bytes = false;
 template <class T>
-inline constexpr bool is_bytes = std::is_convertible_v<const T&, span<const std::uint8_t>>;
+inline constexpr bool is_bytes<T, std::void_t<decltype(std::declval<const T&>().data())>> =
+    std::is_same_v<decltype(std::declval<const T&>().data()), const std::uint8_t*> ||
+    std::is_same_v<decltype(std::declval<const T&>().data()), std::uint8_t*>;
 
 /// Calls `use` with the value as C wants it.
 template <class T, class Use>

@@ -70,6 +70,7 @@ private:
 };
 
 /// What a service throws, or returns as `rect::unexpected<rect::Refusal>`, to answer with an error: the asker gets its text.
+/// What `rect::must` throws is answered so, too.
 class Refusal : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;
@@ -130,12 +131,15 @@ void serve(const rect_request* raw, void* context) noexcept {
             answer(raw->id, (*static_cast<F*>(context))(Request(*raw)));
         } catch (const Refusal& refusal) {
             refuse(raw->id, refusal.what());
+        } catch (const Failed& failed) {
+            refuse(raw->id, failed.what());
         }
     });
     if (!is_answered) {
         guarded([&] { refuse(raw->id, "the service has a fault"); });
     }
     release(context);
+    release_all();
 }
 
 }  // namespace detail
