@@ -53,9 +53,12 @@ TEST_CASE("what is no JSON, of another shape, or too deep is an error") {
 
 TEST_CASE("a service may take and return values") {
     Pair pair;
-    const auto service = must(pair.two.serve("sum", [](const rect::Request& request) {
-        return request.payload.value<std::vector<int>>().transform(
-            [](const auto& numbers) { return std::accumulate(numbers.begin(), numbers.end(), 0); });
+    const auto service = must(pair.two.serve("sum", [](const rect::Request& request) -> rect::expected<int> {
+        const auto numbers = request.payload.value<std::vector<int>>();
+        if (!numbers) {
+            return rect::unexpected<rect::Error>(numbers.error());
+        }
+        return std::accumulate(numbers->begin(), numbers->end(), 0);
     }));
     rect::expected<rect::Reply> reply = pair.one.request("wombat-2", "sum", std::vector<int>{1, 2, 3}, deadline);
     until([&] {

@@ -1,0 +1,87 @@
+// What the C++ library's words cost: two robots in one process, linked over TCP.
+#include <atomic>
+#include <condition_variable>
+#include <cstdio>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <rect/nlohmann.hpp>
+
+#include "allocations.hpp"
+#include "pair.hpp"
+
+namespace {
+
+const nlohmann::json reading{{"robot", "wombat-1"}, {"angle_deg", 12.5}, {"volt", 7.2}, {"ok", true}};
+const std::string text = reading.dump();
+
+// Counts, and wakes who waits for a count.
+class Counter {
+public:
+    void add() {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        ++count_;
+        changed_.notify_one();
+    }
+    long now() {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        return count_;
+    }
+    // Whether there were as many in time.
+    bool wait(long wanted, std::chrono::milliseconds time) {
+        std::unique_lock<std::mutex> lock(mutex_);
+        return changed_.wait_for(lock, time, [&] { return count_ >= wanted; });
+    }
+
+private:
+    std::mutex mutex_;
+    std::condition_variable changed_;
+    long count_ = 0;
+};
+
+}  // namespace
+
+TEST_CASE("a message") {
+    Pair pair;
+    Counter heard;
+    const auto subscription = must(pair.two.subscribe(
+        "wombat-1/n", [&](const rect::MessageView&) { heard.add(); }, {1 << 16, rect::WhenFull::wait}));
+    until([&] {
+        must(pair.one.publish("n", text));
+        return heard.wait(1, patience);
+    });
+
+    BENCHMARK("published and called back") {
+        const auto before = heard.now();
+        must(pair.one.publish("n", text));
+        return heard.wait(before + 1, deadline);
+    };
+    BENCHMARK("1000 published, and all called back") {
+        const auto before = heard.now();
+        for (int n = 0; n < 1000; ++n) {
+            must(pair.one.publish("n", text));
+        }
+        return heard.wait(before + 1000, deadline);
+    };
+    const auto before = heard.now();
+    const auto allocated = allocations();
+    constexpr int messages = 10'000;
+    for (int n = 0; n < messages; ++n) {
+        must(pair.one.publish("n", text));
+    }
+    REQUIRE(heard.wait(before + messages, deadline));
+    std::printf("heap allocations for a message, said and heard: %.2f\n", double(allocations() - allocated) / messages);
+}
+
+TEST_CASE("a request") {
+    Pair pair;
+    const auto service = must(pair.two.serve("echo", [](const rect::Request& request) { return rect::Payload(request.payload); }));
+    until([&] { return pair.one.request("wombat-2", "echo", text, 1s).has_value(); });
+    BENCHMARK("asked and answered") { return must(pair.one.request("wombat-2", "echo", text, deadline)).payload.bytes().size(); };
+}
+
+TEST_CASE("parts") {
+    const rect::PayloadView payload({reinterpret_cast<const std::uint8_t*>(text.data()), text.size()}, "application/json");
+    BENCHMARK("text of a payload") { return payload.text()->size(); };
+    BENCHMARK("JSON of a payload") { return payload.value<nlohmann::json>()->size(); };
+    BENCHMARK("a handle that is not there") { return rect::Robot().counters().has_value(); };
+}
