@@ -1,6 +1,6 @@
 """Runs a program with two routers on the simulated air: `wombat-1` at RECT_ROUTER_1, `wombat-2` at RECT_ROUTER_2.
 
-RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect .venv/bin/python rect-cpp/tests/in_the_air.py PROGRAM ...
+RECT_ROUTER=... RECT_TOOL=... .venv/bin/python rect-cpp/tests/in_the_air.py PROGRAM ...
 """
 
 import os
@@ -11,8 +11,8 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "demo"))
 
-from robots import rect_settings  # noqa: E402
-from room import Room, wait_for_link  # noqa: E402
+from robots import rect_settings
+from room import Room, wait_for_link
 
 
 def main(*command: str) -> int:

@@ -25,8 +25,8 @@ class Example:
 
     def __init__(self, program: Path, *arguments: str, folder: Path) -> None:
         command = [program, *arguments]
-        pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, cwd=folder, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True)
+        pipe, same = subprocess.PIPE, subprocess.STDOUT
+        self._process = subprocess.Popen(command, cwd=folder, stdin=pipe, stdout=pipe, stderr=same, text=True)
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -110,7 +110,10 @@ def test_an_example_is_short(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80
 
 
-@pytest.mark.parametrize(("page", "language", "compiler"), [("cpp", "cpp", ["g++", "-std=c++17"]), ("c", "c", ["gcc", "-std=c99"])])
+@pytest.mark.parametrize(
+    ("page", "language", "compiler"),
+    [("cpp", "cpp", ["g++", "-std=c++17"]), ("c", "c", ["gcc", "-std=c99"])],
+)
 def test_the_programs_of_a_page_do_what_they_say(
     page: str, language: str, compiler: list[str], build: Path, endpoint: str, tmp_path: Path
 ) -> None:
