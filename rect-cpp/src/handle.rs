@@ -25,11 +25,13 @@ pub trait Object: Any + Send + Sync {
 }
 
 type Shared = Arc<dyn Any + Send + Sync>;
+/// [`Object::on_dropped`] of what it is.
+type OnDropped = fn(&Shared);
 
 struct Slot {
     /// How many have been here.
     generation: u32,
-    object: Option<(Shared, fn(&Shared))>,
+    object: Option<(Shared, OnDropped)>,
 }
 
 #[derive(Default)]
