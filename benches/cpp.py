@@ -1,0 +1,59 @@
+"""The C++ library's words: Catch2's micro-benchmarks, heap allocations, and the size of a stripped static program."""
+
+import os
+import re
+import subprocess
+import tempfile
+import xml.etree.ElementTree as xml
+from pathlib import Path
+
+from table import Table
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SAMPLES = os.environ.get("RECT_BENCH_SAMPLES", "100")
+
+
+def run() -> Table:
+    table = Table("The C++ library: two robots in one process, linked over TCP", ["what", "mean", "standard deviation"])
+    with tempfile.TemporaryDirectory() as folder:
+        built = build(Path(folder))
+        command = [built / "benches" / "rect_bench", "--reporter", "xml", "--benchmark-samples", SAMPLES]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        for bench in xml.fromstring(said[said.index("<?xml") :]).iter("BenchmarkResults"):
+            mean, deviation = (float(bench.find(part).attrib["value"]) for part in ("mean", "standardDeviation"))
+            table.add(bench.attrib["name"], f"{mean / 1000:,.2f} us", f"{deviation / 1000:,.2f} us")
+        # On a stream of its own, since the report is XML.
+        counted = subprocess.run([*command[:1], "a message"], capture_output=True, text=True, check=True).stdout
+        found = re.search(r"said and heard: ([\d.]+)", counted)
+        assert found is not None
+        table.add("heap allocations for a message, said and heard", found[1], "")
+        table.add("a stripped static program that says hello", f"{hello(built, Path(folder)) / 1e6:.1f} MB", "")
+    return table
+
+
+def library() -> Path:
+    return Path(os.environ["RECT_TOOL"]).parent
+
+
+def build(folder: Path) -> Path:
+    options = [f"-DRECT_LIBRARY_DIR={library()}", "-DCMAKE_BUILD_TYPE=Release", "-DRECT_BUILD_BENCHES=ON"]
+    built = folder / "build"
+    options += ["-DRECT_BUILD_EXAMPLES=OFF", "-G", "Ninja"]
+    configure = ["cmake", "-S", REPOSITORY / "rect-cpp", "-B", built, *options]
+    subprocess.run(configure, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(["cmake", "--build", built, "--target", "rect_bench"], check=True, stdout=subprocess.DEVNULL)
+    return built
+
+
+def hello(built: Path, folder: Path) -> int:
+    program = folder / "hello"
+    source = REPOSITORY / "rect-cpp" / "tests" / "consumer" / "main.cpp"
+    include = f"-I{REPOSITORY / 'rect-cpp' / 'include'}"
+    link = [built / "lib" / "librect.a", "-Wl,--gc-sections", "-s", "-lpthread", "-ldl", "-lm", "-lgcc_s"]
+    subprocess.run(["g++", "-std=c++17", "-O2", include, source, *link, "-o", program], check=True)
+    subprocess.run([program], check=True, stdout=subprocess.DEVNULL)
+    return program.stat().st_size
+
+
+if __name__ == "__main__":
+    print(run().text())
