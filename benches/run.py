@@ -25,7 +25,7 @@ BENCHES = {
     "stream": "a camera over a slow link, adaptive and fixed: frames, ages, quality, urgent messages the while",
     "transfer": "a file of 5 MB over a slow link, whole and with three cuts; urgent messages the while",
     "python": "the Python package beside plain eclipse-zenoh: latency, frames, import time, memory",
-    "cpp": "the C++ library's micro-benchmarks, its heap allocations, the size of a static program",
+    "cpp": "the C++ library beside the Rust library, its micro-benchmarks, allocations, the size of a static program",
     "idle": "memory, threads and size beside stock zenohd",
 }
 

@@ -1,42 +1,16 @@
 // What the C++ library's words cost: two robots in one process, linked over TCP.
-#include <atomic>
-#include <condition_variable>
 #include <cstdio>
-#include <mutex>
 #include <nlohmann/json.hpp>
 #include <rect/nlohmann.hpp>
 
 #include "allocations.hpp"
+#include "counter.hpp"
 #include "pair.hpp"
 
 namespace {
 
 const nlohmann::json reading{{"robot", "wombat-1"}, {"angle_deg", 12.5}, {"volt", 7.2}, {"ok", true}};
 const std::string text = reading.dump();
-
-// Counts, and wakes who waits for a count.
-class Counter {
-public:
-    void add() {
-        const std::lock_guard<std::mutex> lock(mutex_);
-        ++count_;
-        changed_.notify_one();
-    }
-    long now() {
-        const std::lock_guard<std::mutex> lock(mutex_);
-        return count_;
-    }
-    // Whether there were as many in time.
-    bool wait(long wanted, std::chrono::milliseconds time) {
-        std::unique_lock<std::mutex> lock(mutex_);
-        return changed_.wait_for(lock, time, [&] { return count_ >= wanted; });
-    }
-
-private:
-    std::mutex mutex_;
-    std::condition_variable changed_;
-    long count_ = 0;
-};
 
 }  // namespace
 
