@@ -29,10 +29,12 @@ check: ## Formatters and linters of every language
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
 
-docs: ## The API's pages for Rust and Python, into target/doc and target/docs
+docs: ## The API's pages for Rust, Python and C++, into target/doc, target/docs and rect-cpp/build/doxygen
 	@scripts/setup python
+	@scripts/setup test
 	cargo doc --no-deps -p rect
 	@scripts/docs-python
+	cd rect-cpp && doxygen -q Doxyfile
 
 bench: ## Comparisons, into benches/results/ (an hour; BENCH="goodput idle" for some of them)
 	@scripts/setup bench
