@@ -34,7 +34,7 @@ docs: ## The API's pages for Rust, Python and C++, into target/doc, target/docs 
 	@scripts/setup test
 	cargo doc --no-deps -p rect
 	@scripts/docs-python
-	cd rect-cpp && doxygen -q Doxyfile
+	mkdir -p rect-cpp/build/doxygen && cd rect-cpp && doxygen -q Doxyfile
 
 bench: ## Comparisons, into benches/results/ (an hour; BENCH="goodput idle" for some of them)
 	@scripts/setup bench
