@@ -10,6 +10,7 @@ import xml.etree.ElementTree as xml
 from pathlib import Path
 
 from table import Table
+from turns import by_turns, ratio
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROUNDS = 15
@@ -41,17 +42,17 @@ def run() -> Table:
 
 def compare(table: Table, ours: list, theirs: list) -> None:
     rows = {"p50_us": "published and called back, p50, us", "messages_per_s": "messages/s"}
-    found: tuple[list[dict], list[dict]] = ([], [])
-    for n in range(ROUNDS):
-        # By turns in going first: whoever does may find a cooler or a hotter machine.
-        for index in (0, 1) if n % 2 else (1, 0):
-            said = subprocess.run((ours, theirs)[index], capture_output=True, text=True, check=True).stdout
-            [line] = (line for line in said.splitlines() if line.startswith("{"))
-            found[index].append(json.loads(line))
+    both = by_turns(ROUNDS, lambda: figures(ours), lambda: figures(theirs))
     for key, what in rows.items():
-        low, middle, high = statistics.quantiles([one[key] / two[key] for one, two in zip(*found, strict=True)], n=4)
-        medians = [f"{statistics.median(run[key] for run in runs):,.0f}" for runs in found]
-        table.add(what, *medians, f"{middle:.2f} ({low:.2f} to {high:.2f})")
+        found = [[run[key] for run in runs] for runs in both]
+        table.add(what, *(f"{statistics.median(rounds):,.0f}" for rounds in found), ratio(*found))
+
+
+def figures(command: list) -> dict[str, float]:
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    # Catch2 says something, too.
+    [line] = (line for line in said.splitlines() if line.startswith("{"))
+    return json.loads(line)
 
 
 def library() -> Path:

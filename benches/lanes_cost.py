@@ -14,6 +14,7 @@ from guest import figures_of, set_pace
 from robots import Robot, RobotError, wait_until
 from round_trip import ask
 from table import Table
+from turns import ratio
 
 ROUNDS = 7
 BULK_BYTES, PUT_BYTES = 500_000, [1000, 100_000]
@@ -34,10 +35,9 @@ def run() -> Table:
     )
     for what in rounds[0]["lanes"]:
         lanes, plain = ([one[link][what] for one in rounds] for link in LINKS)
-        low, middle, high = statistics.quantiles([ours / other for ours, other in zip(lanes, plain, strict=True)], n=4)
         unit, wanted = ("ms", "at most 1.10") if what.startswith("round trip") else ("kB/s", "at least 0.85")
         cells = (f"{statistics.median(values):.1f} {unit}" for values in (lanes, plain))
-        table.add(what, *cells, f"{middle:.2f} ({low:.2f} to {high:.2f})", wanted)
+        table.add(what, *cells, ratio(lanes, plain), wanted)
     table.notes = [
         f"Medians of {ROUNDS} rounds by turns; the ratio is the median of the rounds' own, its middle half in "
         f"brackets. Throughput: stock clients, from the first put to the last arrival. Round trip: {ASKED} queries "

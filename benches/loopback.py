@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from peers import figures_of
 from routers import PROGRAMS, Router
 from table import Table
+from turns import by_turns, ratio
 
 ROUNDS = 15
 SECONDS = 1.5
@@ -32,16 +33,10 @@ def run() -> Table:
 
 
 def compare(table: Table, routers: list[Router], what: str, figure: str, mode: str, size: int) -> None:
-    ours, stock = [], []
-    for n in range(ROUNDS):
-        # By turns in going first: whoever does may find a cooler or a hotter machine.
-        for index in (0, 1) if n % 2 else (1, 0):
-            (ours, stock)[index].append(load(mode, routers[index], size)[figure])
-    ratios = [one / other for one, other in zip(ours, stock, strict=True)]
-    low, middle, high = statistics.quantiles(ratios, n=4)
-    ours, stock = statistics.median(ours), statistics.median(stock)
-    table.add(what, f"{ours:,.0f}", f"{stock:,.0f}", f"{middle:.3f} ({low:.3f} to {high:.3f})")
-    print(f"  {what}: {middle:.3f}", flush=True)
+    ours, stock = (lambda router=router: load(mode, router, size)[figure] for router in routers)
+    found = by_turns(ROUNDS, ours, stock)
+    table.add(what, *(f"{statistics.median(rounds):,.0f}" for rounds in found), ratio(*found, digits=3))
+    print(f"  {what}: {ratio(*found, digits=3)}", flush=True)
 
 
 def load(mode: str, router: Router, size: int) -> dict[str, float]:

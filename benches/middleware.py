@@ -12,6 +12,7 @@ from robots import free_port, is_listening, wait_until
 from routers import Router
 from table import Table
 from traffic import percentile
+from turns import ratio
 
 SIZES = [64, 1024]
 ROUNDS = 16
@@ -101,9 +102,9 @@ class Measured:
             ours, others = (self.times_us[name, job] for name in (pairing.name, pairing.beside))
             every = [time * share for times in ours for time in times]
             cells += [f"{percentile(every, place):,.0f} us" for place in (0.5, 0.99)]
-            cells.append(ratio([percentile(times, 0.5) for times in ours], [percentile(t, 0.5) for t in others]))
+            cells.append(ratio_to([percentile(times, 0.5) for times in ours], [percentile(t, 0.5) for t in others]))
         rates = self.rates[pairing.name]
-        cells += [f"{statistics.median(rates):,.0f}", ratio(rates, self.rates[pairing.beside])]
+        cells += [f"{statistics.median(rates):,.0f}", ratio_to(rates, self.rates[pairing.beside])]
         counted = self.bytes[pairing.name]
         return cells + [f"{counted[what]:.0f}" for what in ("bytes_per_message", "bytes_per_request")]
 
@@ -144,12 +145,8 @@ def listening(stack: ExitStack, *arguments: str) -> str:
     return address
 
 
-def ratio(ours: list[float], others: list[float]) -> str:
-    if ours == others:
-        return "1"
-    ratios = [one / other for one, other in zip(ours, others, strict=True)]
-    low, middle, high = statistics.quantiles(ratios, n=4)
-    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+def ratio_to(ours: list[float], others: list[float]) -> str:
+    return "1" if ours == others else ratio(ours, others)
 
 
 def notes() -> list[str]:

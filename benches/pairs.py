@@ -70,11 +70,16 @@ def ble_pair(
             near=one.session,
             far=two.session,
             far_socket=socket,
-            carried=lambda: sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"]),
+            carried=lambda: carried(air),
             links=lambda: two.log().count("ble: linked with"),
             complaints=lambda: complaints(one.log() + two.log()),
             pids=[one.pid(), two.pid()],
         )
+
+
+def carried(air: Room) -> int:
+    """Bytes that all links in a room carried so far."""
+    return sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"])
 
 
 def ble_pair_endpoints(air: Room) -> tuple[str, str]:

@@ -15,6 +15,7 @@ import numpy as np
 import rect
 import zenoh
 from table import Table
+from turns import by_turns, ratio
 
 ROUNDS = 15
 PINGS = 300
@@ -51,15 +52,10 @@ def run() -> Table:
 
 
 def compare(table: Table, what: str, ours: Callable[[], float], stock: Callable[[], float]) -> None:
-    found: tuple[list[float], list[float]] = ([], [])
-    for n in range(ROUNDS):
-        # By turns in going first: whoever does may find a cooler or a hotter machine.
-        for index in (0, 1) if n % 2 else (1, 0):
-            found[index].append((ours, stock)[index]())
-    low, middle, high = statistics.quantiles([one / two for one, two in zip(*found, strict=True)], n=4)
+    found = by_turns(ROUNDS, ours, stock)
     medians = [f"{statistics.median(rounds):,.0f}" for rounds in found]
-    table.add(what, *medians, f"{middle:.2f} ({low:.2f} to {high:.2f})")
-    print(f"  {what}: {medians[0]} and {medians[1]}, {middle:.2f}", flush=True)
+    table.add(what, *medians, ratio(*found))
+    print(f"  {what}: {medians[0]} and {medians[1]}, {ratio(*found)}", flush=True)
 
 
 class Pings:

@@ -14,17 +14,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rect
-from pairs import INTERVAL_MS, ble_pair_endpoints, room
+from pairs import INTERVAL_MS, ble_pair_endpoints, carried, room
 from robots import wait_until
+from routers import status
 from table import Table
-from traffic import STRAGGLERS_S, percentile
+from traffic import PERIOD_S, STRAGGLERS_S, percentile
 from urgent import RATES, raw_bytes_per_s
 
 FILE_BYTES = 5_000_000
 ALONE, WITH_URGENT, WITH_CUTS = CASES = ["alone", "urgent the while", "urgent, three cuts"]
 CUTS = 3
 CUT_S = 3
-PERIOD_S = 0.05
 LIMIT_S = 900
 WANTED_SHARE, WANTED_URGENT_MS = 0.92, 100
 
@@ -104,29 +104,20 @@ def measured(rate: str, case: str) -> Outcome:
                     at.pop(0)
                     threading.Thread(target=cut, args=(air,)).start()
 
-            before, memory, started = carried(air), rss_mb(), time.monotonic()
+            before, memory, started = carried(air), status(os.getpid(), "VmRSS"), time.monotonic()
             with urgent if case != ALONE else contextlib.nullcontext():
                 here.transfer("wombat-2", "map", file, on_progress=on_progress)
             took = time.monotonic() - started
             received = arriving.next(LIMIT_S)
+            grown_mb = (status(os.getpid(), "VmRSS") - memory) / 1000
             assert Path(received.content).read_bytes() == file.read_bytes()
-            grown = rss_mb() - memory
-        return Outcome(FILE_BYTES / took / 1000, carried(air) - before, grown, urgent.sent, urgent.ages_ms)
+        return Outcome(FILE_BYTES / took / 1000, carried(air) - before, grown_mb, urgent.sent, urgent.ages_ms)
 
 
 def cut(air) -> None:
     air.cut()
     time.sleep(CUT_S)
     air.restore()
-
-
-def carried(air) -> int:
-    return sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"])
-
-
-def rss_mb() -> float:
-    status = Path("/proc/self/status").read_text()
-    return int(status.split("VmRSS:")[1].split()[0]) / 1000
 
 
 class Urgent:
