@@ -65,7 +65,7 @@ pub unsafe fn items<'a, T>(
     Ok(unsafe { slice::from_raw_parts(first, len) })
 }
 
-/// What is pointed to, which has to be there.
-pub fn there<'a, T>(name: &'static str, given: Option<&'a T>) -> Result<&'a T, Failure> {
+/// What is pointed to, or a function, which has to be there.
+pub fn there<T>(name: &'static str, given: Option<T>) -> Result<T, Failure> {
     given.ok_or_else(|| Failure::argument(name, "is NULL"))
 }

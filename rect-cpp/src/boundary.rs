@@ -37,7 +37,7 @@ pub fn call(reason: Reason<'_>, inside: impl FnOnce() -> Result<(), Failure>) ->
     };
     let code = failure.code();
     if let Some(reason) = reason {
-        let text = text(&failure.text());
+        let text = buffer(&failure.text());
         reason.write(ErrorOut { code, text });
     }
     code
@@ -66,10 +66,10 @@ fn said(panic: &(dyn Any + Send)) -> String {
     text.unwrap_or("a panic without text").to_owned()
 }
 
-/// As much of it as there is room for, up to the end of a character.
-fn text(text: &str) -> [c_char; ERROR_BYTES] {
-    let mut buffer = [0; ERROR_BYTES];
-    let end = (0..ERROR_BYTES.min(text.len() + 1))
+/// As much of a text as there is room for, up to the end of a character, and a zero byte at its end.
+pub fn buffer<const BYTES: usize>(text: &str) -> [c_char; BYTES] {
+    let mut buffer = [0; BYTES];
+    let end = (0..BYTES.min(text.len() + 1))
         .rev()
         .find(|&end| text.is_char_boundary(end));
     let shown = text.get(..end.unwrap_or(0)).unwrap_or_default();

@@ -30,4 +30,5 @@ mod subscriber;
 mod subscription;
 mod text;
 mod transfer;
+mod waiting;
 mod watch;

@@ -15,7 +15,7 @@ use rect::core::{
 
 use crate::{
     argument::{items, there},
-    boundary::{call, give, wanted, ErrorOut, Out},
+    boundary::{buffer, call, give, wanted, ErrorOut, Out},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::{hold, Buffer, PayloadView},
@@ -115,12 +115,7 @@ pub unsafe fn read(
 
 /// An encoding, with a zero byte at its end.
 pub fn give_encoding(text: &str, out: EncodingOut<'_>) -> Result<(), Failure> {
-    let mut buffer = [0; ENCODING_BYTES];
-    let bytes = text.bytes().take(ENCODING_BYTES - 1);
-    for (to, byte) in buffer.iter_mut().zip(bytes) {
-        *to = byte as c_char;
-    }
-    give("encoding", out, buffer)
+    give("encoding", out, buffer(text))
 }
 
 /// A picture as a payload, uncompressed: `rect_encode` makes it smaller. `len`: of the pixels, in bytes.

@@ -9,7 +9,7 @@ use rect::{core::codec, Payload};
 
 use crate::{
     argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut},
+    boundary::{buffer, call, give, wanted, ErrorOut},
     dictionary::{self, Dictionary},
     failure::{Code, Failure},
     handle,
@@ -185,14 +185,8 @@ pub extern "C" fn rect_robot_name(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let mut buffer = [0; NAME_BYTES];
-        let program = robot.live()?;
-        // The last byte stays 0: names have at most 29.
-        let bytes = program.robot.name().as_str().bytes().take(NAME_BYTES - 1);
-        for (to, byte) in buffer.iter_mut().zip(bytes) {
-            *to = byte as c_char;
-        }
-        give("name", name, buffer)
+        // There is room: names have at most 29 bytes.
+        give("name", name, buffer(robot.live()?.robot.name().as_str()))
     })
 }
 

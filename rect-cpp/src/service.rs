@@ -157,10 +157,22 @@ pub unsafe extern "C" fn rect_robot_serve(
         wanted("service", &service)?;
         // SAFETY: as rect.h asks.
         let topic = unsafe { text("topic", topic) }?;
-        let callback = callback.ok_or_else(|| Failure::argument("callback", "is NULL"))?;
+        let callback = there("callback", callback)?;
         let serving = serve(&*robot.live()?, topic, callback, called)?;
         give("service", service, serving)
     })
+}
+
+/// # Safety
+/// The payload is as rect.h asks.
+unsafe fn say(
+    request: u64,
+    payload: Option<&PayloadView>,
+    as_answer: fn(Payload) -> Answer,
+) -> Result<(), Failure> {
+    // SAFETY: as this function asks.
+    let payload = unsafe { there("payload", payload)?.read() }?;
+    handle::get::<Answering>(request)?.say(as_answer(payload))
 }
 
 /// Answers; `request` is its `id`.
@@ -172,11 +184,8 @@ pub unsafe extern "C" fn rect_request_reply(
     payload: Option<&PayloadView>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    call(error, || {
-        // SAFETY: as rect.h asks.
-        let payload = unsafe { there("payload", payload)?.read() }?;
-        handle::get::<Answering>(request)?.say(Ok(payload))
-    })
+    // SAFETY: as rect.h asks.
+    call(error, || unsafe { say(request, payload, Ok) })
 }
 
 /// Answers with an error, which the asker gets as RECT_CODE_SERVICE; `request` is its `id`.
@@ -188,9 +197,6 @@ pub unsafe extern "C" fn rect_request_refuse(
     payload: Option<&PayloadView>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    call(error, || {
-        // SAFETY: as rect.h asks.
-        let payload = unsafe { there("payload", payload)?.read() }?;
-        handle::get::<Answering>(request)?.say(Err(payload))
-    })
+    // SAFETY: as rect.h asks.
+    call(error, || unsafe { say(request, payload, Err) })
 }

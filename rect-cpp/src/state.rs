@@ -4,9 +4,10 @@ use std::{ffi::c_void, mem::MaybeUninit, sync::Arc};
 use rect::Name;
 
 use crate::{
+    argument::there,
     boundary::{call, give, wanted, ErrorOut},
     callback::{Callback, Release},
-    failure::{Code, Failure},
+    failure::Code,
     robot::Robot,
     subscription::{self, Source, Subscription},
     text::Text,
@@ -89,11 +90,10 @@ pub extern "C" fn rect_robot_on_state(
     let called = Arc::new(Callback::new(context, release));
     call(error, || {
         wanted("subscription", &subscription)?;
-        let callback = callback.ok_or_else(|| Failure::argument("callback", "is NULL"))?;
+        let callback = there("callback", callback)?;
         let program = robot.live()?;
         let events = program.wait(program.robot.events())?;
-        let runtime = program.runtime.clone();
-        let started = subscription::start(runtime, events, called, move |event, context| {
+        let started = subscription::start(&program, events, called, move |event, context| {
             callback(&view(&event), context);
         })?;
         give("subscription", subscription, started)

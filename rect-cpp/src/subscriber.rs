@@ -3,24 +3,22 @@ use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
     sync::Arc,
-    time::Duration,
 };
 
 use rect::{Receiving, WhenFull};
-use tokio_util::sync::CancellationToken;
 
 use crate::{
-    argument::text,
+    argument::{text, there},
     boundary::{call, give, wanted, ErrorOut},
     callback::{Callback, Release},
     failure::{Code, Failure},
-    handle::{self, Object},
+    handle,
     message::{self, Message},
     program::Program,
     robot::Robot,
-    runtime::Runtime,
     subscription::{self, Source, Subscription},
     text::choice,
+    waiting::{Awaited, Waiting},
 };
 
 /// The messages of a pattern, which wait until they are taken. `rect_drop(&subscriber.id, ..)` when no more are wanted.
@@ -55,9 +53,6 @@ pub struct ReceivingOptions {
 /// Called with a message, which is there until it returns.
 pub type OnMessage = Option<extern "C" fn(message: *const Message, context: *mut c_void)>;
 
-/// How long a wait without end takes, for all `timeout_ms` of functions whose names end in `_next`.
-pub const FOREVER: u32 = u32::MAX;
-
 impl ReceivingOptions {
     /// As the library has them, given its default.
     pub fn read(given: Option<&Self>, default: Receiving) -> Result<Receiving, Failure> {
@@ -79,68 +74,8 @@ impl ReceivingOptions {
     }
 }
 
-/// What waits for a program, and that nobody waits for it any more once it was dropped.
-pub struct Waiting<S> {
-    source: S,
-    runtime: Arc<Runtime>,
-    stop: CancellationToken,
-}
-
-impl<S> Waiting<S> {
-    /// Something to wait for.
-    pub fn new(source: S, runtime: Arc<Runtime>) -> Self {
-        let stop = CancellationToken::new();
-        Self {
-            source,
-            runtime,
-            stop,
-        }
-    }
-
-    /// What is waited for.
-    pub fn source(&self) -> &S {
-        &self.source
-    }
-
-    /// Nobody waits any more.
-    pub fn stop(&self) {
-        self.stop.cancel();
-    }
-
-    /// The next `what` within that time.
-    pub fn next<'a, T, F>(
-        &'a self,
-        what: &'static str,
-        timeout_ms: u32,
-        next: impl FnOnce(&'a S) -> F,
-    ) -> Result<T, Failure>
-    where
-        F: std::future::Future<Output = Option<T>> + 'a,
-    {
-        let next = next(&self.source);
-        let over = async {
-            match timeout_ms {
-                FOREVER => std::future::pending().await,
-                ms => tokio::time::sleep(Duration::from_millis(ms.into())).await,
-            }
-        };
-        self.runtime.wait(async {
-            tokio::select! {
-                biased;
-                () = self.stop.cancelled() => Err(Failure::Closed),
-                item = next => item.ok_or(Failure::Closed),
-                () = over => Err(Failure::TimedOut(what, timeout_ms)),
-            }
-        })?
-    }
-}
-
-impl Object for Waiting<rect::Subscriber> {
+impl Awaited for rect::Subscriber {
     const KIND: &'static str = "subscriber";
-
-    fn on_dropped(&self) {
-        self.stop();
-    }
 }
 
 impl Source for rect::Subscriber {
@@ -178,8 +113,7 @@ pub unsafe extern "C" fn rect_robot_subscribe(
         let pattern = unsafe { text("pattern", pattern) }?;
         let program = robot.live()?;
         let declared = declare(&program, pattern, receiving)?;
-        let waiting = Waiting::new(declared, program.runtime.clone());
-        let id = handle::insert(waiting);
+        let id = handle::insert(Waiting::new(declared, &program));
         give("subscriber", subscriber, Subscriber { id })
     })
 }
@@ -238,11 +172,10 @@ pub unsafe extern "C" fn rect_robot_on_message(
         wanted("subscription", &subscription)?;
         // SAFETY: as rect.h asks.
         let pattern = unsafe { text("pattern", pattern) }?;
-        let callback = callback.ok_or_else(|| Failure::argument("callback", "is NULL"))?;
+        let callback = there("callback", callback)?;
         let program = robot.live()?;
         let declared = declare(&program, pattern, receiving)?;
-        let runtime = program.runtime.clone();
-        let started = subscription::start(runtime, declared, called, move |message, context| {
+        let started = subscription::start(&program, declared, called, move |message, context| {
             let held = message::Held::new(message);
             callback(&held.view(), context);
         })?;

@@ -7,7 +7,7 @@ use crate::{
     callback::Callback,
     failure::Failure,
     handle::{self, Object},
-    runtime::Runtime,
+    program::Program,
 };
 
 /// A callback that is called for whatever comes, one after another, on a thread of its own, until
@@ -45,13 +45,14 @@ pub trait Source: Send + 'static {
 
 /// Calls `callback` with each item, by `show`.
 pub fn start<S: Source>(
-    runtime: Arc<Runtime>,
+    program: &Program,
     mut source: S,
     callback: Arc<Callback>,
     show: impl Fn(S::Item, *mut c_void) + Send + 'static,
 ) -> Result<Subscription, Failure> {
     let stop = CancellationToken::new();
     let (stopped, called) = (stop.clone(), callback.clone());
+    let runtime = program.runtime.clone();
     let thread = thread::Builder::new().name("rect-callback".into());
     let started = thread.spawn(move || {
         let next = |source: &mut S| {

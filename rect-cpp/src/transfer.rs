@@ -19,8 +19,8 @@ use crate::{
     payload::PayloadView,
     program::Program,
     robot::Robot,
-    subscriber::Waiting,
     text::Text,
+    waiting::{Awaited, Waiting},
 };
 
 /// How much of a transfer the receiver holds.
@@ -100,12 +100,8 @@ impl Object for Came {
     const KIND: &'static str = "received transfer";
 }
 
-impl Object for Waiting<rect::Transfers> {
+impl Awaited for rect::Transfers {
     const KIND: &'static str = "taker of transfers";
-
-    fn on_dropped(&self) {
-        self.stop();
-    }
 }
 
 fn hold(received: rect::Received) -> Received {
@@ -263,7 +259,7 @@ pub unsafe extern "C" fn rect_robot_receive_transfers(
         };
         let program = robot.live()?;
         let taken = program.wait(program.robot.receive_transfers(pattern, taking))?;
-        let id = handle::insert(Waiting::new(taken, program.runtime.clone()));
+        let id = handle::insert(Waiting::new(taken, &program));
         give("transfers", transfers, Transfers { id })
     })
 }

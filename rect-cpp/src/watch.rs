@@ -8,16 +8,17 @@ use std::{
 use rect::{Receiving, WhenFull};
 
 use crate::{
-    argument::text,
+    argument::{text, there},
     boundary::{call, give, wanted, ErrorOut},
     callback::{Callback, Release},
     failure::{Code, Failure},
     frame::{self, Frame},
-    handle::{self, Object},
+    handle,
     program::Program,
     robot::Robot,
-    subscriber::{ReceivingOptions, Waiting},
+    subscriber::ReceivingOptions,
     subscription::{self, Source, Subscription},
+    waiting::{Awaited, Waiting},
 };
 
 /// A stream that this program watches. `rect_drop(&watch.id, ..)` when no more frames are wanted.
@@ -36,12 +37,8 @@ const NEWEST: Receiving = Receiving {
     when_full: WhenFull::NewestWins,
 };
 
-impl Object for Waiting<rect::Watch> {
+impl Awaited for rect::Watch {
     const KIND: &'static str = "watch";
-
-    fn on_dropped(&self) {
-        self.stop();
-    }
 }
 
 impl Source for rect::Watch {
@@ -80,7 +77,7 @@ pub unsafe extern "C" fn rect_robot_watch(
         let (from, topic) = unsafe { (text("from", from)?, text("topic", topic)?) };
         let program = robot.live()?;
         let declared = declare(&program, from, topic, receiving)?;
-        let id = handle::insert(Waiting::new(declared, program.runtime.clone()));
+        let id = handle::insert(Waiting::new(declared, &program));
         give("watch", watch, Watch { id })
     })
 }
@@ -126,11 +123,10 @@ pub unsafe extern "C" fn rect_robot_on_frame(
         wanted("subscription", &subscription)?;
         // SAFETY: as rect.h asks.
         let (from, topic) = unsafe { (text("from", from)?, text("topic", topic)?) };
-        let callback = callback.ok_or_else(|| Failure::argument("callback", "is NULL"))?;
+        let callback = there("callback", callback)?;
         let program = robot.live()?;
         let declared = declare(&program, from, topic, receiving)?;
-        let runtime = program.runtime.clone();
-        let started = subscription::start(runtime, declared, called, move |frame, context| {
+        let started = subscription::start(&program, declared, called, move |frame, context| {
             callback(&frame::view(&frame), context);
         })?;
         give("subscription", subscription, started)
