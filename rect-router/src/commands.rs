@@ -1,10 +1,13 @@
 //! Owns what `rect-router` does beside being a router: writing a robot's configuration, showing what a running router
 //! tells, finding out what is wrong.
+mod check;
 mod client;
 mod connections;
 mod doctor;
 mod init;
+mod manual;
 mod scan;
+mod service;
 mod status;
 mod table;
 
@@ -20,6 +23,8 @@ type Failure = Box<dyn std::error::Error + Send + Sync>;
 pub enum Command {
     /// Write a robot's configuration, login and list of connections into a folder
     Init(InitArgs),
+    /// Read a configuration as the router would, start nothing, and say what is wrong with it
+    Check(CheckArgs),
     /// Show which robots of the fleet there are, a line for each
     Status(AskArgs),
     /// Show which connections a robot has, or all robots of the fleet
@@ -28,6 +33,11 @@ pub enum Command {
     Scan(ScanArgs),
     /// Look for what keeps this computer from talking to others, and say what to do
     Doctor(DoctorArgs),
+    /// Print what makes a shell complete these commands, such as: rect-router completion bash
+    Completion(CompletionArgs),
+    /// Write the manual's pages, one for each command
+    #[command(hide = true)]
+    Man(ManArgs),
 }
 
 /// What `init` takes.
@@ -50,6 +60,17 @@ pub struct InitArgs {
     /// Where to write
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
     pub folder: PathBuf,
+    /// Start the installed service with it, now and at each boot
+    #[arg(long)]
+    pub start: bool,
+}
+
+/// What `check` takes.
+#[derive(Debug, Parser)]
+pub struct CheckArgs {
+    /// The configuration file
+    #[arg(default_value = "/etc/rect/robot.json5")]
+    pub config: String,
 }
 
 /// Where to ask, and about whom.
@@ -119,14 +140,34 @@ pub struct DoctorArgs {
     pub router: RouterArgs,
 }
 
+/// What `completion` takes.
+#[derive(Debug, Parser)]
+pub struct CompletionArgs {
+    /// Which shell
+    pub shell: clap_complete::Shell,
+}
+
+/// What `man` takes.
+#[derive(Debug, Parser)]
+pub struct ManArgs {
+    /// A folder that is there
+    pub folder: PathBuf,
+}
+
 /// Runs one; what is wrong is said on stderr.
 pub fn run(command: &Command) -> ExitCode {
     let done = match command {
         Command::Init(args) => init::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Check(args) => check::run(args).map(|()| ExitCode::SUCCESS),
         Command::Status(args) => status::run(args).map(|()| ExitCode::SUCCESS),
         Command::Connections(args) => connections::run(args).map(|()| ExitCode::SUCCESS),
         Command::Scan(args) => scan::run(args).map(|()| ExitCode::SUCCESS),
         Command::Doctor(args) => doctor::run(args),
+        Command::Completion(args) => {
+            manual::complete(args);
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Man(args) => manual::write(args).map(|()| ExitCode::SUCCESS),
     };
     done.unwrap_or_else(|error| {
         eprintln!(

@@ -111,6 +111,11 @@ impl Connections {
         Ok(self.apply(wanted))
     }
 
+    /// Reads the file; nothing changes.
+    pub fn check(&self) -> Result<(), FileError> {
+        file::read(&self.path, &self.limits).map(drop)
+    }
+
     /// The file's text and its revision.
     pub fn text(&self) -> io::Result<(String, String)> {
         let text = self.store.lock().read()?;

@@ -52,6 +52,14 @@ impl Robot {
         })
     }
 
+    /// Whether the file of connections can be taken.
+    pub fn check(&self) -> zenoh::Result<()> {
+        match &self.connections {
+            Some(connections) => Ok(connections.check()?),
+            None => Ok(()),
+        }
+    }
+
     /// Dials the connections of the file and answers questions. A file that can't be taken is no reason not to: whoever
     /// mends it may need this router for it. `session` answers; `host`: another one of this process with
     /// links to tell of.

@@ -9,6 +9,7 @@ use std::{
     time::Duration,
 };
 
+use sd_notify::NotifyState;
 use zenoh::{Config, Session, Wait};
 
 use crate::{robot::Robot, signals, status};
@@ -39,10 +40,18 @@ pub fn run(config: Config, robot: Option<Robot>) -> Result<(), RouterError> {
         .transpose()
         .map_err(RouterError::Open)?;
     tracing::info!("rect-router is up, with id {}", session.zid());
+    tell_systemd();
 
     match next.recv() {
         Ok(Event::StopAsked) => close(session, &events, &next),
         _ => Ok(()),
+    }
+}
+
+/// Where it is a service of `Type=notify`: its start has come to an end.
+fn tell_systemd() {
+    if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
+        tracing::warn!("systemd was not told that the router is up: {error}");
     }
 }
 

@@ -167,6 +167,76 @@ fn what_is_there_already_is_not_touched_and_secrets_are_private() {
 }
 
 #[test]
+fn a_configuration_is_checked_without_starting_anything() {
+    let root = tempfile::tempdir().expect("a folder");
+    let folder = init(root.path(), "wombat-1", &[]);
+    let (config, connections) = (
+        format!("{folder}/robot.json5"),
+        format!("{folder}/connections.json"),
+    );
+    let right = rect_router(&["check", &config]);
+    assert!(right.status.success(), "{}", said(&right));
+    let was = fs::read_to_string(&config).expect("there");
+    for (wrong, named) in [
+        (was.replace("listen: {", "listen: ?{"), "robot.json5"),
+        (
+            was.replace("login_as: \"fleet\"", "login_as: \"nobody\""),
+            "nobody",
+        ),
+        (
+            was.replace("ble/sim-wombat-1#", "ble/sim-wombat-1#psm=x;"),
+            "psm",
+        ),
+    ] {
+        assert_ne!(wrong, was, "{named}");
+        fs::write(&config, wrong).expect("written");
+        let output = rect_router(&["check", &config]);
+        assert!(
+            !output.status.success() && said(&output).contains(named),
+            "{}",
+            said(&output)
+        );
+    }
+    fs::write(&config, was).expect("written");
+    fs::write(&connections, "{ \"connections\": [ { } ] }").expect("written");
+    let output = rect_router(&["check", &config]);
+    assert!(
+        !output.status.success() && said(&output).contains("connections.json"),
+        "{}",
+        said(&output)
+    );
+}
+
+#[test]
+fn who_has_no_service_is_not_told_that_it_starts() {
+    let root = tempfile::tempdir().expect("a folder");
+    let folder = root.path().join("etc").display().to_string();
+    let output = rect_router(&["init", "wombat-1", "--folder", &folder, "--start"]);
+    assert!(
+        !output.status.success() && said(&output).contains("install the package"),
+        "{}",
+        said(&output)
+    );
+    assert!(!Path::new(&folder).exists());
+}
+
+#[test]
+fn there_are_manual_pages_and_completions() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let written = rect_router(&["man", &folder.path().display().to_string()]);
+    assert!(written.status.success(), "{}", said(&written));
+    let page = fs::read_to_string(folder.path().join("rect-router-init.1")).expect("a page");
+    assert!(
+        page.contains("Write a robot") && page.contains("fleet"),
+        "{page}"
+    );
+    let completion = rect_router(&["completion", "bash"]);
+    assert!(said(&completion).contains("--login-as"));
+    let nowhere = rect_router(&["man", "/nowhere/at/all"]);
+    assert!(!nowhere.status.success() && said(&nowhere).contains("/nowhere/at/all"));
+}
+
+#[test]
 fn without_a_router_the_doctor_and_the_table_say_so() {
     let nowhere = ["--router", "tcp/127.0.0.1:1"];
     let doctor = rect_router(&["doctor", nowhere[0], nowhere[1]]);

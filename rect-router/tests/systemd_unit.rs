@@ -9,7 +9,7 @@ use support::{repository, skip};
 const INSTALLED: &str = "/usr/bin/rect-router";
 
 fn unit() -> String {
-    fs::read_to_string(repository().join("rect-router/systemd/rect-router.service"))
+    fs::read_to_string(repository().join("packaging/systemd/rect-router.service"))
         .expect("the unit")
 }
 
@@ -45,6 +45,7 @@ fn it_says_what_the_router_needs_and_no_more() {
         .filter_map(|line| line.split_once('='))
         .collect();
     assert_eq!(settings["Restart"], "on-failure");
+    assert_eq!(settings["Type"], "notify");
     assert_eq!(settings["User"], "rect");
     assert_eq!(settings["SupplementaryGroups"], "bluetooth");
     assert_eq!(settings["CapabilityBoundingSet"], "");

@@ -8,7 +8,10 @@ use std::{
 
 use rect::core::name::Name;
 
-use super::{Failure, InitArgs};
+use super::{
+    service::{self, Owner},
+    Failure, InitArgs,
+};
 
 /// The shipped configurations, and the name that each is written for.
 const ROBOT: (&str, &str) = (include_str!("../../../config/robot.json5"), "wombat-1");
@@ -26,6 +29,7 @@ const NO_CONNECTIONS: &str =
 const SECRET_BYTES: usize = 18;
 /// For the router and the members of its group.
 const PRIVATE: u32 = 0o640;
+const PRIVATE_FOLDER: u32 = 0o750;
 
 pub fn run(args: &InitArgs) -> Result<(), Failure> {
     for (what, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
@@ -42,31 +46,47 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
                 .collect::<Result<_, Failure>>()?
         }
     };
-    fs::create_dir_all(&args.folder)
-        .map_err(|error| format!("{} can't be made: {error}", args.folder.display()))?;
+    let installed = service::is_installed_for(&args.folder);
+    if args.start && !installed {
+        return Err(service::NOT_INSTALLED.into());
+    }
+    let state = if installed {
+        Path::new(service::STATE)
+    } else {
+        &args.folder
+    };
+    let (root, router) = (Owner::root(), Owner::router());
     let files = [
-        ("users", users),
-        ("robot.json5", robot(args)),
-        ("connections.json", NO_CONNECTIONS.to_owned()),
+        (args.folder.join("users"), users, &root),
+        // The config service writes it, and what is beside it.
+        (
+            state.join("connections.json"),
+            NO_CONNECTIONS.to_owned(),
+            &router,
+        ),
+        (args.folder.join("robot.json5"), robot(args, state), &root),
     ];
     // None is touched if one is there already.
-    for (name, _) in &files {
-        let path = args.folder.join(name);
+    for (path, ..) in &files {
         if path.exists() {
             return Err(format!("{} is there already; nothing was changed", path.display()).into());
         }
     }
-    for (name, text) in files {
-        let path = args.folder.join(name);
-        write(&path, &text).map_err(|error| format!("{}: {error}", path.display()))?;
+    make_folder(&args.folder)
+        .map_err(|error| format!("{} can't be made: {error}", args.folder.display()))?;
+    for (path, text, owner) in files {
+        write(&path, &text, owner).map_err(|error| format!("{}: {error}", path.display()))?;
         println!("wrote {}", path.display());
     }
-    let [fleet, config] = LOGINS;
-    println!(
-        "start it with: rect-router -c {} --login-as {}",
-        args.folder.join("robot.json5").display(),
-        if args.base_station { config } else { fleet }
-    );
+    if args.start {
+        service::start()?;
+        println!("the router runs, and will at each boot: systemctl status rect-router");
+    } else if installed {
+        println!("start it with: systemctl enable --now rect-router");
+    } else {
+        let config = args.folder.join("robot.json5");
+        println!("start it with: rect-router -c {}", config.display());
+    }
     if args.users.is_none() {
         let users = args.folder.join("users");
         println!(
@@ -77,15 +97,17 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The shipped configuration with this robot's name, fleet, adapter and folder.
-fn robot(args: &InitArgs) -> String {
+/// The shipped configuration with this robot's name, fleet, adapter and folders.
+fn robot(args: &InitArgs, state: &Path) -> String {
     let folder = |file: &str| args.folder.join(file).display().to_string();
+    let [fleet, config] = LOGINS;
     let settings = format!(
-        "  // RECT's own: this robot's name in keys, and its named connections.\n  plugins: {{\n    rect: {{ fleet: \"{}\", \
-         robot: \"{}\", connections: \"{}\" }},\n  }},\n}}\n",
+        "  // RECT's own: this robot's name in keys, its named connections, and as whom it logs in where it dials.\n  plugins: {{\n    \
+         rect: {{ fleet: \"{}\", robot: \"{}\", connections: \"{}\", login_as: \"{}\" }},\n  }},\n}}\n",
         args.fleet,
         args.robot,
-        folder("connections.json")
+        state.join("connections.json").display(),
+        if args.base_station { config } else { fleet },
     );
     let (template, its_name) = if args.base_station {
         BASE_STATION
@@ -108,7 +130,16 @@ fn secret() -> Result<String, Failure> {
     Ok(base64::engine::general_purpose::STANDARD_NO_PAD.encode(bytes))
 }
 
-fn write(path: &Path, text: &str) -> io::Result<()> {
+fn make_folder(folder: &Path) -> io::Result<()> {
+    if folder.is_dir() {
+        return Ok(());
+    }
+    fs::create_dir_all(folder)?;
+    Owner::root().give(folder)?;
+    fs::set_permissions(folder, fs::Permissions::from_mode(PRIVATE_FOLDER))
+}
+
+fn write(path: &Path, text: &str, owner: &Owner) -> io::Result<()> {
     let mut options = OpenOptions::new();
     let mut file = options
         .write(true)
@@ -116,6 +147,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
         .mode(PRIVATE)
         .open(path)?;
     file.write_all(text.as_bytes())?;
+    owner.give(path)?;
     // Whatever the umask is.
     file.set_permissions(fs::Permissions::from_mode(PRIVATE))?;
     file.sync_all()

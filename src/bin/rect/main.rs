@@ -8,6 +8,7 @@ mod configure;
 mod dictionary;
 mod doctor;
 mod listen;
+mod manual;
 mod payload;
 mod registry;
 mod session;
@@ -59,6 +60,7 @@ enum Command {
     Dictionary(dictionary::DictionaryArguments),
     Air(air::AirArguments),
     Completion(completion::CompletionArguments),
+    Man(manual::ManArguments),
 }
 
 /// Why a command failed, for a person.
@@ -79,6 +81,7 @@ fn main() -> ExitCode {
             .map(|()| ExitCode::SUCCESS)
             .map_err(Failure::from),
         Command::Completion(arguments) => Ok(completion::run(&arguments)),
+        Command::Man(arguments) => manual::run(&arguments),
         Command::Dictionary(arguments) => dictionary::run(arguments),
         Command::Pub(arguments) => wait(speak::publish(arguments)),
         Command::Send(arguments) => wait(speak::send(arguments)),

@@ -6,6 +6,8 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+/// Has a file for each adapter that `rect-bluetooth@.service` has seen to.
+const SET_BY_SERVICE: &str = "/run/rect-bluetooth";
 const DEBUGFS: &str = "/sys/kernel/debug/bluetooth";
 const MAIN_CONF: &str = "/etc/bluetooth/main.conf";
 
@@ -55,7 +57,8 @@ impl Timing {
         if self.0.swap(true, Ordering::Relaxed) {
             return;
         }
-        if !is_configured(&fs::read_to_string(MAIN_CONF).unwrap_or_default()) {
+        let by_service = Path::new(SET_BY_SERVICE).join(adapter).exists();
+        if !by_service && !is_configured(&fs::read_to_string(MAIN_CONF).unwrap_or_default()) {
             tracing::info!(
                 "ble: {adapter}: connection interval and supervision timeout are left as they are ({error}). With \
                  RECT's config/bluetooth.conf as {MAIN_CONF} links answer faster and hold better"
