@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/quick
 
-.PHONY: help demo test test-kernels check docs bench fuzz router
+.PHONY: help demo test test-kernels check docs bench fuzz dist router
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -42,6 +42,9 @@ bench: ## Comparisons, into benches/results/ (an hour; BENCH="goodput idle" for 
 
 fuzz: ## The fuzz targets, SECONDS_EACH=300 (needs the nightly toolchain and cargo-fuzz)
 	@scripts/fuzz $(or $(SECONDS_EACH),300)
+
+dist: ## What is published, into dist/: packages, wheels, archives for amd64 and arm64 (an hour)
+	@scripts/dist
 
 router: ## Just the router and the rect tool, in release form
 	cargo build --release -p rect -p rect-router
