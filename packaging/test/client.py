@@ -10,6 +10,8 @@ config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", '["tcp/127.0.0.1:7447"]')
 config.insert_json5("connect/timeout_ms", "20000")
+# It knows where its router is; qemu-user tells programs of no interfaces.
+config.insert_json5("scouting/multicast/enabled", "false")
 config.insert_json5("transport/auth/usrpwd", json.dumps({"user": user, "password": password}))
 with zenoh.open(config) as here, zenoh.open(config) as there:
     heard = there.declare_subscriber("rect/wombat-1/said")

@@ -108,6 +108,12 @@ fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
         format!("{secret}\n{}\n", logins.join("\n")),
     )
     .expect("written");
+    // It dials nobody, and logs in nowhere.
+    let config = format!("{base}/robot.json5");
+    let text = fs::read_to_string(&config).expect("there");
+    let without = text.replace(", login_as: \"config\"", "");
+    assert_ne!(without, text);
+    fs::write(&config, without).expect("written");
     let access = format!("access_control:{}", star(&base, &["wombat-2", "wombat-3"]));
     let (_base, laptop) = start_with(&air, &base, "base", &["--cfg", &access]);
     let laptop = program(&base, &laptop);

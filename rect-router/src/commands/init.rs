@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use rect::core::name::Name;
+use rect::core::{login, name::Name};
 
 use super::{
     service::{self, Owner},
@@ -55,6 +55,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     } else {
         &args.folder
     };
+    let login_as = login_as(args, &users);
     let (root, router) = (Owner::root(), Owner::router());
     let files = [
         (args.folder.join("users"), users, &root),
@@ -64,7 +65,11 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
             NO_CONNECTIONS.to_owned(),
             &router,
         ),
-        (args.folder.join("robot.json5"), robot(args, state), &root),
+        (
+            args.folder.join("robot.json5"),
+            robot(args, state, login_as),
+            &root,
+        ),
     ];
     // None is touched if one is there already.
     for (path, ..) in &files {
@@ -97,17 +102,25 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The shipped configuration with this robot's name, fleet, adapter and folders.
-fn robot(args: &InitArgs, state: &Path) -> String {
-    let folder = |file: &str| args.folder.join(file).display().to_string();
+/// As itself, where the team has given each robot a login of its own; else as the team's file lets it.
+fn login_as<'a>(args: &'a InitArgs, users: &str) -> Option<&'a str> {
     let [fleet, config] = LOGINS;
+    let of_all = if args.base_station { config } else { fleet };
+    [args.robot.as_str(), of_all]
+        .into_iter()
+        .find(|user| login::logins(users).any(|(name, _)| name == *user))
+}
+
+/// The shipped configuration with this robot's name, fleet, adapter and folders.
+fn robot(args: &InitArgs, state: &Path, login_as: Option<&str>) -> String {
+    let folder = |file: &str| args.folder.join(file).display().to_string();
+    let login_as = login_as.map_or_else(String::new, |user| format!(", login_as: \"{user}\""));
     let settings = format!(
         "  // RECT's own: this robot's name in keys, its named connections, and as whom it logs in where it dials.\n  plugins: {{\n    \
-         rect: {{ fleet: \"{}\", robot: \"{}\", connections: \"{}\", login_as: \"{}\" }},\n  }},\n}}\n",
+         rect: {{ fleet: \"{}\", robot: \"{}\", connections: \"{}\"{login_as} }},\n  }},\n}}\n",
         args.fleet,
         args.robot,
         state.join("connections.json").display(),
-        if args.base_station { config } else { fleet },
     );
     let (template, its_name) = if args.base_station {
         BASE_STATION
