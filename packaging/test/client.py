@@ -2,10 +2,11 @@
 
 import json
 import time
+from pathlib import Path
 
 import zenoh
 
-user, password = open("/etc/rect/users").readline().strip().split(":", 1)
+user, password = Path("/etc/rect/users").read_text().splitlines()[0].split(":", 1)
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", '["tcp/127.0.0.1:7447"]')
