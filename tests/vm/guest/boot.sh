@@ -3,15 +3,11 @@
 # `run`, reports its status and switches the machine off. Its own words go to the console.
 set -uo pipefail
 
-here=/run/rect-vm
+# shellcheck source=tests/vm/guest/job.sh
+. /run/rect-vm/guest/job.sh
 fail() {
   printf '%s\n' "$*" >"$here/failure"
   off
-}
-off() {
-  sync
-  echo o >/proc/sysrq-trigger
-  while :; do :; done # nothing may be read from the host any more
 }
 
 controllers=0 directory=/ shares=() command=() # set by:
@@ -31,14 +27,10 @@ ln -sfn /proc/self/fd/2 /dev/stderr
 chmod 1777 /tmp
 ip link set lo up || fail 'the loopback interface does not come up'
 for i in "${!shares[@]}"; do
-  mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000,cache=none "share$i" "${shares[i]}" ||
-    fail "${shares[i]} could not be shared"
+  mount_share "share$i" "${shares[i]}" || fail "${shares[i]} could not be shared"
 done
 
-port=''
-for name in /sys/class/virtio-ports/*/name; do
-  [[ $(<"$name") != rect.output ]] || name=${name%/name} port=/dev/${name##*/}
-done
+port=$(output_port)
 [[ -n $port ]] || fail 'the guest has no port for its output'
 
 # The host's own services may have left their ids in files that the overlay shows.
@@ -67,8 +59,4 @@ for _ in {1..50}; do
   sleep 0.1
 done
 kill "$cat" 2>/dev/null
-# A kernel that went wrong kills the thread that was in it and goes on: whatever came of that says nothing.
-dmesg | grep -E ' (BUG|Oops)\b|kernel BUG|general protection fault' >"$here/kernel_faults" || rm -f "$here/kernel_faults"
-printf '%s\n' "$status" >"$here/status.new"
-mv "$here/status.new" "$here/status"
-off
+report "$status"

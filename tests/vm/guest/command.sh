@@ -3,7 +3,9 @@
 # status and switches the machine off.
 set -uo pipefail
 
-here=/run/rect-vm controllers=0 shares=() command=() # set by:
+# shellcheck source=tests/vm/guest/job.sh
+. /run/rect-vm/guest/job.sh
+controllers=0 shares=() command=() # set by:
 # shellcheck source=/dev/null
 . "$here/settings"
 PATH=$here/guest:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
@@ -11,11 +13,9 @@ export PATH RECT_RELAY=$here/ble-relay
 
 for i in "${!shares[@]}"; do
   mkdir -p "/run/share$i"
-  mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000,cache=none "share$i" "/run/share$i"
+  mount_share "share$i" "/run/share$i"
 done
-for name in /sys/class/virtio-ports/*/name; do
-  [[ $(<"$name") != rect.output ]] || name=${name%/name} port=/dev/${name##*/}
-done
+port=$(output_port)
 {
   status=0
   if ((controllers)); then
@@ -26,8 +26,4 @@ done
     status=$?
   fi
 } </dev/null >"${port:?}" 2>&1
-dmesg | grep -E ' (BUG|Oops)\b|kernel BUG|general protection fault' >"$here/kernel_faults" || rm -f "$here/kernel_faults"
-printf '%s\n' "$status" >"$here/status.new"
-mv "$here/status.new" "$here/status"
-sync
-echo o >/proc/sysrq-trigger
+report "$status"
