@@ -36,7 +36,7 @@ use crate::{
     advertisement::{Advertisement, SERVICE_UUID},
 };
 
-pub use self::timing::is_configured as timing_is_configured;
+pub use self::timing::is_seen_to as timing_is_seen_to;
 
 /// The adapter taken when none is named.
 const DEFAULT_ADAPTER: &str = "hci0";

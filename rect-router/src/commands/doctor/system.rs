@@ -17,7 +17,7 @@ pub fn findings(root: &Path) -> Vec<Finding> {
     findings.push(system.adapter(&adapters));
     findings.extend(system.rfkill());
     if has_adapter {
-        findings.extend([system.bluetoothd(), system.rights(), system.timing()]);
+        findings.extend([system.bluetoothd(), system.rights(), system.timing(&adapters)]);
     }
     findings
 }
@@ -160,15 +160,28 @@ impl System<'_> {
         }
     }
 
-    fn timing(&self) -> Finding {
+    fn timing(&self, adapters: &[String]) -> Finding {
         const ABOUT: &str = "timing";
-        if bluez::timing_is_configured(&self.text("etc/bluetooth/main.conf")) {
+        let not_set = adapters
+            .iter()
+            .find(|adapter| !bluez::timing_is_seen_to(self.root, adapter));
+        let Some(adapter) = not_set else {
             return Finding::good(ABOUT, "connection interval and supervision timeout are set");
-        }
+        };
+        let by_service = format!("rect-bluetooth@{adapter}.service");
+        let advice = if self
+            .root
+            .join("usr/lib/systemd/system/rect-bluetooth@.service")
+            .exists()
+        {
+            format!("`sudo systemctl restart {by_service}`; `systemctl status {by_service}` says what went wrong")
+        } else {
+            "`sudo cp config/bluetooth.conf /etc/bluetooth/main.conf && sudo systemctl restart bluetooth`".to_owned()
+        };
         Finding::poor(
             ABOUT,
-            "connection interval and supervision timeout are BlueZ's own: links answer slower and hold worse",
-            "`sudo cp config/bluetooth.conf /etc/bluetooth/main.conf && sudo systemctl restart bluetooth`",
+            format!("{adapter}: connection interval and supervision timeout are BlueZ's own: links answer slower and hold worse"),
+            advice,
         )
     }
 
@@ -288,6 +301,14 @@ mod tests {
                 "timing",
                 "bluetooth.conf",
             ),
+            (
+                vec![
+                    ("etc/bluetooth/main.conf", ""),
+                    ("usr/lib/systemd/system/rect-bluetooth@.service", ""),
+                ],
+                "timing",
+                "restart rect-bluetooth@hci0",
+            ),
         ] {
             let bad = not_good(&computer(&files));
             assert_eq!(bad.len(), 1, "{files:?}: {bad:?}");
@@ -296,6 +317,15 @@ mod tests {
                 "{bad:?}"
             );
         }
+    }
+
+    #[test]
+    fn timing_by_the_service_is_as_good_as_by_bluetoothd() {
+        let by_service = [
+            ("etc/bluetooth/main.conf", ""),
+            ("run/rect-bluetooth/hci0", ""),
+        ];
+        assert_eq!(not_good(&computer(&by_service)), Vec::<String>::new());
     }
 
     #[test]

@@ -6,10 +6,11 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+// Below the root of the file system.
 /// Has a file for each adapter that `rect-bluetooth@.service` has seen to.
-const SET_BY_SERVICE: &str = "/run/rect-bluetooth";
-const DEBUGFS: &str = "/sys/kernel/debug/bluetooth";
-const MAIN_CONF: &str = "/etc/bluetooth/main.conf";
+const SET_BY_SERVICE: &str = "run/rect-bluetooth";
+const DEBUGFS: &str = "sys/kernel/debug/bluetooth";
+const MAIN_CONF: &str = "etc/bluetooth/main.conf";
 
 struct Figure {
     /// In debugfs (Linux, net/bluetooth/hci_debugfs.c).
@@ -51,17 +52,14 @@ impl Timing {
     /// Asks for what suits robots, for connections made from now on, where the adapter still has Linux's own figures.
     /// Says once what to do where this process may not ask.
     pub(super) fn ask(&self, adapter: &str) {
-        let Err(error) = set(&Path::new(DEBUGFS).join(adapter)) else {
+        let root = Path::new("/");
+        let Err(error) = set(&root.join(DEBUGFS).join(adapter)) else {
             return;
         };
-        if self.0.swap(true, Ordering::Relaxed) {
-            return;
-        }
-        let by_service = Path::new(SET_BY_SERVICE).join(adapter).exists();
-        if !by_service && !is_configured(&fs::read_to_string(MAIN_CONF).unwrap_or_default()) {
+        if !self.0.swap(true, Ordering::Relaxed) && !is_seen_to(root, adapter) {
             tracing::info!(
                 "ble: {adapter}: connection interval and supervision timeout are left as they are ({error}). With \
-                 RECT's config/bluetooth.conf as {MAIN_CONF} links answer faster and hold better"
+                 RECT's config/bluetooth.conf as /{MAIN_CONF} links answer faster and hold better"
             );
         }
     }
@@ -77,8 +75,15 @@ fn set(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether bluetoothd, with that `main.conf`, sets a connection's interval and supervision timeout.
-pub fn is_configured(main_conf: &str) -> bool {
+/// Whether somebody else sets a connection's interval and supervision timeout on that adapter: RECT's service, or bluetoothd.
+/// `root`: where the file system begins.
+pub fn is_seen_to(root: &Path, adapter: &str) -> bool {
+    root.join(SET_BY_SERVICE).join(adapter).exists()
+        || is_configured(&fs::read_to_string(root.join(MAIN_CONF)).unwrap_or_default())
+}
+
+/// Whether bluetoothd, with that `main.conf`, sets them.
+fn is_configured(main_conf: &str) -> bool {
     let keys = || main_conf.lines().filter_map(|line| line.split_once('='));
     FIGURES
         .iter()
@@ -104,6 +109,21 @@ mod tests {
         assert_eq!(read("conn_min_interval"), "6");
         assert_eq!(read("conn_max_interval"), "80\n");
         assert_eq!(read("supervision_timeout"), "200");
+    }
+
+    #[test]
+    fn the_service_sees_to_its_adapter_and_bluetoothd_to_all() {
+        let root = tempfile::tempdir().expect("a folder");
+        let write = |path: &str, text: &str| {
+            let path = root.path().join(path);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            fs::write(path, text).expect("written");
+        };
+        assert!(!is_seen_to(root.path(), "hci0"));
+        write("run/rect-bluetooth/hci0", "");
+        assert!(is_seen_to(root.path(), "hci0") && !is_seen_to(root.path(), "hci1"));
+        write(MAIN_CONF, OURS);
+        assert!(is_seen_to(root.path(), "hci1"));
     }
 
     #[test]
