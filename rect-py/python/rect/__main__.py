@@ -35,7 +35,7 @@ def _run(arguments: list[str]) -> NoReturn:
     program = os.environ.get(_VARIABLE) or (str(_ROUTER) if _ROUTER.exists() else _elsewhere())
     if program is None:
         raise SystemExit(
-            "this installation of rect has no router: install a wheel that brings it (rect-py/build-wheel makes one), "
+            "this installation of rect has no router: install a wheel that brings it (`make dist` makes one), "
             "or name a rect-router by RECT_ROUTER"
         )
     os.execv(program, [program, *arguments])
