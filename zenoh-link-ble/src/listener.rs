@@ -43,12 +43,13 @@ pub(crate) struct Listener {
 }
 
 impl Listener {
-    /// Goes on the air; fails if it can't be done now. Links come once [`Listener::serve`] runs. The search for another
-    /// robot of the same name begins with it: dialling waits for its end.
+    /// Goes on the air; fails if it can't be done now, unless an adapter that is away is to be waited for: then there is no
+    /// [`Up`] yet. Links come once [`Listener::serve`] runs. The search for another robot of the same name begins with it:
+    /// dialling waits for its end.
     pub(crate) async fn start(
         node: Arc<Node>,
         locator: ListenLocator,
-    ) -> Result<(Arc<Self>, Up, NameSearch), BleError> {
+    ) -> Result<(Arc<Self>, Option<(Up, NameSearch)>), BleError> {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
         let secret = locator.secret.as_deref().map(Secret::read).transpose()?;
@@ -62,19 +63,25 @@ impl Listener {
             options,
         });
         let search = listener.namesake().search();
-        let up = listener.bring_up().await?;
+        let up = match listener.bring_up().await {
+            Ok(up) => Some((up, search)),
+            Err(error) if listener.locator.wait && error.is_adapter_away() => {
+                tracing::warn!(
+                    "ble: {} does not listen until there is {}: {}",
+                    listener.name,
+                    listener.locator.adapter,
+                    in_words(&error)
+                );
+                None
+            }
+            Err(error) => return Err(error.into()),
+        };
         listener.node.on_listening(Listening {
             adapter: listener.locator.adapter.clone(),
             name: listener.name.clone(),
             secret: listener.secret.clone(),
         });
-        tracing::info!(
-            "ble: {} listens on {} (psm {})",
-            listener.name,
-            listener.locator.adapter,
-            up.channels.psm()
-        );
-        Ok((listener, up, search))
+        Ok((listener, up))
     }
 
     /// Two robots of one name would be dialled by turns: the second one to come finds out. The listener serves
@@ -98,6 +105,7 @@ impl Listener {
 
     /// Tells of a robot of the same name that is heard too late to be an error.
     pub(crate) async fn watch_name(&self) {
+        self.until_on().await;
         if let Ok(Some(other)) = self.namesake().watch().await {
             tracing::error!("ble: {}", self.name_taken(other));
         }
@@ -131,6 +139,12 @@ impl Listener {
             incarnation: self.node.incarnation(),
         };
         let advertising = radio.advertise(&advertisement, &self.name).await?;
+        tracing::info!(
+            "ble: {} listens on {} (psm {})",
+            self.name,
+            self.locator.adapter,
+            channels.psm()
+        );
         Ok(Up {
             epoch,
             channels,
@@ -139,9 +153,8 @@ impl Listener {
     }
 
     /// Hands links to Zenoh until the future is dropped.
-    pub(crate) async fn serve(self: Arc<Self>, up: Up) {
+    pub(crate) async fn serve(self: Arc<Self>, mut up: Option<Up>) {
         let _listening = StopsListening(Arc::clone(&self));
-        let mut up = Some(up);
         let mut greetings = JoinSet::new();
         let half_open = Arc::new(Semaphore::new(HALF_OPEN));
         loop {
@@ -195,27 +208,25 @@ impl Listener {
     async fn come_back(&self) -> Up {
         let mut complained = false;
         loop {
-            if self.adapter.radio.state().await == AdapterState::On {
-                match self.bring_up().await {
-                    Ok(up) => {
-                        tracing::info!(
-                            "ble: {} listens on {} again",
-                            self.name,
-                            self.locator.adapter
-                        );
-                        return up;
-                    }
-                    Err(error) if !complained => {
-                        complained = true;
-                        tracing::warn!(
-                            "ble: {} does not listen yet: {}",
-                            self.locator.adapter,
-                            in_words(&error)
-                        );
-                    }
-                    Err(_) => {}
+            self.until_on().await;
+            match self.bring_up().await {
+                Ok(up) => return up,
+                Err(error) if !complained => {
+                    complained = true;
+                    tracing::warn!(
+                        "ble: {} does not listen yet: {}",
+                        self.locator.adapter,
+                        in_words(&error)
+                    );
                 }
+                Err(_) => {}
             }
+            wait_for_change(self.adapter.radio.as_ref()).await;
+        }
+    }
+
+    async fn until_on(&self) {
+        while self.adapter.radio.state().await != AdapterState::On {
             wait_for_change(self.adapter.radio.as_ref()).await;
         }
     }

@@ -128,6 +128,8 @@ pub struct ListenLocator {
     pub queueing: Queueing,
     /// `max_links=`.
     pub max_links: usize,
+    /// `wait=true`: an adapter that is not there, or off, is waited for; left out, it is an error.
+    pub wait: bool,
 }
 
 const CONNECT_OPTIONS: [&str; 12] = [
@@ -144,7 +146,7 @@ const CONNECT_OPTIONS: [&str; 12] = [
     "timeout",
     "plain",
 ];
-const LISTEN_OPTIONS: [&str; 10] = [
+const LISTEN_OPTIONS: [&str; 11] = [
     "name",
     "fleet",
     "psm",
@@ -155,6 +157,7 @@ const LISTEN_OPTIONS: [&str; 10] = [
     "droppable",
     "linger",
     "max_links",
+    "wait",
 ];
 
 impl ConnectLocator {
@@ -206,6 +209,7 @@ impl ListenLocator {
             mtu: options.mtu()?,
             queueing: options.queueing()?,
             max_links: options.max_links()?,
+            wait: options.wait()?,
         })
     }
 }

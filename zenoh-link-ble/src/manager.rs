@@ -142,14 +142,17 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
             return Err(into_zenoh(BleError::ListenerExists(adapter)));
         }
         let node = Arc::clone(&self.node);
-        let (listener, up, search) = self
+        let (listener, up) = self
             .on_runtime(async move { Listener::start(node, locator).await })
             .await?;
+        let (up, search) = up.unzip();
         let serve = Arc::clone(&listener).serve(up);
         let serving = AbortOnDropHandle::new(self.runtime.spawn(serve));
-        let checked = Arc::clone(&listener);
-        self.on_runtime(async move { checked.check_name(search).await })
-            .await?;
+        if let Some(search) = search {
+            let checked = Arc::clone(&listener);
+            self.on_runtime(async move { checked.check_name(search).await })
+                .await?;
+        }
         let watch = self
             .runtime
             .spawn(async move { listener.watch_name().await });

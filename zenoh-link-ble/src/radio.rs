@@ -137,6 +137,16 @@ pub enum RadioError {
     },
 }
 
+impl RadioError {
+    /// Whether it is a matter of an adapter, or of the service behind it, that may be there later.
+    pub fn is_adapter_away(&self) -> bool {
+        matches!(
+            self,
+            Self::NoAdapter { .. } | Self::AdapterOff { .. } | Self::NoService { .. }
+        )
+    }
+}
+
 /// A local Bluetooth adapter.
 ///
 /// Every method may fail with [`RadioError`]; none blocks for ever: those that wait for a peer are bounded by the

@@ -169,7 +169,15 @@ impl<'a> Options<'a> {
     }
 
     pub(super) fn plain(&self) -> Result<Option<bool>, LocatorError> {
-        self.read("plain", "it is true or false", |v| v.parse().ok())
+        self.yes_or_no("plain")
+    }
+
+    pub(super) fn wait(&self) -> Result<bool, LocatorError> {
+        Ok(self.yes_or_no("wait")?.unwrap_or(false))
+    }
+
+    fn yes_or_no(&self, key: &'static str) -> Result<Option<bool>, LocatorError> {
+        self.read(key, "it is true or false", |v| v.parse().ok())
     }
 
     pub(super) fn max_links(&self) -> Result<usize, LocatorError> {

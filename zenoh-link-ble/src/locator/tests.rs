@@ -42,12 +42,13 @@ fn a_bare_name_takes_the_defaults() {
 
 #[test]
 fn a_listener_is_an_adapter_with_a_name() {
-    let read = listen("ble/hci0#name=wombat-1;max_links=3").expect("valid");
+    let read = listen("ble/hci0#name=wombat-1;max_links=3;wait=true").expect("valid");
     assert_eq!(
         (read.adapter.as_str(), read.name.as_deref()),
         ("hci0", Some("wombat-1"))
     );
-    assert_eq!(read.max_links, 3);
+    assert_eq!((read.max_links, read.wait), (3, true));
+    assert!(!listen("ble/hci0").expect("valid").wait);
 }
 
 #[test]

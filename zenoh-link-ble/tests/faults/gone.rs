@@ -11,7 +11,7 @@ use zenoh_link_commons::LinkUnicast;
 use super::{conversation::held_on, cuts::EVENTS};
 use crate::shared::{
     pair::{Pair, BACK, SUPERVISION},
-    peer::{within, Peer},
+    peer::{says, within, Peer},
 };
 
 /// `config/robot.json5`: when Zenoh dials again.
@@ -147,6 +147,33 @@ async fn a_reset_of_either_adapter_is_over_in_a_second() {
             is_told(far, IN_ORDER, &what)
         );
         drop(pair.link_again(start, &what).await);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_listener_waits_for_its_adapter_if_it_is_told_to() {
+    let pair = Pair::on(Condition::Room, 5).await;
+    let radio: Arc<dyn Radio> = pair.air.radio("sim-late").await.expect("attaches");
+    for (off, away) in [
+        (
+            "is switched off",
+            (|air| power(air, "sim-late", false)) as fn(&SimAir),
+        ),
+        ("there is no", |air| {
+            air.remove("sim-late").expect("is there")
+        }),
+    ] {
+        let late = Peer::on(&radio);
+        away(&pair.air);
+        let error = late.try_listen("name=late").await.expect_err(off);
+        assert!(error.to_string().contains(off), "{error}");
+        late.try_listen("name=late;wait=true").await.expect(off);
+        sleep(Duration::from_secs(61)).await;
+        power(&pair.air, "sim-late", true);
+        let start = Instant::now();
+        let link = pair.near.dials("ble/late").await.expect("dials");
+        assert!(start.elapsed() <= BACK, "{off}: {:?}", start.elapsed());
+        says(&link, &late.incoming().await, b"there").await;
     }
 }
 
