@@ -350,30 +350,42 @@ class _Handle:
         self.close()
 
 
-class Subscriber(_Handle):
-    """The messages of a pattern, as they come, for `async for`; see `rect.Subscriber`."""
+class _Coming(_Handle, Generic[T]):
+    """What comes, one after another, for `async for`; `pop` waits for the next, or raises `Ended` or `TimeoutError`."""
 
-    def __init__(self, subscriber: BlockingSubscriber) -> None:
-        super().__init__(subscriber)
-        self._subscriber = subscriber
+    def __init__(self, handle: Any, what: str, pop: Callable[[float | None], Awaitable[T]]) -> None:
+        super().__init__(handle)
+        self._what = what
+        self._pop = pop
 
-    async def next(self, timeout: float | None = None) -> Message:
-        """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+    async def _next(self, timeout: float | None) -> T:
         try:
             return await self._pop(timeout)
         except Ended:
-            raise self._subscriber._session.closed_error() from None
+            raise self._handle._session.closed_error() from None
         except TimeoutError:
-            raise TimedOut(f"message {self._subscriber._pattern}", timeout or 0) from None
+            raise TimedOut(self._what, timeout or 0) from None
 
-    def __aiter__(self) -> AsyncIterator[Message]:
+    def __aiter__(self: H) -> H:
         return self
 
-    async def __anext__(self) -> Message:
+    async def __anext__(self) -> T:
         try:
             return await self._pop(None)
         except Ended:
             raise StopAsyncIteration from None
+
+
+class Subscriber(_Coming[Message]):
+    """The messages of a pattern, as they come, for `async for`; see `rect.Subscriber`."""
+
+    def __init__(self, subscriber: BlockingSubscriber) -> None:
+        super().__init__(subscriber, f"message {subscriber._pattern}", self._take)
+        self._subscriber = subscriber
+
+    async def next(self, timeout: float | None = None) -> Message:
+        """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        return await self._next(timeout)
 
     @property
     def dropped(self) -> int:
@@ -391,7 +403,7 @@ class Subscriber(_Handle):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    async def _pop(self, timeout: float | None) -> Message:
+    async def _take(self, timeout: float | None) -> Message:
         message = as_it_came(await self._subscriber._inbox.pop_async(timeout))
         decoder = self._subscriber._session.decoder
         try:
@@ -405,28 +417,18 @@ class Subscriber(_Handle):
         return message
 
 
-class Events(_Handle):
+class Events(_Coming[Event]):
     """What changes about who can be reached, for `async for`; see `rect.Events`."""
 
     dropped = 0
     tallies: Mapping[str, Tally] = {}
 
     def __init__(self, events: BlockingEvents) -> None:
-        super().__init__(events)
-        self._events = events
+        super().__init__(events, events._WHAT, events._inbox.pop_async)
 
     async def next(self, timeout: float | None = None) -> Event:
         """The next one, once there is one. Raises `TimedOut` (seconds), `Closed`."""
-        return await self._events.next_async(timeout)
-
-    def __aiter__(self) -> AsyncIterator[Event]:
-        return self
-
-    async def __anext__(self) -> Event:
-        try:
-            return await self._events._inbox.pop_async()
-        except Ended:
-            raise StopAsyncIteration from None
+        return await self._next(timeout)
 
 
 class Subscription(Generic[T]):
@@ -485,33 +487,19 @@ class Stream(_Handle):
         return self._stream.status
 
 
-class Watch(_Handle):
+class Watch(_Coming[Frame]):
     """A stream that this program watches, for `async for`; see `rect.Watch`."""
 
     dropped = 0
     tallies: Mapping[str, Tally] = {}
 
     def __init__(self, watch: BlockingWatch) -> None:
-        super().__init__(watch)
+        super().__init__(watch, f"frame of {watch._name}", watch.next_async)
         self._watch = watch
 
     async def next(self, timeout: float | None = None) -> Frame:
         """The newest frame, once there is one. Raises `TimedOut` (seconds), `Closed`."""
-        try:
-            return await self._watch.next_async(timeout)
-        except Ended:
-            raise self._watch._session.closed_error() from None
-        except TimeoutError:
-            raise TimedOut(f"frame of {self._watch._name}", timeout or 0) from None
-
-    def __aiter__(self) -> AsyncIterator[Frame]:
-        return self
-
-    async def __anext__(self) -> Frame:
-        try:
-            return await self._watch.next_async()
-        except Ended:
-            raise StopAsyncIteration from None
+        return await self._next(timeout)
 
     @property
     def round_trip(self) -> float | None:
@@ -519,30 +507,15 @@ class Watch(_Handle):
         return self._watch.round_trip
 
 
-class Transfers(_Handle):
+class Transfers(_Coming[Received]):
     """The transfers that come, for `async for`; see `rect.Transfers`."""
 
     def __init__(self, transfers: BlockingTransfers) -> None:
-        super().__init__(transfers)
-        self._transfers = transfers
+        super().__init__(transfers, f"transfer {transfers._pattern}", transfers.next_async)
 
     async def next(self, timeout: float | None = None) -> Received:
         """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
-        try:
-            return await self._transfers.next_async(timeout)
-        except Ended:
-            raise self._transfers._session.closed_error() from None
-        except TimeoutError:
-            raise TimedOut(f"transfer {self._transfers._pattern}", timeout or 0) from None
-
-    def __aiter__(self) -> AsyncIterator[Received]:
-        return self
-
-    async def __anext__(self) -> Received:
-        try:
-            return await self._transfers.next_async()
-        except Ended:
-            raise StopAsyncIteration from None
+        return await self._next(timeout)
 
 
 class Replies(_Handle):

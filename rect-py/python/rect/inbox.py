@@ -106,16 +106,9 @@ class Inbox(Generic[T]):
         self._tasks = deque()
 
     @property
-    def closed(self) -> bool:
-        return self.queue.is_closed
-
-    @property
     def dropped(self) -> int:
         """How many were dropped so far."""
         return self.queue.dropped
-
-    def __len__(self) -> int:
-        return len(self.queue)
 
     def _take(self) -> T | None:
         item = self.queue.pop()

@@ -54,6 +54,7 @@ class Events:
     """What changes about who can be reached, as it changes; first of all who is there already. An iterator."""
 
     dropped = 0
+    _WHAT = "news of who can be reached"
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -108,16 +109,7 @@ class Events:
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
-            raise TimedOut("news of who can be reached", timeout or 0) from None
-
-    async def next_async(self, timeout: float | None = None) -> Event:
-        """The same for asyncio."""
-        try:
-            return await self._inbox.pop_async(timeout)
-        except Ended:
-            raise self._session.closed_error() from None
-        except TimeoutError:
-            raise TimedOut("news of who can be reached", timeout or 0) from None
+            raise TimedOut(self._WHAT, timeout or 0) from None
 
     def __iter__(self) -> Iterator[Event]:
         return self
