@@ -1,7 +1,13 @@
 //! Owns asking a service, and its answers.
-use std::{fmt, sync::Arc, time::Duration};
+use std::{
+    fmt,
+    future::{Future, IntoFuture},
+    pin::pin,
+    sync::Arc,
+    task::{Context, Waker},
+    time::Duration,
+};
 
-use tokio::{runtime::Handle, time::Instant};
 use zenoh::{
     cancellation::CancellationToken,
     query::{ConsolidationMode, QueryTarget},
@@ -44,10 +50,8 @@ pub struct Replies {
     decoder: Arc<Decoder>,
     place: Place,
     what: String,
-    deadline: Instant,
     timeout: Duration,
     cancellation: CancellationToken,
-    runtime: Handle,
 }
 
 impl Robot {
@@ -133,10 +137,8 @@ impl Robot {
             decoder: self.inner.decoder.clone(),
             place: place.clone(),
             what: format!("answer about {topic}"),
-            deadline: Instant::now() + timeout,
             timeout,
             cancellation,
-            runtime: self.inner.runtime.clone(),
         })
     }
 
@@ -164,14 +166,8 @@ impl Replies {
             what: self.what.clone(),
             after: self.timeout,
         };
-        let reply = match tokio::time::timeout_at(self.deadline, self.inbox.pop()).await {
-            Ok(reply) => reply?,
-            Err(_) => {
-                self.inbox.close();
-                return Some(Err(timed_out()));
-            }
-        };
-        let answer = match reply.into_result() {
+        // Zenoh has a timer for each request: one more would wake a thread each time.
+        let answer = match self.inbox.pop().await?.into_result() {
             Ok(sample) => {
                 let address = self.place.address(sample.key_expr().as_str());
                 let payload = payload(sample.payload(), sample.encoding());
@@ -218,10 +214,9 @@ impl Drop for Replies {
             return;
         }
         self.inbox.close();
-        // Not waited for: what comes meanwhile finds the inbox closed, and to wait would cost each request a thread.
-        let cancelled = self.cancellation.cancel();
-        self.runtime.spawn(async move {
-            let _ = cancelled.await;
-        });
+        // Zenoh lets go of the request when this is first looked at. What it goes on with is waiting for a callback that
+        // runs just now, which finds the inbox closed: nobody needs that, and a task for it would wake a thread each time.
+        let cancelled = pin!(self.cancellation.cancel().into_future());
+        let _ = cancelled.poll(&mut Context::from_waker(Waker::noop()));
     }
 }

@@ -17,7 +17,11 @@ pub fn findings(root: &Path) -> Vec<Finding> {
     findings.push(system.adapter(&adapters));
     findings.extend(system.rfkill());
     if has_adapter {
-        findings.extend([system.bluetoothd(), system.rights(), system.timing(&adapters)]);
+        findings.extend([
+            system.bluetoothd(),
+            system.rights(),
+            system.timing(&adapters),
+        ]);
     }
     findings
 }
