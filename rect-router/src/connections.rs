@@ -161,6 +161,11 @@ impl Connections {
         Watching::start(Arc::clone(self))
     }
 
+    /// Dials nobody any more; links that are there stay.
+    pub fn close(&self) {
+        self.slots.close();
+    }
+
     /// What is known of each, by name.
     pub fn snapshots(&self) -> Vec<Snapshot> {
         let connections: Vec<_> = {

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use rect::core::wording;
-use zenoh::{Config, Session};
+use zenoh::{Config, Session, Wait};
+use zenoh_link::ble;
 
 use crate::{
     config::{self, AutoConnect, Settings, MAX_AUTO_LINKS},
@@ -23,8 +24,26 @@ pub struct Robot {
 
 /// Dropping it ends what it stands for.
 pub struct Running {
+    connections: Option<Arc<Connections>>,
+    fleet: Arc<Fleet>,
     _watching: Option<Watching>,
     _registry: Registry,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.fleet.close();
+        if let Some(connections) = &self.connections {
+            connections.close();
+        }
+    }
+}
+
+/// Closes a router. Zenoh waits for its dials before it takes leave of anybody, so they are ended first.
+pub fn close(session: &Session, running: Option<Running>) -> zenoh::Result<()> {
+    drop(running);
+    ble::status::stop_dialling();
+    session.close().wait()
 }
 
 impl Robot {
@@ -72,8 +91,11 @@ impl Robot {
             config_service::serve(session, &self.own, Arc::clone(connections))?;
         }
         let (own, settings) = (&self.own, &self.settings);
+        let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
         Ok(Running {
+            connections,
+            fleet,
             _watching: watching,
             _registry: registry,
         })

@@ -12,7 +12,10 @@ use std::{
 use sd_notify::NotifyState;
 use zenoh::{Config, Session, Wait};
 
-use crate::{robot::Robot, signals, status};
+use crate::{
+    robot::{self, Robot, Running},
+    signals, status,
+};
 
 /// How long peers are given to take note that the router ends.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -35,7 +38,7 @@ pub fn run(config: Config, robot: Option<Robot>) -> Result<(), RouterError> {
         _ => return Ok(()),
     };
     status::serve(&session).map_err(RouterError::Open)?;
-    let _running = robot
+    let running = robot
         .map(|robot| robot.start(&session, None))
         .transpose()
         .map_err(RouterError::Open)?;
@@ -43,7 +46,7 @@ pub fn run(config: Config, robot: Option<Robot>) -> Result<(), RouterError> {
     tell_systemd();
 
     match next.recv() {
-        Ok(Event::StopAsked) => close(session, &events, &next),
+        Ok(Event::StopAsked) => close(session, running, &events, &next),
         _ => Ok(()),
     }
 }
@@ -57,11 +60,12 @@ fn tell_systemd() {
 
 fn close(
     session: Session,
+    running: Option<Running>,
     events: &Sender<Event>,
     next: &Receiver<Event>,
 ) -> Result<(), RouterError> {
     spawn("close", events, move || {
-        if let Err(error) = session.close().wait() {
+        if let Err(error) = robot::close(&session, running) {
             tracing::warn!("while closing: {error}");
         }
         Event::Closed

@@ -75,3 +75,22 @@ fn a_router_stops_with_status_0_while_linked_over_ble() {
     assert_eq!(two.exit().code(), Some(0));
     drop(one);
 }
+
+/// Zenoh waits for its dials before it takes leave of anybody.
+#[test]
+fn a_router_takes_leave_in_time_although_it_dials_who_is_away() {
+    let air = Air::new();
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    let away = r#"{ connections: [{ name: "away", method: "ble", address: "wombat-8" }] }"#;
+    std::fs::write(&file, away).expect("written");
+    let robot = format!(
+        r#"plugins/rect:{{ robot: "wombat-1", connections: {:?} }}"#,
+        file.path()
+    );
+    let dials = ["-e", "ble/wombat-9#adapter=sim-wombat-1", "--cfg", &robot];
+    let (mut one, _) = simulated(&air, 1, &dials);
+    one.up().signal(nix::sys::signal::Signal::SIGTERM);
+    assert_eq!(one.exit().code(), Some(0));
+    let log = one.full_log();
+    assert!(log.lines().any(|line| line.ends_with(": closed")), "{log}");
+}

@@ -111,13 +111,16 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
         let link = self
             .on_runtime(async move {
                 let locator = ConnectLocator::parse(&endpoint)?;
-                let dialled = dial(&node, &locator).await;
+                let dialling = node
+                    .stop_dialling
+                    .run_until_cancelled(dial(&node, &locator));
+                let dialled = dialling.await.unwrap_or(Err(BleError::ShuttingDown));
                 if let Err(error) = &dialled {
                     // Zenoh tries again and says so at debug level only; a person wants to know why nothing comes.
                     let words = in_words(error);
                     tracing::debug!("ble: no link to {}: {words}", locator.target);
                     let is_trouble = match error {
-                        BleError::AlreadyLinked { .. } => false,
+                        BleError::AlreadyLinked { .. } | BleError::ShuttingDown => false,
                         // Of a fleet there need not be anyone more.
                         BleError::NotFound { .. } => !matches!(locator.target, Target::Fleet(_)),
                         _ => true,

@@ -3,6 +3,7 @@ use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::{sync::Notify, time::Instant};
+use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::NewLinkChannelSender;
 
 use crate::{
@@ -32,6 +33,8 @@ pub(crate) struct Node {
     /// Where Zenoh takes new links: the same channel for all that one runtime makes.
     pub(crate) new_links: NewLinkChannelSender,
     links: Mutex<Links>,
+    /// Cancelled when this node is to dial nobody any more.
+    pub(crate) stop_dialling: CancellationToken,
     /// Told whenever a link ends.
     pub(crate) unlinked: Notify,
     /// Told whenever Zenoh has let go of one.
@@ -66,6 +69,7 @@ impl Node {
             id,
             new_links,
             links: Mutex::new(Links::new(id)),
+            stop_dialling: CancellationToken::new(),
             unlinked: Notify::new(),
             released: Notify::new(),
             adapters: Mutex::default(),

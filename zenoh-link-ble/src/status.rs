@@ -102,6 +102,14 @@ pub fn nodes() -> Vec<NodeStatus> {
     nodes.iter().map(|node| node.status()).collect()
 }
 
+/// Ends whatever this process dials by Bluetooth, for good: for a program that is about to end. Zenoh waits for its dials
+/// when it is closed, and a peer that is away is dialled for seconds.
+pub fn stop_dialling() {
+    for node in NODES.lock().iter().filter_map(Weak::upgrade) {
+        node.stop_dialling.cancel();
+    }
+}
+
 /// The node on the list that is the one meant, or a new one.
 pub(crate) fn find_or_add(
     is_it: impl Fn(&Node) -> bool,

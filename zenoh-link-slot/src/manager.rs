@@ -136,14 +136,19 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_slot_that_is_not_there_is_an_error() {
-        let slots = Slots::new(1);
-        let endpoint = slots.endpoints().next().expect("one");
-        let waiting = dialling(&endpoint);
+    async fn a_slot_that_is_closed_or_not_there_is_an_error() {
+        let slots = Slots::new(2);
+        let endpoints: Vec<_> = slots.endpoints().collect();
+        slots.set(1, Some(Arc::new(Busy::default())));
+        let (waiting, busy) = (dialling(&endpoints[0]), dialling(&endpoints[1]));
         tokio::time::sleep(Duration::from_secs(1)).await;
-        drop(slots);
+        slots.close();
         let error = waiting.await.expect("no panic").expect("in time").err();
         assert!(error.is_some_and(|e| e.to_string().contains("no more")));
+        let error = busy.await.expect("no panic").expect("in time").err();
+        assert!(error.is_some_and(|e| e.to_string().contains("changed")));
+        slots.set(0, Some(Arc::new(Busy::default())));
+        let endpoint = endpoints[0].clone();
         for nowhere in [endpoint.as_str(), "slot/x", "slot/0", "slot/0.99"] {
             let answer = dialling(nowhere).await.expect("no panic").expect("in time");
             assert!(answer.is_err_and(|e| e.to_string().contains("there is no")));

@@ -8,7 +8,7 @@ use std::{
 };
 
 use async_trait::async_trait;
-use parking_lot::Mutex;
+use parking_lot::{Mutex, RwLock};
 use tokio::sync::watch;
 use zenoh_link_commons::{LinkUnicast, NewLinkChannelSender};
 use zenoh_result::ZResult;
@@ -29,7 +29,8 @@ pub(crate) type Dialled = Option<Arc<dyn Dial>>;
 /// A fixed number of slots of one Zenoh runtime.
 pub struct Slots {
     table: u32,
-    slots: Box<[watch::Sender<Dialled>]>,
+    /// None, once they are closed.
+    slots: RwLock<Box<[watch::Sender<Dialled>]>>,
 }
 
 /// Zenoh's link managers are made from a locator alone, so the tables of a process have one register.
@@ -41,7 +42,7 @@ impl Slots {
     pub fn new(count: usize) -> Arc<Self> {
         let slots = Arc::new(Self {
             table: NEXT.fetch_add(1, Ordering::Relaxed),
-            slots: (0..count).map(|_| watch::channel(None).0).collect(),
+            slots: RwLock::new((0..count).map(|_| watch::channel(None).0).collect()),
         });
         TABLES.lock().insert(slots.table, Arc::downgrade(&slots));
         slots
@@ -50,19 +51,25 @@ impl Slots {
     /// The endpoints to put under `connect/endpoints`.
     pub fn endpoints(&self) -> impl Iterator<Item = String> + '_ {
         let endpoint = |number| format!("{SLOT_LOCATOR_PREFIX}/{}.{number}", self.table);
-        (0..self.slots.len()).map(endpoint)
+        (0..self.count()).map(endpoint)
     }
 
     /// How many there are.
     pub fn count(&self) -> usize {
-        self.slots.len()
+        self.slots.read().len()
     }
 
     /// What is dialled in that slot from now on. An attempt under way for what was in it before is given up.
     pub fn set(&self, number: usize, dialled: Option<Arc<dyn Dial>>) {
-        if let Some(slot) = self.slots.get(number) {
+        if let Some(slot) = self.slots.read().get(number) {
             slot.send_replace(dialled);
         }
+    }
+
+    /// Ends dialling for good, not the links. Zenoh waits for its dials when it is closed; that of an empty slot would take
+    /// until Zenoh drops it.
+    pub fn close(&self) {
+        *self.slots.write() = Box::default();
     }
 
     /// The slot of that address (`<table>.<number>`), to be watched.
@@ -70,8 +77,8 @@ impl Slots {
         let (table, number) = address.split_once('.')?;
         let tables = TABLES.lock();
         let slots = tables.get(&table.parse().ok()?)?.upgrade()?;
-        let slot = slots.slots.get(number.parse::<usize>().ok()?)?;
-        Some(slot.subscribe())
+        let slots = slots.slots.read();
+        Some(slots.get(number.parse::<usize>().ok()?)?.subscribe())
     }
 }
 

@@ -7,7 +7,7 @@ use std::{
 
 use rect_router::{
     config::{self, Settings},
-    robot::{Robot, Running},
+    robot::{self, Robot, Running},
     status,
 };
 use serde_json::{json, Map, Value};
@@ -40,7 +40,7 @@ const FOR_SLOW_LINKS: [&str; 3] = [
 /// The plugin's router while it runs.
 pub struct Second {
     session: Session,
-    _robot: Running,
+    robot: Option<Running>,
 }
 
 impl Second {
@@ -65,7 +65,7 @@ impl Second {
         let robot = robot.start(&session, Some(of_host))?;
         Ok(Some(Self {
             session,
-            _robot: robot,
+            robot: Some(robot),
         }))
     }
 
@@ -77,7 +77,7 @@ impl Second {
 
 impl Drop for Second {
     fn drop(&mut self) {
-        if let Err(error) = self.session.close().wait() {
+        if let Err(error) = robot::close(&self.session, self.robot.take()) {
             tracing::warn!("rect: while closing: {error}");
         }
     }

@@ -45,6 +45,11 @@ impl Fleet {
         self.slots.endpoints()
     }
 
+    /// Dials nobody any more; links that are there stay.
+    pub fn close(&self) {
+        self.slots.close();
+    }
+
     /// The rule that holds.
     pub fn rule(&self) -> Rule {
         *self.rule.lock()
