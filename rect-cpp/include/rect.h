@@ -543,6 +543,12 @@ typedef struct rect_progress {
 // Called with how much is there, up to ten times a second, on the transfer's thread.
 typedef void (*rect_on_progress)(const struct rect_progress *progress, void *context);
 
+// A transfer that this program sends. `rect_drop(&transfer.id, ..)` ends it, all there or not.
+typedef struct rect_transfer {
+    // Its handle.
+    uint64_t id;
+} rect_transfer;
+
 // How transfers are taken. What is 0 or NULL is left at its default.
 typedef struct rect_receive_options {
     // Into a folder for each sender in this one, under the name that the sender gives; NULL: into memory. What came into
@@ -1024,18 +1030,30 @@ enum rect_code rect_robot_on_message(struct rect_robot robot,
                                      struct rect_subscription *subscription,
                                      struct rect_error *error);
 
-// Transfers a file or bytes of any size to one robot, and waits until all is there and right. Everything else overtakes it.
+// Begins to transfer a file or bytes of any size to one robot, until it ends or is dropped. Everything else overtakes it.
 // Links may come and go meanwhile, and either side may be restarted: it goes on where it was. `progress`: NULL, or called
-// with `context` on the transfer's thread, until this returns.
+// with `context` on the transfer's thread. `release` is called with `context` once, when there will be no more calls, even
+// where this call fails.
 //
-// Thread: any.
-enum rect_code rect_robot_transfer(struct rect_robot robot,
-                                   const char *to,
-                                   const char *topic,
-                                   const struct rect_transfer_options *options,
-                                   rect_on_progress progress,
-                                   void *context,
-                                   struct rect_error *error);
+// Thread: any. The callback may drop its own transfer, and must not wait for it.
+enum rect_code rect_robot_begin_transfer(struct rect_robot robot,
+                                         const char *to,
+                                         const char *topic,
+                                         const struct rect_transfer_options *options,
+                                         rect_on_progress progress,
+                                         void *context,
+                                         rect_release release,
+                                         struct rect_transfer *transfer,
+                                         struct rect_error *error);
+
+// Waits until all is there and right, or can't be. RECT_CODE_TIMED_OUT: it goes on after `timeout_ms` (RECT_FOREVER: it waits
+// as long as it takes); RECT_CODE_CLOSED: the session was closed, or another thread dropped it; RECT_CODE_END: its end was
+// told before.
+//
+// Thread: any but the transfer's own, on which its callback runs.
+enum rect_code rect_transfer_wait(struct rect_transfer transfer,
+                                  uint32_t timeout_ms,
+                                  struct rect_error *error);
 
 // Takes the transfers of a pattern, as `*/maps/*`, that others send to this robot, until it is dropped. Without it none is
 // taken.

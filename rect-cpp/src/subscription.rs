@@ -1,5 +1,5 @@
 //! Owns callbacks that are called for whatever comes: each has a thread of its own, until it is dropped.
-use std::{ffi::c_void, future::Future, sync::Arc, thread};
+use std::{ffi::c_void, future::Future, pin::pin, sync::Arc, thread};
 
 use tokio_util::sync::CancellationToken;
 
@@ -55,11 +55,12 @@ pub fn start<S: Source>(
     let runtime = program.runtime.clone();
     let thread = thread::Builder::new().name("rect-callback".into());
     let started = thread.spawn(move || {
-        let next = |source: &mut S| {
+        let mut stopped = pin!(stopped.cancelled());
+        let mut next = |source: &mut S| {
             let wait = async {
                 tokio::select! {
                     biased;
-                    () = stopped.cancelled() => None,
+                    () = &mut stopped => None,
                     item = source.next() => item,
                 }
             };

@@ -1,23 +1,24 @@
 //! Owns transfers: files and bytes of any size, to a robot and from others.
 use std::{
     ffi::{c_char, c_void},
-    future::IntoFuture,
+    future::{Future, IntoFuture},
     mem::MaybeUninit,
     path::Path,
+    pin::Pin,
     sync::Arc,
     time::Duration,
 };
 
 use rect::{core::transfer::Progress as Held, storage::Content, ReceiveTransfers, TransferSource};
+use tokio::sync::Mutex;
 
 use crate::{
     argument::{text, text_or_none, there},
     boundary::{call, give, wanted, ErrorOut},
-    callback::Callback,
+    callback::{Callback, Release},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
-    program::Program,
     robot::Robot,
     text::Text,
     waiting::{Awaited, Waiting},
@@ -34,6 +35,14 @@ pub struct Progress {
 
 /// Called with how much is there, up to ten times a second, on the transfer's thread.
 pub type OnProgress = Option<extern "C" fn(progress: *const Progress, context: *mut c_void)>;
+
+/// A transfer that this program sends. `rect_drop(&transfer.id, ..)` ends it, all there or not.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct Transfer {
+    /// Its handle.
+    pub id: u64,
+}
 
 /// What is transferred, and how. What is 0 or NULL is left at its default.
 #[repr(C)]
@@ -144,51 +153,80 @@ unsafe fn source(given: &TransferOptions) -> Result<TransferSource, Failure> {
     })
 }
 
-fn send(
-    program: &Program,
-    transfer: rect::Transfer,
-    progress: OnProgress,
-    callback: &Arc<Callback>,
-) -> Result<(), Failure> {
-    let transfer = match progress {
-        None => transfer,
-        Some(function) => {
-            let called = callback.clone();
-            transfer.on_progress(move |progress: Held| {
-                let Held {
-                    held_bytes,
-                    size_bytes,
-                } = progress;
-                let view = Progress {
-                    held_bytes,
-                    size_bytes,
-                };
-                called.run(|context| function(&view, context));
-            })
-        }
-    };
-    let sent = program.wait(transfer.into_future());
-    callback.close();
-    sent
+type Ending = Pin<Box<dyn Future<Output = Result<(), rect::Error>> + Send>>;
+
+/// A transfer under way.
+struct Sending {
+    /// Nothing once its end was told.
+    ending: Mutex<Option<Ending>>,
+    progress: Arc<Callback>,
 }
 
-/// Transfers a file or bytes of any size to one robot, and waits until all is there and right. Everything else overtakes it.
+impl Awaited for Sending {
+    const KIND: &'static str = "transfer";
+
+    fn on_dropped(&self) {
+        self.progress.close();
+    }
+}
+
+impl Sending {
+    /// Begins.
+    fn of(transfer: rect::Transfer, on_progress: OnProgress, progress: Arc<Callback>) -> Self {
+        let transfer = match on_progress {
+            None => transfer,
+            Some(function) => {
+                let called = progress.clone();
+                transfer.on_progress(move |progress: Held| {
+                    let Held {
+                        held_bytes,
+                        size_bytes,
+                    } = progress;
+                    let view = Progress {
+                        held_bytes,
+                        size_bytes,
+                    };
+                    called.run(|context| function(&view, context));
+                })
+            }
+        };
+        Self {
+            ending: Mutex::new(Some(transfer.into_future())),
+            progress,
+        }
+    }
+
+    /// How it ended, once it has.
+    async fn end(&self) -> Result<(), Failure> {
+        let mut ending = self.ending.lock().await;
+        let how = ending.as_mut().ok_or(Failure::End)?.await;
+        *ending = None;
+        self.progress.close();
+        Ok(how?)
+    }
+}
+
+/// Begins to transfer a file or bytes of any size to one robot, until it ends or is dropped. Everything else overtakes it.
 /// Links may come and go meanwhile, and either side may be restarted: it goes on where it was. `progress`: NULL, or called
-/// with `context` on the transfer's thread, until this returns.
+/// with `context` on the transfer's thread. `release` is called with `context` once, when there will be no more calls, even
+/// where this call fails.
 ///
-/// Thread: any.
+/// Thread: any. The callback may drop its own transfer, and must not wait for it.
 #[no_mangle]
-pub unsafe extern "C" fn rect_robot_transfer(
+pub unsafe extern "C" fn rect_robot_begin_transfer(
     robot: Robot,
     to: *const c_char,
     topic: *const c_char,
     options: Option<&TransferOptions>,
     progress: OnProgress,
     context: *mut c_void,
+    release: Release,
+    transfer: Option<&mut MaybeUninit<Transfer>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    let called = Arc::new(Callback::new(context, None));
+    let called = Arc::new(Callback::new(context, release));
     call(error, || {
+        wanted("transfer", &transfer)?;
         let options = there("options", options)?;
         // SAFETY: as rect.h asks.
         let (to, topic, source, name, encoding) = unsafe {
@@ -201,17 +239,38 @@ pub unsafe extern "C" fn rect_robot_transfer(
             )
         };
         let program = robot.live()?;
-        let mut transfer = program.robot.transfer(to, topic, source)?;
+        let mut begun = program.robot.transfer(to, topic, source)?;
         if let Some(name) = name {
-            transfer = transfer.named(name);
+            begun = begun.named(name);
         }
         if let Some(encoding) = encoding {
-            transfer = transfer.encoding(crate::payload::named(encoding)?);
+            begun = begun.encoding(crate::payload::named(encoding)?);
         }
         if options.patience_ms != 0 {
-            transfer = transfer.patience(Duration::from_millis(options.patience_ms.into()));
+            begun = begun.patience(Duration::from_millis(options.patience_ms.into()));
         }
-        send(&program, transfer, progress, &called)
+        let sending = Sending::of(begun, progress, called);
+        let id = handle::insert(Waiting::new(sending, &program));
+        give("transfer", transfer, Transfer { id })
+    })
+}
+
+/// Waits until all is there and right, or can't be. RECT_CODE_TIMED_OUT: it goes on after `timeout_ms` (RECT_FOREVER: it waits
+/// as long as it takes); RECT_CODE_CLOSED: the session was closed, or another thread dropped it; RECT_CODE_END: its end was
+/// told before.
+///
+/// Thread: any but the transfer's own, on which its callback runs.
+#[no_mangle]
+pub extern "C" fn rect_transfer_wait(
+    transfer: Transfer,
+    timeout_ms: u32,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        let waiting = handle::get::<Waiting<Sending>>(transfer.id)?;
+        waiting.next("end of the transfer", timeout_ms, |sending| async {
+            Some(sending.end().await)
+        })?
     })
 }
 

@@ -12,6 +12,9 @@ pub const FOREVER: u32 = u32::MAX;
 pub trait Awaited: Send + Sync + 'static {
     /// What it is called in errors.
     const KIND: &'static str;
+
+    /// It was dropped: no callback of it runs any more when this returns.
+    fn on_dropped(&self) {}
 }
 
 /// What waits for a program, and that nobody waits for it any more once it was dropped.
@@ -69,5 +72,6 @@ impl<S: Awaited> Object for Waiting<S> {
 
     fn on_dropped(&self) {
         self.stop.cancel();
+        self.source.on_dropped();
     }
 }

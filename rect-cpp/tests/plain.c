@@ -137,6 +137,7 @@ static void streams(rect_robot one, rect_robot two) {
 static void transfers(rect_robot one, rect_robot two) {
     rect_receive_options taking = {0};
     rect_transfer_options options = {0};
+    rect_transfer transfer;
     rect_transfers transfers;
     rect_received received;
     uint64_t held = 0;
@@ -144,7 +145,10 @@ static void transfers(rect_robot one, rect_robot two) {
     options.payload = rect_payload_text("a map");
     options.patience_ms = PATIENCE_MS;
     must(rect_robot_receive_transfers(two, "*/map", &taking, &transfers, &error), "receive_transfers");
-    must(rect_robot_transfer(one, "wombat-2", "map", &options, on_progress, &held, &error), "transfer");
+    must(rect_robot_begin_transfer(one, "wombat-2", "map", &options, on_progress, &held, NULL, &transfer, &error), "transfer");
+    must(rect_transfer_wait(transfer, PATIENCE_MS, &error), "wait");
+    check(rect_transfer_wait(transfer, PATIENCE_MS, &error) == RECT_CODE_END, "its end is told once");
+    must(rect_drop(&transfer.id, &error), "drop");
     must(rect_transfers_next(transfers, PATIENCE_MS, &received, &error), "next");
     check(held == 5 && received.size_bytes == 5 && says(received.payload, "a map"), "all of it is there");
     must(rect_drop(&received.id, &error), "drop");

@@ -27,6 +27,7 @@ TEST_CASE("a handle that was dropped is an error wherever it is used, and so is 
     CHECK(rect::Replies().next().error().code == rect::Code::handle);
     CHECK(rect::Stream().send("x").error().code == rect::Code::handle);
     CHECK(rect::Watch().next(0ms).error().code == rect::Code::handle);
+    CHECK(rect::Transfer().wait(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfers().next(0ms).error().code == rect::Code::handle);
 }
 

@@ -2,6 +2,8 @@
 #include <atomic>
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <memory>
 #include <thread>
 
 #include "pair.hpp"
@@ -75,4 +77,62 @@ TEST_CASE("what is too large, nowhere, or not given is an error that says so") {
     REQUIRE_FALSE(none.has_value());
     CHECK(none.error().code == rect::Code::file);
     CHECK(transfers.next(10ms).error().code == rect::Code::timed_out);
+}
+
+TEST_CASE("a transfer that is waited for by nobody goes on, and its end is told once") {
+    Pair pair;
+    rect::ReceiveOptions taking;
+    taking.max_bytes = 1 << 20;
+    const auto transfers = must(pair.two.receive_transfers("*/map", taking));
+    const auto transfer = must(pair.one.begin_transfer("wombat-2", "map", std::string(300'000, 'm'), in_time()));
+    CHECK(must(transfers.next(deadline)).size_bytes() == 300'000);
+    must(transfer.wait(deadline));
+    CHECK(transfer.wait(deadline).error().code == rect::Code::end);
+}
+
+TEST_CASE("a transfer to a robot that is away waits for it until it is dropped") {
+    Pair pair;
+    auto transfer = must(pair.one.begin_transfer("wombat-3", "map", "a map"));
+    CHECK(transfer.wait(10ms).error().code == rect::Code::timed_out);
+    rect::Code code{};
+    std::thread waiting([&] { code = transfer.wait().error().code; });
+    transfer.drop();
+    waiting.join();
+    // It may have been dropped before the thread waited.
+    CHECK((code == rect::Code::closed || code == rect::Code::handle));
+}
+
+TEST_CASE("a transfer that its own callback drops ends there, and what it needs is released") {
+    Pair pair;
+    rect::ReceiveOptions taking;
+    taking.max_bytes = 100 << 20;
+    const auto transfers = must(pair.two.receive_transfers("*/map", taking));
+    struct Own {
+        rect::Transfer transfer;
+        std::promise<void> is_there;
+        std::promise<void> is_dropped;
+    };
+    auto own = std::make_shared<Own>();
+    const std::weak_ptr<Own> watched = own;
+    auto dropped = own->is_dropped.get_future();
+    own->transfer = must(pair.one.begin_transfer(
+        "wombat-2", "map", std::string(50 << 20, 'm'), in_time(),
+        [own, there = own->is_there.get_future(), is_first = true](const rect::Progress& progress) mutable {
+            if (is_first && progress.fraction() < 1) {
+                is_first = false;
+                there.wait();
+                own->transfer.drop();
+                own->is_dropped.set_value();
+            }
+        }));
+    own->is_there.set_value();
+    own.reset();
+    REQUIRE(dropped.wait_for(deadline) == std::future_status::ready);
+    const auto until = std::chrono::steady_clock::now() + deadline;
+    while (!watched.expired() && std::chrono::steady_clock::now() < until) {
+        std::this_thread::yield();
+    }
+    CHECK(watched.expired());
+    const auto never = transfers.next(500ms);
+    REQUIRE_FALSE(never.has_value());
 }

@@ -192,23 +192,42 @@ public:
     template <class T, class F>
     expected<void> transfer(const Text& to, const Text& topic, const T& source, const TransferOptions& options,
                             F&& function) const {
-        using C = detail::Callback<std::remove_reference_t<F>>;
+        const auto begun = begin_transfer(to, topic, source, options, [&](const Progress& progress) { function(progress); });
+        return begun ? begun->wait() : unexpected<Error>(begun.error());
+    }
+
+    /// Begins to transfer it, and does not wait: it goes on until it ends, or what this returns does.
+    template <class T>
+    [[nodiscard]] expected<Transfer> begin_transfer(const Text& to, const Text& topic, const T& source,
+                                                    const TransferOptions& options = {}) const {
+        return begin_transfer(to, topic, source, options, [](const Progress&) {});
+    }
+
+    /// The same; calls `function(const rect::Progress&)` up to ten times a second, on the transfer's thread. It may end its own
+    /// transfer, and must not wait for it.
+    template <class T, class F>
+    [[nodiscard]] expected<Transfer> begin_transfer(const Text& to, const Text& topic, const T& source,
+                                                    const TransferOptions& options, F&& function) const {
+        using C = detail::Callback<std::decay_t<F>>;
+        rect_transfer transfer{};
         const auto go = [&](const char* file, const rect_payload& payload) {
             const rect_transfer_options how{file, payload, detail::or_null(options.name), detail::or_null(options.encoding),
                                             detail::ms(options.patience)};
-            auto* context = const_cast<std::remove_cv_t<std::remove_reference_t<F>>*>(&function);
-            detail::release(context);
+            const C callback(std::forward<F>(function));
             rect_error error;
-            const auto code = rect_robot_transfer(raw(), to.c_str(), topic.c_str(), &how,
-                                                  C::template call<rect_progress, Progress>, context, &error);
-            detail::acquire(context);
+            const auto code =
+                rect_robot_begin_transfer(raw(), to.c_str(), topic.c_str(), &how, C::template call<rect_progress, Progress>,
+                                          callback.context(), C::done, &transfer, &error);
             return detail::done(code, error);
         };
-        if constexpr (std::is_same_v<T, File>) {
-            return go(source.path.c_str(), rect_payload{});
-        } else {
-            return detail::with_payload(source, [&](const rect_payload& payload) { return go(nullptr, payload); });
-        }
+        const auto begun = [&] {
+            if constexpr (std::is_same_v<T, File>) {
+                return go(source.path.c_str(), rect_payload{});
+            } else {
+                return detail::with_payload(source, [&](const rect_payload& payload) { return go(nullptr, payload); });
+            }
+        }();
+        return begun ? expected<Transfer>(Transfer(transfer.id)) : unexpected<Error>(begun.error());
     }
 
     /// Takes the transfers of a pattern, as `*/maps/*`, that others send to this robot, until what this returns ends. Without

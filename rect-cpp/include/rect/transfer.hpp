@@ -10,6 +10,7 @@
 #include <string_view>
 
 #include "payload.hpp"
+#include "sanitizer.hpp"
 
 namespace rect {
 inline namespace RECT_ABI {
@@ -54,6 +55,21 @@ struct Progress {
     /// 0 to 1; of nothing, all is there.
     [[nodiscard]] double fraction() const noexcept {
         return size_bytes == 0 ? 1 : static_cast<double>(held_bytes) / static_cast<double>(size_bytes);
+    }
+};
+
+/// A transfer that this program sends. It ends when this does, all there or not.
+class Transfer : public Handle {
+public:
+    using Handle::Handle;
+
+    /// Waits until all is there and right, or can't be. Code::timed_out: it goes on; Code::closed: the session was closed, or
+    /// another thread dropped this; Code::end: its end was told before. Not for the transfer's own callback.
+    expected<void> wait(std::chrono::milliseconds timeout = forever) const {
+        rect_error error;
+        const auto code = rect_transfer_wait({id()}, detail::ms(timeout), &error);
+        detail::acquire_all();
+        return detail::done(code, error);
     }
 };
 
