@@ -1,16 +1,21 @@
-"""A bench's part that runs in the VM with a real kernel's Bluetooth stack: `in_guest` of its module."""
+"""A bench's part that runs in the VM with a real kernel's Bluetooth stack: `in_guest` of its module.
+
+The guest's time is that of a processor like a core of a Pi 3B, so the host's speed and load are in no figure.
+"""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+# How many of the host's seconds one of the guest's may take.
+SLOWER = 4
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def figures_of(bench: str, limit_s: int, controllers: int = 2) -> list[dict]:
-    """The JSON lines that `in_guest` prints; its other lines are shown."""
-    command = ["tests/vm/run", "--timeout", str(limit_s), "--controllers", str(controllers), "--"]
+    """The JSON lines that `in_guest` prints within so many of the guest's seconds; its other lines are shown."""
+    command = ["tests/vm/run", "--steady", "--timeout", str(SLOWER * limit_s), "--controllers", str(controllers), "--"]
     command += [sys.executable, "benches/run.py", "--guest", bench]
     guest = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     figures = []

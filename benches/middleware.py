@@ -12,10 +12,10 @@ from robots import free_port, is_listening, wait_until
 from routers import Router
 from table import Table
 from traffic import percentile
-from turns import ratio
+from turns import ratio, rounds
 
 SIZES = [64, 1024]
-ROUNDS = 16
+ROUNDS = rounds(16)
 SECONDS = 0.5
 WANTED = 1.1
 

@@ -15,13 +15,13 @@ import numpy as np
 import rect
 import zenoh
 from table import Table
-from turns import by_turns, ratio
+from turns import IS_STEADY, by_turns, ratio, rounds
 
-ROUNDS = 15
+ROUNDS = rounds(15)
 PINGS = 300
 FRAMES = 100
 #: The issue wants 10 million; `RECT_BENCH_MESSAGES` sets it.
-MESSAGES = int(os.environ.get("RECT_BENCH_MESSAGES", 10_000_000))
+MESSAGES = int(os.environ.get("RECT_BENCH_MESSAGES", 20_000 if IS_STEADY else 10_000_000))
 READING = {"robot": "wombat-1", "angle_deg": 12.5, "volt": 7.2, "ok": True}
 WAIT_S = 30
 Call = Callable[[], object]

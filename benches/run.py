@@ -1,14 +1,19 @@
 """`make bench`: each comparison in one run, side by side; tables are printed and kept in `benches/results/`."""
 
 import argparse
+import contextlib
 import importlib.util
 import os
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
 
 HERE = Path(__file__).resolve().parent
+RESULTS = HERE / "results"
 sys.path.insert(0, str(HERE.parent / "examples" / "demo"))
+
+from turns import IS_STEADY  # noqa: E402 (a module of this folder)
 
 BENCHES = {
     "goodput": "Zenoh over two routers beside a raw L2CAP channel, on a real kernel's Bluetooth stack in the VM",
@@ -41,27 +46,47 @@ def module(name: str) -> ModuleType:
     return bench
 
 
+def run(name: str) -> None:
+    """Here and now."""
+    print(f"== {name}: {BENCHES[name]}", flush=True)
+    table = module(name).run()
+    print(table.text())
+    profile = os.environ.get("RECT_PROFILE", "release")
+    setting = "" if profile == "release" else f"RECT_PROFILE={profile} "
+    option, suffix = ("--steady ", "_steady") if IS_STEADY else ("", "")
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{name}{suffix}.md").write_text(table.markdown(f"{setting}scripts/bench {option}{name}"))
+
+
+def run_steadily(name: str) -> None:
+    """The same in the VM without Bluetooth, with what its `prepared` has built for it."""
+    bench = module(name)
+    with bench.prepared() if hasattr(bench, "prepared") else contextlib.nullcontext({}) as prepared:
+        command = [HERE.parent / "tests" / "vm" / "run", "--steady", "--controllers", "0", "--timeout", "7200"]
+        command += ["--share", RESULTS, "--", sys.executable, __file__, name]
+        subprocess.run(command, env=os.environ | prepared | {"RECT_STEADY": "1"}, check=True)
+
+
 def main() -> int:
     listed = "\n".join(f"  {name:<11} {text}" for name, text in BENCHES.items())
     parser = argparse.ArgumentParser(
         prog="scripts/bench", description=__doc__, epilog=listed, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("bench", nargs="*", choices=[[], *BENCHES], metavar="BENCH", help="which (none: all)")
+    parser.add_argument(
+        "--steady",
+        action="store_true",
+        help="in the VM, in the time of a core of a Pi 3B: nothing else the machine does is in a figure",
+    )
     parser.add_argument("--guest", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    results = HERE / "results"
     for name in arguments.bench or BENCHES:
-        bench = module(name)
         if arguments.guest:
-            bench.in_guest()
-            continue
-        print(f"== {name}: {BENCHES[name]}", flush=True)
-        table = bench.run()
-        print(table.text())
-        results.mkdir(exist_ok=True)
-        profile = os.environ.get("RECT_PROFILE", "release")
-        setting = "" if profile == "release" else f"RECT_PROFILE={profile} "
-        (results / f"{name}.md").write_text(table.markdown(f"{setting}scripts/bench {name}"))
+            module(name).in_guest()
+        elif arguments.steady:
+            run_steadily(name)
+        else:
+            run(name)
     return 0
 
 

@@ -13,6 +13,8 @@ from robots import RobotError, wait_until
 from zenoh import CongestionControl, Priority
 
 PERIOD_S = 0.05
+URGENT = "<dd"
+URGENT_BYTES = struct.calcsize(URGENT)
 FRAME_BYTES = 20_000
 FRAMES_PER_S = 20
 # A link that carries less than this share of its rate for so long has nothing of the bulk left to carry.
@@ -57,14 +59,14 @@ class Urgent:
             time.sleep(PERIOD_S)
 
     def _on_message(self, payload: bytes) -> None:
-        self.ages_s.append(time.monotonic() - struct.unpack("<dd", payload)[0])
+        self.ages_s.append(time.monotonic() - struct.unpack(URGENT, payload)[0])
 
     def _send(self) -> None:
         # A message's age counts from when it was due: one that a blocked put held up is late too.
         due = time.monotonic()
         while not self._ended.is_set():
             self.sent += 1
-            self._publisher.put(struct.pack("<dd", due, 0))
+            self._publisher.put(struct.pack(URGENT, due, 0))
             due += PERIOD_S
             self._ended.wait(max(0.0, due - time.monotonic()))
 
@@ -124,14 +126,13 @@ class Sender:
 
 
 def camera(here: zenoh.Session, there: zenoh.Session, seconds: float) -> Load:
-    """Frames that may be dropped, more of them than the link carries."""
+    """Frames that may be dropped, more than the link carries; the rate is from the first arrival to the last."""
+    arrived: list[float] = []
     ages_s: list[float] = []
-    last = 0.0
 
     def on_frame(payload: bytes) -> None:
-        nonlocal last
-        last = time.monotonic()
-        ages_s.append(last - struct.unpack("<d", payload[:8])[0])
+        arrived.append(time.monotonic())
+        ages_s.append(arrived[-1] - struct.unpack("<d", payload[:8])[0])
 
     key = "rect/wombat-1/camera"
     arrives = Arrival(there, key, on_frame)
@@ -142,16 +143,16 @@ def camera(here: zenoh.Session, there: zenoh.Session, seconds: float) -> Load:
         publisher.put(struct.pack("<d", time.monotonic()) + bytes(FRAME_BYTES - 8))
         due += 1 / FRAMES_PER_S
         time.sleep(max(0.0, due - time.monotonic()))
-    whole = len(ages_s)
-    if not whole:
-        return Load(0.0, ["no frame arrived"])
-    took = last - started
+    whole = len(arrived)
+    if whole < 2:
+        return Load(0.0, ["no frames arrived"])
+    took = arrived[whole - 1] - arrived[0]
     time.sleep(2)
     oldest = max(ages_s)
     remark = (
         f"{whole} of {seconds * FRAMES_PER_S:.0f} frames, age p50 {statistics.median(ages_s):.2f}, max {oldest:.2f} s"
     )
-    return Load(whole * FRAME_BYTES / took / 1000, ["old frames"] if oldest > 1 else [], [remark])
+    return Load((whole - 1) * FRAME_BYTES / took / 1000, ["old frames"] if oldest > 1 else [], [remark])
 
 
 class Stall:

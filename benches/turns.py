@@ -1,10 +1,18 @@
 """Two that do the same by turns, and the ratio of what they did."""
 
+import os
 import statistics
 from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
+#: Whether time passes by what the processor does, in the VM (`tests/vm/run --steady`).
+IS_STEADY = "RECT_STEADY" in os.environ
+
+
+def rounds(usual: int) -> int:
+    """So many, and fewer where they are all alike."""
+    return min(usual, 4) if IS_STEADY else usual
 
 
 def by_turns(rounds: int, ours: Callable[[], T], others: Callable[[], T]) -> tuple[list[T], list[T]]:

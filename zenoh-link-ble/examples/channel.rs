@@ -4,6 +4,7 @@
 //! channel serve hci1                     # takes channels: echoes small SDUs, counts large ones
 //! channel ping  hci0 ADDRESS 200         # round trips of 20-byte SDUs
 //! channel flood hci0 ADDRESS 500000 4000 # goodput: bytes, SDU size
+//! channel flood hci0 ADDRESS 500000 4000 16 50 # the same, and an SDU of 16 bytes every 50 ms, which does not count
 //! ```
 //! Adapters named `sim-...` use the simulated air. Prints one JSON line.
 use std::{
@@ -25,6 +26,8 @@ const OPTIONS: ChannelOptions = ChannelOptions {
     passkey: None,
 };
 const PING_BYTES: usize = 20;
+const USAGE: &str = "usage: channel serve ADAPTER | ping ADAPTER ADDRESS COUNT | \
+    flood ADAPTER ADDRESS BYTES SDU_BYTES [SMALL_BYTES EVERY_MS]";
 const NAME: &str = "channel-example";
 /// The server answers a flood's last SDU, marked by this first byte.
 const LAST: u8 = 1;
@@ -40,10 +43,21 @@ async fn main() -> Outcome {
         ["ping", adapter, peer, count] => {
             ping(dial(radio(adapter)?, peer).await?, count.parse()?).await
         }
-        ["flood", adapter, peer, bytes, sdu] => {
-            flood(dial(radio(adapter)?, peer).await?, bytes.parse()?, sdu.parse()?).await
+        ["flood", adapter, peer, bytes, sdu, rest @ ..] => {
+            let beside = match rest {
+                [] => None,
+                [small, ms] => Some((small.parse()?, Duration::from_millis(ms.parse()?))),
+                _ => return Err(USAGE.into()),
+            };
+            flood(
+                dial(radio(adapter)?, peer).await?,
+                bytes.parse()?,
+                sdu.parse()?,
+                beside,
+            )
+            .await
         }
-        _ => Err("usage: channel serve ADAPTER | ping ADAPTER ADDRESS COUNT | flood ADAPTER ADDRESS BYTES SDU_BYTES".into()),
+        _ => Err(USAGE.into()),
     }
 }
 
@@ -120,12 +134,22 @@ async fn ping(channel: Arc<dyn Channel>, count: usize) -> Outcome {
     Ok(())
 }
 
-async fn flood(channel: Arc<dyn Channel>, bytes: usize, sdu_bytes: usize) -> Outcome {
+async fn flood(
+    channel: Arc<dyn Channel>,
+    bytes: usize,
+    sdu_bytes: usize,
+    beside: Option<(usize, Duration)>,
+) -> Outcome {
     let sdu_bytes = sdu_bytes.clamp(PING_BYTES + 1, channel.send_mtu());
     let sdus = bytes.div_ceil(sdu_bytes);
     let mut sdu = vec![0; sdu_bytes];
     let start = Instant::now();
+    let mut due = start;
     for n in 1..=sdus {
+        if let Some((small, every)) = beside.filter(|_| due <= Instant::now()) {
+            channel.send(&vec![0; small]).await?;
+            due += every;
+        }
         sdu[0] = if n == sdus { LAST } else { 0 };
         channel.send(&sdu).await?;
     }
