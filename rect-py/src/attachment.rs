@@ -1,4 +1,6 @@
 //! Owns the attachments of messages, as bytes.
+use std::time::{SystemTime, UNIX_EPOCH};
+
 use pyo3::{prelude::*, types::PyBytes};
 use rect::core::attachment::{Attachment, Sent};
 
@@ -26,6 +28,14 @@ pub fn write_attachment(
         sent,
     };
     PyBytes::new(py, &attachment.encode())
+}
+
+/// The attachment of a message that is sent now.
+#[pyfunction]
+pub fn write_attachment_now(py: Python<'_>, source: u16, sequence: u32) -> Bound<'_, PyBytes> {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    let at_ms = since.map_or(0, |since| since.as_millis() as u64);
+    write_attachment(py, source, sequence, Some(at_ms), None)
 }
 
 /// What an attachment says; `None`: it is another program's own.

@@ -25,7 +25,7 @@ use pyo3::prelude::*;
 mod _rect {
     #[pymodule_export]
     use crate::{
-        attachment::{read_attachment, write_attachment},
+        attachment::{read_attachment, write_attachment, write_attachment_now},
         callback::{Moment, OnMessage, OnRequest},
         codec::{unpack, Codec, Dictionary},
         connection::{named_connection, Links, Presence},
@@ -33,8 +33,11 @@ mod _rect {
         errors::{forget, in_words},
         message::{Inbound, Said},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
-        place::{check_name, check_topic, encoding_parts, first_login, pattern, pattern_of, Place},
-        queue::Queue,
+        place::{
+            check_name, check_topic, encoding_parts, first_login, is_packed, pattern, pattern_of,
+            Place,
+        },
+        queue::{Ended, Queue},
         request::{error_encoding, error_from, read_asking, write_asking},
         stream::{Job, StreamReceiver, StreamSender},
         transfer::{transfer_ended, Inbox, Offered, Pull, TransferSender},

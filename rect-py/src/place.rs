@@ -63,6 +63,12 @@ pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
     )
 }
 
+/// Whether a payload of that encoding is packed: its codec is to be undone.
+#[pyfunction]
+pub fn is_packed(text: &str) -> bool {
+    Encoding::new(text.to_owned()).unpacked("zstd").is_some()
+}
+
 /// The first user and password of a login file's text.
 #[pyfunction]
 pub fn first_login(text: &str) -> Option<(String, String)> {

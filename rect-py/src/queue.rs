@@ -6,10 +6,12 @@ use std::{
     sync::{Condvar, Mutex, MutexGuard, PoisonError},
 };
 
-use pyo3::{intern, prelude::*};
+use pyo3::{create_exception, exceptions::PyException, intern, prelude::*};
 use rect::core::queue::{self, Pushed, WhenFull};
 
 use crate::errors::raised;
+
+create_exception!(rect._rect, Ended, PyException, "Nothing comes any more.");
 
 /// What waits for a program.
 #[pyclass(frozen, module = "rect._rect")]
@@ -92,6 +94,21 @@ impl Queue {
         item
     }
 
+    /// The oldest that waits; where there is none, `None`, and that lock, which is held, is released when one has come. Raises
+    /// `Ended`.
+    fn pop_or_enter(&self, lock: Py<PyAny>) -> PyResult<Option<Py<PyAny>>> {
+        let mut state = self.state();
+        let item = state.queue.pop();
+        if item.is_some() {
+            self.taken.notify_one();
+        } else if state.is_closed {
+            return Err(Ended::new_err(()));
+        } else {
+            state.waiting.push_back(lock);
+        }
+        Ok(item)
+    }
+
     /// Whoever waits for the longest, by its lock, is to look again.
     fn wake(&self, py: Python<'_>) -> PyResult<()> {
         let mut state = self.state();
@@ -105,11 +122,6 @@ impl Queue {
             alarm.call0(py)?;
         }
         Ok(())
-    }
-
-    /// Waits at that lock, which it holds: released, it is to look again.
-    fn enter(&self, lock: Py<PyAny>) {
-        self.state().waiting.push_back(lock);
     }
 
     /// Does not wait any more. `False`: it was woken.

@@ -78,11 +78,20 @@ pub fn read_value<'py>(
 
 /// Where in a value one is, for errors: `reading.angles[2]`.
 #[derive(Default)]
-struct Path(Vec<String>);
+struct Path<'py>(Vec<Step<'py>>);
 
-impl Path {
+enum Step<'py> {
+    Key(Bound<'py, PyAny>),
+    Item(usize),
+}
+
+impl Path<'_> {
     fn error(&self, py: Python<'_>, form: Form, what: impl fmt::Display) -> PyErr {
-        let at = match self.0.concat() {
+        let steps = self.0.iter().map(|step| match step {
+            Step::Key(key) => format!(".{}", shown(key)),
+            Step::Item(n) => format!("[{n}]"),
+        });
+        let at = match steps.collect::<String>() {
             at if at.is_empty() => "the value".to_owned(),
             at => format!("its field {}", at.trim_start_matches('.')),
         };
@@ -94,7 +103,7 @@ impl Path {
     }
 }
 
-fn read(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value> {
+fn read<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     if path.0.len() > MAX_DEPTH {
         path.0.truncate(3);
         return Err(path.error(value.py(), form, "is nested too deeply, or in itself"));
@@ -128,12 +137,10 @@ fn read(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value
     if let Ok(map) = value.cast::<PyDict>() {
         let mut all = Vec::with_capacity(map.len());
         for (key, item) in map.iter() {
-            all.push((read_key(&key, form, path)?, {
-                path.0.push(format!(".{}", shown(&key)));
-                let item = read(&item, form, path)?;
-                path.0.pop();
-                item
-            }));
+            let name = read_key(&key, form, path)?;
+            path.0.push(Step::Key(key));
+            all.push((name, read(&item, form, path)?));
+            path.0.pop();
         }
         return Ok(Value::Map(all));
     }
@@ -147,7 +154,7 @@ fn read(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value
 }
 
 /// What is less common: bytes, dataclasses, and numpy's numbers and arrays.
-fn read_other(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value> {
+fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     let py = value.py();
     let bytes = if let Ok(bytes) = value.cast::<PyBytes>() {
         Some(bytes.as_bytes().to_vec())
@@ -174,8 +181,9 @@ fn read_other(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult
             let Ok(item) = value.getattr(&name) else {
                 continue;
             };
-            path.0.push(format!(".{name}"));
-            all.push((Value::Text(name.to_string()), read(&item, form, path)?));
+            let told = Value::Text(name.to_string());
+            path.0.push(Step::Key(name.into_any()));
+            all.push((told, read(&item, form, path)?));
             path.0.pop();
         }
         return Ok(Value::Map(all));
@@ -197,18 +205,18 @@ fn read_other(value: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult
 fn read_list<'py>(
     items: impl Iterator<Item = Bound<'py, PyAny>>,
     form: Form,
-    path: &mut Path,
+    path: &mut Path<'py>,
 ) -> PyResult<Value> {
     let mut all = Vec::new();
     for (n, item) in items.enumerate() {
-        path.0.push(format!("[{n}]"));
+        path.0.push(Step::Item(n));
         all.push(read(&item, form, path)?);
         path.0.pop();
     }
     Ok(Value::List(all))
 }
 
-fn read_key(key: &Bound<'_, PyAny>, form: Form, path: &mut Path) -> PyResult<Value> {
+fn read_key<'py>(key: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     let is_text = key.is_instance_of::<PyString>();
     let is_number = key.is_instance_of::<PyInt>() && !key.is_instance_of::<PyBool>();
     if is_text || is_number || form == Form::Cbor {

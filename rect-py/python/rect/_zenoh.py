@@ -14,7 +14,7 @@ import zenoh
 
 from rect import _rect
 from rect.errors import ZenohError
-from rect.waiting import at_once
+from rect.waiting import at_once, is_main
 
 T = TypeVar("T")
 
@@ -58,7 +58,7 @@ def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None) 
 
     `undo` is given the result if nobody waits for it any more.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if not is_main():
         # Ctrl-C is the main thread's.
         return call()
     try:

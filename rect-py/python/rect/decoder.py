@@ -47,7 +47,7 @@ class Decoder:
 
     def payload_now(self, packed: Payload) -> Payload:
         """The same with what is known already."""
-        if _rect.encoding_parts(packed.encoding)[2] is None:
+        if not _rect.is_packed(packed.encoding):
             return packed
         with self._lock:
             known = list(self._known.values())

@@ -17,12 +17,10 @@ from rect.waiting import at_once
 
 T = TypeVar("T")
 
+#: Nothing comes any more.
+Ended = _rect.Ended
 #: How many may wait, unless told otherwise.
 DEFAULT_CAPACITY: int = _rect.DEFAULT_CAPACITY
-
-
-class Ended(Exception):
-    """Nothing comes any more."""
 
 
 class Inbox(Generic[T]):
@@ -41,30 +39,25 @@ class Inbox(Generic[T]):
 
     def pop(self, timeout: float | None = None) -> T:
         """Takes the oldest, once there is one. Raises `Ended`, or `TimeoutError`."""
-        item = self._take()
+        lock = threading.Lock()
+        lock.acquire()
         deadline = None if timeout is None else time.monotonic() + timeout
-        while item is None:
-            left = None if deadline is None else deadline - time.monotonic()
-            lock = threading.Lock()
-            lock.acquire()
-            try:
-                self.queue.enter(lock)
-                # It may have come before this one was known to wait.
-                item = self._take()
-                if item is None:
-                    if left is not None and left <= 0:
-                        raise TimeoutError
-                    seconds = at_once(left)
-                    lock.acquire(timeout=-1 if seconds is None else min(seconds, threading.TIMEOUT_MAX))
-            except BaseException:
-                self._leave(lock)
-                raise
-            if item is not None:
-                self._leave(lock)
-                return item
-            self.queue.leave(lock)
-            item = self._take()
-        return item
+        try:
+            while True:
+                item = self.queue.pop_or_enter(lock)
+                if item is not None:
+                    return cast("T", item)
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    raise TimeoutError
+                seconds = at_once(left)
+                if not lock.acquire(timeout=-1 if seconds is None else min(seconds, threading.TIMEOUT_MAX)):
+                    self.queue.leave(lock)
+        except BaseException:
+            # It does not wait any more. If it was woken meanwhile, the next one is to look instead.
+            if not self.queue.leave(lock):
+                self.queue.wake()
+            raise
 
     def try_pop(self) -> T | None:
         """Takes the oldest, if there is one."""
@@ -118,11 +111,6 @@ class Inbox(Generic[T]):
             if item is None:
                 raise Ended
         return cast("T | None", item)
-
-    def _leave(self, lock: threading.Lock) -> None:
-        """It does not wait any more. If it was woken meanwhile, the next one is to look instead."""
-        if not self.queue.leave(lock):
-            self.queue.wake()
 
     def _wake_tasks(self) -> None:
         self.queue.set_alarm(None)

@@ -36,7 +36,7 @@ class Publication:
         # Held while it is sent: two threads' messages go out in the order of their numbers.
         with self._lock:
             self._check()
-            attachment = _rect.write_attachment(self._source, self._next, now_ms())
+            attachment = _rect.write_attachment_now(self._source, self._next)
             try:
                 self._publisher.put(payload.bytes, encoding=self._as_zenohs(payload.encoding), attachment=attachment)
             except zenoh.ZError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -60,8 +61,6 @@ class Replies:
         self._inbox: Inbox[zenoh.Reply] = Inbox(_REPLIES, "wait")
         self._cancellation = zenoh.CancellationToken()
         asking = _rect.write_asking(session.place.robot, min(int(timeout * 1000), 2**32 - 1))
-        treated = qos(_rect.qos(urgency))
-        del treated["congestion_control"]
         session.inboxes.add(self._inbox)
         try:
             session.lanes.of(urgency).get(
@@ -71,11 +70,9 @@ class Replies:
                 payload=payload.bytes,
                 encoding=payload.encoding,
                 attachment=asking,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout,
                 cancellation_token=self._cancellation,
-                **treated,
+                **_asked(urgency),
             )
         except zenoh.ZError as error:
             raise refused("the request is not sent", error) from None
@@ -163,6 +160,14 @@ class Replies:
         if robot is None and payload.bytes == _TIMEOUT:
             return self.timed_out()
         return service_error(robot, payload)
+
+
+@lru_cache
+def _asked(urgency: str) -> dict[str, Any]:
+    """How Zenoh is to treat a request of that urgency."""
+    treated = qos(_rect.qos(urgency))
+    del treated["congestion_control"]
+    return {**treated, "target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
 
 
 def service_error(robot: str | None, payload: Payload) -> ServiceError:

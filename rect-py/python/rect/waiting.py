@@ -9,8 +9,13 @@ import threading
 _GLANCE_S = 0.5
 
 
+def is_main() -> bool:
+    """Whether this is the main thread."""
+    return threading.get_ident() == threading.main_thread().ident
+
+
 def at_once(left: float | None) -> float | None:
     """How long this thread may wait at once, of so many seconds; `None`: for ever."""
-    if threading.current_thread() is not threading.main_thread():
+    if not is_main():
         return left
     return _GLANCE_S if left is None else min(left, _GLANCE_S)
