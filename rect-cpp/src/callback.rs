@@ -109,7 +109,10 @@ impl Drop for Running<'_> {
         INSIDE.with_borrow_mut(Vec::pop);
         let mut state = self.0.state();
         state.running -= 1;
-        self.0.idle.notify_all();
+        // Nobody waits before it is closed, and to wake nobody is a system call, too.
+        if state.is_closed {
+            self.0.idle.notify_all();
+        }
         self.0.release_if_over(state);
     }
 }

@@ -72,7 +72,8 @@ impl Decoder {
         packed: &Payload,
     ) -> Result<Payload, CodecError> {
         match self.payload_now(packed) {
-            Err(CodecError::Dictionary { id }) if self.fetch(from, id).await => {
+            // Boxed: it is rare and large, and would be moved with every message.
+            Err(CodecError::Dictionary { id }) if Box::pin(self.fetch(from, id)).await => {
                 self.payload_now(packed)
             }
             done => done,

@@ -29,10 +29,14 @@ impl Lanes {
         if !urgency.goes_apart() {
             return &self.normal;
         }
-        let own = &self.apart[urgency as usize];
-        if let Some(session) = own.get() {
+        if let Some(session) = self.apart[urgency as usize].get() {
             return session;
         }
+        // Boxed: what opens a session is large, and would be moved with every message.
+        Box::pin(self.opened(urgency)).await
+    }
+
+    async fn opened(&self, urgency: Urgency) -> &Session {
         let Some(config) = &self.config else {
             return &self.normal;
         };
@@ -41,6 +45,7 @@ impl Lanes {
         if self.normal.is_closed() || !is_linked {
             return &self.normal;
         }
+        let own = &self.apart[urgency as usize];
         let opened = own.get_or_try_init(|| async { zenoh::open(config.clone()).await });
         opened.await.unwrap_or_else(|error| {
             tracing::warn!(
