@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import zenoh
-from guest import figures_of, set_pace
+from guest import CLOCK, figures_of, set_pace
 from peers import bare_channel
 from robots import Robot, RobotError, wait_until
 from table import Table
@@ -48,6 +48,7 @@ def run() -> Table:
         f"kB/s of payload, in brackets its ratio to raw; medians of {ROUNDS} rounds, in each all of them one after the "
         f"other. Wanted: {WANTED} or better from 4000 B on, where there is a pace.",
         "Stock eclipse-zenoh clients at both ends, congestion control Block, from the first put to the last arrival.",
+        CLOCK,
     ]
     return table
 

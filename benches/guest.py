@@ -1,13 +1,14 @@
-"""A bench's part that runs in the VM with a real kernel's Bluetooth stack: `in_guest` of its module.
-
-The guest's time is that of a processor like a core of a Pi 3B, so the host's speed and load are in no figure.
-"""
+"""A bench's part that runs in the VM with a real kernel's Bluetooth stack: `in_guest` of its module."""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+from turns import STEADY_PROCESSOR
+
+#: Whose time it is.
+CLOCK = f"The guest, with both routers, their programs and the emulated controllers: {STEADY_PROCESSOR}."
 # How many of the host's seconds one of the guest's may take.
 SLOWER = 4
 ROOT = Path(__file__).resolve().parents[1]

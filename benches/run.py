@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+from turns import IS_STEADY
+
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
 sys.path.insert(0, str(HERE.parent / "examples" / "demo"))
-
-from turns import IS_STEADY  # noqa: E402 (a module of this folder)
 
 BENCHES = {
     "goodput": "Zenoh over two routers beside a raw L2CAP channel, on a real kernel's Bluetooth stack in the VM",

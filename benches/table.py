@@ -5,7 +5,7 @@ import os
 import platform
 from dataclasses import dataclass, field
 
-from turns import IS_STEADY
+from turns import IS_STEADY, STEADY_PROCESSOR
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Table:
 def machine() -> str:
     if IS_STEADY:
         kernel = platform.release().split("-")[0]
-        return f"one emulated processor of 1000 million instructions a second, about a core of a Pi 3B, Linux {kernel}"
+        return f"{STEADY_PROCESSOR}, Linux {kernel}"
     with open("/proc/cpuinfo") as info:
         model = next((line.split(":", 1)[1].strip() for line in info if line.startswith("model name")), "unknown CPU")
     return f"{os.cpu_count()} cores of {model}, Linux {platform.release().split('-')[0]}"

@@ -8,6 +8,8 @@ from typing import TypeVar
 T = TypeVar("T")
 #: Whether time passes by what the processor does, in the VM (`tests/vm/run --steady`).
 IS_STEADY = "RECT_STEADY" in os.environ
+#: What its processor is.
+STEADY_PROCESSOR = "one emulated processor of 1000 million instructions a second, about a core of a Pi 3B"
 
 
 def rounds(usual: int) -> int:

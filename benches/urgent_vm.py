@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import zenoh
-from guest import figures_of, set_pace
+from guest import CLOCK, figures_of, set_pace
 from peers import bare_channel
 from robots import Robot, wait_until
 from table import Table
@@ -43,8 +43,7 @@ def run() -> Table:
         "Two routers with lanes and stock eclipse-zenoh clients; 16 bytes every 50 ms, `REAL_TIME`, from the session "
         "that sends the rest. Raw: a bare L2CAP channel at its best SDU size, just before, with the same urgent bytes "
         "as SDUs of their own. 1 MB: from the put to the arrival, with the ways between programs and routers.",
-        "The guest's time is that of one processor of 1000 million instructions a second, about a core of a Pi 3B, for "
-        "both routers, their programs and the emulated controllers.",
+        CLOCK,
         f"Wanted: {WANTED} of raw, no urgent message lost, their p99 under {LIMIT_MS} ms at 100 kB/s.",
     ]
     return table

@@ -33,9 +33,14 @@ pub fn write_attachment(
 /// The attachment of a message that is sent now.
 #[pyfunction]
 pub fn write_attachment_now(py: Python<'_>, source: u16, sequence: u32) -> Bound<'_, PyBytes> {
+    write_attachment(py, source, sequence, Some(now_ms()), None)
+}
+
+/// Milliseconds since 1970, by this computer's clock.
+#[pyfunction]
+pub fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    let at_ms = since.map_or(0, |since| since.as_millis() as u64);
-    write_attachment(py, source, sequence, Some(at_ms), None)
+    since.map_or(0, |since| since.as_millis() as u64)
 }
 
 /// What an attachment says; `None`: it is another program's own.

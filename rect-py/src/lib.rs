@@ -25,7 +25,7 @@ use pyo3::prelude::*;
 mod _rect {
     #[pymodule_export]
     use crate::{
-        attachment::{read_attachment, write_attachment, write_attachment_now},
+        attachment::{now_ms, read_attachment, write_attachment, write_attachment_now},
         callback::{Moment, OnMessage, OnRequest},
         codec::{unpack, Codec, Dictionary},
         connection::{named_connection, Links, Presence},

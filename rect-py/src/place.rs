@@ -59,14 +59,18 @@ pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
     (
         encoding.media_type().to_owned(),
         encoding.schema().map(str::to_owned),
-        encoding.unpacked("zstd").map(|below| below.to_string()),
+        unpacked(&encoding).map(|below| below.to_string()),
     )
 }
 
 /// Whether a payload of that encoding is packed: its codec is to be undone.
 #[pyfunction]
 pub fn is_packed(text: &str) -> bool {
-    Encoding::new(text.to_owned()).unpacked("zstd").is_some()
+    unpacked(&Encoding::new(text.to_owned())).is_some()
+}
+
+fn unpacked(encoding: &Encoding) -> Option<Encoding> {
+    encoding.unpacked("zstd")
 }
 
 /// The first user and password of a login file's text.

@@ -24,6 +24,8 @@ struct State {
     queue: queue::Queue<Py<PyAny>>,
     /// The locks at which threads wait for something to come, held, in their order.
     waiting: VecDeque<Py<PyAny>>,
+    /// How many threads wait for room: to wake nobody is a system call, too.
+    waiting_for_room: usize,
     /// Called when something has come, or nothing comes any more.
     alarm: Option<Py<PyAny>>,
     is_closed: bool,
@@ -46,6 +48,7 @@ impl Queue {
         let state = State {
             queue: queue::Queue::new(capacity, when_full),
             waiting: VecDeque::new(),
+            waiting_for_room: 0,
             alarm: None,
             is_closed: false,
             is_over: false,
@@ -85,26 +88,20 @@ impl Queue {
         self.push(py, item).map(|_| ())
     }
 
-    /// The oldest that waits.
-    fn pop(&self) -> Option<Py<PyAny>> {
-        let item = self.state().queue.pop();
-        if item.is_some() {
-            self.taken.notify_one();
-        }
-        item
-    }
-
-    /// The oldest that waits; where there is none, `None`, and that lock, which is held, is released when one has come. Raises
-    /// `Ended`.
-    fn pop_or_enter(&self, lock: Py<PyAny>) -> PyResult<Option<Py<PyAny>>> {
+    /// The oldest that waits; `None`: there is none yet, and the lock that was given, which is held, is released when one has
+    /// come. Raises `Ended`.
+    #[pyo3(signature = (lock=None))]
+    fn pop(&self, lock: Option<Py<PyAny>>) -> PyResult<Option<Py<PyAny>>> {
         let mut state = self.state();
         let item = state.queue.pop();
         if item.is_some() {
-            self.taken.notify_one();
+            if state.waiting_for_room > 0 {
+                self.taken.notify_one();
+            }
         } else if state.is_closed {
             return Err(Ended::new_err(()));
         } else {
-            state.waiting.push_back(lock);
+            state.waiting.extend(lock);
         }
         Ok(item)
     }
@@ -153,11 +150,6 @@ impl Queue {
         self.close(py)
     }
 
-    #[getter]
-    fn is_closed(&self) -> bool {
-        self.state().is_closed
-    }
-
     /// Whether it was closed by whoever fills it.
     #[getter]
     fn is_over(&self) -> bool {
@@ -180,8 +172,12 @@ impl Queue {
     }
 
     fn wait_for_room(&self) {
+        let mut state = self.state();
+        state.waiting_for_room += 1;
         let has_none = |state: &mut State| state.queue.is_full() && !state.is_closed;
-        let waited = self.taken.wait_while(self.state(), has_none);
-        drop(waited.unwrap_or_else(PoisonError::into_inner));
+        let waited = self.taken.wait_while(state, has_none);
+        waited
+            .unwrap_or_else(PoisonError::into_inner)
+            .waiting_for_room -= 1;
     }
 }

@@ -44,7 +44,7 @@ class Inbox(Generic[T]):
         deadline = None if timeout is None else time.monotonic() + timeout
         try:
             while True:
-                item = self.queue.pop_or_enter(lock)
+                item = self.queue.pop(lock)
                 if item is not None:
                     return cast("T", item)
                 left = None if deadline is None else deadline - time.monotonic()
@@ -62,7 +62,7 @@ class Inbox(Generic[T]):
     def try_pop(self) -> T | None:
         """Takes the oldest, if there is one."""
         try:
-            return self._take()
+            return cast("T | None", self.queue.pop())
         except Ended:
             return None
 
@@ -75,9 +75,9 @@ class Inbox(Generic[T]):
             self._tasks.append((loop, told))
             self.queue.set_alarm(self._wake_tasks)
             try:
-                item = self._take()
+                item = self.queue.pop()
                 if item is not None:
-                    return item
+                    return cast("T", item)
                 left = None if deadline is None else deadline - loop.time()
                 if left is not None and left <= 0:
                     raise TimeoutError
@@ -102,15 +102,6 @@ class Inbox(Generic[T]):
     def dropped(self) -> int:
         """How many were dropped so far."""
         return self.queue.dropped
-
-    def _take(self) -> T | None:
-        item = self.queue.pop()
-        if item is None and self.queue.is_closed:
-            # It may have come before the end did.
-            item = self.queue.pop()
-            if item is None:
-                raise Ended
-        return cast("T | None", item)
 
     def _wake_tasks(self) -> None:
         self.queue.set_alarm(None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -54,8 +53,3 @@ class Publication:
             made = zenoh.Encoding(encoding)
             self._encoding = (encoding, made)
         return made
-
-
-def now_ms() -> int:
-    """Milliseconds since 1970, by this computer's clock."""
-    return max(int(time.time() * 1000), 0)

@@ -17,7 +17,6 @@ from rect import _rect
 from rect._zenoh import direct, payload_bytes, qos, refused
 from rect.errors import OptionError, PayloadError, TimedOut
 from rect.inbox import Ended, Inbox
-from rect.publication import now_ms
 from rect.subscriber import Declared
 from rect.values import JSON, Payload, Picture, payload_of
 
@@ -50,7 +49,7 @@ class Stream:
         self._codec = codec
         self._is_adaptive = mode == "adaptive"
         webp = photographs == "webp"
-        self._core = _rect.StreamSender(mode, random.getrandbits(16), now_ms(), webp=webp, **options)
+        self._core = _rect.StreamSender(mode, random.getrandbits(16), _rect.now_ms(), webp=webp, **options)
         self._sending = threading.Lock()
         self._declared = Declared(session)
         place, me = session.place, session.place.robot
