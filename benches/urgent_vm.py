@@ -18,7 +18,8 @@ SECONDS = 5
 CAMERA_S = 20
 BULK_BYTES = 1_000_000
 BULK_LIMIT_S = 90
-WANTED = 0.97
+# Beside urgent messages; what a link carries without them is `goodput`'s.
+WANTED = 0.95
 LIMIT_MS = 30
 ADAPTERS = ["hci0", "hci1"]
 
