@@ -12,14 +12,13 @@
 //! let answer = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
 //! # Ok::<(), rect::Error>(())
 //! ```
+mod runtime;
 mod stream;
 mod transfer;
 
 use std::{sync::Arc, time::Duration};
 
-use tokio::runtime::{Builder, Runtime};
-
-pub use self::{stream::Frames, transfer::Transfers};
+pub use self::{runtime::Runtime, stream::Frames, transfer::Transfers};
 use crate::{
     session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
     Receiving, Reply, Service, Subscription, ToPayload, Topic, Urgency,
@@ -67,16 +66,11 @@ impl Robot {
     /// # Errors
     /// As [`Options::connect`].
     pub fn join(options: Options) -> Result<Self, Error> {
-        let runtime = Builder::new_multi_thread()
-            .worker_threads(1)
-            .thread_name("rect")
-            .enable_all()
-            .build()
-            .map_err(|error| Error::Zenoh {
-                what: "no thread can be started",
-                reason: error.to_string(),
-            })?;
-        let robot = runtime.block_on(options.connect())?;
+        let runtime = Runtime::start().map_err(|error| Error::Zenoh {
+            what: "no thread can be started",
+            reason: error.to_string(),
+        })?;
+        let robot = runtime.wait(options.connect())?;
         let runtime = Arc::new(runtime);
         Ok(Self { robot, runtime })
     }
@@ -108,7 +102,7 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        self.runtime.block_on(self.robot.publish(topic, value))
+        self.runtime.wait(self.robot.publish(topic, value))
     }
 
     /// Says it to one robot alone.
@@ -124,7 +118,7 @@ impl Robot {
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        self.runtime.block_on(self.robot.send(to, topic, value))
+        self.runtime.wait(self.robot.send(to, topic, value))
     }
 
     /// The messages of a pattern.
@@ -152,7 +146,7 @@ impl Robot {
     {
         let subscribed = self.robot.subscribe_with(pattern, receiving);
         Ok(Messages {
-            subscriber: self.runtime.block_on(subscribed)?,
+            subscriber: self.runtime.wait(subscribed)?,
             runtime: self.runtime.clone(),
         })
     }
@@ -170,7 +164,7 @@ impl Robot {
         Error: From<P::Error>,
     {
         let subscribed = self.robot.on_message(pattern, callback);
-        self.runtime.block_on(subscribed)
+        self.runtime.wait(subscribed)
     }
 
     /// The next message of `robot` about `topic`.
@@ -186,8 +180,7 @@ impl Robot {
     where
         Error: From<N::Error>,
     {
-        self.runtime
-            .block_on(self.robot.listen(robot, topic, timeout))
+        self.runtime.wait(self.robot.listen(robot, topic, timeout))
     }
 
     /// Asks a service of `robot`, and waits for its first answer.
@@ -205,7 +198,7 @@ impl Robot {
         Error: From<N::Error> + From<T::Error>,
     {
         let asked = self.robot.request(robot, topic, value, timeout);
-        self.runtime.block_on(asked)
+        self.runtime.wait(asked)
     }
 
     /// Asks a service of all robots that have it.
@@ -223,7 +216,7 @@ impl Robot {
     {
         let asked = self.robot.request_all(topic, value, timeout);
         Ok(Replies {
-            replies: self.runtime.block_on(asked)?,
+            replies: self.runtime.wait(asked)?,
             runtime: self.runtime.clone(),
         })
     }
@@ -249,7 +242,7 @@ impl Robot {
                 answered.unwrap_or_else(|_| Err("the service's function panicked".into()))
             }
         });
-        self.runtime.block_on(served)
+        self.runtime.wait(served)
     }
 
     /// The other robots of the fleet that are there now, by name.
@@ -257,7 +250,7 @@ impl Robot {
     /// # Errors
     /// As [`crate::Robot::peers`].
     pub fn peers(&self) -> Result<Vec<Name>, Error> {
-        self.runtime.block_on(self.robot.peers())
+        self.runtime.wait(self.robot.peers())
     }
 
     /// The connections of this robot's router.
@@ -265,7 +258,7 @@ impl Robot {
     /// # Errors
     /// As [`crate::Robot::connections`].
     pub fn connections(&self) -> Result<Vec<Connection>, Error> {
-        self.runtime.block_on(self.robot.connections())
+        self.runtime.wait(self.robot.connections())
     }
 
     /// Gives this robot's router a connection, instead of the one of that name if it has one.
@@ -273,7 +266,7 @@ impl Robot {
     /// # Errors
     /// As [`crate::Robot::add_connection`].
     pub fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
-        self.runtime.block_on(self.robot.add_connection(connection))
+        self.runtime.wait(self.robot.add_connection(connection))
     }
 
     /// Takes a connection from this robot's router.
@@ -281,7 +274,7 @@ impl Robot {
     /// # Errors
     /// As [`crate::Robot::remove_connection`].
     pub fn remove_connection(&self, name: &str) -> Result<(), Error> {
-        self.runtime.block_on(self.robot.remove_connection(name))
+        self.runtime.wait(self.robot.remove_connection(name))
     }
 
     /// What changes about who can be reached.
@@ -290,7 +283,7 @@ impl Robot {
     /// As [`crate::Robot::events`].
     pub fn events(&self) -> Result<Events, Error> {
         Ok(Events {
-            events: self.runtime.block_on(self.robot.events())?,
+            events: self.runtime.wait(self.robot.events())?,
             runtime: self.runtime.clone(),
         })
     }
@@ -305,7 +298,7 @@ impl Robot {
     /// # Errors
     /// As [`crate::Robot::close`].
     pub fn close(&self) -> Result<(), Error> {
-        self.runtime.block_on(self.robot.close())
+        self.runtime.wait(self.robot.close())
     }
 }
 
@@ -313,7 +306,7 @@ impl Messages {
     /// The next message; `None`: there was none within that time, or the session was closed.
     pub fn next_within(&mut self, timeout: Duration) -> Option<Message> {
         let next = async { tokio::time::timeout(timeout, self.subscriber.recv()).await };
-        self.runtime.block_on(next).ok().flatten()
+        self.runtime.wait(next).ok().flatten()
     }
 
     /// How many were dropped because the program did not take them in time.
@@ -326,7 +319,7 @@ impl Iterator for Messages {
     type Item = Message;
 
     fn next(&mut self) -> Option<Message> {
-        self.runtime.block_on(self.subscriber.recv())
+        self.runtime.wait(self.subscriber.recv())
     }
 }
 
@@ -334,7 +327,7 @@ impl Iterator for Replies {
     type Item = Result<Reply, Error>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.runtime.block_on(self.replies.next())
+        self.runtime.wait(self.replies.next())
     }
 }
 
@@ -342,6 +335,6 @@ impl Iterator for Events {
     type Item = Event;
 
     fn next(&mut self) -> Option<Event> {
-        self.runtime.block_on(self.events.next())
+        self.runtime.wait(self.events.next())
     }
 }

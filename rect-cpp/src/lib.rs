@@ -22,7 +22,6 @@ mod picture;
 mod program;
 mod reply;
 mod robot;
-mod runtime;
 mod service;
 mod state;
 mod stream;

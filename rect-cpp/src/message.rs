@@ -1,4 +1,6 @@
 //! Owns messages as C gets them.
+use std::sync::Arc;
+
 use rect::Name;
 
 use crate::{
@@ -40,7 +42,7 @@ pub struct Message {
 }
 
 /// A message, and what its parts point to.
-pub struct Held {
+struct Held {
     message: rect::Message,
     flaw: Option<String>,
 }
@@ -49,41 +51,37 @@ impl Object for Held {
     const KIND: &'static str = "message";
 }
 
-impl Held {
-    /// Of the library's.
-    pub fn new(message: rect::Message) -> Self {
-        let flaw = message.flaw.as_ref().map(ToString::to_string);
-        Self { message, flaw }
-    }
+/// Why a message is still packed, in words.
+pub fn flaw(message: &rect::Message) -> Option<String> {
+    message.flaw.as_ref().map(ToString::to_string)
+}
 
-    /// As C gets it; it lives as long as this.
-    pub fn view(&self) -> Message {
-        let message = &self.message;
-        Message {
-            id: 0,
-            from: Text::of(message.from.as_str()),
-            to: Text::of_some(message.to.as_ref().map(Name::as_str)),
-            topic: Text::of(message.topic.as_str()),
-            payload: PayloadView::of(&message.payload),
-            sent_ms: message
-                .sent_ms
-                .map_or(-1, |ms| i64::try_from(ms).unwrap_or(i64::MAX)),
-            sequence: message.sequence.map_or(-1, i64::from),
-            missed: message.missed,
-            urgency: number(&URGENCIES, &message.urgency),
-            late: message.late,
-            flaw: Text::of_some(self.flaw.as_deref()),
-            over: Text::of_some(message.over.as_deref()),
-        }
+/// As C gets it; it lives as long as the message and the words for its flaw.
+pub fn view(message: &rect::Message, flaw: Option<&str>) -> Message {
+    let sent_ms = message
+        .sent_ms
+        .map(|ms| i64::try_from(ms).unwrap_or(i64::MAX));
+    Message {
+        id: 0,
+        from: Text::of(message.from.as_str()),
+        to: Text::of_some(message.to.as_ref().map(Name::as_str)),
+        topic: Text::of(message.topic.as_str()),
+        payload: PayloadView::of(&message.payload),
+        sent_ms: sent_ms.unwrap_or(-1),
+        sequence: message.sequence.map_or(-1, i64::from),
+        missed: message.missed,
+        urgency: number(&URGENCIES, &message.urgency),
+        late: message.late,
+        flaw: Text::of_some(flaw),
+        over: Text::of_some(message.over.as_deref()),
     }
 }
 
 /// Gives C a message.
 pub fn hold(message: rect::Message) -> Message {
-    let held = Held::new(message);
-    // What it points to stays where it is when the rest is moved: names, topics and payloads are shared.
-    let held = std::sync::Arc::new(held);
-    let view = held.view();
+    let flaw = flaw(&message);
+    let held = Arc::new(Held { message, flaw });
+    let view = view(&held.message, held.flaw.as_deref());
     let id = handle::insert_shared(held);
     Message { id, ..view }
 }

@@ -60,7 +60,7 @@ impl PayloadView {
         let Text { data, len } = self.encoding;
         // SAFETY: as this function asks.
         let encoding = unsafe { items("payload.encoding", data, len) }?;
-        Ok((bytes, named(utf8("payload.encoding", encoding)?)?))
+        Ok((bytes, named(encoding)?))
     }
 
     /// As the library has them.
@@ -77,8 +77,8 @@ impl PayloadView {
     }
 }
 
-/// The usual ones cost no memory.
-pub fn named(text: &str) -> Result<Encoding, Failure> {
+/// The usual ones cost no memory, and no look at each byte.
+pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
     let usual = [
         Encoding::JSON,
         Encoding::TEXT,
@@ -88,7 +88,10 @@ pub fn named(text: &str) -> Result<Encoding, Failure> {
     if text.is_empty() {
         return Ok(Encoding::BYTES);
     }
-    if let Some(known) = usual.into_iter().find(|known| known.as_str() == text) {
+    if let Some(known) = usual
+        .into_iter()
+        .find(|known| known.as_str().as_bytes() == text)
+    {
         return Ok(known);
     }
     if text.len() > encoding::MAX_BYTES {
@@ -96,7 +99,7 @@ pub fn named(text: &str) -> Result<Encoding, Failure> {
         let wrong = format!("is {} bytes long, and may have {most}", text.len());
         return Err(Failure::argument("payload.encoding", wrong));
     }
-    Ok(Encoding::new(text.to_owned()))
+    Ok(Encoding::new(utf8("payload.encoding", text)?.to_owned()))
 }
 
 struct Held {

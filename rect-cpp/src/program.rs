@@ -1,9 +1,9 @@
 //! Owns a program's place among the robots, as handles have it: the library's robot, and what its calls wait on.
 use std::{future::Future, sync::Arc};
 
-use rect::Options;
+use rect::{blocking::Runtime, Options};
 
-use crate::{failure::Failure, handle::Object, runtime::Runtime};
+use crate::{failure::Failure, handle::Object};
 
 /// What a `rect_robot` is.
 #[derive(Clone)]
@@ -21,8 +21,9 @@ impl Object for Program {
 impl Program {
     /// Joins.
     pub fn join(options: Options) -> Result<Self, Failure> {
-        let runtime = Arc::new(Runtime::start()?);
-        let robot = runtime.wait(options.connect())??;
+        let no_thread = |error| Failure::System("no thread can be started", error);
+        let runtime = Arc::new(Runtime::start().map_err(no_thread)?);
+        let robot = runtime.wait(options.connect())?;
         Ok(Self { robot, runtime })
     }
 
@@ -31,7 +32,7 @@ impl Program {
         &self,
         what: impl Future<Output = Result<T, rect::Error>>,
     ) -> Result<T, Failure> {
-        Ok(self.runtime.wait(what)??)
+        Ok(self.runtime.wait(what)?)
     }
 
     /// Another one of the same program.

@@ -6,6 +6,7 @@ use std::{
     time::Duration,
 };
 
+use rect::blocking::Runtime;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
@@ -15,7 +16,6 @@ use crate::{
     handle::{self, Object},
     payload::PayloadView,
     robot::Robot,
-    runtime::Runtime,
     text::Text,
 };
 
@@ -67,7 +67,7 @@ impl Asked {
                 () = self.stop.cancelled() => Err(Failure::Closed),
                 reply = replies.next() => reply.ok_or(Failure::End),
             }
-        })??;
+        })?;
         Ok(next?)
     }
 }

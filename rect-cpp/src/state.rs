@@ -50,8 +50,12 @@ pub type OnState = Option<extern "C" fn(event: *const Event, context: *mut c_voi
 impl Source for rect::Events {
     type Item = rect::Event;
 
-    async fn next(&mut self) -> Option<rect::Event> {
+    async fn next(&self) -> Option<rect::Event> {
         Self::next(self).await
+    }
+
+    fn close(&self) {
+        Self::close(self);
     }
 }
 
@@ -94,7 +98,7 @@ pub extern "C" fn rect_robot_on_state(
         let program = robot.live()?;
         let events = program.wait(program.robot.events())?;
         let started = subscription::start(&program, events, called, move |event, context| {
-            callback(&view(&event), context);
+            callback(&view(event), context);
         })?;
         give("subscription", subscription, started)
     })

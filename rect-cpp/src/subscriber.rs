@@ -81,8 +81,12 @@ impl Awaited for rect::Subscriber {
 impl Source for rect::Subscriber {
     type Item = rect::Message;
 
-    async fn next(&mut self) -> Option<rect::Message> {
+    async fn next(&self) -> Option<rect::Message> {
         self.recv().await
+    }
+
+    fn close(&self) {
+        Self::close(self);
     }
 }
 
@@ -176,8 +180,8 @@ pub unsafe extern "C" fn rect_robot_on_message(
         let program = robot.live()?;
         let declared = declare(&program, pattern, receiving)?;
         let started = subscription::start(&program, declared, called, move |message, context| {
-            let held = message::Held::new(message);
-            callback(&held.view(), context);
+            let flaw = message::flaw(message);
+            callback(&message::view(message, flaw.as_deref()), context);
         })?;
         give("subscription", subscription, started)
     })

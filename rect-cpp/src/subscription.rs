@@ -1,7 +1,5 @@
 //! Owns callbacks that are called for whatever comes: each has a thread of its own, until it is dropped.
-use std::{ffi::c_void, future::Future, pin::pin, sync::Arc, thread};
-
-use tokio_util::sync::CancellationToken;
+use std::{ffi::c_void, future::Future, sync::Arc, thread};
 
 use crate::{
     callback::Callback,
@@ -20,59 +18,51 @@ pub struct Subscription {
     pub id: u64,
 }
 
-struct Called {
+struct Called<S> {
     callback: Arc<Callback>,
-    stop: CancellationToken,
+    source: Arc<S>,
 }
 
-impl Object for Called {
+impl<S: Source> Object for Called<S> {
     const KIND: &'static str = "subscription";
 
     fn on_dropped(&self) {
-        self.stop.cancel();
+        self.source.close();
         self.callback.close();
     }
 }
 
 /// Something that gives one item after another; `None`: there will be no more.
-pub trait Source: Send + 'static {
+pub trait Source: Send + Sync + 'static {
     /// What it gives.
     type Item;
 
     /// The next.
-    fn next(&mut self) -> impl Future<Output = Option<Self::Item>> + Send;
+    fn next(&self) -> impl Future<Output = Option<Self::Item>>;
+
+    /// No more is wanted: whoever waits for the next is to end.
+    fn close(&self);
 }
 
 /// Calls `callback` with each item, by `show`.
 pub fn start<S: Source>(
     program: &Program,
-    mut source: S,
+    source: S,
     callback: Arc<Callback>,
-    show: impl Fn(S::Item, *mut c_void) + Send + 'static,
+    show: impl Fn(&S::Item, *mut c_void) + Send + 'static,
 ) -> Result<Subscription, Failure> {
-    let stop = CancellationToken::new();
-    let (stopped, called) = (stop.clone(), callback.clone());
+    let source = Arc::new(source);
+    let (given, called) = (source.clone(), callback.clone());
     let runtime = program.runtime.clone();
     let thread = thread::Builder::new().name("rect-callback".into());
     let started = thread.spawn(move || {
-        let mut stopped = pin!(stopped.cancelled());
-        let mut next = |source: &mut S| {
-            let wait = async {
-                tokio::select! {
-                    biased;
-                    () = &mut stopped => None,
-                    item = source.next() => item,
-                }
-            };
-            runtime.wait(wait).ok().flatten()
-        };
-        while let Some(item) = next(&mut source) {
-            if !called.run(|context| show(item, context)) {
+        while let Some(item) = runtime.wait(given.next()) {
+            if !called.run(|context| show(&item, context)) {
                 break;
             }
         }
     });
     started.map_err(|error| Failure::System("no thread for the callback", error))?;
-    let id = handle::insert(Called { callback, stop });
+    let id = handle::insert(Called { callback, source });
     Ok(Subscription { id })
 }

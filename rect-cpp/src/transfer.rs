@@ -244,7 +244,7 @@ pub unsafe extern "C" fn rect_robot_begin_transfer(
             begun = begun.named(name);
         }
         if let Some(encoding) = encoding {
-            begun = begun.encoding(crate::payload::named(encoding)?);
+            begun = begun.encoding(crate::payload::named(encoding.as_bytes())?);
         }
         if options.patience_ms != 0 {
             begun = begun.patience(Duration::from_millis(options.patience_ms.into()));

@@ -1,9 +1,10 @@
 //! Owns waiting for what comes to a program: for the next, for so long, until it is dropped.
 use std::{sync::Arc, time::Duration};
 
+use rect::blocking::Runtime;
 use tokio_util::sync::CancellationToken;
 
-use crate::{failure::Failure, handle::Object, program::Program, runtime::Runtime};
+use crate::{failure::Failure, handle::Object, program::Program};
 
 /// How long a wait without end takes, for all `timeout_ms` of functions whose names end in `_next`.
 pub const FOREVER: u32 = u32::MAX;
@@ -63,7 +64,7 @@ impl<S> Waiting<S> {
                 item = next => item.ok_or(Failure::Closed),
                 () = over => Err(Failure::TimedOut(what, timeout_ms)),
             }
-        })?
+        })
     }
 }
 

@@ -44,8 +44,12 @@ impl Awaited for rect::Watch {
 impl Source for rect::Watch {
     type Item = rect::Frame;
 
-    async fn next(&mut self) -> Option<rect::Frame> {
+    async fn next(&self) -> Option<rect::Frame> {
         self.recv().await
+    }
+
+    fn close(&self) {
+        Self::close(self);
     }
 }
 
@@ -127,7 +131,7 @@ pub unsafe extern "C" fn rect_robot_on_frame(
         let program = robot.live()?;
         let declared = declare(&program, from, topic, receiving)?;
         let started = subscription::start(&program, declared, called, move |frame, context| {
-            callback(&frame::view(&frame), context);
+            callback(&frame::view(frame), context);
         })?;
         give("subscription", subscription, started)
     })

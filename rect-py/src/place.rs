@@ -1,6 +1,7 @@
 //! Owns names, topics, patterns, keys and encodings: what is called how.
 use pyo3::prelude::*;
 use rect::core::{
+    codec,
     encoding::Encoding,
     key,
     login::logins,
@@ -59,18 +60,14 @@ pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
     (
         encoding.media_type().to_owned(),
         encoding.schema().map(str::to_owned),
-        unpacked(&encoding).map(|below| below.to_string()),
+        encoding.unpacked("zstd").map(|below| below.to_string()),
     )
 }
 
 /// Whether a payload of that encoding is packed: its codec is to be undone.
 #[pyfunction]
 pub fn is_packed(text: &str) -> bool {
-    unpacked(&Encoding::new(text.to_owned())).is_some()
-}
-
-fn unpacked(encoding: &Encoding) -> Option<Encoding> {
-    encoding.unpacked("zstd")
+    codec::is_packed(&Encoding::new(text.to_owned()))
 }
 
 /// The first user and password of a login file's text.

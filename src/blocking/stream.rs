@@ -1,9 +1,9 @@
 //! Owns streams in blocking form.
 use std::{sync::Arc, time::Duration};
 
-use tokio::{runtime::Runtime, time::timeout};
+use tokio::time::timeout;
 
-use super::Robot;
+use super::{Robot, Runtime};
 use crate::{session, Error, Frame, Name, Receiving, Stream, StreamOptions, Topic};
 
 /// The frames of a stream, the newest when one is asked for; an iterator that waits for the next. It ends when the session is
@@ -34,7 +34,7 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        self.runtime.block_on(self.robot.stream(topic, options))
+        self.runtime.wait(self.robot.stream(topic, options))
     }
 
     /// Watches a robot's stream: the newest frame waits until it is taken.
@@ -57,7 +57,7 @@ impl Robot {
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        let watch = self.runtime.block_on(self.robot.watch(robot, topic))?;
+        let watch = self.runtime.wait(self.robot.watch(robot, topic))?;
         Ok(self.frames(watch))
     }
 
@@ -75,7 +75,7 @@ impl Robot {
         Error: From<N::Error> + From<T::Error>,
     {
         let watched = self.robot.watch_with(robot, topic, receiving);
-        let watch = self.runtime.block_on(watched)?;
+        let watch = self.runtime.wait(watched)?;
         Ok(self.frames(watch))
     }
 
@@ -89,7 +89,7 @@ impl Frames {
     /// The next frame; `None`: there was none within that time, or the session was closed.
     pub fn next_within(&mut self, time: Duration) -> Option<Frame> {
         let next = async { timeout(time, self.watch.recv()).await };
-        self.runtime.block_on(next).ok().flatten()
+        self.runtime.wait(next).ok().flatten()
     }
 
     /// What a small message takes to the sender and back, once it has answered one.
@@ -102,6 +102,6 @@ impl Iterator for Frames {
     type Item = Frame;
 
     fn next(&mut self) -> Option<Frame> {
-        self.runtime.block_on(self.watch.recv())
+        self.runtime.wait(self.watch.recv())
     }
 }

@@ -1,9 +1,9 @@
 //! Owns transfers in blocking form.
 use std::{sync::Arc, time::Duration};
 
-use tokio::{runtime::Runtime, time::timeout};
+use tokio::time::timeout;
 
-use super::Robot;
+use super::{Robot, Runtime};
 use crate::{
     session, Error, Name, Pattern, ReceiveTransfers, Received, Topic, Transfer, TransferSource,
 };
@@ -52,7 +52,7 @@ impl Robot {
     {
         let received = self.robot.receive_transfers(pattern, options);
         Ok(Transfers {
-            transfers: self.runtime.block_on(received)?,
+            transfers: self.runtime.wait(received)?,
             runtime: self.runtime.clone(),
         })
     }
@@ -62,7 +62,7 @@ impl Transfers {
     /// The next one that ends; `None`: none did within that time, or the session was closed.
     pub fn next_within(&mut self, time: Duration) -> Option<Result<Received, Error>> {
         let next = async { timeout(time, self.transfers.next()).await };
-        self.runtime.block_on(next).ok().flatten()
+        self.runtime.wait(next).ok().flatten()
     }
 }
 
@@ -70,6 +70,6 @@ impl Iterator for Transfers {
     type Item = Result<Received, Error>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.runtime.block_on(self.transfers.next())
+        self.runtime.wait(self.transfers.next())
     }
 }

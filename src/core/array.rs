@@ -202,6 +202,10 @@ impl ToPayload for Array {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         Ok(self.clone().payload())
     }
+
+    fn into_payload(self) -> Result<Payload, PayloadError> {
+        Ok(self.payload())
+    }
 }
 
 impl Payload {

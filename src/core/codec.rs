@@ -153,6 +153,11 @@ pub fn parse(spec: &str) -> Result<Arc<dyn Codec>, CodecError> {
     })
 }
 
+/// Whether there are packings to undo.
+pub fn is_packed(payload: &Encoding) -> bool {
+    payload.unpacked(zstd::NAME).is_some()
+}
+
 /// Undoes the packings of what a peer sent. Pictures and arrays stay as they are ([`Payload::picture`],
 /// [`Payload::array`]), and so does what has an encoding that is not known here.
 ///

@@ -54,6 +54,17 @@ pub trait ToPayload {
     /// # Errors
     /// [`PayloadError::Write`]: it can't be written so.
     fn to_payload(&self) -> Result<Payload, PayloadError>;
+
+    /// The same of a value that is not needed any more: bytes that it owns are not copied.
+    ///
+    /// # Errors
+    /// As [`to_payload`](Self::to_payload).
+    fn into_payload(self) -> Result<Payload, PayloadError>
+    where
+        Self: Sized,
+    {
+        self.to_payload()
+    }
 }
 
 /// Sends a value of serde's as JSON: `Json(&reading)`.
@@ -148,6 +159,10 @@ impl ToPayload for Payload {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         Ok(self.clone())
     }
+
+    fn into_payload(self) -> Result<Payload, PayloadError> {
+        Ok(self)
+    }
 }
 
 impl ToPayload for str {
@@ -160,6 +175,10 @@ impl ToPayload for str {
 impl ToPayload for String {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         self.as_str().to_payload()
+    }
+
+    fn into_payload(self) -> Result<Payload, PayloadError> {
+        Ok(Payload::new(self, Encoding::TEXT))
     }
 }
 
@@ -179,6 +198,10 @@ impl<const N: usize> ToPayload for [u8; N] {
 impl ToPayload for Vec<u8> {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         self.as_slice().to_payload()
+    }
+
+    fn into_payload(self) -> Result<Payload, PayloadError> {
+        Ok(Payload::new(self, Encoding::BYTES))
     }
 }
 

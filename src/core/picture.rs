@@ -187,6 +187,10 @@ impl ToPayload for Picture {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         Ok(self.clone().payload())
     }
+
+    fn into_payload(self) -> Result<Payload, PayloadError> {
+        Ok(self.payload())
+    }
 }
 
 impl Payload {

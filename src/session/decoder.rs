@@ -53,35 +53,37 @@ impl Decoder {
         })
     }
 
-    /// The message as it was said. What can't be undone stays as it came, with what is wrong with it.
-    pub(super) async fn message(&self, message: Message) -> Message {
-        let payload = self.payload(&message.from, &message.payload).await;
-        unpacked(message, payload)
+    /// Makes it the message that was said. What can't be undone stays as it came, with what is wrong with it.
+    pub(super) async fn message(&self, message: &mut Message) {
+        let unpacked = self.unpack(&message.from, &mut message.payload).await;
+        message.flaw = unpacked.err();
     }
 
     /// The same with what is known already.
-    pub(super) fn message_now(&self, message: Message) -> Message {
-        let payload = self.payload_now(&message.payload);
-        unpacked(message, payload)
+    pub(super) fn message_now(&self, message: &mut Message) {
+        message.flaw = self.unpack_now(&mut message.payload).err();
     }
 
-    /// A payload of that robot's as it was before it was packed.
-    pub(super) async fn payload(
+    /// Makes a payload of that robot's what it was before it was packed; on an error it stays as it is.
+    pub(super) async fn unpack(
         &self,
         from: &Name,
-        packed: &Payload,
-    ) -> Result<Payload, CodecError> {
-        match self.payload_now(packed) {
+        payload: &mut Payload,
+    ) -> Result<(), CodecError> {
+        match self.unpack_now(payload) {
             // Boxed: it is rare and large, and would be moved with every message.
             Err(CodecError::Dictionary { id }) if Box::pin(self.fetch(from, id)).await => {
-                self.payload_now(packed)
+                self.unpack_now(payload)
             }
             done => done,
         }
     }
 
-    fn payload_now(&self, packed: &Payload) -> Result<Payload, CodecError> {
-        codec::decode(packed, &self.limits, &self.known().dictionaries)
+    fn unpack_now(&self, payload: &mut Payload) -> Result<(), CodecError> {
+        if codec::is_packed(&payload.encoding) {
+            *payload = codec::decode(payload, &self.limits, &self.known().dictionaries)?;
+        }
+        Ok(())
     }
 
     /// Asks the sender for a dictionary; whether it is here now.
@@ -151,14 +153,6 @@ impl Decoder {
     fn known(&self) -> MutexGuard<'_, Known> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn unpacked(mut message: Message, payload: Result<Payload, CodecError>) -> Message {
-    match payload {
-        Ok(payload) => message.payload = payload,
-        Err(flaw) => message.flaw = Some(flaw),
-    }
-    message
 }
 
 impl Robot {

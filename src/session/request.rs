@@ -170,12 +170,12 @@ impl Replies {
         let answer = match self.inbox.pop().await?.into_result() {
             Ok(sample) => {
                 let address = self.place.address(sample.key_expr().as_str());
-                let payload = payload(sample.payload(), sample.encoding());
+                let mut payload = payload(sample.payload(), sample.encoding());
                 match address {
                     Some(Address { from, .. }) => {
-                        let payload = self.decoder.payload(&from, &payload).await;
-                        payload
-                            .map(|payload| Reply { from, payload })
+                        let unpacked = self.decoder.unpack(&from, &mut payload).await;
+                        unpacked
+                            .map(|()| Reply { from, payload })
                             .map_err(Error::from)
                     }
                     None => Err(Error::Zenoh {

@@ -204,7 +204,7 @@ impl Robot {
     }
 
     pub(super) fn payload(&self, value: impl ToPayload) -> Result<Payload, Error> {
-        let payload = value.to_payload()?;
+        let payload = value.into_payload()?;
         Ok(match &self.codec {
             Some(codec) => codec.encode(&payload)?,
             None => payload,

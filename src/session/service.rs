@@ -157,11 +157,8 @@ impl Requests {
         loop {
             let mut request = self.inbox.pop().await?;
             let from = request.from.as_ref().unwrap_or(&request.me);
-            match self.decoder.payload(from, &request.payload).await {
-                Ok(payload) => {
-                    request.payload = payload;
-                    return Some(request);
-                }
+            match self.decoder.unpack(from, &mut request.payload).await {
+                Ok(()) => return Some(request),
                 Err(error) => {
                     let _ = request.refuse(error.to_string());
                 }
@@ -219,7 +216,7 @@ impl Request {
     /// # Errors
     /// [`Error::Payload`]; [`Error::Zenoh`] when the session is closed.
     pub fn reply(&self, value: impl ToPayload) -> Result<(), Error> {
-        let payload = value.to_payload()?;
+        let payload = value.into_payload()?;
         let reply = self.query.reply(&self.key, payload.bytes);
         let reply = reply.encoding(payload.encoding.as_str()).wait();
         reply.map_err(Error::zenoh("the answer is not sent"))
@@ -230,7 +227,7 @@ impl Request {
     /// # Errors
     /// As [`reply`](Self::reply).
     pub fn refuse(&self, error: impl ToPayload) -> Result<(), Error> {
-        let error = error_to_payload(&self.me, error.to_payload()?);
+        let error = error_to_payload(&self.me, error.into_payload()?);
         reply_error(&self.query, error).map_err(Error::zenoh("the answer is not sent"))
     }
 }

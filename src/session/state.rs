@@ -133,11 +133,16 @@ impl Events {
     pub async fn next(&self) -> Option<Event> {
         self.inbox.pop().await
     }
+
+    /// Nothing comes any more; what waits can still be taken.
+    pub fn close(&self) {
+        self.inbox.close();
+    }
 }
 
 impl Drop for Events {
     fn drop(&mut self) {
-        self.inbox.close();
+        self.close();
     }
 }
 

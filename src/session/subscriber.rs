@@ -194,8 +194,14 @@ impl Subscriber {
 
     /// The next message, if there is one.
     pub fn try_recv(&self) -> Option<Message> {
-        let message = self.inbox.try_pop()?;
-        Some(self.decoder.message_now(message))
+        let mut message = self.inbox.try_pop()?;
+        self.decoder.message_now(&mut message);
+        Some(message)
+    }
+
+    /// Nothing comes any more; what waits can still be taken.
+    pub fn close(&self) {
+        self.inbox.close();
     }
 
     /// How many were dropped because the program did not take them in time.
@@ -214,7 +220,9 @@ impl Subscriber {
 }
 
 async fn decoded(inbox: &Inbox<Message>, decoder: &Decoder) -> Option<Message> {
-    Some(decoder.message(inbox.pop().await?).await)
+    let mut message = inbox.pop().await?;
+    decoder.message(&mut message).await;
+    Some(message)
 }
 
 impl Stream for Subscriber {
@@ -236,7 +244,7 @@ impl Stream for Subscriber {
 impl Drop for Subscriber {
     fn drop(&mut self) {
         // Before Zenoh's threads are waited for: one may wait for room.
-        self.inbox.close();
+        self.close();
     }
 }
 

@@ -154,6 +154,11 @@ impl Watch {
         self.shared.inbox.try_pop().map(|frame| self.counted(frame))
     }
 
+    /// Nothing comes any more; what waits can still be taken.
+    pub fn close(&self) {
+        self.shared.inbox.close();
+    }
+
     /// What a small message takes to the sender and back, once it has answered one.
     pub fn round_trip(&self) -> Option<Duration> {
         self.shared.core().receiver.round_trip()
@@ -357,7 +362,7 @@ impl Drop for Told {
 
 impl Drop for Watch {
     fn drop(&mut self) {
-        self.shared.inbox.close();
+        self.close();
         self.task.abort();
     }
 }
