@@ -1,8 +1,16 @@
-//! Streams and transfers in blocking form, between two programs: `cargo test -p rect --test blocking`
+//! What the blocking form has of its own, and streams and transfers in it, between two programs: `cargo test -p rect --test blocking`
 mod pair;
+
+use std::{
+    sync::mpsc,
+    time::{Duration, Instant},
+};
 
 use pair::{free_endpoint, PATIENCE};
 use rect::{blocking::Robot, storage::Content, Options, ReceiveTransfers, StreamOptions};
+
+/// Between two tries.
+const MOMENT: Duration = Duration::from_millis(50);
 
 fn two() -> [Robot; 2] {
     let there = free_endpoint();
@@ -55,4 +63,30 @@ fn a_transfer_is_sent_and_what_comes_is_an_iterator() {
     assert!(error.to_string().contains("1048576"), "{error}");
     b.close().expect("closed");
     assert!(received.next_within(PATIENCE).is_none());
+}
+
+#[test]
+fn the_last_of_a_robot_may_be_dropped_by_its_own_callback() {
+    let [a, b] = two();
+    let (mut last, (dropped, was_dropped)) = (Some(b.clone()), mpsc::channel());
+    let (go, goes) = mpsc::channel::<()>();
+    let subscription = b.on_message("a/bye", move |_| {
+        let _ = goes.recv();
+        if let Some(last) = last.take() {
+            drop(last);
+            let _ = dropped.send(());
+        }
+    });
+    let subscription = subscription.expect("subscribed");
+    let deadline = Instant::now() + PATIENCE;
+    drop(b);
+    drop(go);
+    while was_dropped.recv_timeout(MOMENT).is_err() {
+        assert!(
+            Instant::now() < deadline,
+            "the callback did not get past it"
+        );
+        a.publish("bye", "").expect("said");
+    }
+    drop(subscription);
 }
