@@ -60,7 +60,9 @@ pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
     (
         encoding.media_type().to_owned(),
         encoding.schema().map(str::to_owned),
-        encoding.unpacked("zstd").map(|below| below.to_string()),
+        encoding
+            .unpacked(codec::zstd::NAME)
+            .map(|below| below.to_string()),
     )
 }
 

@@ -154,8 +154,8 @@ pub fn parse(spec: &str) -> Result<Arc<dyn Codec>, CodecError> {
 }
 
 /// Whether there are packings to undo.
-pub fn is_packed(payload: &Encoding) -> bool {
-    payload.unpacked(zstd::NAME).is_some()
+pub fn is_packed(encoding: &Encoding) -> bool {
+    encoding.unpacked(zstd::NAME).is_some()
 }
 
 /// Undoes the packings of what a peer sent. Pictures and arrays stay as they are ([`Payload::picture`],
