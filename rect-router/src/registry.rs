@@ -5,6 +5,7 @@ mod presence;
 mod publisher;
 mod radio;
 pub mod selector;
+mod sockets;
 mod uptime;
 
 use std::{
@@ -18,17 +19,16 @@ use rect::core::connection::{Connection, ConnectionState as State, PeerId, Traff
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
 use zenoh_link::ble::{
-    advertisement::Advertisement,
-    status::{Count, HeardStatus},
-    BLE_LOCATOR_PREFIX as BLE,
+    advertisement::Advertisement, status::HeardStatus, BLE_LOCATOR_PREFIX as BLE,
 };
 
 use self::{
     document::{peers, Clock, Counts, Status},
     presence::Presence,
     publisher::publish,
-    radio::{round_trip_ms, traffic, Ble},
+    radio::Ble,
     selector::Selector,
+    sockets::Sockets,
     uptime::Uptime,
 };
 use crate::{
@@ -42,6 +42,14 @@ pub struct Registry {
     _presence: Arc<Presence>,
     /// The only one that is held for good: without it the publisher ends.
     _changed: Arc<mpsc::Sender<()>>,
+}
+
+/// What is counted below Zenoh on a link, since that began.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Carried {
+    sent: Traffic,
+    received: Traffic,
+    round_trip_ms: Option<f64>,
 }
 
 /// What the answers are made of.
@@ -160,7 +168,8 @@ impl Sources {
             .iter()
             .map(|link| (Ends::of(link.src(), link.dst()), link))
             .collect();
-        let ble = Ble::now();
+        let (ble, sockets) = (Ble::now(), Sockets::open());
+        let carried = |link: &Link| ble.carried(link).or_else(|| sockets.carried(link));
         let mut connections = Vec::new();
         let named = self.connections.as_ref();
         for snapshot in named.map_or_else(Vec::new, |named| named.snapshots()) {
@@ -174,11 +183,12 @@ impl Sources {
             {
                 link = by_ends.remove(&ends);
             }
-            connections.push(self.named(snapshot, link, &ble));
+            let carried = link.and_then(carried);
+            connections.push(self.named(snapshot, link, carried, &ble));
         }
         let mut others: Vec<_> = by_ends
             .into_values()
-            .map(|link| self.other(link, &ble))
+            .map(|link| self.other(link, carried(link), &ble))
             .collect();
         others.sort_by(|a, b| (&a.method, &a.address).cmp(&(&b.method, &b.address)));
         connections.extend(others);
@@ -211,7 +221,13 @@ impl Sources {
         discovered.collect()
     }
 
-    fn named(&self, snapshot: Snapshot, link: Option<&Link>, ble: &Ble) -> Connection {
+    fn named(
+        &self,
+        snapshot: Snapshot,
+        link: Option<&Link>,
+        carried: Option<Carried>,
+        ble: &Ble,
+    ) -> Connection {
         let trouble = |trouble: connections::Trouble| Trouble {
             what: trouble.what,
             ago_s: SystemTime::now()
@@ -220,10 +236,8 @@ impl Sources {
         };
         let radio = link.and_then(|link| ble.link(link));
         let address = snapshot.spec.endpoint.address().as_str().to_owned();
-        // What the peer dialled is counted by the radio.
-        let of_peer = radio.filter(|_| snapshot.ends.is_empty());
-        let counted =
-            |own: Traffic, of_peer: Option<Count>| of_peer.map_or(own, |c| own + traffic(c));
+        // What the peer dialled is counted by the radio alone.
+        let of_peer = carried.filter(|_| snapshot.ends.is_empty());
         let heard_as = radio.map_or(&address, |radio| &radio.address);
         let is_ble = snapshot.spec.method == BLE;
         let rssi_dbm = is_ble.then(|| ble.rssi_dbm(heard_as)).flatten();
@@ -239,28 +253,25 @@ impl Sources {
                 (_, Some(since)) => Some(since.elapsed().as_secs_f64()),
                 (Some(link), None) => self.up_s(link),
             },
-            sent: Some(counted(snapshot.sent, of_peer.map(|radio| radio.sent))),
-            received: Some(counted(
-                snapshot.received,
-                of_peer.map(|radio| radio.received),
-            )),
-            round_trip_ms: radio.and_then(round_trip_ms),
+            sent: Some(of_peer.map_or(snapshot.sent, |carried| snapshot.sent + carried.sent)),
+            received: Some(of_peer.map_or(snapshot.received, |c| snapshot.received + c.received)),
+            round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
             linked: Some(snapshot.linked),
             failed: Some(snapshot.failed),
             last_error: snapshot.last_error.map(trouble),
         }
     }
 
-    fn other(&self, link: &Link, ble: &Ble) -> Connection {
+    fn other(&self, link: &Link, carried: Option<Carried>, ble: &Ble) -> Connection {
         let radio = ble.link(link);
         let (method, address) = (link.dst().protocol(), link.dst().address());
         Connection {
             rssi_dbm: radio.and_then(|radio| ble.rssi_dbm(&radio.address)),
             peer: Some(self.peer(link)),
             up_s: self.up_s(link),
-            sent: radio.map(|radio| traffic(radio.sent)),
-            received: radio.map(|radio| traffic(radio.received)),
-            round_trip_ms: radio.and_then(round_trip_ms),
+            sent: carried.map(|carried| carried.sent),
+            received: carried.map(|carried| carried.received),
+            round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
             ..Connection::of(method.as_str(), address.as_str(), State::Connected)
         }
     }

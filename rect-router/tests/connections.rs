@@ -41,6 +41,7 @@ fn the_registry_answers_the_six_questions() {
     assert_eq!(base[0]["peer"]["robot"], "wombat-3", "{base:#}");
     assert!(base[0]["received"]["bytes"].as_u64() > Some(0), "{base:#}");
     assert!(base[0]["up_s"].as_f64() > Some(0.0), "{base:#}");
+    assert!(base[0]["round_trip_ms"].as_f64() > Some(0.0), "{base:#}");
     let nobody = answers(&here, &by_name("nobody"), |all| {
         all[0]["failed"].as_u64() > Some(0)
     });
@@ -86,6 +87,15 @@ fn the_registry_answers_the_six_questions() {
     assert_eq!(there[0]["peer"]["robot"], "wombat-1", "{there:#}");
     assert_eq!(there[0]["name"], Value::Null, "{there:#}");
     drop(two);
+
+    // Who accepts a link over TCP counts it, too, by the kernel: bytes alone.
+    let of_three = "rect/wombat-3/@rect/connections?method=tcp;peer=wombat-1";
+    let there = answers(&here, of_three, is_known);
+    for way in ["sent", "received"] {
+        assert!(there[0][way]["bytes"].as_u64() > Some(0), "{there:#}");
+        assert_eq!(there[0][way]["batches"], Value::Null, "{there:#}");
+    }
+    assert!(there[0]["round_trip_ms"].as_f64() > Some(0.0), "{there:#}");
 }
 
 /// What `docs/registry.md` shows: each of R9's questions, and its query.

@@ -92,12 +92,21 @@ pub struct PeerId {
 }
 
 /// What went one way.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Traffic {
-    /// Batches of Zenoh: one or more messages each, or a part of one.
-    pub batches: u64,
+    /// Batches of Zenoh: one or more messages each, or a part of one. `None`: only bytes are counted.
+    pub batches: Option<u64>,
     /// Their bytes.
     pub bytes: u64,
+}
+
+impl Default for Traffic {
+    fn default() -> Self {
+        Self {
+            batches: Some(0),
+            bytes: 0,
+        }
+    }
 }
 
 impl std::ops::Add for Traffic {
@@ -105,7 +114,7 @@ impl std::ops::Add for Traffic {
 
     fn add(self, other: Self) -> Self {
         Self {
-            batches: self.batches + other.batches,
+            batches: self.batches.zip(other.batches).map(|(a, b)| a + b),
             bytes: self.bytes + other.bytes,
         }
     }

@@ -1,4 +1,4 @@
-//! Owns the words of errors: an error and what caused it, as one line for a person.
+//! Owns what is said to people in several places: an error and what caused it, as one line; short times.
 
 use std::error::Error;
 
@@ -14,6 +14,12 @@ pub fn with_causes(error: &(dyn Error + 'static)) -> String {
         cause = error.source();
     }
     text
+}
+
+/// A short time, in so many milliseconds.
+pub fn milliseconds(ms: f64) -> String {
+    let decimals = usize::from(ms < 10.0);
+    format!("{ms:.decimals$} ms")
 }
 
 /// On one line, and without the place in Zenoh's source code, ` at /path/file.rs:123.`, that each step carries: a person
@@ -54,6 +60,12 @@ mod tests {
     struct Said {
         said: &'static str,
         source: Option<Box<Said>>,
+    }
+
+    #[test]
+    fn times_are_as_short_as_they_are_telling() {
+        let shown = [0.043, 9.94, 83.2].map(milliseconds);
+        assert_eq!(shown, ["0.0 ms", "9.9 ms", "83 ms"]);
     }
 
     #[test]

@@ -49,10 +49,10 @@ class Connection:
     peer: Peer | None = None
     #: For how long it has been there, in seconds.
     up_s: float | None = None
-    #: What went out, `{"batches": ..., "bytes": ...}`, where it is counted.
-    sent: dict[str, int] | None = None
+    #: What went out, `{"batches": ..., "bytes": ...}`, where it is counted; `batches` is None where only bytes are.
+    sent: dict[str, int | None] | None = None
     #: What came, where it is counted.
-    received: dict[str, int] | None = None
+    received: dict[str, int | None] | None = None
     #: There and back, in milliseconds, where it is measured.
     round_trip_ms: float | None = None
     #: How strong its signal is, where it was heard within a minute.

@@ -1,4 +1,5 @@
 //! Owns `rect-router connections`: the registry's answer as a table or as JSON.
+use rect::core::wording;
 use serde_json::Value;
 
 use super::{
@@ -55,7 +56,7 @@ fn row(robot: &str, one: &Value) -> Vec<String> {
         number(&one["up_s"], &seconds),
         carried(&one["sent"]),
         carried(&one["received"]),
-        number(&one["round_trip_ms"], &|ms| format!("{ms:.0} ms")),
+        number(&one["round_trip_ms"], &wording::milliseconds),
         number(&one["rssi_dbm"], &|dbm| format!("{dbm:.0} dBm")),
         text(&one["last_error"]["what"]),
     ]

@@ -32,7 +32,7 @@ impl Counter {
 
     fn now(&self) -> Traffic {
         Traffic {
-            batches: self.batches.load(Ordering::Relaxed),
+            batches: Some(self.batches.load(Ordering::Relaxed)),
             bytes: self.bytes.load(Ordering::Relaxed),
         }
     }

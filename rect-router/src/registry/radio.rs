@@ -7,6 +7,8 @@ use zenoh_link::ble::{
     BLE_LOCATOR_PREFIX as BLE,
 };
 
+use super::Carried;
+
 /// What the radio tells.
 pub struct Ble {
     /// Open ones.
@@ -35,6 +37,16 @@ impl Ble {
         self.links.iter().find(|radio| radio.peer == peer)
     }
 
+    /// What the radio counts on that link.
+    pub fn carried(&self, link: &Link) -> Option<Carried> {
+        let radio = self.link(link)?;
+        Some(Carried {
+            sent: traffic(radio.sent),
+            received: traffic(radio.received),
+            round_trip_ms: radio.lanes.as_ref().and_then(|lanes| lanes.round_trip_ms),
+        })
+    }
+
     /// Whether that link is with the peer that a `ble/` endpoint names.
     pub fn leads_to(&self, link: &Link, endpoint: &EndPoint) -> bool {
         let wanted = endpoint.address().as_str();
@@ -50,15 +62,9 @@ impl Ble {
     }
 }
 
-/// As the registry counts.
-pub fn traffic(count: Count) -> Traffic {
+fn traffic(count: Count) -> Traffic {
     Traffic {
-        batches: count.sdus,
+        batches: Some(count.sdus),
         bytes: count.bytes,
     }
-}
-
-/// There and back, where the link measures it.
-pub fn round_trip_ms(radio: &LinkStatus) -> Option<f64> {
-    radio.lanes.as_ref()?.round_trip_ms
 }

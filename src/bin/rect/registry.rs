@@ -3,7 +3,7 @@ use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
 use comfy_table::{presets::NOTHING, Table};
-use rect::{Connection, ConnectionState, Name};
+use rect::{core::wording::milliseconds, Connection, ConnectionState, Name};
 use serde_json::json;
 
 use crate::{
@@ -78,7 +78,7 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         } else {
             each(|link| Some(link.method.clone()))
         };
-        let round_trip = each(|link| link.round_trip_ms.map(|ms| format!("{ms:.0} ms")));
+        let round_trip = each(|link| link.round_trip_ms.map(milliseconds));
         let signal = each(|link| link.rssi_dbm.map(|dbm| format!("{dbm} dBm")));
         table.add_row([peer.to_string(), by, round_trip, signal]);
     }
@@ -107,7 +107,7 @@ pub async fn connections(arguments: ConnectionsArguments) -> Done {
     for one in &connections {
         let peer = one.peer.as_ref();
         let peer = peer.map(|peer| peer.robot.clone().unwrap_or_else(|| peer.id.clone()));
-        let round_trip = one.round_trip_ms.map(|ms| format!("{ms:.0} ms"));
+        let round_trip = one.round_trip_ms.map(milliseconds);
         let trouble = one.last_error.as_ref().map(|trouble| trouble.what.clone());
         let state = match one.state {
             ConnectionState::Connected => "connected",
