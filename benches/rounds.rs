@@ -73,12 +73,8 @@ fn main() -> Result<(), Error> {
         capacity: 1 << 16,
         when_full: WhenFull::Wait,
     };
-    let messages = two.subscribe_with("wombat-1/n", receiving)?;
-    // A callback on a thread of its own, as C++ has it.
-    std::thread::spawn({
-        let heard = heard.clone();
-        move || messages.for_each(|_| heard.add())
-    });
+    let called = heard.clone();
+    let _subscription = two.on_message_with("wombat-1/n", receiving, move |_| called.add())?;
     loop {
         one.publish("n", TEXT)?;
         if heard.wait(1, PATIENCE).is_some() {

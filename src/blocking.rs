@@ -14,14 +14,15 @@
 //! ```
 mod runtime;
 mod stream;
+mod subscription;
 mod transfer;
 
 use std::{sync::Arc, time::Duration};
 
-pub use self::{runtime::Runtime, stream::Frames, transfer::Transfers};
+pub use self::{runtime::Runtime, stream::Frames, subscription::Subscription, transfer::Transfers};
 use crate::{
     session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
-    Receiving, Reply, Service, Subscription, ToPayload, Topic, Urgency,
+    Receiving, Reply, Service, ToPayload, Topic, Urgency,
 };
 
 /// A program of a robot, joined with the others; see [`crate::Robot`].
@@ -66,10 +67,7 @@ impl Robot {
     /// # Errors
     /// As [`Options::connect`].
     pub fn join(options: Options) -> Result<Self, Error> {
-        let runtime = Runtime::start().map_err(|error| Error::Zenoh {
-            what: "no thread can be started",
-            reason: error.to_string(),
-        })?;
+        let runtime = Runtime::start().map_err(no_thread)?;
         let robot = runtime.wait(options.connect())?;
         let runtime = Arc::new(runtime);
         Ok(Self { robot, runtime })
@@ -151,7 +149,8 @@ impl Robot {
         })
     }
 
-    /// Calls `callback` for each message of a pattern, until what this returns is dropped.
+    /// Calls `callback` for each message of a pattern, one after another on a thread of its own, until what this returns is
+    /// dropped. It may wait, and use the robot; one that panics is reported, and called again for the next message.
     ///
     /// # Errors
     /// As [`crate::Robot::on_message`].
@@ -163,8 +162,25 @@ impl Robot {
     where
         Error: From<P::Error>,
     {
-        let subscribed = self.robot.on_message(pattern, callback);
-        self.runtime.wait(subscribed)
+        self.on_message_with(pattern, Receiving::default(), callback)
+    }
+
+    /// The same, with a say in how messages wait.
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message).
+    pub fn on_message_with<P: TryInto<Pattern>>(
+        &self,
+        pattern: P,
+        receiving: Receiving,
+        callback: impl FnMut(Message) + Send + 'static,
+    ) -> Result<Subscription, Error>
+    where
+        Error: From<P::Error>,
+    {
+        let subscribed = self.robot.subscribe_with(pattern, receiving);
+        let subscriber = self.runtime.wait(subscribed)?;
+        Subscription::start(self.runtime.clone(), subscriber, callback)
     }
 
     /// The next message of `robot` about `topic`.
@@ -336,5 +352,12 @@ impl Iterator for Events {
 
     fn next(&mut self) -> Option<Event> {
         self.runtime.wait(self.events.next())
+    }
+}
+
+fn no_thread(error: std::io::Error) -> Error {
+    Error::Zenoh {
+        what: "no thread can be started",
+        reason: error.to_string(),
     }
 }

@@ -19,6 +19,7 @@ pub use robot::{connect, Robot};
 pub use service::{Request, Requests, Service};
 pub use state::Events;
 pub use stream::{Frame, Stream, Watch};
+pub(crate) use subscriber::called;
 pub use subscriber::{Receiving, Subscriber, Subscription};
 pub use transfer::{
     Incoming, Keep, ReceiveTransfers, Received, Transfer, TransferSource, Transfers,

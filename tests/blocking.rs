@@ -66,13 +66,14 @@ fn a_transfer_is_sent_and_what_comes_is_an_iterator() {
 }
 
 #[test]
-fn the_last_of_a_robot_may_be_dropped_by_its_own_callback() {
+fn a_callback_may_wait_for_the_robot_and_drop_the_last_of_it() {
     let [a, b] = two();
     let (mut last, (dropped, was_dropped)) = (Some(b.clone()), mpsc::channel());
     let (go, goes) = mpsc::channel::<()>();
     let subscription = b.on_message("a/bye", move |_| {
         let _ = goes.recv();
         if let Some(last) = last.take() {
+            last.publish("bye", "").expect("said");
             drop(last);
             let _ = dropped.send(());
         }

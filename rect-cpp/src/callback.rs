@@ -3,7 +3,10 @@
 use std::{
     cell::RefCell,
     ffi::c_void,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    sync::{
+        atomic::{AtomicUsize, Ordering},
+        Condvar, Mutex, MutexGuard, PoisonError,
+    },
 };
 
 /// Called once when a callback will not be called any more, with its `context`; may be NULL. That is so even where the call
@@ -13,9 +16,15 @@ pub type Release = Option<extern "C" fn(context: *mut c_void)>;
 /// What a callback needs, and how often it runs now.
 pub struct Callback {
     context: Context,
-    state: Mutex<State>,
+    /// How often it runs, and whether it is [`CLOSED`].
+    running: AtomicUsize,
+    /// Held by whoever waits for those that run, or ends as one of them once it is closed.
+    is_released: Mutex<bool>,
     idle: Condvar,
 }
+
+/// It is called no more.
+const CLOSED: usize = 1 << (usize::BITS - 1);
 
 struct Context(*mut c_void, Release);
 
@@ -23,13 +32,6 @@ struct Context(*mut c_void, Release);
 unsafe impl Send for Context {}
 // SAFETY: as above.
 unsafe impl Sync for Context {}
-
-#[derive(Default)]
-struct State {
-    running: usize,
-    is_closed: bool,
-    is_released: bool,
-}
 
 thread_local! {
     /// The callbacks that this thread is in, by address.
@@ -41,45 +43,41 @@ impl Callback {
     pub fn new(context: *mut c_void, release: Release) -> Self {
         Self {
             context: Context(context, release),
-            state: Mutex::default(),
+            running: AtomicUsize::new(0),
+            is_released: Mutex::new(false),
             idle: Condvar::new(),
         }
     }
 
     /// Calls it, unless it was closed; whether it was called.
     pub fn run(&self, call: impl FnOnce(*mut c_void)) -> bool {
-        {
-            let mut state = self.state();
-            if state.is_closed {
-                return false;
-            }
-            state.running += 1;
+        let running = Running::begin(self);
+        let may_run = !running.was_closed;
+        if may_run {
+            call(self.context.0);
         }
-        let _running = Running::begin(self);
-        call(self.context.0);
-        true
+        may_run
     }
 
     /// It is not called any more. Waits for those that run, but for the one from which this is called.
     pub fn close(&self) {
         let here = self.address();
         let own = INSIDE.with_borrow(|inside| inside.iter().filter(|&&at| at == here).count());
-        let mut state = self.state();
-        state.is_closed = true;
-        while state.running > own {
-            let waited = self.idle.wait(state);
-            state = waited.unwrap_or_else(PoisonError::into_inner);
+        self.running.fetch_or(CLOSED, Ordering::SeqCst);
+        let mut is_released = self.is_released();
+        while self.running.load(Ordering::SeqCst) & !CLOSED > own {
+            let waited = self.idle.wait(is_released);
+            is_released = waited.unwrap_or_else(PoisonError::into_inner);
         }
-        self.release_if_over(state);
+        self.release_if_over(is_released);
     }
 
-    fn release_if_over(&self, mut state: MutexGuard<'_, State>) {
-        let is_over = state.is_closed && state.running == 0 && !state.is_released;
-        if !is_over {
+    fn release_if_over(&self, mut is_released: MutexGuard<'_, bool>) {
+        let is_over = self.running.load(Ordering::SeqCst) == CLOSED;
+        if !is_over || std::mem::replace(&mut is_released, true) {
             return;
         }
-        state.is_released = true;
-        drop(state);
+        drop(is_released);
         if let Context(context, Some(release)) = self.context {
             release(context);
         }
@@ -89,31 +87,40 @@ impl Callback {
         std::ptr::from_ref(self).addr()
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn is_released(&self) -> MutexGuard<'_, bool> {
+        self.is_released
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// A call under way; over when it is dropped, however that comes.
-struct Running<'a>(&'a Callback);
+struct Running<'a> {
+    callback: &'a Callback,
+    was_closed: bool,
+}
 
 impl<'a> Running<'a> {
     fn begin(callback: &'a Callback) -> Self {
+        let before = callback.running.fetch_add(1, Ordering::SeqCst);
         INSIDE.with_borrow_mut(|inside| inside.push(callback.address()));
-        Self(callback)
+        Self {
+            callback,
+            was_closed: before & CLOSED != 0,
+        }
     }
 }
 
 impl Drop for Running<'_> {
     fn drop(&mut self) {
         INSIDE.with_borrow_mut(Vec::pop);
-        let mut state = self.0.state();
-        state.running -= 1;
-        // Nobody waits before it is closed, and to wake nobody is a system call, too.
-        if state.is_closed {
-            self.0.idle.notify_all();
+        let callback = self.callback;
+        // Nobody waits before it is closed. Whoever closes it later finds that this runs no more.
+        if callback.running.fetch_sub(1, Ordering::SeqCst) & CLOSED != 0 {
+            let is_released = callback.is_released();
+            callback.idle.notify_all();
+            callback.release_if_over(is_released);
         }
-        self.0.release_if_over(state);
     }
 }
 

@@ -79,7 +79,7 @@ impl PayloadView {
 
 /// The usual ones cost no memory, and no look at each byte.
 pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
-    let usual = [
+    static USUAL: [Encoding; 4] = [
         Encoding::JSON,
         Encoding::TEXT,
         Encoding::BYTES,
@@ -88,11 +88,9 @@ pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
     if text.is_empty() {
         return Ok(Encoding::BYTES);
     }
-    if let Some(known) = usual
-        .into_iter()
-        .find(|known| known.as_str().as_bytes() == text)
-    {
-        return Ok(known);
+    let known = USUAL.iter().find(|one| one.as_str().as_bytes() == text);
+    if let Some(known) = known {
+        return Ok(known.clone());
     }
     if text.len() > encoding::MAX_BYTES {
         let most = encoding::MAX_BYTES;

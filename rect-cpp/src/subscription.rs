@@ -56,11 +56,8 @@ pub fn start<S: Source>(
     let runtime = program.runtime.clone();
     let thread = thread::Builder::new().name("rect-callback".into());
     let started = thread.spawn(move || {
-        while let Some(item) = runtime.wait(given.next()) {
-            if !called.run(|context| show(&item, context)) {
-                break;
-            }
-        }
+        let call = |item| called.run(|context| show(&item, context));
+        runtime.for_each(|| given.next(), call);
     });
     started.map_err(|error| Failure::System("no thread for the callback", error))?;
     let id = handle::insert(Called { callback, source });

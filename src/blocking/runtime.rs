@@ -1,7 +1,10 @@
 //! Owns what blocking calls wait on.
 use std::{future::Future, io, pin::pin};
 
-use tokio::runtime::{Builder, Runtime as Tokio};
+use tokio::{
+    runtime::{Builder, Runtime as Tokio},
+    task::block_in_place,
+};
 
 /// One thread for the library's own tasks, and the waiting for them on any other.
 #[derive(Debug)]
@@ -26,6 +29,26 @@ impl Runtime {
         let runtime = self.0.as_ref().expect("there until it is dropped");
         // Pinned here: tokio moves what it is given several times.
         runtime.block_on(pin!(what))
+    }
+
+    /// Calls `call` with what comes, on the thread that calls this, until nothing comes any more or it returns `false`.
+    /// It may wait for things itself.
+    ///
+    /// # Panics
+    /// As [`wait`](Self::wait).
+    pub fn for_each<T, N: Future<Output = Option<T>>>(
+        &self,
+        next: impl Fn() -> N,
+        mut call: impl FnMut(T) -> bool,
+    ) {
+        self.wait(async {
+            while let Some(item) = next().await {
+                // Out of the runtime for as long, which costs less than to wait for each anew.
+                if !block_in_place(|| call(item)) {
+                    break;
+                }
+            }
+        });
     }
 }
 

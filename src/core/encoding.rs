@@ -56,7 +56,7 @@ impl Encoding {
 
     /// Whether it is text, as JSON is too.
     pub fn is_text(&self) -> bool {
-        self.media_type().starts_with("text/") || *self == Self::JSON
+        self.0.starts_with("text/") || *self == Self::JSON
     }
 
     /// The same, packed by what `packing` names.

@@ -291,7 +291,7 @@ fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {
 }
 
 /// Calls a callback; if it panics, that is reported, and the next call is made all the same.
-pub(super) fn called(about: &str, callback: impl FnOnce()) {
+pub(crate) fn called(about: &str, callback: impl FnOnce()) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(callback)) {
         let said = said(&*panic);
         tracing::error!("the callback for {about} panicked: {said}");
