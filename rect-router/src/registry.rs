@@ -136,7 +136,7 @@ impl Sources {
         let key_of_answer = key.clone();
         let on_query = move |query: Query| {
             let made = Selector::parse(query.parameters()).and_then(|selector| {
-                let mut connections = sources.connections();
+                let mut connections = sources.connections(&Sockets::open());
                 connections.retain(|connection| selector.takes(connection));
                 serde_json::to_vec(&make(connections, &selector)).map_err(|e| e.to_string())
             });
@@ -156,7 +156,7 @@ impl Sources {
     }
 
     /// All that are wanted, by name, all others that are there, and those that could be.
-    fn connections(&self) -> Vec<Connection> {
+    fn connections(&self, sockets: &Sockets) -> Vec<Connection> {
         let sessions = || [&self.session].into_iter().chain(&self.host);
         let own: Vec<_> = sessions().map(Session::zid).collect();
         let mut links: Vec<Link> = Vec::new();
@@ -168,7 +168,7 @@ impl Sources {
             .iter()
             .map(|link| (Ends::of(link.src(), link.dst()), link))
             .collect();
-        let (ble, sockets) = (Ble::now(), Sockets::open());
+        let ble = Ble::now();
         let carried = |link: &Link| ble.carried(link).or_else(|| sockets.carried(link));
         let mut connections = Vec::new();
         let named = self.connections.as_ref();

@@ -9,7 +9,7 @@ use std::{
 use rect::core::connection::{Connection, ConnectionState as State};
 use zenoh::{bytes::Encoding, Wait};
 
-use super::Sources;
+use super::{sockets::Sockets, Sources};
 
 /// Several changes within so long are published as one.
 const TOGETHER: Duration = Duration::from_millis(50);
@@ -28,11 +28,11 @@ pub fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
             Err(RecvTimeoutError::Disconnected) => return,
         };
         let Ok(is_changed) = is_changed else { return };
-        let connections = sources.connections();
-        let are_others = told.are_now(&connections);
+        let are_others = told.are_now(&sources.connections(&Sockets::unasked()));
         if !is_changed && !are_others {
             continue;
         }
+        let connections = sources.connections(&Sockets::open());
         let Ok(json) = serde_json::to_vec(&connections) else {
             continue;
         };

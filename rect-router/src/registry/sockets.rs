@@ -38,6 +38,11 @@ impl Sockets {
         Self(socket.ok())
     }
 
+    /// For who has no use for what they carry.
+    pub fn unasked() -> Self {
+        Self(None)
+    }
+
     /// What is counted on the socket of that link: the bytes that the other end has acknowledged, those that came, and
     /// what it takes until it acknowledges them, smoothed.
     pub fn carried(&self, link: &Link) -> Option<Carried> {
@@ -179,7 +184,7 @@ mod tests {
         assert_eq!(sockets.between(own, nowhere), None);
         let of_two_families = SocketAddr::from(([0; 16], other.port()));
         assert_eq!(sockets.between(own, of_two_families), None);
-        assert_eq!(Sockets(None).between(own, other), None);
+        assert_eq!(Sockets::unasked().between(own, other), None);
     }
 
     #[test]
