@@ -100,7 +100,7 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        self.runtime.wait(self.robot.publish(topic, value))
+        self.runtime.complete(self.robot.publish(topic, value))
     }
 
     /// Says it to one robot alone.
@@ -116,7 +116,7 @@ impl Robot {
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        self.runtime.wait(self.robot.send(to, topic, value))
+        self.runtime.complete(self.robot.send(to, topic, value))
     }
 
     /// The messages of a pattern.

@@ -33,9 +33,11 @@ unsafe impl Send for Context {}
 // SAFETY: as above.
 unsafe impl Sync for Context {}
 
+/// The callbacks that a thread is in, by address.
+type Inside = RefCell<Vec<usize>>;
+
 thread_local! {
-    /// The callbacks that this thread is in, by address.
-    static INSIDE: RefCell<Vec<usize>> = const { RefCell::new(Vec::new()) };
+    static INSIDE: Inside = const { RefCell::new(Vec::new()) };
 }
 
 impl Callback {
@@ -51,12 +53,14 @@ impl Callback {
 
     /// Calls it, unless it was closed; whether it was called.
     pub fn run(&self, call: impl FnOnce(*mut c_void)) -> bool {
-        let running = Running::begin(self);
-        let may_run = !running.was_closed;
-        if may_run {
-            call(self.context.0);
-        }
-        may_run
+        INSIDE.with(|inside| {
+            let running = Running::begin(self, inside);
+            let may_run = !running.was_closed;
+            if may_run {
+                call(self.context.0);
+            }
+            may_run
+        })
     }
 
     /// It is not called any more. Waits for those that run, but for the one from which this is called.
@@ -97,15 +101,18 @@ impl Callback {
 /// A call under way; over when it is dropped, however that comes.
 struct Running<'a> {
     callback: &'a Callback,
+    /// This thread's; looked for once, which in a shared library is a call.
+    inside: &'a Inside,
     was_closed: bool,
 }
 
 impl<'a> Running<'a> {
-    fn begin(callback: &'a Callback) -> Self {
+    fn begin(callback: &'a Callback, inside: &'a Inside) -> Self {
         let before = callback.running.fetch_add(1, Ordering::SeqCst);
-        INSIDE.with_borrow_mut(|inside| inside.push(callback.address()));
+        inside.borrow_mut().push(callback.address());
         Self {
             callback,
+            inside,
             was_closed: before & CLOSED != 0,
         }
     }
@@ -113,7 +120,7 @@ impl<'a> Running<'a> {
 
 impl Drop for Running<'_> {
     fn drop(&mut self) {
-        INSIDE.with_borrow_mut(Vec::pop);
+        self.inside.borrow_mut().pop();
         let callback = self.callback;
         // Nobody waits before it is closed. Whoever closes it later finds that this runs no more.
         if callback.running.fetch_sub(1, Ordering::SeqCst) & CLOSED != 0 {

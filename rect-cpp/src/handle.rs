@@ -80,7 +80,7 @@ pub fn get<T: Object>(handle: u64) -> Result<Arc<T>, Failure> {
         .filter(|slot| u64::from(slot.generation) == handle >> 32)
         .and_then(|slot| slot.object.as_ref());
     let object = object.and_then(|(object, _)| object.clone().downcast().ok());
-    object.ok_or(Failure::Handle(T::KIND))
+    object.ok_or_else(|| Failure::Handle(T::KIND))
 }
 
 /// Drops what the handle is of.

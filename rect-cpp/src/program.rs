@@ -35,6 +35,14 @@ impl Program {
         Ok(self.runtime.wait(what)?)
     }
 
+    /// The same of what is mostly done at once, as [`Runtime::complete`] does it.
+    pub fn complete<T>(
+        &self,
+        what: impl Future<Output = Result<T, rect::Error>>,
+    ) -> Result<T, Failure> {
+        Ok(self.runtime.complete(what)?)
+    }
+
     /// Another one of the same program.
     pub fn of(&self, robot: rect::Robot) -> Self {
         let runtime = self.runtime.clone();

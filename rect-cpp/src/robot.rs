@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use rect::{core::codec, Payload};
+use rect::core::codec;
 
 use crate::{
     argument::{text, there},
@@ -76,13 +76,6 @@ impl Robot {
     fn of(program: Program) -> Self {
         let id = handle::insert(program);
         Self { id }
-    }
-}
-
-fn say(program: &Program, to: Option<&str>, topic: &str, payload: Payload) -> Result<(), Failure> {
-    match to {
-        None => program.wait(program.robot.publish(topic, payload)),
-        Some(to) => program.wait(program.robot.send(to, topic, payload)),
     }
 }
 
@@ -204,7 +197,8 @@ pub unsafe extern "C" fn rect_robot_publish(
         // SAFETY: as rect.h asks.
         let (topic, payload) =
             unsafe { (text("topic", topic)?, there("payload", payload)?.read()?) };
-        say(&*robot.live()?, None, topic, payload)
+        let program = robot.live()?;
+        program.complete(program.robot.publish(topic, payload))
     })
 }
 
@@ -228,7 +222,8 @@ pub unsafe extern "C" fn rect_robot_send(
                 there("payload", payload)?.read()?,
             )
         };
-        say(&*robot.live()?, Some(to), topic, payload)
+        let program = robot.live()?;
+        program.complete(program.robot.send(to, topic, payload))
     })
 }
 

@@ -4,7 +4,7 @@ mod support;
 
 use std::time::{Duration, Instant};
 
-use rect::{blocking::Robot, ConnectionState, Event, Json, NamedConnection, Options};
+use rect::{blocking::Robot, ConnectionState, Event, Json, NamedConnection, Options, Urgency};
 use serde_json::json;
 use support::{ble, file, Air, Wombat, DEADLINE};
 use zenoh_link::ble::radio::sim::{control, Control};
@@ -92,6 +92,26 @@ fn a_program_gives_its_router_a_connection_and_takes_it_back() {
     let error = program.add_connection(&own).expect_err("itself");
     assert!(error.to_string().contains("this robot itself"), "{error}");
     drop(one);
+}
+
+#[test]
+fn what_waits_for_a_connection_of_its_own_or_for_room_is_said() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let wombats = two(&air, &folder);
+    let [one, two] = [(&wombats[0], "wombat-1"), (&wombats[1], "wombat-2")]
+        .map(|(wombat, name)| program(wombat, name));
+    let (urgent, large) = (one.with(Urgency::Urgent), vec![7; 20_000]);
+    let mut heard = two.subscribe("wombat-1/*").expect("subscribed");
+    let (mut has_stopped, mut is_whole) = (false, false);
+    until("both arrive", || {
+        urgent.publish("stop", "now").expect("said");
+        one.send("wombat-2", "map", &large).expect("said");
+        while let Some(message) = heard.next_within(Duration::from_millis(200)) {
+            has_stopped |= message.urgency == Urgency::Urgent;
+            is_whole |= message.payload.bytes == large;
+        }
+        has_stopped && is_whole
+    });
 }
 
 #[test]

@@ -55,8 +55,11 @@ impl Decoder {
 
     /// Makes it the message that was said. What can't be undone stays as it came, with what is wrong with it.
     pub(super) async fn message(&self, message: &mut Message) {
-        let unpacked = self.unpack(&message.from, &mut message.payload).await;
-        message.flaw = unpacked.err();
+        // Most are not: what unpacks them is not entered.
+        if codec::is_packed(&message.payload.encoding) {
+            let unpacked = self.unpack(&message.from, &mut message.payload).await;
+            message.flaw = unpacked.err();
+        }
     }
 
     /// The same with what is known already.

@@ -24,7 +24,7 @@ impl Lanes {
         }
     }
 
-    /// Where to speak with that urgency.
+    /// Where to speak with that urgency. Needs no runtime of who asks: what zenoh waits for here, it waits for on its own.
     pub(super) async fn of(&self, urgency: Urgency) -> &Session {
         if !urgency.goes_apart() {
             return &self.normal;

@@ -1,11 +1,12 @@
 //! Owns what a program says about one topic: a publisher of Zenoh's, and the numbers of its messages.
 use std::{
-    sync::{Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{SystemTime, UNIX_EPOCH},
 };
 
+use tokio::runtime::Handle;
 use zenoh::{
-    bytes::Encoding,
+    bytes::Encoding as ZenohEncoding,
     pubsub::Publisher,
     qos::{CongestionControl, Priority},
     Session, Wait,
@@ -14,6 +15,7 @@ use zenoh::{
 use crate::{
     core::{
         attachment::{Attachment, Sent},
+        encoding::Encoding,
         payload::Payload,
         urgency::Qos,
     },
@@ -27,7 +29,14 @@ const LARGE_BYTES: usize = 16 * 1024;
 pub(super) struct Publication {
     publisher: Publisher<'static>,
     source: u16,
-    next: Mutex<u32>,
+    speaking: Mutex<Speaking>,
+}
+
+#[derive(Debug)]
+struct Speaking {
+    next: u32,
+    /// What the last message was, in our words and in Zenoh's, which it takes a while to look up.
+    encoding: (Encoding, ZenohEncoding),
 }
 
 impl Publication {
@@ -47,36 +56,51 @@ impl Publication {
         Ok(Self {
             publisher,
             source: rand::random(),
-            next: Mutex::new(0),
+            speaking: Mutex::new(Speaking {
+                next: 0,
+                encoding: (Encoding::BYTES, ZenohEncoding::ZENOH_BYTES),
+            }),
         })
     }
 
-    /// Says it; waits where the link has no room.
-    pub(super) async fn put(self: std::sync::Arc<Self>, payload: Payload) -> Result<(), Error> {
+    /// Says it; waits where the link has no room. Needs no runtime of who speaks.
+    pub(super) async fn put(
+        self: Arc<Self>,
+        payload: Payload,
+        runtime: &Handle,
+    ) -> Result<(), Error> {
         if payload.bytes.len() < LARGE_BYTES {
             return self.put_now(payload);
         }
-        let put = tokio::task::spawn_blocking(move || self.put_now(payload));
+        let put = runtime.spawn_blocking(move || self.put_now(payload));
         put.await.map_err(|_| Error::Closed)?
     }
 
     fn put_now(&self, payload: Payload) -> Result<(), Error> {
         // Held while it is sent: two threads' messages go out in the order of their numbers.
-        let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut speaking = self.speaking();
+        if speaking.encoding.0 != payload.encoding {
+            let same = ZenohEncoding::from(payload.encoding.as_str());
+            speaking.encoding = (payload.encoding, same);
+        }
         let attachment = Attachment {
             source: self.source,
-            sequence: *next,
+            sequence: speaking.next,
             sent: Sent::At(now_ms()),
         };
         let put = self
             .publisher
             .put(payload.bytes)
-            .encoding(Encoding::from(payload.encoding.as_str()))
+            .encoding(speaking.encoding.1.clone())
             .attachment(attachment.encode());
         put.wait()
             .map_err(Error::zenoh("the message is not sent"))?;
-        *next = next.wrapping_add(1);
+        speaking.next = speaking.next.wrapping_add(1);
         Ok(())
+    }
+
+    fn speaking(&self) -> MutexGuard<'_, Speaking> {
+        self.speaking.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -215,7 +215,7 @@ impl Robot {
         let urgency = self.urgency;
         let publication = self.publication(Spoken { topic, to, urgency }).await?;
         let bytes = payload.bytes.len();
-        publication.put(payload).await?;
+        publication.put(payload, &self.inner.runtime).await?;
         self.inner.counting.on_sent(bytes);
         Ok(())
     }

@@ -283,7 +283,7 @@ fn on_sample(inbound: &Mutex<Inbound>, sample: &Sample, directed: bool) -> Optio
 /// A payload as Zenoh has it.
 pub(super) fn payload(bytes: &ZBytes, encoding: &zenoh::bytes::Encoding) -> Payload {
     let bytes = Bytes::from(bytes.to_bytes().into_owned());
-    Payload::new(bytes, Encoding::new(encoding.to_string()))
+    Payload::new(bytes, Encoding::new(encoding))
 }
 
 fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {
