@@ -12,10 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from table import Table
-from turns import IS_STEADY, by_turns, ratio, rounds
+from turns import IS_STEADY, by_turns, ratio
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-ROUNDS = rounds(15)
+#: As many in steady time: in which order threads get the one processor is another thing in each run.
+ROUNDS = 30
 SAMPLES = os.environ.get("RECT_BENCH_SAMPLES", "10" if IS_STEADY else "100")
 
 
