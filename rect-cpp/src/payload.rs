@@ -54,6 +54,8 @@ impl PayloadView {
     ///
     /// # Safety
     /// It is as rect.h asks.
+    // As `named` and `read`: once a message, and what they give is large, and would be moved from one to the next.
+    #[inline(always)]
     pub unsafe fn parts(&self) -> Result<(&[u8], Encoding), Failure> {
         // SAFETY: as this function asks.
         let bytes = unsafe { items("payload.data", self.data.cast::<u8>(), self.len) }?;
@@ -67,6 +69,7 @@ impl PayloadView {
     ///
     /// # Safety
     /// It is as rect.h asks.
+    #[inline(always)]
     pub unsafe fn read(&self) -> Result<Payload, Failure> {
         // SAFETY: as this function asks.
         let (bytes, encoding) = unsafe { self.parts() }?;
@@ -79,6 +82,7 @@ impl PayloadView {
 }
 
 /// The usual ones cost no memory, and no look at each byte.
+#[inline(always)]
 pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
     static USUAL: [Encoding; 4] = [
         Encoding::JSON,
