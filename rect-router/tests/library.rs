@@ -22,6 +22,11 @@ fn two(air: &Air, folder: &tempfile::TempDir) -> [Wombat; 2] {
     [first, other]
 }
 
+/// One at each.
+fn programs([first, other]: &[Wombat; 2]) -> [Robot; 2] {
+    [program(first, "wombat-1"), program(other, "wombat-2")]
+}
+
 fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     let deadline = Instant::now() + DEADLINE;
     while !is_so() {
@@ -34,8 +39,7 @@ fn until(what: &str, mut is_so: impl FnMut() -> bool) {
 fn programs_of_two_robots_talk_over_ble_and_are_told_so() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let wombats = two(&air, &folder);
-    let [one, two] = [(&wombats[0], "wombat-1"), (&wombats[1], "wombat-2")]
-        .map(|(wombat, name)| program(wombat, name));
+    let [one, two] = programs(&wombats);
     let mut events = two.events().expect("told");
     let link = events.find(|event| matches!(event, Event::LinkUp(link) if link.method == "ble"));
     assert!(link.is_some());
@@ -98,8 +102,7 @@ fn a_program_gives_its_router_a_connection_and_takes_it_back() {
 fn what_waits_for_a_connection_of_its_own_or_for_room_is_said() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let wombats = two(&air, &folder);
-    let [one, two] = [(&wombats[0], "wombat-1"), (&wombats[1], "wombat-2")]
-        .map(|(wombat, name)| program(wombat, name));
+    let [one, two] = programs(&wombats);
     let (urgent, large) = (one.with(Urgency::Urgent), vec![7; 20_000]);
     let mut heard = two.subscribe("wombat-1/*").expect("subscribed");
     let (mut has_stopped, mut is_whole) = (false, false);
@@ -118,8 +121,7 @@ fn what_waits_for_a_connection_of_its_own_or_for_room_is_said() {
 fn what_was_said_while_the_radio_was_cut_is_told_as_a_gap() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let wombats = two(&air, &folder);
-    let one = program(&wombats[0], "wombat-1");
-    let two = program(&wombats[1], "wombat-2");
+    let [one, two] = programs(&wombats);
     let mut heard = two.subscribe("wombat-1/n").expect("subscribed");
     let mut number = 0;
     let mut say = || {
