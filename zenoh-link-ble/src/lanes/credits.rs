@@ -35,6 +35,11 @@ pub fn largest_batch(window: u16) -> u16 {
     window / 2 - PER_SDU
 }
 
+/// Returns the bytes after which a receiver with that window acknowledges.
+pub fn ack_due_bytes(window: u16) -> u16 {
+    ACK_BYTES.min(window / PART)
+}
+
 /// How the other side broke the rules of credits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CreditError {
@@ -145,7 +150,7 @@ impl Acks {
 
     /// Whether an acknowledgement is worth it.
     pub fn is_due(&self) -> bool {
-        self.untold() >= ACK_BYTES.min(self.window / PART)
+        self.untold() >= ack_due_bytes(self.window)
     }
 
     fn untold(&self) -> u16 {

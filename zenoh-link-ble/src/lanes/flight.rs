@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Lane, LANES};
+use super::{credits::ack_due_bytes, Lane, LANES};
 
 /// How long an SDU may wait behind others, in the best moment.
 const WAIT: Duration = Duration::from_millis(7);
@@ -42,7 +42,8 @@ pub struct Flight {
     sdus: VecDeque<Sdu>,
     costs: [u16; LANES],
     limit: u16,
-    /// Three of the largest SDUs: one on the air, one to follow it, one while an acknowledgement comes back.
+    /// Three of the largest SDUs: one on the air, one to follow it, one while an acknowledgement comes back. Never so
+    /// little that the sender waits for an acknowledgement before one is due.
     floor: u16,
     /// One of the largest SDUs.
     step: u16,
@@ -55,7 +56,9 @@ pub struct Flight {
 impl Flight {
     /// `largest`: the cost of the largest SDU. `window`: the most that may be on its way, in bytes.
     pub fn new(largest: u16, window: u16) -> Self {
-        let floor = largest.saturating_mul(3).min(window);
+        let until_acknowledged = ack_due_bytes(window).saturating_add(largest);
+        let floor = largest.saturating_mul(3).max(until_acknowledged);
+        let floor = floor.min(window);
         Self {
             sdus: VecDeque::new(),
             costs: [0; LANES],

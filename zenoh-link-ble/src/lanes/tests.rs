@@ -8,13 +8,14 @@ use rand_pcg::{
 
 use super::{
     check::Fault,
-    credits::{cost, CreditError},
+    credits::{cost, largest_batch, CreditError, MIN_WINDOW},
     piece::Piece,
     receiver::{Violation, HIGH_MARK},
     scheduler::{Bounds, Next, OWN_BYTES},
     sdu::{self, Content, SduError},
     Change, Lane, Lanes, LANES,
 };
+use crate::hello::MIN_MTU;
 
 const MTU: usize = 1000;
 const WINDOW: u16 = 12_000;
@@ -44,9 +45,13 @@ struct Pair {
 
 impl Pair {
     fn new() -> Self {
+        Self::with(MTU, WINDOW)
+    }
+
+    fn with(mtu: usize, window: u16) -> Self {
         Self {
-            out: Lanes::new(BOUNDS, MTU, WINDOW, WINDOW),
-            into: Lanes::new(BOUNDS, MTU, WINDOW, WINDOW),
+            out: Lanes::new(BOUNDS, mtu, window, window),
+            into: Lanes::new(BOUNDS, mtu, window, window),
             now: Instant::now(),
         }
     }
@@ -180,6 +185,29 @@ fn a_goodbye_goes_when_everything_else_has_gone() {
     assert_eq!(more, Err(Violation::AfterBye));
     assert!(!pair.push(1, b"too late"));
     assert_eq!(sent(&mut pair.out, pair.now), None, "nothing follows it");
+}
+
+/// Without anything else on the link: a keep-alive of Zenoh's would bring the acknowledgement, seconds later.
+#[test]
+fn a_lane_never_waits_for_an_acknowledgement_that_is_not_due() {
+    for mtu in [usize::from(MIN_MTU), 145, 146, 200, MTU] {
+        for window in [MIN_WINDOW, 1000, WINDOW] {
+            let mtu = mtu.min(usize::from(largest_batch(window)));
+            let mut pair = Pair::with(mtu, window);
+            for n in 0..200 {
+                assert!(pair.push(5, &vec![5; mtu]));
+                pair.settle();
+                let what = format!("batch {n} of {mtu} bytes, window {window}");
+                assert!(pair.take(5).is_some(), "{what}");
+                assert_eq!(pair.waiting(5), 0, "{what}");
+            }
+            for _ in 0..10 {
+                assert!(pair.push(5, &vec![5; mtu]));
+            }
+            pair.settle();
+            assert_eq!(pair.waiting(5), 0, "all at once: {mtu}, window {window}");
+        }
+    }
 }
 
 #[test]
