@@ -11,6 +11,8 @@ pub enum Bye {
     ProtocolError,
     /// What it received was not what was sent: lost, damaged or repeated.
     Unverified,
+    /// The peer acknowledged nothing for too long.
+    Unacknowledged,
     /// A reason this version does not know.
     Other(u8),
 }
@@ -23,6 +25,7 @@ impl Bye {
             Self::Replaced => 1,
             Self::ProtocolError => 2,
             Self::Unverified => 3,
+            Self::Unacknowledged => 4,
             Self::Other(code) => code,
         }
     }
@@ -34,6 +37,7 @@ impl Bye {
             1 => Self::Replaced,
             2 => Self::ProtocolError,
             3 => Self::Unverified,
+            4 => Self::Unacknowledged,
             other => Self::Other(other),
         }
     }
@@ -45,6 +49,7 @@ impl Bye {
             Self::Replaced => "a newer link between the two replaces it",
             Self::ProtocolError => "it could not read what this side sent",
             Self::Unverified => "something was lost or damaged on the way to it",
+            Self::Unacknowledged => "this side acknowledged nothing for too long",
             Self::Other(_) => "for a reason this version does not know",
         }
     }

@@ -75,6 +75,14 @@ pub enum BleError {
         /// Its reason in words.
         reason: &'static str,
     },
+    /// The peer has stopped acknowledging: its program hangs, or it does not follow the protocol.
+    #[error("{peer} has acknowledged nothing for {} s: its program hangs, or it does not follow the link protocol", .limit.as_secs())]
+    Unacknowledged {
+        /// Who.
+        peer: String,
+        /// How long it was waited for.
+        limit: Duration,
+    },
     /// Another robot here uses this name: give one of them another `name=`.
     #[error("another robot in range ({other}) calls itself {name} already: give one of the two another name=")]
     NameTaken {

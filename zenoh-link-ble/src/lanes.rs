@@ -7,6 +7,7 @@
 //! read(priority)      <- Lanes::take <- Receiver: lanes by priority  <- Lanes::on_sdu <- SDU <- channel
 //!                                       Receiver's signals -> Scheduler (what was taken, which lane is full)
 //! ```
+pub mod ack_timer;
 pub mod check;
 pub mod credits;
 pub mod flight;
@@ -115,9 +116,9 @@ impl Lanes {
         self.out.on_sent(sent, now);
     }
 
-    /// When [`Lanes::peek`] has nothing: the bytes of which some must be acknowledged before what waits may be sent.
-    pub fn waits_for_credits(&self) -> Option<u16> {
-        self.out.waits_for_credits()
+    /// Returns when the link ends unless the peer acknowledges something; `None` if no acknowledgement is due.
+    pub fn ack_deadline(&self) -> Option<Instant> {
+        self.out.ack_deadline()
     }
 
     /// An SDU arrived.

@@ -11,6 +11,7 @@ use crate::{
     ending::Ending,
     error::{in_words, BleError},
     lanes::{
+        ack_timer::ACK_TIMEOUT,
         receiver::Violation,
         report::Count,
         scheduler::{Bounds, Next},
@@ -22,8 +23,8 @@ use crate::{
     status::LanesStatus,
 };
 
-/// How long an SDU may wait for room in the controller, or for the peer to acknowledge any before it, until the link is
-/// given up. Zenoh's own lease (10 s) ends a silent link sooner; this bounds one whose radio is alive but takes nothing.
+/// How long an SDU may wait for room in the controller until the link is given up. Zenoh's own lease (10 s) ends a silent
+/// link sooner; this bounds one whose radio is alive but takes nothing.
 pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(20);
 /// How long a goodbye after an error may take: the channel ends anyway.
 const LAST_WORD: Duration = Duration::from_millis(500);
@@ -47,6 +48,8 @@ pub(crate) struct Traffic {
     to_send: Notify,
     room: Notify,
     arrived: [Notify; LANES],
+    /// Tells the receiving task that [`State::failure`] is set.
+    failed: Notify,
     ending: Arc<Ending>,
     /// Cancelled when the link has ended.
     over: CancellationToken,
@@ -54,6 +57,8 @@ pub(crate) struct Traffic {
 
 struct State {
     lanes: Lanes,
+    /// Why this side is ending the link. The goodbye is the next SDU.
+    failure: Option<Arc<BleError>>,
     end: Option<Arc<BleError>>,
 }
 
@@ -73,8 +78,8 @@ enum Sent {
     Nothing,
     /// The channel takes nothing now.
     NoRoom,
-    /// What waits needs an acknowledgement first, of some of so many bytes.
-    NoCredits(u16),
+    /// The peer has acknowledged nothing for too long.
+    Unacknowledged,
 }
 
 /// Keeps the tasks of a link going; dropping it ends them.
@@ -105,10 +110,15 @@ impl Traffic {
             peer,
             mtu,
             ending,
-            state: Mutex::new(State { lanes, end: None }),
+            state: Mutex::new(State {
+                lanes,
+                failure: None,
+                end: None,
+            }),
             to_send: Notify::new(),
             room: Notify::new(),
             arrived: Default::default(),
+            failed: Notify::new(),
             over: CancellationToken::new(),
         });
         let (sender, receiver) = (Arc::clone(&traffic), Arc::clone(&traffic));
@@ -197,47 +207,54 @@ impl Traffic {
     }
 
     async fn send(&self) {
-        // Since when that much is not acknowledged, and holds up the rest.
-        let mut held_up = None;
         loop {
             match self.send_next() {
                 Ok(Sent::Nothing) => {
-                    held_up = None;
-                    self.to_send.notified().await;
+                    let more = self.to_send.notified();
+                    self.until_ack_deadline(more).await;
                 }
                 Ok(Sent::Sdu(Next::Batch(_))) => {
-                    held_up = None;
                     // Whatever the lane: the bound is one for all of them.
                     self.room.notify_waiters();
                 }
                 Ok(Sent::Sdu(Next::Signal)) => {}
                 Ok(Sent::Sdu(Next::Bye)) => return,
                 Ok(Sent::NoRoom) => {
-                    let room = self.channel.has_room();
-                    if tokio::time::timeout(SEND_TIMEOUT, room).await.is_err() {
+                    let room = tokio::time::timeout(SEND_TIMEOUT, self.channel.has_room());
+                    if let Some(Err(_)) = self.until_ack_deadline(room).await {
                         return self.end(takes_nothing());
                     }
                 }
-                Ok(Sent::NoCredits(bytes)) => {
-                    let same = held_up.filter(|(before, _)| *before == bytes);
-                    let (_, since) = *held_up.insert(same.unwrap_or((bytes, Instant::now())));
-                    let left = SEND_TIMEOUT.saturating_sub(since.elapsed());
-                    let more = self.to_send.notified();
-                    if left.is_zero() || tokio::time::timeout(left, more).await.is_err() {
-                        return self.end(takes_nothing());
-                    }
+                Ok(Sent::Unacknowledged) => {
+                    let error = BleError::Unacknowledged {
+                        peer: self.peer.clone(),
+                        limit: ACK_TIMEOUT,
+                    };
+                    self.fail(Bye::Unacknowledged, error);
                 }
-                Err(error) => return self.end(error.into()),
+                Err(error) => return self.end(BleError::from(error)),
             }
+        }
+    }
+
+    /// Waits for `event`, but at most until the peer must have acknowledged something: `None` then.
+    async fn until_ack_deadline<T>(&self, event: impl Future<Output = T>) -> Option<T> {
+        let deadline = self.state.lock().lanes.ack_deadline();
+        match deadline {
+            Some(deadline) => tokio::time::timeout_at(deadline.into(), event).await.ok(),
+            None => Some(event.await),
         }
     }
 
     /// Chosen only now that the channel takes it: what waits outside may still be overtaken.
     fn send_next(&self) -> Result<Sent, RadioError> {
         let mut state = self.state.lock();
+        let deadline = state.lanes.ack_deadline();
+        if deadline.is_some_and(|deadline| Instant::now().into_std() >= deadline) {
+            return Ok(Sent::Unacknowledged);
+        }
         let Some((next, sdu)) = state.lanes.peek() else {
-            let held_up = state.lanes.waits_for_credits();
-            return Ok(held_up.map_or(Sent::Nothing, Sent::NoCredits));
+            return Ok(Sent::Nothing);
         };
         if !self.channel.try_send(sdu)? {
             return Ok(Sent::NoRoom);
@@ -249,31 +266,34 @@ impl Traffic {
     async fn receive(&self, replaced: CancellationToken) {
         // One byte more than is allowed, so that a larger SDU shows instead of being cut.
         let mut sdu = vec![0; self.mtu + HEADER + 1];
-        let error = loop {
+        let error: Arc<BleError> = loop {
             let received = tokio::select! {
                 size = self.channel.recv(&mut sdu) => size,
-                () = replaced.cancelled() => break self.closed_by_peer(Bye::Replaced),
+                () = replaced.cancelled() => break self.closed_by_peer(Bye::Replaced).into(),
+                error = self.failure() => break error,
             };
             let change = match received {
                 Ok(size) => self.on_sdu(sdu.get(..size).unwrap_or_default()),
                 // A kernel cuts it instead, so that one byte too many arrives: the same to the peer.
                 Err(RadioError::SduTooLarge { size, .. }) => Err(self.too_large(size)),
-                Err(error) => break error.into(),
+                Err(error) => break BleError::from(error).into(),
             };
             match change {
                 Ok(Change::Batch(lane)) => self.arrived[lane.index()].notify_one(),
                 Ok(Change::Credits) => self.to_send.notify_one(),
-                Ok(Change::Bye(code)) => break self.closed_by_peer(Bye::from_code(code)),
+                Ok(Change::Bye(code)) => break self.closed_by_peer(Bye::from_code(code)).into(),
                 Err(violation) => {
-                    self.last_word(violation).await;
-                    break BleError::Protocol {
-                        peer: self.channel.peer(),
-                        what: violation.to_string(),
-                    };
+                    self.fail_for(violation);
+                    break self.failure().await;
                 }
             }
         };
-        self.end(error);
+        let failure = self.state.lock().failure.clone();
+        if failure.is_some() {
+            // The peer closes when it has read the goodbye.
+            let _ = tokio::time::timeout(LAST_WORD, until_closed(&self.channel)).await;
+        }
+        self.end(failure.unwrap_or(error));
     }
 
     fn on_sdu(&self, sdu: &[u8]) -> Result<Change, Violation> {
@@ -292,16 +312,40 @@ impl Traffic {
         }
     }
 
-    /// Tells the peer why, as long as it listens.
-    async fn last_word(&self, violation: Violation) {
+    /// Ends the link because of what the peer sent.
+    fn fail_for(&self, violation: Violation) {
         let bye = match violation {
             Violation::Sdu(SduError::Fault(_)) => Bye::Unverified,
             _ => Bye::ProtocolError,
         };
-        self.state.lock().lanes.abort(bye.code());
-        self.to_send.notify_one();
-        // The peer closes when it has read the goodbye.
-        let _ = tokio::time::timeout(LAST_WORD, until_closed(&self.channel)).await;
+        let error = BleError::Protocol {
+            peer: self.channel.peer(),
+            what: violation.to_string(),
+        };
+        self.fail(bye, error);
+    }
+
+    /// Ends the link from this side: discards what waits, sends `bye` and leaves the rest to the receiving task. The first
+    /// reason counts.
+    fn fail(&self, bye: Bye, error: BleError) {
+        let mut state = self.state.lock();
+        if state.failure.is_none() {
+            state.failure = Some(error.into());
+            state.lanes.abort(bye.code());
+            self.failed.notify_one();
+            self.to_send.notify_one();
+        }
+    }
+
+    /// Waits until this side ends the link, and returns why. It may be dropped at any time.
+    async fn failure(&self) -> Arc<BleError> {
+        loop {
+            let failed = self.failed.notified();
+            if let Some(error) = &self.state.lock().failure {
+                return Arc::clone(error);
+            }
+            failed.await;
+        }
     }
 
     fn closed_by_peer(&self, bye: Bye) -> BleError {
@@ -312,10 +356,11 @@ impl Traffic {
     }
 
     /// The link is over: all who wait are told.
-    fn end(&self, error: BleError) {
+    fn end(&self, error: impl Into<Arc<BleError>>) {
+        let error = error.into();
         self.channel.shutdown();
         self.ending.happens(&in_words(&error));
-        self.state.lock().end.get_or_insert(Arc::new(error));
+        self.state.lock().end.get_or_insert(error);
         self.over.cancel();
     }
 }

@@ -6,6 +6,7 @@ use std::{
 };
 
 use super::{
+    ack_timer::AckTimer,
     credits::{cost, Allowance, CreditError},
     flight::Flight,
     path::Path,
@@ -136,6 +137,7 @@ pub struct Scheduler {
     bounds: Bounds,
     allowance: Allowance,
     flight: Flight,
+    ack_timer: AckTimer,
     path: Path,
     number: u32,
 }
@@ -159,6 +161,7 @@ impl Scheduler {
             end: End::NotYet,
             bounds,
             flight: Flight::new(cost(mtu), allowance.window()),
+            ack_timer: AckTimer::new(allowance.window()),
             allowance,
             path: Path::default(),
             number: 0,
@@ -199,6 +202,8 @@ impl Scheduler {
     /// The peer has taken that total.
     pub fn on_ack(&mut self, total: u16, now: Instant) -> Result<(), CreditError> {
         let new = self.allowance.on_ack(total)?;
+        let unacknowledged = self.allowance.unacknowledged();
+        self.ack_timer.on_ack(new, unacknowledged, now);
         let took = self.flight.on_ack(total, now);
         self.path.on_ack(new, took, now);
         Ok(())
@@ -226,12 +231,9 @@ impl Scheduler {
         Some((next, sdu))
     }
 
-    /// When [`Scheduler::peek`] has nothing: the bytes of which some must be acknowledged before what waits may be sent.
-    /// `None`: nothing waits, or only on lanes that the peer has stopped.
-    pub fn waits_for_credits(&self) -> Option<u16> {
-        let waits = |out: &OutLane| !out.is_stopped && !out.queue.is_empty();
-        let is_held_up = self.lanes.iter().any(waits);
-        is_held_up.then(|| self.allowance.unacknowledged())
+    /// Returns when the link ends unless the peer acknowledges something; `None` if no acknowledgement is due.
+    pub fn ack_deadline(&self) -> Option<Instant> {
+        self.ack_timer.deadline()
     }
 
     /// What [`Scheduler::peek`] gave out last, and nothing was put in since, went out.
@@ -248,6 +250,7 @@ impl Scheduler {
                     let (cost, allowance) = (batch.cost(), &mut self.allowance);
                     allowance.spend(cost);
                     self.flight.on_sent(lane, cost, allowance.sent(), now);
+                    self.ack_timer.on_sent(allowance.unacknowledged(), now);
                     self.path.on_sent(now);
                 }
                 if self.is_empty() {
@@ -257,13 +260,17 @@ impl Scheduler {
         }
     }
 
-    /// The link ends at once: what waits is thrown away, and the goodbye is next.
+    /// The link ends at once: what waits is thrown away, and the goodbye is next, unless one was sent.
     pub fn abort(&mut self, reason: u8) {
+        if matches!(self.end, End::Over) {
+            return;
+        }
         self.signals.clear();
         for out in &mut self.lanes {
             out.queue.clear();
             out.bytes = 0;
         }
+        self.ack_timer.stop();
         self.end = End::closing(reason);
     }
 

@@ -5,6 +5,7 @@ use tokio::time::{sleep, timeout, Instant};
 use zenoh_link_ble::{
     bye::Bye,
     lanes::{
+        ack_timer::ACK_TIMEOUT,
         credits::{cost, Acks},
         receiver::HIGH_MARK,
         sdu::Content,
@@ -27,8 +28,8 @@ use crate::shared::{
     raw::{Heard, RawPeer, WINDOW},
 };
 
-/// `traffic.rs`: how long a link waits for a peer that takes nothing.
-const SEND_TIMEOUT: Duration = Duration::from_secs(20);
+/// How often Zenoh sends a keep-alive where nothing else is sent.
+const KEEP_ALIVE: Duration = Duration::from_millis(2500);
 const MTU: usize = DEFAULT_MTU as usize;
 const BATCH: [u8; MTU] = [7; MTU];
 
@@ -54,7 +55,7 @@ async fn writes_until_it_fails(link: &LinkUnicast) -> String {
 async fn a_frozen_peer_is_given_up_and_readers_and_writers_are_told() {
     let (pair, raw, link) = with_raw_peer(1).await;
     let start = Instant::now();
-    let limit = SEND_TIMEOUT + SUPERVISION;
+    let limit = ACK_TIMEOUT + SUPERVISION;
     let mut buffer = [0; 100];
     let ended = timeout(limit, async {
         tokio::join!(writes_until_it_fails(&link), link.read(&mut buffer, None))
@@ -62,11 +63,59 @@ async fn a_frozen_peer_is_given_up_and_readers_and_writers_are_told() {
     let (written, read) = ended.await.expect("both are told");
     let read = read.expect_err("it is over").to_string();
     for error in [&written, &read] {
-        assert!(error.contains("a peer that takes nothing"), "{error}");
+        let reason = "raw has acknowledged nothing for 20 s";
+        assert!(error.contains(reason), "{error}");
     }
-    assert!(start.elapsed() >= SEND_TIMEOUT, "too soon");
+    assert!(start.elapsed() >= ACK_TIMEOUT, "too soon");
     assert_eq!(pair.far.manager.census().links, 0);
     drop(raw);
+}
+
+/// Its program reads and sends, so that neither a supervision timeout nor Zenoh's lease ends the link.
+#[tokio::test(start_paused = true)]
+async fn a_peer_that_stops_acknowledging_is_given_up_whatever_keep_alives_do() {
+    for batches in [1, 3, 40] {
+        let (pair, mut raw, link) = with_raw_peer(7).await;
+        let start = Instant::now();
+        let bulk = async {
+            for _ in 0..batches {
+                // More than the window waits here until the link ends.
+                if link.write_all(&BATCH, Some(Priority::Data)).await.is_err() {
+                    break;
+                }
+            }
+        };
+        let keep_alives = async {
+            while link.write_all(&[4], Some(Priority::Control)).await.is_ok() {
+                sleep(KEEP_ALIVE).await;
+            }
+        };
+        let ended = async { tokio::join!(bulk, keep_alives, raw.hears_goodbye()).2 };
+        let goodbye = timeout(ACK_TIMEOUT + KEEP_ALIVE + SUPERVISION, ended).await;
+        let goodbye = goodbye.unwrap_or_else(|_| panic!("{batches} batches: it lives on"));
+        assert_eq!(goodbye, Some(Bye::Unacknowledged.code()));
+        assert!(start.elapsed() >= ACK_TIMEOUT, "too soon");
+        let error = link.read(&mut [0; 10], None).await.expect_err("it is over");
+        let error = error.to_string();
+        assert!(error.contains("raw has acknowledged nothing"), "{error}");
+        assert_eq!(pair.far.manager.census().links, 0);
+    }
+}
+
+/// Nobody owes an acknowledgement of a few bytes.
+#[tokio::test(start_paused = true)]
+async fn a_link_with_nothing_but_keep_alives_lives_on() {
+    let pair = Pair::on(Condition::Room, 8).await;
+    let (near, far) = pair.link().await;
+    let mut buffer = [0; 10];
+    for _ in 0..100 {
+        near.write_all(&[4], Some(Priority::Control))
+            .await
+            .expect("lives");
+        sleep(KEEP_ALIVE).await;
+        let size = far.read(&mut buffer, Some(Priority::Control)).await;
+        assert_eq!(size.expect("lives"), 1);
+    }
 }
 
 /// A peer whose reader takes an SDU a second is slow, not gone.
