@@ -106,10 +106,8 @@ async fn dial_once(
     let device = channel.peer();
     dialling
         .succeed(peer.as_ref(), device, replaced.clone())
-        .map_err(|refusal| BleError::Refused {
-            peer: device,
-            refusal,
-        })?;
+        // It is this side that wants no second link.
+        .map_err(|_| already_linked(locator))?;
     let opened = Opened {
         framing: Framing::with(&channel, peer.as_ref(), None),
         channel,
@@ -124,7 +122,10 @@ async fn dial_once(
             what: error.to_string(),
         }
     })?;
-    node.pause(dialling.number).await;
+    tokio::select! {
+        () = node.pause(dialling.number) => {}
+        () = link.ended() => {}
+    }
     // Zenoh gets no link that ended meanwhile.
     link.check().map(|()| link)
 }

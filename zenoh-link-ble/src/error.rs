@@ -75,6 +75,12 @@ pub enum BleError {
         /// Its reason in words.
         reason: &'static str,
     },
+    /// A newer link with the same peer takes this one's place.
+    #[error("a newer link with {peer} replaced this one")]
+    Replaced {
+        /// Who.
+        peer: String,
+    },
     /// The peer has stopped acknowledging: its program hangs, or it does not follow the protocol.
     #[error("{peer} has acknowledged nothing for {} s: its program hangs, or it does not follow the link protocol", .limit.as_secs())]
     Unacknowledged {

@@ -51,6 +51,11 @@ impl Lane {
         Self(priority as u8)
     }
 
+    /// The most urgent one.
+    pub fn first() -> Self {
+        Self(0)
+    }
+
     /// The least urgent one.
     pub fn last() -> Self {
         Self(LANES as u8 - 1)
@@ -140,6 +145,11 @@ impl Lanes {
     /// The next batch of a lane.
     pub fn take(&mut self, lane: Lane) -> Option<Vec<u8>> {
         self.into.take(lane)
+    }
+
+    /// Returns the next batch of Zenoh's own handshake: see [`Receiver::take_of_handshake`].
+    pub fn take_of_handshake(&mut self) -> Result<Option<Vec<u8>>, Violation> {
+        self.into.take_of_handshake()
     }
 
     /// Whether the peer is to be told something.

@@ -153,6 +153,14 @@ impl LinkBle {
         }
     }
 
+    /// Waits until it has ended. A plain link shows its end only to whoever reads.
+    pub(crate) async fn ended(&self) {
+        match &self.batches {
+            Batches::Lanes { traffic, .. } => traffic.ended().await,
+            Batches::Plain(_) => std::future::pending().await,
+        }
+    }
+
     /// What can be told of it.
     pub(crate) fn status(&self) -> LinkStatus {
         let (lanes, sent, received) = match &self.batches {
@@ -185,10 +193,18 @@ impl LinkBle {
         }
     }
 
-    async fn receive_batch(&self, lane: Lane, buffer: &mut [u8]) -> Result<usize, BleError> {
-        let batch = match &self.batches {
-            Batches::Lanes { traffic, .. } => traffic.read(lane).await?,
-            Batches::Plain(plain) => plain.read().await?,
+    async fn receive_batch(
+        &self,
+        priority: Option<Priority>,
+        buffer: &mut [u8],
+    ) -> Result<usize, BleError> {
+        let batch = match (&self.batches, priority) {
+            (Batches::Lanes { traffic, .. }, Some(priority)) => {
+                traffic.read(Lane::of(priority)).await?
+            }
+            // Zenoh names no priority during its handshake, and always one after it.
+            (Batches::Lanes { traffic, .. }, None) => traffic.read_handshake().await?,
+            (Batches::Plain(plain), _) => plain.read().await?,
         };
         let room = buffer
             .get_mut(..batch.len())
@@ -209,7 +225,7 @@ impl Drop for LinkBle {
     }
 }
 
-/// The lane of a priority. Zenoh names none during its handshake, and nobody reads without one after it.
+/// The lane to send on. Zenoh names no priority during its handshake.
 fn lane_of(priority: Option<Priority>) -> Lane {
     Lane::of(priority.unwrap_or(Priority::Control))
 }
@@ -264,7 +280,7 @@ impl LinkUnicastTrait for LinkBle {
     }
 
     async fn read(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<usize> {
-        let received = self.receive_batch(lane_of(priority), buffer).await;
+        let received = self.receive_batch(priority, buffer).await;
         if let Err(error) = &received {
             self.ending.happens(&in_words(error));
         }

@@ -5,7 +5,6 @@ use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
-    bye::Bye,
     error::BleError,
     lanes::report::Count,
     radio::Channel,
@@ -73,7 +72,7 @@ impl Plain {
                 }
                 Err(_) => Err(takes_nothing()),
             },
-            () = self.replaced.cancelled() => Err(self.closed_by_newer()),
+            () = self.replaced.cancelled() => Err(self.replaced()),
         }
     }
 
@@ -90,7 +89,7 @@ impl Plain {
         }
         let size = tokio::select! {
             size = self.channel.recv(&mut receive.sdu) => size?,
-            () = self.replaced.cancelled() => return Err(self.closed_by_newer()),
+            () = self.replaced.cancelled() => return Err(self.replaced()),
         };
         if size > self.mtu {
             return Err(BleError::Protocol {
@@ -101,10 +100,9 @@ impl Plain {
         Ok(receive.sdu.get(..size).unwrap_or_default().to_vec())
     }
 
-    fn closed_by_newer(&self) -> BleError {
-        BleError::ClosedByPeer {
+    fn replaced(&self) -> BleError {
+        BleError::Replaced {
             peer: self.channel.peer().to_string(),
-            reason: Bye::Replaced.reason(),
         }
     }
 }

@@ -48,6 +48,8 @@ pub(crate) struct Traffic {
     to_send: Notify,
     room: Notify,
     arrived: [Notify; LANES],
+    /// Tells those who wait for Zenoh's handshake that something came on another lane.
+    arrived_elsewhere: Notify,
     /// Tells the receiving task that [`State::failure`] is set.
     failed: Notify,
     ending: Arc<Ending>,
@@ -118,6 +120,7 @@ impl Traffic {
             to_send: Notify::new(),
             room: Notify::new(),
             arrived: Default::default(),
+            arrived_elsewhere: Notify::new(),
             failed: Notify::new(),
             over: CancellationToken::new(),
         });
@@ -172,6 +175,36 @@ impl Traffic {
         }
     }
 
+    /// Returns the next batch of Zenoh's own handshake; ends the link if the peer sends it on the wrong lane.
+    pub(crate) async fn read_handshake(&self) -> Result<Vec<u8>, BleError> {
+        let on_first = &self.arrived[Lane::first().index()];
+        loop {
+            let elsewhere = self.arrived_elsewhere.notified();
+            let violation = {
+                let mut state = self.state.lock();
+                let taken = state.lanes.take_of_handshake();
+                if let Ok(Some(batch)) = taken {
+                    if state.lanes.has_signal() {
+                        self.to_send.notify_one();
+                    }
+                    return Ok(batch);
+                }
+                state.check()?;
+                taken.err()
+            };
+            if let Some(violation) = violation {
+                self.fail_for(violation);
+            }
+            let arrived = async {
+                tokio::select! {
+                    () = on_first.notified() => {}
+                    () = elsewhere => {}
+                }
+            };
+            self.unless_over(arrived).await;
+        }
+    }
+
     /// Waits, but not beyond the end of the link, however many wait.
     async fn unless_over(&self, waiting: impl Future<Output = ()>) {
         tokio::select! {
@@ -183,6 +216,11 @@ impl Traffic {
     /// Whether it still carries batches.
     pub(crate) fn check(&self) -> Result<(), BleError> {
         self.state.lock().check()
+    }
+
+    /// Waits until the link has ended.
+    pub(crate) async fn ended(&self) {
+        self.over.cancelled().await;
     }
 
     /// Sends what waits and then the goodbye, and waits until the peer, having read it all, closes the channel.
@@ -269,7 +307,11 @@ impl Traffic {
         let error: Arc<BleError> = loop {
             let received = tokio::select! {
                 size = self.channel.recv(&mut sdu) => size,
-                () = replaced.cancelled() => break self.closed_by_peer(Bye::Replaced).into(),
+                () = replaced.cancelled() => {
+                    let peer = self.peer.clone();
+                    self.fail(Bye::Replaced, BleError::Replaced { peer });
+                    break self.failure().await;
+                }
                 error = self.failure() => break error,
             };
             let change = match received {
@@ -279,7 +321,12 @@ impl Traffic {
                 Err(error) => break BleError::from(error).into(),
             };
             match change {
-                Ok(Change::Batch(lane)) => self.arrived[lane.index()].notify_one(),
+                Ok(Change::Batch(lane)) => {
+                    self.arrived[lane.index()].notify_one();
+                    if lane != Lane::first() {
+                        self.arrived_elsewhere.notify_waiters();
+                    }
+                }
                 Ok(Change::Credits) => self.to_send.notify_one(),
                 Ok(Change::Bye(code)) => break self.closed_by_peer(Bye::from_code(code)).into(),
                 Err(violation) => {

@@ -3,6 +3,7 @@
 mod contract;
 mod pairing;
 mod shared {
+    pub mod listener;
     pub mod peer;
     pub mod raw;
 }

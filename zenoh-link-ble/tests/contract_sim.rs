@@ -1,6 +1,7 @@
 //! The link contract on the simulated air, in virtual time: `cargo test -p zenoh-link-ble --test contract_sim`.
 mod contract;
 mod shared {
+    pub mod listener;
     pub mod peer;
     pub mod raw;
 }

@@ -8,6 +8,7 @@ mod faults {
 }
 mod shared {
     pub mod heap;
+    pub mod listener;
     pub mod pair;
     pub mod peer;
     pub mod raw;

@@ -35,6 +35,9 @@ pub enum Violation {
     /// A lane was stopped, and more came than could have been on its way.
     #[error("it goes on sending on lane {} that was stopped", .0.number())]
     Stopped(Lane),
+    /// A batch on another lane than the first, before Zenoh's handshake was over.
+    #[error("a batch came on lane {} during Zenoh's handshake, which takes place on lane 0", .0.number())]
+    Handshake(Lane),
     /// Something after the goodbye.
     #[error("an sdu after the goodbye")]
     AfterBye,
@@ -126,6 +129,19 @@ impl Receiver {
             self.signals.push_back(Content::Go(lane));
         }
         Some(batch)
+    }
+
+    /// Returns the next batch of Zenoh's own handshake, which takes place on the first lane.
+    ///
+    /// # Errors
+    /// Fails if nothing has come on that lane, but something on another: Zenoh reads no other lane until its handshake is
+    /// over, so the link would stand still.
+    pub fn take_of_handshake(&mut self) -> Result<Option<Vec<u8>>, Violation> {
+        if let Some(batch) = self.take(Lane::first()) {
+            return Ok(Some(batch));
+        }
+        let elsewhere = Lane::all().find(|lane| !self.lane(*lane).queue.is_empty());
+        elsewhere.map_or(Ok(None), |lane| Err(Violation::Handshake(lane)))
     }
 
     /// Whether there is a signal for the peer.

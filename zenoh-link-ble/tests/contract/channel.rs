@@ -7,7 +7,7 @@ use zenoh_link_ble::{
 };
 
 use super::{advertisement, channel_pair, channel_pair_with, World};
-use crate::shared::{peer::within, raw::OPTIONS};
+use crate::shared::{listener::OPTIONS, peer::within};
 
 pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World) {
     let sent = advertisement(Psm::new(0x91).expect("valid"), "wombat-7");

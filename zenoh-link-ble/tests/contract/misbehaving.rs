@@ -1,19 +1,23 @@
 //! What a peer may do wrong, and that only its own link suffers.
 use std::{sync::Arc, time::Duration};
 
+use tokio::time::Instant;
 use zenoh_link_ble::{
     bye::Bye,
     hello::Opening,
     lanes::{credits::cost, sdu::Content, Lane},
     locator::DEFAULT_MTU,
     radio::Channel,
+    status,
 };
 use zenoh_link_commons::LinkUnicast;
+use zenoh_protocol::core::Priority;
 
 use super::{advertisement, World};
 use crate::shared::{
+    listener::OPTIONS,
     peer::{says, within, Peer},
-    raw::{hello, raw_channel, RawPeer, OPTIONS},
+    raw::{hello, raw_channel, RawPeer},
 };
 
 /// How soon a link's owner is told what its peer did: a radio's supervision timeout, and some for a slow machine.
@@ -79,6 +83,78 @@ pub async fn a_plain_peer_without_hello_is_served(world: World) {
     assert_eq!(&buffer[..size], b"answer");
 }
 
+pub async fn a_handshake_of_zenoh_on_another_lane_ends_the_link_with_its_reason(world: World) {
+    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+    let init = [0x01, 9, 9];
+    for (before, on) in [(0, 1), (0, 7), (1, 5)] {
+        let mut odd = RawPeer::dials(&world.a, &world.b, "odd").await;
+        let far = b.incoming().await;
+        for _ in 0..before {
+            odd.says(Content::Batch(lane(0), &init)).await;
+        }
+        odd.says(Content::Batch(lane(on), &init)).await;
+        let start = Instant::now();
+        let reason = format!("a batch came on lane {on} during Zenoh's handshake");
+        ends_for(&mut odd, &far, &reason, Bye::ProtocolError).await;
+        assert!(start.elapsed() < TOLD, "{:?}", start.elapsed());
+    }
+}
+
+/// As a peer does that goes on to send as soon as it has answered Zenoh's handshake.
+pub async fn the_other_lanes_may_follow_the_handshake_of_zenoh_at_once(world: World) {
+    let (mut odd, far, _b) = odd_peer(&world).await;
+    odd.says(Content::Batch(lane(0), b"its last part")).await;
+    odd.says(Content::Batch(lane(5), b"data")).await;
+    odd.says(Content::Batch(lane(1), b"urgent")).await;
+    let mut buffer = [0; 100];
+    for (priority, batch) in [
+        (None, &b"its last part"[..]),
+        (Some(Priority::Data), b"data"),
+        (Some(Priority::RealTime), b"urgent"),
+    ] {
+        let size = within("reading", far.read(&mut buffer, priority)).await;
+        assert_eq!(&buffer[..size.expect("the link lives")], batch);
+    }
+}
+
+pub async fn the_goodbye_of_a_replaced_link_says_so_on_both_sides(world: World) {
+    let b = Peer::on(&world.b).listens_as("name=replacing").await;
+    let last_end = || {
+        let nodes = status::nodes()
+            .into_iter()
+            .filter(|node| node.name == "replacing");
+        let peers = nodes
+            .flat_map(|node| node.peers)
+            .filter(|peer| peer.peer == "odd");
+        peers
+            .filter_map(|peer| peer.last_end)
+            .next_back()
+            .map(|end| end.reason)
+    };
+    let mut old = RawPeer::dials(&world.a, &world.b, "odd").await;
+    let ended = b.incoming().await;
+    // The same node dials again without having closed its link.
+    let dialling = RawPeer::dials(&world.a, &world.b, "odd");
+    let mut buffer = [0; 100];
+    let reading = ended.read(&mut buffer, None);
+    let (new, goodbye, read) = tokio::join!(dialling, old.hears_goodbye(), reading);
+    assert_eq!(goodbye, Some(Bye::Replaced.code()));
+    let reason = "a newer link with odd replaced this one";
+    let error = read.expect_err("it ended").to_string();
+    assert!(error.contains(reason), "{error}");
+    assert_eq!(last_end().as_deref(), Some(reason));
+
+    // The other way round.
+    ended.close().await.expect("closes");
+    let (mut new, replaced) = (new, b.incoming().await);
+    new.says(Content::Bye(Bye::Replaced.code())).await;
+    let read = within("the end", replaced.read(&mut [0; 100], None)).await;
+    let reason = "odd closed the link: a newer link between the two replaces it";
+    let error = read.expect_err("it ended").to_string();
+    assert!(error.contains(reason), "{error}");
+    assert_eq!(last_end().as_deref(), Some(reason));
+}
+
 pub async fn garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_notice(world: World) {
     let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
     let good = Peer::on(&world.a);
@@ -129,7 +205,8 @@ pub async fn a_listener_that_answers_wrongly_or_not_at_all_is_given_up(world: Wo
             if !answer.is_empty() {
                 channel.send(&answer).await.expect("sends");
             }
-            is_dropped(&channel).await;
+            let more = within("the end", channel.recv(&mut [0; 200])).await;
+            assert!(more.is_err(), "a dialler answers nothing");
         };
         let (dialled, ()) = tokio::join!(a.dials("ble/odd"), answering);
         let error = dialled.expect_err("that is no link").to_string();

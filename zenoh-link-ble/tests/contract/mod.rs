@@ -13,7 +13,7 @@ use zenoh_link_ble::{
     radio::{Channel, ChannelListener, ChannelOptions, Radio},
 };
 
-use crate::shared::{peer::within, raw::OPTIONS};
+use crate::shared::{listener::OPTIONS, peer::within};
 
 /// Two radios in range of each other.
 pub struct World {
@@ -95,6 +95,9 @@ macro_rules! for_each_scenario {
             a_second_node_of_the_same_name_is_told_so: link,
             a_listener_ends_when_it_is_deleted_and_can_start_again: link,
             a_plain_peer_without_hello_is_served: misbehaving,
+            a_handshake_of_zenoh_on_another_lane_ends_the_link_with_its_reason: misbehaving,
+            the_other_lanes_may_follow_the_handshake_of_zenoh_at_once: misbehaving,
+            the_goodbye_of_a_replaced_link_says_so_on_both_sides: misbehaving,
             garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_notice: misbehaving,
             a_listener_that_answers_wrongly_or_not_at_all_is_given_up: misbehaving,
             an_oversize_batch_ends_the_link_with_its_reason: misbehaving,

@@ -10,8 +10,9 @@ use zenoh_link_ble::{
 
 use super::{advertisement, World};
 use crate::shared::{
+    listener::OPTIONS,
     peer::{says, within, Peer},
-    raw::{hello, raw_channel, OPTIONS},
+    raw::{hello, raw_channel},
 };
 
 pub const OURS: &str = "fleet:what only we know";

@@ -10,8 +10,8 @@ use crate::{
         World,
     },
     shared::{
+        listener::OPTIONS,
         peer::{says, within, Peer},
-        raw::OPTIONS,
     },
 };
 

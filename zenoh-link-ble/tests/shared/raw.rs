@@ -9,35 +9,31 @@ use zenoh_link_ble::{
         Lane,
     },
     locator::DEFAULT_MTU,
-    radio::{Channel, ChannelOptions, Radio, Security},
+    radio::{Channel, ChannelOptions, Radio},
 };
 
-use super::peer::within;
-
-/// Larger than the link's MTU, so that a peer can send what is over it.
-pub const OPTIONS: ChannelOptions = ChannelOptions {
-    recv_mtu: 4096,
-    security: Security::Low,
-    passkey: None,
+use super::{
+    listener::{psm_of, OPTIONS},
+    peer::within,
 };
+
 /// What the raw peer takes unacknowledged, in bytes.
 pub const WINDOW: u16 = 12_000;
 
 /// Dials a listener by hand.
 pub async fn raw_channel(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>) -> Arc<dyn Channel> {
+    raw_channel_with(from, to, OPTIONS).await
+}
+
+/// Dials a listener by hand, with options.
+pub async fn raw_channel_with(
+    from: &Arc<dyn Radio>,
+    to: &Arc<dyn Radio>,
+    options: ChannelOptions,
+) -> Arc<dyn Channel> {
+    let psm = psm_of(from, to).await;
     let to = to.address().await.expect("has an address");
-    let mut scan = from.scan().await.expect("scans");
-    let psm = within("seeing the listener", async {
-        loop {
-            let sighting = scan.next().await.expect("goes on scanning");
-            if let (true, Some(advertisement)) = (sighting.device == to, sighting.advertisement) {
-                return advertisement.psm;
-            }
-        }
-    })
-    .await;
-    drop(scan);
-    within("connecting", from.connect(to, psm, OPTIONS))
+    within("connecting", from.connect(to, psm, options))
         .await
         .expect("connects")
 }
@@ -52,6 +48,16 @@ pub fn hello(node: u64, name: &str) -> Hello {
         name: name.to_owned(),
         nonce: None,
     }
+}
+
+/// Receives the answer to a first SDU; `None` if the channel is closed without one.
+pub async fn answer_to(channel: &Arc<dyn Channel>, first: &[u8]) -> Option<Opening> {
+    channel.send(first).await.expect("sends");
+    let mut buffer = [0; 2000];
+    let received = within("the answer", channel.recv(&mut buffer)).await;
+    received
+        .ok()
+        .map(|size| Opening::decode(&buffer[..size]).expect("an opening message"))
 }
 
 /// What a peer that floods hears in the end.
@@ -79,13 +85,8 @@ impl RawPeer {
     pub async fn dials(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>, name: &str) -> Self {
         let channel = raw_channel(from, to).await;
         let hello = Opening::Hello(hello(5, name)).encode();
-        channel.send(&hello).await.expect("sends");
-        let mut buffer = vec![0; 20_000];
-        let size = within("the answer", channel.recv(&mut buffer))
-            .await
-            .expect("receives");
-        let answer = Opening::decode(&buffer[..size]).expect("an answer");
-        let Opening::Accept(Hello { window, .. }) = answer else {
+        let answer = answer_to(&channel, &hello).await;
+        let Some(Opening::Accept(Hello { window, .. })) = answer else {
             panic!("{answer:?}");
         };
         Self {
@@ -93,7 +94,7 @@ impl RawPeer {
             window,
             said: 0,
             heard: 0,
-            buffer,
+            buffer: vec![0; 20_000],
         }
     }
 
