@@ -12,6 +12,7 @@ pub mod bye;
 mod dialer;
 mod ending;
 mod error;
+mod handshakes;
 mod heard;
 pub mod hello;
 mod history;

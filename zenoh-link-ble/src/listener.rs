@@ -1,7 +1,8 @@
 //! Owns listening: on one adapter, take channels, hear hellos, hand links to Zenoh; come back when the adapter does.
-use std::{sync::Arc, time::Duration};
+use std::{future::Future, sync::Arc, time::Duration};
 
-use tokio::{sync::Semaphore, task::JoinSet, time::Instant};
+use parking_lot::Mutex;
+use tokio::{task::JoinSet, time::Instant};
 use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
@@ -10,6 +11,7 @@ use crate::{
     address::DeviceAddress,
     advertisement::Advertisement,
     error::{in_words, BleError},
+    handshakes::{Admission, Handshakes, Place, PLACES},
     hello::{Hello, Opening, VERSION},
     link::{Framing, LinkBle, Opened},
     links::Verdict,
@@ -21,8 +23,6 @@ use crate::{
     secret::Secret,
 };
 
-/// Peers that may be in the middle of a hello at once; more are dropped, so that silent ones cost little.
-const HALF_OPEN: usize = 8;
 /// How often to look again at an adapter that is away, beside being told.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
@@ -40,6 +40,7 @@ pub(crate) struct Listener {
     name: String,
     secret: Option<Secret>,
     options: ChannelOptions,
+    handshakes: Mutex<Handshakes>,
 }
 
 impl Listener {
@@ -61,6 +62,7 @@ impl Listener {
             name,
             secret,
             options,
+            handshakes: Mutex::default(),
         });
         let search = listener.namesake().search();
         let up = match listener.bring_up().await {
@@ -156,14 +158,12 @@ impl Listener {
     pub(crate) async fn serve(self: Arc<Self>, mut up: Option<Up>) {
         let _listening = StopsListening(Arc::clone(&self));
         let mut greetings = JoinSet::new();
-        let half_open = Arc::new(Semaphore::new(HALF_OPEN));
         loop {
             let running = match up.take() {
                 Some(running) => running,
                 None => self.come_back().await,
             };
-            let ended = self.accept_while_on(&running, &mut greetings, &half_open);
-            let reason = ended.await;
+            let reason = self.accept_while_on(&running, &mut greetings).await;
             tracing::warn!(
                 "ble: {} is away: {reason}; listening again when it is back",
                 self.locator.adapter
@@ -172,26 +172,17 @@ impl Listener {
     }
 
     /// Takes channels until the adapter is off or gone; tells why.
-    async fn accept_while_on(
-        self: &Arc<Self>,
-        up: &Up,
-        greetings: &mut JoinSet<()>,
-        half_open: &Arc<Semaphore>,
-    ) -> String {
+    async fn accept_while_on(self: &Arc<Self>, up: &Up, greetings: &mut JoinSet<()>) -> String {
         let radio = &self.adapter.radio;
         loop {
             tokio::select! {
                 accepted = up.channels.accept() => match accepted {
-                    Ok(channel) => match Arc::clone(half_open).try_acquire_owned() {
-                        Ok(permit) => {
+                    Ok(channel) => {
+                        if let Some(held) = HeldPlace::of(self, channel.peer()) {
                             let listener = Arc::clone(self);
-                            greetings.spawn(async move {
-                                listener.greet(channel).await;
-                                drop(permit);
-                            });
+                            greetings.spawn(async move { listener.greet(channel, held).await });
                         }
-                        Err(_) => tracing::warn!("ble: {} is dropped: {HALF_OPEN} peers are in the middle of a hello", channel.peer()),
-                    },
+                    }
                     Err(error) => return error.to_string(),
                 },
                 Some(_) = greetings.join_next() => {}
@@ -232,10 +223,10 @@ impl Listener {
     }
 
     /// Hears a peer's hello, answers it, and hands the link over. Whatever goes wrong ends this channel only.
-    async fn greet(&self, channel: Arc<dyn Channel>) {
+    async fn greet(&self, channel: Arc<dyn Channel>, held: HeldPlace) {
         let peer = channel.peer();
         let greeting = self.node.on_greeting(peer);
-        let opened = self.open(channel, peer).await;
+        let opened = self.open(channel, peer, held).await;
         drop(greeting);
         match opened {
             Ok(Some(link)) => {
@@ -264,9 +255,13 @@ impl Listener {
         &self,
         channel: Arc<dyn Channel>,
         device: DeviceAddress,
+        held: HeldPlace,
     ) -> Result<Option<Arc<LinkBle>>, BleError> {
         let heard = hear_hello(&channel, self.node.id, self.secret.as_ref());
-        let (peer, first) = match heard.await? {
+        let Some(heard) = held.unless_evicted(heard).await else {
+            return Ok(None);
+        };
+        let (peer, first) = match heard? {
             FirstSdu::Hello(hello) => (Some(hello), None),
             FirstSdu::Plain(batch) => (None, Some(batch)),
         };
@@ -283,14 +278,20 @@ impl Listener {
         let number = match (verdict, number) {
             (Verdict::Accept, Some(number)) => number,
             (Verdict::Refuse(refusal), _) => {
-                if peer.is_some() {
-                    refuse(&channel, refusal).await?;
-                }
                 tracing::info!("ble: {device} is refused: {refusal}");
+                if peer.is_some() {
+                    if let Some(refused) = held.unless_evicted(refuse(&channel, refusal)).await {
+                        // Its handshake was a right one all the same.
+                        held.succeed();
+                        refused?;
+                    }
+                }
                 return Ok(None);
             }
             (Verdict::Accept, None) => return Ok(None),
         };
+        // From here on max_links is the bound.
+        held.succeed();
         let opened = Opened {
             channel: Arc::clone(&channel),
             framing: Framing::with(&channel, peer.as_ref(), first),
@@ -317,9 +318,62 @@ impl Listener {
             };
             answer(&channel, Opening::Accept(own)).await?;
         }
-        self.node.pause(number).await;
+        tokio::select! {
+            () = self.node.pause(number) => {}
+            () = link.ended() => {}
+        }
         // Zenoh gets no link that ended meanwhile.
         link.check().map(|()| Some(link))
+    }
+}
+
+/// The place of a handshake; dropping it frees the place.
+struct HeldPlace {
+    listener: Arc<Listener>,
+    place: Place,
+    evicted: CancellationToken,
+}
+
+impl HeldPlace {
+    /// Takes a place for a new channel, which may end an older handshake; `None` if others come first.
+    fn of(listener: &Arc<Listener>, device: DeviceAddress) -> Option<Self> {
+        let evicted = CancellationToken::new();
+        let now = Instant::now().into_std();
+        let admission = (listener.handshakes.lock()).on_channel(device, evicted.clone(), now);
+        let place = match admission {
+            Admission::Admitted(place) => place,
+            Admission::InsteadOf(place, loser) => {
+                tracing::debug!("ble: dropped an unfinished handshake with {loser} for {device}");
+                place
+            }
+            Admission::TurnedAway => {
+                tracing::debug!("ble: turned away {device}: {PLACES} handshakes are under way");
+                return None;
+            }
+        };
+        Some(Self {
+            listener: Arc::clone(listener),
+            place,
+            evicted,
+        })
+    }
+
+    /// Runs a step of the handshake; `None` if a newer channel takes this one's place meanwhile.
+    async fn unless_evicted<T>(&self, step: impl Future<Output = T>) -> Option<T> {
+        self.evicted.run_until_cancelled(step).await
+    }
+
+    /// Frees the place after a handshake that succeeded.
+    fn succeed(self) {
+        self.listener.handshakes.lock().on_succeeded(self.place);
+    }
+}
+
+impl Drop for HeldPlace {
+    fn drop(&mut self) {
+        // Does nothing after a success.
+        let now = Instant::now().into_std();
+        self.listener.handshakes.lock().on_failed(self.place, now);
     }
 }
 

@@ -1,5 +1,6 @@
 //! Owns which devices did not prove that they have this node's secret: whoever dials anyone of a fleet passes them over
-//! for a while. Fleets are told apart by 16 bits of a hash, and a stranger may take any name.
+//! for a while. Fleets are told apart by 16 bits of a hash, and a stranger may take any name. `handshakes` remembers in the
+//! same way whose handshakes failed.
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
@@ -17,9 +18,14 @@ pub(crate) struct Strangers(VecDeque<(DeviceAddress, Instant)>);
 
 impl Strangers {
     pub(crate) fn on_no_proof(&mut self, device: DeviceAddress, now: Instant) {
-        self.0.retain(|(known, _)| *known != device);
+        self.forget(device);
         self.0.truncate(REMEMBERED - 1);
         self.0.push_front((device, now + PASSED_OVER));
+    }
+
+    /// Removes a device that has proved itself since.
+    pub(crate) fn forget(&mut self, device: DeviceAddress) {
+        self.0.retain(|(known, _)| *known != device);
     }
 
     pub(crate) fn has(&self, device: DeviceAddress, now: Instant) -> bool {
@@ -47,6 +53,9 @@ mod tests {
         let end = start + PASSED_OVER;
         assert!(strangers.has(device(1), end - Duration::from_millis(1)));
         assert!(!strangers.has(device(1), end));
+        strangers.on_no_proof(device(1), start);
+        strangers.forget(device(1));
+        assert!(!strangers.has(device(1), start));
         assert!(!strangers.has(device(2), start));
     }
 

@@ -1,13 +1,20 @@
 //! Strangers in range of a team with a secret, on the simulated air in virtual time:
 //! `cargo test -p zenoh-link-ble --test strangers_sim`.
 mod shared {
+    pub mod listener;
     pub mod peer;
 }
 
 use std::{sync::Arc, time::Duration};
 
-use shared::peer::{says, Peer};
-use tokio::time::{timeout, Instant};
+use shared::{
+    listener::{psm_of, OPTIONS},
+    peer::{says, Peer},
+};
+use tokio::{
+    task::JoinSet,
+    time::{timeout, Instant},
+};
 use zenoh_link_ble::radio::{
     sim::{AirOptions, SimAir},
     Radio,
@@ -65,4 +72,54 @@ async fn a_crowd_that_takes_our_fleets_name_does_not_keep_us_from_our_own() {
         stranger.dials("ble/own").await.expect_err("a stranger");
     }
     assert!(own.no_more_incoming());
+}
+
+/// Each has an address of its own, keeps its channel open for as long as it is let, and opens the next one then.
+#[tokio::test(start_paused = true)]
+async fn strangers_that_occupy_all_handshakes_do_not_keep_a_robot_waiting() {
+    let folder = tempfile::tempdir().expect("makes a folder");
+    let ours = folder.path().join("ours");
+    std::fs::write(&ours, "fleet:what only we know").expect("writes");
+    let secret = format!("secret={}", ours.display());
+    let air = SimAir::new(AirOptions::default());
+    let radio = async |name: String| {
+        let radio: Arc<dyn Radio> = air.radio(&name).await.expect("attaches");
+        radio
+    };
+    let base = radio("sim-base".to_owned()).await;
+    let listener = Peer::on(&base)
+        .listens_as(&format!("name=base;{secret}"))
+        .await;
+    let to = base.address().await.expect("has an address");
+    let mut strangers = JoinSet::new();
+    for n in 0..STRANGERS {
+        let radio = radio(format!("sim-stranger-{n}")).await;
+        let psm = psm_of(&radio, &base).await;
+        strangers.spawn(async move {
+            loop {
+                if let Ok(channel) = radio.connect(to, psm, OPTIONS).await {
+                    while channel.recv(&mut [0; 100]).await.is_ok() {}
+                }
+            }
+        });
+    }
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let robot = Peer::on(&radio("sim-robot".to_owned()).await);
+    for n in 0..10 {
+        let start = Instant::now();
+        let locator = format!("ble/base#{secret}");
+        let near = robot.dials(&locator).await.expect("is let in at once");
+        println!("dial {n}: linked after {:?}", start.elapsed());
+        assert!(
+            start.elapsed() < Duration::from_secs(3),
+            "{:?}",
+            start.elapsed()
+        );
+        let far = listener.incoming().await;
+        says(&near, &far, b"there").await;
+        let mut buffer = [0; 10];
+        let (closed, _) = tokio::join!(near.close(), far.read(&mut buffer, None));
+        closed.expect("closes");
+        far.close().await.expect("closes");
+    }
 }

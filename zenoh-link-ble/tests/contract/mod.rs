@@ -4,6 +4,7 @@ pub mod channel;
 pub mod flooding;
 pub mod link;
 pub mod misbehaving;
+pub mod occupying;
 pub mod secret;
 
 use std::sync::Arc;
@@ -98,6 +99,8 @@ macro_rules! for_each_scenario {
             a_handshake_of_zenoh_on_another_lane_ends_the_link_with_its_reason: misbehaving,
             the_other_lanes_may_follow_the_handshake_of_zenoh_at_once: misbehaving,
             the_goodbye_of_a_replaced_link_says_so_on_both_sides: misbehaving,
+            channels_that_stay_silent_do_not_keep_a_robot_waiting: occupying,
+            a_channel_that_is_closed_frees_its_place_at_once: occupying,
             garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_notice: misbehaving,
             a_listener_that_answers_wrongly_or_not_at_all_is_given_up: misbehaving,
             an_oversize_batch_ends_the_link_with_its_reason: misbehaving,

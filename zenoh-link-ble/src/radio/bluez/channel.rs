@@ -58,13 +58,16 @@ impl ChannelListener for BluezListener {
     }
 
     async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError> {
-        let (socket, from) = self.socket.accept().await.map_err(socket_error(
-            "take a channel",
-            &self.adapter,
-            None,
-        ))?;
-        let peer = device_address(from.addr, from.addr_type);
-        Ok(Arc::new(BluezChannel::new(&self.adapter, peer, &socket)?))
+        let failed = socket_error("take a channel", &self.adapter, None);
+        loop {
+            let (socket, from) = self.socket.accept().await.map_err(&failed)?;
+            let peer = device_address(from.addr, from.addr_type);
+            match BluezChannel::new(&self.adapter, peer, &socket) {
+                Ok(channel) => return Ok(Arc::new(channel)),
+                // It does not concern the listener that one peer has closed its channel again.
+                Err(error) => tracing::debug!("ble: {peer} closed its channel at once: {error}"),
+            }
+        }
     }
 }
 
