@@ -70,6 +70,8 @@ pub enum Refusal {
     NameTaken,
     /// The two do not have the same secret.
     Secret,
+    /// The hello, or the proof, does not follow the protocol.
+    Malformed,
     /// A reason this version does not know.
     Other(u8),
 }
@@ -83,6 +85,7 @@ impl Refusal {
             Self::Full => 4,
             Self::NameTaken => 5,
             Self::Secret => 6,
+            Self::Malformed => 7,
             Self::Other(code) => code,
         }
     }
@@ -95,6 +98,7 @@ impl Refusal {
             4 => Self::Full,
             5 => Self::NameTaken,
             6 => Self::Secret,
+            7 => Self::Malformed,
             other => Self::Other(other),
         }
     }
@@ -114,6 +118,9 @@ impl fmt::Display for Refusal {
             ),
             Self::Secret => f.write_str(
                 "the two do not have the same secret: give both sides a secret= file with the same first line",
+            ),
+            Self::Malformed => f.write_str(
+                "it cannot read what this side sent: one of the two does not follow the link protocol",
             ),
             Self::Other(code) => write!(f, "reason {code}, which this version does not know"),
         }
@@ -170,6 +177,19 @@ pub enum OpeningError {
     /// Its name is too long or not UTF-8.
     #[error("the name is not valid: at most {MAX_NAME} bytes of utf-8")]
     Name,
+}
+
+impl OpeningError {
+    /// Returns how a listener refuses a first SDU that it cannot decode; `None` if it answers nothing: to what is not this
+    /// protocol's, and to answers (ACCEPT, REFUSE, CHALLENGE, PROOF), which belong to another channel.
+    pub fn refusal(&self, sdu: &[u8]) -> Option<Refusal> {
+        let kind = sdu.strip_prefix(&MAGIC)?.first();
+        match (kind, self) {
+            (Some(KIND_ACCEPT..=KIND_PROOF), _) => None,
+            (_, Self::Version) => Some(Refusal::Version),
+            _ => Some(Refusal::Malformed),
+        }
+    }
 }
 
 impl Opening {
@@ -250,6 +270,9 @@ fn decode_challenge(body: &[u8], length: OpeningError) -> Result<Challenge, Open
 
 fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError> {
     let (&version, body) = body.split_first().ok_or(length.clone())?;
+    if version == 0 {
+        return Err(OpeningError::Version);
+    }
     let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
     let (&mtu, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
     let (&window, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
@@ -265,9 +288,6 @@ fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError
         _ => None,
     };
     let mtu = u16::from_le_bytes(mtu);
-    if version == 0 {
-        return Err(OpeningError::Version);
-    }
     if mtu < MIN_MTU {
         return Err(OpeningError::Mtu(mtu));
     }

@@ -176,17 +176,21 @@ impl ConnectLocator {
         if fleet.is_some() && !matches!(target, Target::Fleet(_)) {
             return Err(LocatorError::FleetOfOne);
         }
+        let (secret, plain, security) = (options.secret()?, options.plain()?, options.security()?);
+        if secret.is_some() && plain == Some(true) && security != Security::High {
+            return Err(LocatorError::PlainWithSecret);
+        }
         Ok(Self {
             target,
             adapter: options.adapter()?,
             psm: options.psm()?,
             address_kind: options.address_kind()?,
-            security: options.security()?,
-            secret: options.secret()?,
+            security,
+            secret,
             mtu: options.mtu()?,
             queueing: options.queueing()?,
             timeout: options.timeout()?,
-            plain: options.plain()?,
+            plain,
         })
     }
 }

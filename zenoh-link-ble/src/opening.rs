@@ -57,10 +57,10 @@ pub(crate) async fn say_hello(
     };
     match answer {
         Opening::Accept(hello) if hello.version <= VERSION => Ok(hello),
-        Opening::Accept(_) => Err(BleError::Refused {
-            peer,
-            refusal: Refusal::Version,
-        }),
+        Opening::Accept(hello) => {
+            let chosen = format!("it chose version {} of {VERSION}", hello.version);
+            Err(protocol(channel, &chosen))
+        }
         Opening::Refuse(refusal) => Err(BleError::Refused { peer, refusal }),
         Opening::Hello(_) => Err(protocol(channel, "a hello in answer to a hello")),
         Opening::Challenge(_) | Opening::Proof(_) => {
@@ -118,7 +118,16 @@ pub(crate) async fn hear_hello(
             None => Ok(FirstSdu::Plain(sdu)),
         };
     }
-    let hello = match decoded(channel, &sdu)? {
+    let opening = match Opening::decode(&sdu) {
+        Ok(opening) => opening,
+        Err(error) => {
+            if let Some(refusal) = error.refusal(&sdu) {
+                refuse(channel, refusal).await?;
+            }
+            return Err(protocol(channel, &error.to_string()));
+        }
+    };
+    let hello = match opening {
         Opening::Hello(hello) => hello,
         // The answer to this node's own hello, on the channel that the peer opened.
         Opening::Accept(_) | Opening::Challenge(_) => {
@@ -129,9 +138,22 @@ pub(crate) async fn hear_hello(
         _ => return Err(protocol(channel, "an answer where a hello was due")),
     };
     if let Some(secret) = secret {
-        if hello.nonce.is_none() || !is_proved(channel, own, &sdu, secret).await? {
-            refuse(channel, Refusal::Secret).await?;
-            return Err(no_shared_secret(channel));
+        let proved = match hello.nonce {
+            Some(_) => is_proved(channel, own, &sdu, secret).await,
+            None => Ok(false),
+        };
+        match proved {
+            Ok(true) => {}
+            Ok(false) => {
+                refuse(channel, Refusal::Secret).await?;
+                return Err(no_shared_secret(channel));
+            }
+            Err(error) => {
+                if let BleError::Protocol { .. } = error {
+                    refuse(channel, Refusal::Malformed).await?;
+                }
+                return Err(error);
+            }
         }
     }
     Ok(FirstSdu::Hello(hello))
@@ -229,8 +251,8 @@ fn decoded(channel: &Arc<dyn Channel>, sdu: &[u8]) -> Result<Opening, BleError> 
 }
 
 async fn receive(channel: &Arc<dyn Channel>) -> Result<Vec<u8>, BleError> {
-    // A plain peer's first batch may be longer than any hello.
-    let mut sdu = vec![0; 1024];
+    // A plain peer's first batch may be longer than any hello, and a kernel would cut what is longer than this.
+    let mut sdu = vec![0; usize::from(RECV_MTU)];
     let size = tokio::time::timeout(HELLO_TIMEOUT, channel.recv(&mut sdu))
         .await
         .map_err(|_| timed_out())??;

@@ -10,7 +10,7 @@ mod shared {
 
 use std::process::Command;
 
-use contract::{channel, flooding, link, misbehaving, occupying, secret, World};
+use contract::{channel, flooding, handshake, link, misbehaving, occupying, secret, World};
 use zenoh_link_ble::radio::bluez;
 
 fn world() -> Option<World> {

@@ -183,6 +183,11 @@ mod tests {
     }
 
     #[test]
+    fn a_window_over_the_largest_counts_as_the_largest() {
+        assert_eq!(Allowance::new(u16::MAX).window(), MAX_WINDOW);
+    }
+
+    #[test]
     fn totals_may_wrap_as_often_as_they_like() {
         let (mut allowance, mut acks) = (Allowance::new(WINDOW), Acks::new(WINDOW));
         let mut sent: u32 = 0;

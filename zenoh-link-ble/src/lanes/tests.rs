@@ -353,6 +353,19 @@ fn a_peer_that_ignores_its_credits_is_found_out_within_the_window() {
     assert_eq!(rogue.sends(batch), found);
 }
 
+/// What it has acknowledged counts no more, whether the peer has read that or not. Lanes that are not read have a bound of
+/// their own.
+#[test]
+fn an_overrun_is_not_noticed_by_a_receiver_that_has_acknowledged() {
+    let mut rogue = Rogue::new();
+    for n in 0..10 * (WINDOW / cost(MTU)) {
+        let change = rogue.sends(Content::Batch(lane(3), &[0; MTU]));
+        assert_eq!(change, Ok(Change::Batch(lane(3))), "batch {n}");
+        assert!(rogue.pair.take(3).is_some());
+        while sent(&mut rogue.pair.into, rogue.pair.now).is_some() {}
+    }
+}
+
 #[test]
 fn a_peer_that_goes_on_with_a_stopped_lane_is_found_out() {
     let mut rogue = Rogue::new();

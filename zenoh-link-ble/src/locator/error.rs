@@ -22,6 +22,9 @@ pub enum LocatorError {
     /// `fleet=` with a peer of its own.
     #[error("fleet= goes with `ble/*`, which is anyone of it; a peer is known by its name or address alone")]
     FleetOfOne,
+    /// `plain=true` with a `secret=` that nothing would prove.
+    #[error("plain=true and secret= exclude each other: a plain peer has no handshake to prove a secret in; leave one of the two out (with sec=high the secret makes the passkey, and both may be given)")]
+    PlainWithSecret,
     /// The part before `#` is no adapter.
     #[error("`{given}` is not an adapter to listen on: give one as `hci0` (see `bluetoothctl list`) or `sim-...` for the simulated air, and the robot's name as #name=")]
     Adapter {

@@ -122,6 +122,15 @@ fn a_fleet_goes_with_anyone_and_only_with_it() {
 }
 
 #[test]
+fn a_secret_that_nothing_would_prove_is_an_error() {
+    let both = "ble/wombat-2#plain=true;secret=/etc/rect/users";
+    assert_eq!(connect(both), Err(LocatorError::PlainWithSecret));
+    assert!(connect("ble/wombat-2#plain=false;secret=/etc/rect/users").is_ok());
+    // There it makes the passkey.
+    assert!(connect(&format!("{both};sec=high")).is_ok());
+}
+
+#[test]
 fn an_unknown_option_is_named_with_the_known_ones() {
     let error = connect("ble/wombat-2#speed=fast")
         .expect_err("unknown")

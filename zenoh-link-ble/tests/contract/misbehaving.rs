@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 use tokio::time::Instant;
 use zenoh_link_ble::{
     bye::Bye,
-    hello::Opening,
+    hello::{Hello, Opening},
     lanes::{credits::cost, sdu::Content, Lane},
     locator::DEFAULT_MTU,
     radio::Channel,
@@ -179,7 +179,11 @@ pub async fn garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_noti
 
 /// The other way round: who takes the channel, and then answers wrongly or not at all.
 pub async fn a_listener_that_answers_wrongly_or_not_at_all_is_given_up(world: World) {
-    let answers: [(Vec<u8>, &str); 4] = [
+    let later = Hello {
+        version: 2,
+        ..hello(6, "odd")
+    };
+    let answers: [(Vec<u8>, &str); 5] = [
         (Vec::new(), "waiting for the peer's hello took longer"),
         (
             b"HTTP/1.1 200 OK".to_vec(),
@@ -193,6 +197,7 @@ pub async fn a_listener_that_answers_wrongly_or_not_at_all_is_given_up(world: Wo
             Opening::Hello(hello(6, "odd")).encode(),
             "a hello in answer to a hello",
         ),
+        (Opening::Accept(later).encode(), "it chose version 2 of 1"),
     ];
     let a = Peer::on(&world.a);
     for (answer, reason) in answers {

@@ -2,6 +2,7 @@
 //! `contract_bluez.rs` on the kernel's own stack (in the VM: `tests/vm/test`).
 pub mod channel;
 pub mod flooding;
+pub mod handshake;
 pub mod link;
 pub mod misbehaving;
 pub mod occupying;
@@ -96,6 +97,10 @@ macro_rules! for_each_scenario {
             a_second_node_of_the_same_name_is_told_so: link,
             a_listener_ends_when_it_is_deleted_and_can_start_again: link,
             a_plain_peer_without_hello_is_served: misbehaving,
+            the_mtu_of_a_plain_link_is_its_own_and_what_the_channel_carries: handshake,
+            a_hello_that_cannot_be_read_is_answered_with_the_reason: handshake,
+            a_later_version_is_answered_with_the_one_spoken_here: handshake,
+            what_is_sent_before_the_accept_counts_from_number_0: handshake,
             a_handshake_of_zenoh_on_another_lane_ends_the_link_with_its_reason: misbehaving,
             the_other_lanes_may_follow_the_handshake_of_zenoh_at_once: misbehaving,
             the_goodbye_of_a_replaced_link_says_so_on_both_sides: misbehaving,
@@ -118,6 +123,9 @@ macro_rules! for_each_scenario {
             without_the_secret_there_is_no_link_in_either_direction: secret,
             a_stranger_that_takes_the_name_of_a_robot_gets_no_link: secret,
             an_opening_that_is_played_back_is_refused: secret,
+            a_proof_covers_the_whole_hello: secret,
+            with_a_secret_nothing_may_come_before_the_proof: secret,
+            a_plain_listener_is_not_dialled_with_a_secret: secret,
             sec_high_needs_a_secret: secret,
         }
     };

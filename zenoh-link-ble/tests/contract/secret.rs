@@ -3,6 +3,7 @@ use std::sync::Arc;
 
 use tempfile::TempDir;
 use zenoh_link_ble::{
+    advertisement::Advertisement,
     hello::{Challenge, Hello, NodeId, Opening, Refusal},
     radio::Channel,
     secret::{Said, Secret, Side, NONCE_BYTES, PROOF_BYTES},
@@ -191,6 +192,76 @@ pub async fn an_opening_that_is_played_back_is_refused(world: World) {
     let mut buffer = [0; 100];
     let size = within("the batch", channel.recv(&mut buffer)).await;
     assert!(size.expect("receives") > b"still there".len());
+}
+
+/// A later version may append fields, and nobody may change those on the way.
+pub async fn a_proof_covers_the_whole_hello(world: World) {
+    let file = File::with(OURS);
+    let listener = format!("name=wombat-2;{}", file.option());
+    let b = Peer::on(&world.b).listens_as(&listener).await;
+    let known = Opening::Hello(hello_with_nonce("wombat-3")).encode();
+    let sent = [&known[..], b"a field of a later version"].concat();
+    for (covered, is_accepted) in [(&known, false), (&sent, true)] {
+        let channel = raw_channel(&world.a, &world.b).await;
+        channel.send(&sent).await.expect("sends");
+        let Opening::Challenge(challenge) = hears(&channel).await else {
+            panic!("a listener with a secret asks for it");
+        };
+        let said = Said {
+            hello: covered,
+            listener: challenge.node,
+            nonce: &challenge.nonce,
+        };
+        let is_proved = ours().is_proved(Side::Listener, said, &challenge.proof);
+        assert_eq!(is_proved, is_accepted, "the listener's own proof");
+        let proof = ours().proof(Side::Dialler, said);
+        sends(&channel, &Opening::Proof(proof)).await;
+        match hears(&channel).await {
+            Opening::Accept(_) => assert!(is_accepted),
+            Opening::Refuse(Refusal::Secret) => assert!(!is_accepted),
+            other => panic!("{other:?}"),
+        }
+    }
+    drop(b.incoming().await);
+}
+
+pub async fn with_a_secret_nothing_may_come_before_the_proof(world: World) {
+    let file = File::with(OURS);
+    let listener = format!("name=wombat-2;{}", file.option());
+    let b = Peer::on(&world.b).listens_as(&listener).await;
+    let half_a_proof = Opening::Proof([1; PROOF_BYTES]).encode()[..10].to_vec();
+    let again = Opening::Hello(hello_with_nonce("wombat-3")).encode();
+    for instead in [b"\x00\x00\x00an early batch".to_vec(), half_a_proof, again] {
+        let channel = raw_channel(&world.a, &world.b).await;
+        sends(&channel, &Opening::Hello(hello_with_nonce("wombat-3"))).await;
+        assert!(matches!(hears(&channel).await, Opening::Challenge(_)));
+        channel.send(&instead).await.expect("sends");
+        let answer = hears(&channel).await;
+        assert_eq!(answer, Opening::Refuse(Refusal::Malformed));
+    }
+    assert!(b.no_more_incoming());
+}
+
+/// It could not prove anything, and whoever advertises may be anybody.
+pub async fn a_plain_listener_is_not_dialled_with_a_secret(world: World) {
+    let file = File::with(OURS);
+    let listener = world.b.listen(None, OPTIONS).await.expect("listens");
+    let advertised = Advertisement {
+        plain: true,
+        ..advertisement(listener.psm(), "wombat-2")
+    };
+    let _advertising = world.b.advertise(&advertised, "wombat-2").await;
+    let a = Peer::on(&world.a);
+    let locator = format!("ble/wombat-2#{}", file.option());
+    let error = a
+        .dials(&locator)
+        .await
+        .expect_err("it is plain")
+        .to_string();
+    assert!(error.contains(NOT_SHARED), "{error}");
+    // Without a secret it is.
+    let (dialled, _) = tokio::join!(a.dials("ble/wombat-2"), listener.accept());
+    dialled.expect("dials");
 }
 
 pub async fn sec_high_needs_a_secret(world: World) {

@@ -171,6 +171,16 @@ mod tests {
         assert!(is_empty(&near));
     }
 
+    /// The system tells neither from the other.
+    #[tokio::test]
+    async fn an_empty_sdu_reads_as_the_end() {
+        let (near, far) = Socket::pair(socket2::Domain::UNIX, socket2::Type::SEQPACKET, None)
+            .expect("the system has them");
+        let near = Packets::of(&near).expect("made");
+        far.send(&[]).expect("sends");
+        assert_eq!(near.recv(&mut [0; 100]).await.expect("receives"), 0);
+    }
+
     #[tokio::test]
     async fn sdus_go_both_ways_whole() {
         let (near, far) = Socket::pair(socket2::Domain::UNIX, socket2::Type::SEQPACKET, None)

@@ -1,0 +1,114 @@
+//! How a listener answers the first SDU of a channel, and what the two agree on.
+use zenoh_link_ble::{
+    hello::{Hello, Opening, Refusal, MIN_MTU},
+    lanes::{
+        credits::MIN_WINDOW,
+        sdu::{self, Content},
+        Lane,
+    },
+    radio::ChannelOptions,
+};
+
+use super::World;
+use crate::shared::{
+    listener::OPTIONS,
+    peer::{within, Peer},
+    raw::{answer_to, hello, raw_channel, raw_channel_with},
+};
+
+/// Neither side has told the other its MTU: Zenoh's handshake does.
+pub async fn the_mtu_of_a_plain_link_is_its_own_and_what_the_channel_carries(world: World) {
+    let b = Peer::on(&world.b).listens_as("name=wombat-2;mtu=300").await;
+    for (recv_mtu, mtu) in [(4096, 300), (200, 200)] {
+        let options = ChannelOptions {
+            recv_mtu,
+            ..OPTIONS
+        };
+        let channel = raw_channel_with(&world.a, &world.b, options).await;
+        channel.send(&[0x01, 9, 9]).await.expect("sends");
+        assert_eq!(b.incoming().await.get_mtu(), mtu);
+    }
+}
+
+pub async fn a_hello_that_cannot_be_read_is_answered_with_the_reason(world: World) {
+    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+    let good = Opening::Hello(hello(77, "bad")).encode();
+    let with = |change: fn(&mut Hello)| {
+        let mut hello = hello(77, "bad");
+        change(&mut hello);
+        Opening::Hello(hello).encode()
+    };
+    let longer = [good.clone(), vec![0; 129 - good.len()]].concat();
+    let not_utf8 = [&good[..good.len() - 1], &[0xff]].concat();
+    for (what, first, refusal) in [
+        (
+            "version 0",
+            with(|hello| hello.version = 0),
+            Refusal::Version,
+        ),
+        ("too short", good[..20].to_vec(), Refusal::Malformed),
+        ("too long", longer, Refusal::Malformed),
+        (
+            "its mtu",
+            with(|hello| hello.mtu = MIN_MTU - 1),
+            Refusal::Malformed,
+        ),
+        (
+            "its window",
+            with(|hello| hello.window = MIN_WINDOW - 1),
+            Refusal::Malformed,
+        ),
+        ("its name", not_utf8, Refusal::Malformed),
+        (
+            "its kind",
+            b"RECT\x09\x01 and so on".to_vec(),
+            Refusal::Malformed,
+        ),
+        ("no kind", b"RECT".to_vec(), Refusal::Malformed),
+    ] {
+        let channel = raw_channel(&world.a, &world.b).await;
+        let answer = answer_to(&channel, &first).await;
+        assert_eq!(answer, Some(Opening::Refuse(refusal)), "{what}");
+    }
+    let accept = Opening::Accept(hello(77, "bad")).encode();
+    for (what, first) in [
+        ("another protocol", b"GET / HTTP/1.1".to_vec()),
+        ("an answer", accept.clone()),
+        ("half an answer", accept[..20].to_vec()),
+        ("a refusal", Opening::Refuse(Refusal::Full).encode()),
+    ] {
+        let channel = raw_channel(&world.a, &world.b).await;
+        assert_eq!(answer_to(&channel, &first).await, None, "{what}");
+    }
+    assert!(b.no_more_incoming(), "none of them became a link");
+}
+
+pub async fn a_later_version_is_answered_with_the_one_spoken_here(world: World) {
+    let _b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+    let channel = raw_channel(&world.a, &world.b).await;
+    let later = Hello {
+        version: 200,
+        ..hello(77, "later")
+    };
+    let answer = answer_to(&channel, &Opening::Hello(later).encode()).await;
+    assert!(
+        matches!(answer, Some(Opening::Accept(Hello { version: 1, .. }))),
+        "{answer:?}"
+    );
+}
+
+/// The listener cannot tell it from what is sent after ACCEPT.
+pub async fn what_is_sent_before_the_accept_counts_from_number_0(world: World) {
+    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+    let channel = raw_channel(&world.a, &world.b).await;
+    let hello = Opening::Hello(hello(5, "hasty")).encode();
+    channel.send(&hello).await.expect("sends");
+    let first = Lane::first();
+    let mut early = Content::Batch(first, &[7; 20]).encode();
+    sdu::seal(0, &mut early);
+    channel.send(&early).await.expect("sends");
+    let far = b.incoming().await;
+    let mut buffer = [0; 100];
+    let size = within("the early batch", far.read(&mut buffer, None)).await;
+    assert_eq!(&buffer[..size.expect("reads")], [7; 20]);
+}
