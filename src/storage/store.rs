@@ -1,11 +1,14 @@
 //! Owns where a transfer that comes is kept: in memory, or in a part file with a [`Record`] beside it, which becomes the
 //! file once all is there.
 //!
-//! In `<folder>/<sender>/`: `.<id>.part` and `.<id>.record`, then `<name>`, which replaces one that is there.
+//! In `<folder>/<sender>/`: `.<id>.part` and `.<id>.record`, then `<name>`, which replaces one that is there. What is of no
+//! more use is removed: a part that nothing was added to, or that cannot be finished, and an empty folder. A process that is
+//! killed leaves its files behind; [`Store::clean`] removes those that no transfer can go on with.
 use std::{
     fs::{self, File, OpenOptions},
     io::{self, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, SystemTime},
 };
 
@@ -15,11 +18,19 @@ use super::checksum;
 use crate::core::transfer::{
     ranges::Ranges,
     record::{Record, MAX_BYTES as MAX_RECORD_BYTES},
-    Checksum, Offer, TransferId,
+    Checksum, Fault, Offer, TransferId,
 };
 
 /// How long a part is kept that nothing was added to.
 const KEPT: Duration = Duration::from_secs(7 * 24 * 3600);
+/// How long a file is left alone that no transfer can go on with: another program may be about to finish it.
+const LEFT: Duration = Duration::from_secs(60);
+/// How many interrupted transfers of one sender are kept: of more, the oldest are removed.
+const MAX_KEPT: usize = 16;
+const PART: &str = "part";
+const RECORD: &str = "record";
+/// A record that is being written.
+const NEW: &str = "new";
 
 /// Where what comes is kept.
 #[derive(Debug)]
@@ -27,7 +38,7 @@ pub enum Store {
     /// In memory.
     Memory(Vec<u8>),
     /// In a file.
-    File(PartFile),
+    File(Box<PartFile>),
 }
 
 /// A file that grows.
@@ -38,7 +49,12 @@ pub struct PartFile {
     record: PathBuf,
     whole: PathBuf,
     offer: Offer,
+    in_use: InUse,
 }
+
+/// Keeps a part from being removed while a transfer of this process has it.
+#[derive(Debug)]
+struct InUse(PathBuf);
 
 /// What came.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -68,22 +84,16 @@ impl Store {
     /// The folder can't be made or written to.
     pub fn in_folder(folder: &Path, id: TransferId, offer: &Offer) -> io::Result<(Self, Ranges)> {
         let folder = folder.join(offer.from.as_str());
-        fs::create_dir_all(&folder)?;
         let name = match offer.name.as_str() {
             "" => id.to_string(),
             name => name.to_owned(),
         };
-        let (part, record) = (
-            folder.join(format!(".{id}.part")),
-            folder.join(format!(".{id}.record")),
-        );
+        let part = folder.join(format!(".{id}.{PART}"));
+        let record = part.with_extension(RECORD);
+        let in_use = InUse::new(&part);
+        limit(&folder);
         let known = read_record(&record).filter(|known| known.offer.is_same(offer));
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&part)?;
+        let file = open_part(&folder, &part)?;
         let known =
             known.filter(|known| file.metadata().is_ok_and(|m| m.len() >= known.held.end()));
         if known.is_none() {
@@ -93,13 +103,14 @@ impl Store {
         let whole = folder.join(name);
         let offer = offer.clone();
         Ok((
-            Self::File(PartFile {
+            Self::File(Box::new(PartFile {
                 file,
                 part,
                 record,
                 whole,
                 offer,
-            }),
+                in_use,
+            })),
             held,
         ))
     }
@@ -146,9 +157,32 @@ impl Store {
             offer: part.offer.clone(),
             held: held.clone(),
         };
-        let new = part.record.with_extension("new");
-        fs::write(&new, record.encode())?;
-        fs::rename(&new, &part.record)
+        let new = part.record.with_extension(NEW);
+        let written =
+            fs::write(&new, record.encode()).and_then(|()| fs::rename(&new, &part.record));
+        if written.is_err() {
+            let _ = fs::remove_file(&new);
+        }
+        written
+    }
+
+    /// The transfer has ended with this fault. Keeps what is there if the transfer can go on later, and nothing else.
+    ///
+    /// # Errors
+    /// What is there can't be kept; it is removed.
+    pub fn interrupt(self, held: &Ranges, fault: &Fault) -> io::Result<()> {
+        let is_of_use = match fault {
+            // Nothing of it is right, or never will be.
+            Fault::Checksum | Fault::Protocol(_) | Fault::Changed(_) => false,
+            // It would keep smaller transfers from having the room.
+            Fault::NotKept(_) => false,
+            Fault::Silence(_) | Fault::Stopped | Fault::Unreadable(_) => held.bytes() > 0,
+        };
+        let kept = if is_of_use { self.save(held) } else { Ok(()) };
+        if !is_of_use || kept.is_err() {
+            self.discard();
+        }
+        kept
     }
 
     /// What all that is there comes to. Reads the file anew: what counts is what is on the disk.
@@ -170,15 +204,23 @@ impl Store {
     /// All is there, and right.
     ///
     /// # Errors
-    /// The file can't get its name.
+    /// The file can't get its name. What came is removed.
     pub fn finish(self) -> io::Result<Content> {
         match self {
             Self::Memory(all) => Ok(Content::Bytes(all.into())),
             Self::File(part) => {
-                part.file.sync_all()?;
-                fs::rename(&part.part, &part.whole)?;
-                let _ = fs::remove_file(&part.record);
-                Ok(Content::File(part.whole))
+                let renamed = part.file.sync_all();
+                let renamed = renamed.and_then(|()| fs::rename(&part.part, &part.whole));
+                match renamed {
+                    Ok(()) => {
+                        let _ = fs::remove_file(&part.record);
+                        Ok(Content::File(part.whole))
+                    }
+                    Err(error) => {
+                        Self::File(part).discard();
+                        Err(error)
+                    }
+                }
             }
         }
     }
@@ -186,26 +228,130 @@ impl Store {
     /// It is of no use any more.
     pub fn discard(self) {
         if let Self::File(part) = self {
-            let _ = fs::remove_file(&part.part);
-            let _ = fs::remove_file(&part.record);
-        }
-    }
-
-    /// Removes the parts in that folder that nothing was added to for a week.
-    pub fn clean(folder: &Path, now: SystemTime) {
-        let entries = |path: &Path| fs::read_dir(path).into_iter().flatten().flatten();
-        for file in entries(folder).flat_map(|robot| entries(&robot.path()).collect::<Vec<_>>()) {
-            let name = file.file_name();
-            let name = name.to_string_lossy();
-            let ours =
-                name.starts_with('.') && (name.ends_with(".part") || name.ends_with(".record"));
-            let written = file.metadata().and_then(|metadata| metadata.modified());
-            let old = written.is_ok_and(|at| now.duration_since(at).is_ok_and(|age| age > KEPT));
-            if ours && old {
-                let _ = fs::remove_file(file.path());
+            // Where a taker was closed and the next one has begun, that one goes on with it.
+            if part.in_use.is_alone() {
+                remove(&part.part);
+            }
+            if let Some(folder) = part.part.parent() {
+                // Only an empty one goes.
+                let _ = fs::remove_dir(folder);
             }
         }
     }
+
+    /// Removes what a process that was killed has left in that folder and no transfer can go on with, parts that nothing
+    /// was added to for a week, and empty folders.
+    pub fn clean(folder: &Path, now: SystemTime) {
+        for sender in entries(folder) {
+            for file in entries(&sender.path()) {
+                let path = file.path();
+                if is_of_no_use(&path, now) {
+                    remove(&path);
+                }
+            }
+            // Only an empty one goes, and no file.
+            let _ = fs::remove_dir(sender.path());
+        }
+    }
+}
+
+/// Whether it is a file of ours, in use by nobody, that no transfer can go on with.
+fn is_of_no_use(path: &Path, now: SystemTime) -> bool {
+    let part = path.with_extension(PART);
+    let is_meant = match our_kind(path) {
+        Some(PART) if read_record(&path.with_extension(RECORD)).is_some() => {
+            is_older(path, now, KEPT)
+        }
+        Some(RECORD) => !part.exists() && is_older(path, now, LEFT),
+        Some(PART | NEW) => is_older(path, now, LEFT),
+        _ => false,
+    };
+    is_meant && !InUse::has(&part)
+}
+
+/// The last part of the name of a file that belongs to a transfer that is not finished.
+fn our_kind(path: &Path) -> Option<&str> {
+    let id = path.file_stem()?.to_str()?.strip_prefix('.')?;
+    let is_id = id.len() == 16 && id.bytes().all(|byte| byte.is_ascii_hexdigit());
+    path.extension()?.to_str().filter(|_| is_id)
+}
+
+fn is_older(path: &Path, now: SystemTime, age: Duration) -> bool {
+    let written = fs::metadata(path).and_then(|metadata| metadata.modified());
+    written.is_ok_and(|at| now.duration_since(at).is_ok_and(|passed| passed > age))
+}
+
+/// Removes the part of that name, or one of its files, with all that belongs to it.
+fn remove(path: &Path) {
+    for kind in [PART, RECORD, NEW] {
+        let _ = fs::remove_file(path.with_extension(kind));
+    }
+}
+
+/// Removes the oldest interrupted transfers of a sender, so that a new one makes no more than there may be.
+fn limit(folder: &Path) {
+    let written = |path: &Path| fs::metadata(path).and_then(|metadata| metadata.modified());
+    let parts = entries(folder).map(|file| file.path());
+    let parts = parts.filter(|path| our_kind(path) == Some(PART) && !InUse::has(path));
+    let mut parts: Vec<_> = parts.map(|path| (written(&path).ok(), path)).collect();
+    parts.sort();
+    let too_many = (parts.len() + 1).saturating_sub(MAX_KEPT);
+    parts
+        .iter()
+        .take(too_many)
+        .for_each(|(_, path)| remove(path));
+}
+
+impl InUse {
+    fn new(part: &Path) -> Self {
+        Self::all().push(part.to_owned());
+        Self(part.to_owned())
+    }
+
+    fn has(part: &Path) -> bool {
+        Self::all().iter().any(|known| known == part)
+    }
+
+    /// Whether nobody else has it.
+    fn is_alone(&self) -> bool {
+        Self::all().iter().filter(|known| **known == self.0).count() == 1
+    }
+
+    fn all() -> MutexGuard<'static, Vec<PathBuf>> {
+        static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+        PARTS.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for InUse {
+    fn drop(&mut self) {
+        let mut all = Self::all();
+        if let Some(at) = all.iter().position(|known| *known == self.0) {
+            all.swap_remove(at);
+        }
+    }
+}
+
+/// Opens the part, and makes the folder for it; another transfer's end may remove that in between.
+fn open_part(folder: &Path, part: &Path) -> io::Result<File> {
+    let mut tries = 0;
+    loop {
+        fs::create_dir_all(folder)?;
+        let opened = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(part);
+        match opened {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && tries < 10 => tries += 1,
+            opened => return opened,
+        }
+    }
+}
+
+fn entries(path: &Path) -> impl Iterator<Item = fs::DirEntry> {
+    fs::read_dir(path).into_iter().flatten().flatten()
 }
 
 fn read_record(path: &Path) -> Option<Record> {
