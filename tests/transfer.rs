@@ -403,7 +403,7 @@ async fn lied_to(
         call: 1,
     };
     let key = format!("rect/a/@rect/transfer/{}", offer.id(b.name()));
-    let reply_key = key.clone();
+    let (reply_key, confirmation) = (key.clone(), offer.encode());
     let queryable = a
         .zenoh()
         .declare_queryable(key)
@@ -412,6 +412,9 @@ async fn lied_to(
             let request = query
                 .payload()
                 .and_then(|bytes| Request::decode(&bytes.to_bytes()));
+            if let Some(Request::Confirm) = request {
+                let _ = query.reply(&reply_key, &confirmation[..]).wait();
+            }
             if let Some(Request::Range { length, .. }) = request {
                 for _ in 0..3 {
                     let _ = match lie(length) {
@@ -498,4 +501,156 @@ async fn progress_is_told_on_both_sides_and_closing_ends_the_waiting() {
         .await
         .expect("in time")
         .is_none());
+}
+
+/// An offer of these bytes in that robot's name.
+fn offer_of(from: &str, bytes: &[u8]) -> Offer {
+    Offer {
+        from: from.parse().expect("a name"),
+        topic: Topic::new("maps/x").expect("a topic"),
+        name: FileName::new("map.bin").expect("a file's name"),
+        encoding: Encoding::BYTES,
+        size_bytes: bytes.len() as u64,
+        checksum: Checksum::of(bytes),
+        call: 1,
+    }
+}
+
+/// What `b` answers to an offer that `by` sends, once `b` can be reached.
+async fn offered(by: &Robot, offer: &Offer) -> Answer {
+    let answered = async {
+        loop {
+            let asked = by.zenoh().get("rect/b/@rect/inbox");
+            let replies = asked.payload(offer.encode()).await.expect("asked");
+            if let Ok(Ok(reply)) = replies.recv_async().await.map(|reply| reply.into_result()) {
+                return Answer::decode(&reply.payload().to_bytes()).expect("an answer");
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    timeout(PATIENCE, answered).await.expect("in time")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_offer_in_another_robots_name_touches_nothing() {
+    let _turn = turn().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let there = free_endpoint();
+    let b = listening("b", &there).await;
+    let honest = dialling("honest", &there).await;
+    let forger = dialling("forger", &there).await;
+    let received = b
+        .receive_transfers("*/**", in_folder(&folder))
+        .await
+        .expect("declared");
+    honest
+        .transfer("b", "maps/x", noise(1000))
+        .expect("named")
+        .named("map.bin")
+        .await
+        .expect("sent");
+    assert!(received.next().await.expect("open").is_ok());
+    let file = folder.path().join("honest/map.bin");
+    for (from, bytes) in [
+        ("honest", &b""[..]),
+        ("honest", b"forged"),
+        ("nobody", b""),
+        ("nobody", b"forged"),
+    ] {
+        offered(&forger, &offer_of(from, bytes)).await;
+    }
+    // Whatever those began has ended when a transfer that began later has.
+    for _ in 0..3 {
+        honest
+            .transfer("b", "maps/y", noise(10))
+            .expect("named")
+            .await
+            .expect("sent");
+        let got = received.next().await.expect("open").expect("whole");
+        assert_eq!((got.topic.as_str(), got.name.as_str()), ("maps/y", ""));
+    }
+    assert_eq!(fs::read(&file).expect("there"), noise(1000));
+    let senders: Vec<_> = fs::read_dir(folder.path()).expect("there").collect();
+    assert_eq!(senders.len(), 1, "{senders:?}");
+    for file in fs::read_dir(folder.path().join("honest")).expect("there") {
+        let name = file.expect("read").file_name();
+        assert!(!name.to_string_lossy().ends_with(".part"), "{name:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn senders_that_never_answer_take_no_place_from_one_that_does() {
+    let _turn = turn().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let there = free_endpoint();
+    let b = listening("b", &there).await;
+    let honest = dialling("honest", &there).await;
+    let forger = dialling("forger", &there).await;
+    let received = b
+        .receive_transfers("*/**", in_folder(&folder))
+        .await
+        .expect("declared");
+    // It is asked, and keeps each question until its time is over.
+    let kept = Mutex::new(Vec::new());
+    let silent = forger
+        .zenoh()
+        .declare_queryable("rect/forger/@rect/transfer/*");
+    let silent = silent.callback(move |query| kept.lock().expect("whole").push(query));
+    let _silent = silent.wait().expect("declared");
+    for n in 0..20u8 {
+        offered(&forger, &offer_of("forger", &[n; 100])).await;
+        offered(&forger, &offer_of("nobody", &[n; 100])).await;
+    }
+    let start = Instant::now();
+    let sent = honest.transfer("b", "maps/x", noise(1000)).expect("named");
+    timeout(PATIENCE, sent.into_future())
+        .await
+        .expect("in time")
+        .expect("sent");
+    let took = start.elapsed();
+    println!("an honest transfer among 40 offers that nobody confirms took {took:?}");
+    assert!(took < Duration::from_secs(5), "{took:?}");
+    let got = received.next().await.expect("open").expect("whole");
+    assert_eq!(got.from.as_str(), "honest");
+    let senders = fs::read_dir(folder.path()).expect("there").count();
+    assert_eq!(senders, 1, "the others have left nothing");
+}
+
+/// How a transfer ends at a sender whose receiver is gone as soon as its program knows the end.
+async fn told_before_the_receiver_is_gone(folder: &Path) -> Result<(), Error> {
+    let Wired { a, b, wire, .. } = wired(5e3).await;
+    let options = ReceiveTransfers::in_folder(folder, 1 << 20);
+    let received = b
+        .receive_transfers("*/**", options)
+        .await
+        .expect("declared");
+    let sent = a.transfer("b", "x", noise(100)).expect("named");
+    let sent = sent.patience(Duration::from_secs(8)).into_future();
+    let sent = tokio::spawn(sent);
+    let _ended = timeout(PATIENCE, received.next()).await.expect("in time");
+    tokio::select! {
+        () = wire.cut(PATIENCE) => panic!("it waits for a receiver that is gone"),
+        sent = sent => sent.expect("no panic"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sender_knows_the_end_before_the_receivers_program_does() {
+    let _turn = turn().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let done = told_before_the_receiver_is_gone(folder.path()).await;
+    assert!(done.is_ok(), "{done:?}");
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("a"), "a file where a folder is to be").expect("written");
+    let failed = told_before_the_receiver_is_gone(folder.path()).await;
+    assert!(
+        matches!(
+            &failed,
+            Err(Error::TransferFailed {
+                fault: Fault::NotKept(_),
+                ..
+            })
+        ),
+        "{failed:?}"
+    );
 }

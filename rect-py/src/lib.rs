@@ -40,7 +40,7 @@ mod _rect {
         queue::{Ended, Queue},
         request::{error_encoding, error_from, read_asking, write_asking},
         stream::{Job, StreamReceiver, StreamSender},
-        transfer::{transfer_ended, Inbox, Offered, Pull, TransferSender},
+        transfer::{transfer_ended, Inbox, Offered, Pull, Question, TransferSender},
         urgency::{goes_apart, qos, qos_of_frames},
         value::{read_value, write_value},
     };

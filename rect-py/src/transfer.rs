@@ -2,7 +2,7 @@
 mod pull;
 mod sender;
 
-pub use pull::{transfer_ended, Inbox, Offered, Pull};
+pub use pull::{transfer_ended, Inbox, Offered, Pull, Question};
 pub use sender::TransferSender;
 
 use std::{

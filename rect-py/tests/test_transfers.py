@@ -6,12 +6,17 @@ pytest rect-py/tests/test_transfers.py
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import rect
-from conftest import DEADLINE, until_peer
+from conftest import DEADLINE, free_port, until_peer
+from rect import _rect
 
 Pair = tuple[rect.Robot, rect.Robot]
 
@@ -137,3 +142,98 @@ def test_a_stopped_transfer_ends_at_once(pair: Pair) -> None:
     sending.stop()
     with pytest.raises(rect.Closed, match="the transfer was stopped"):
         sending.run()
+
+
+def _offer(sender: str, data: bytes) -> bytes:
+    """An offer to wombat-2 in that robot's name, as any program can make it."""
+    place = _rect.Place("rect", sender)
+    return _rect.TransferSender(place, "wombat-2", "maps", data, 1, name="map.bin").offer
+
+
+def _offered(forger: rect.Robot, offer: bytes) -> None:
+    """Sends an offer, once wombat-2 can be reached."""
+    deadline = time.monotonic() + DEADLINE
+    while time.monotonic() < deadline:
+        replies = forger.zenoh.get("rect/wombat-2/@rect/inbox", payload=offer)
+        if any(reply.ok is not None for reply in replies):
+            return
+    raise TimeoutError
+
+
+@pytest.fixture
+def trio() -> Iterator[tuple[rect.Robot, rect.Robot, rect.Robot]]:
+    """A forger and an honest robot, both of which know `wombat-2`, the third."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with (
+        rect.connect("wombat-2", listen=[endpoint]) as two,
+        rect.connect("forger", endpoints=[endpoint]) as forger,
+        rect.connect("honest", endpoints=[endpoint]) as honest,
+    ):
+        for robot in (forger, honest):
+            until_peer(robot)
+        yield forger, honest, two
+
+
+def test_an_offer_in_another_robots_name_touches_nothing(
+    trio: tuple[rect.Robot, rect.Robot, rect.Robot], tmp_path: Path
+) -> None:
+    forger, honest, two = trio
+    with two.receive_transfers("*/maps", folder=tmp_path) as maps:
+        honest.transfer("wombat-2", "maps", b"a map", name="map.bin")
+        file = maps.next(DEADLINE).content
+        assert file == tmp_path / "honest" / "map.bin"
+        for sender in ("honest", "nobody"):
+            for data in (b"", b"forged"):
+                _offered(forger, _offer(sender, data))
+        # Whatever those began has ended when a transfer that began later has.
+        for _ in range(3):
+            honest.transfer("wombat-2", "maps", b"another", name="other.bin")
+            assert maps.next(DEADLINE).name == "other.bin"
+    assert isinstance(file, Path)
+    assert file.read_bytes() == b"a map"
+    assert sorted(os.listdir(tmp_path)) == ["honest"]
+    assert sorted(os.listdir(tmp_path / "honest")) == ["map.bin", "other.bin"]
+
+
+def test_senders_that_never_answer_take_no_place_from_one_that_does(
+    trio: tuple[rect.Robot, rect.Robot, rect.Robot], tmp_path: Path
+) -> None:
+    forger, honest, two = trio
+    kept: list[object] = []
+    silent = forger.zenoh.declare_queryable("rect/forger/@rect/transfer/*", kept.append)
+    with two.receive_transfers("*/maps", folder=tmp_path) as maps:
+        for number in range(20):
+            _offered(forger, _offer("forger", bytes([number]) * 100))
+            _offered(forger, _offer("nobody", bytes([number]) * 100))
+        start = time.monotonic()
+        honest.transfer("wombat-2", "maps", b"a map", timeout=DEADLINE)
+        assert time.monotonic() - start < 5
+        assert maps.next(DEADLINE).sender == "honest"
+        assert os.listdir(tmp_path) == ["honest"]
+    assert kept
+    silent.undeclare()
+
+
+def test_a_sender_knows_the_end_before_the_receivers_program_does(tmp_path: Path) -> None:
+    program = """
+import os, sys, rect
+two = rect.connect("wombat-2", endpoints=[sys.argv[1]])
+maps = two.receive_transfers("*/maps", folder=sys.argv[2])
+print("ready", flush=True)
+maps.next()
+os._exit(0)
+"""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "wombat-1").write_text("a file where a folder is to be")
+    for folder in ("full", "empty"):
+        with rect.connect("wombat-1", listen=[endpoint]) as one:
+            arguments = [sys.executable, "-c", program, endpoint, str(tmp_path / folder)]
+            with subprocess.Popen(arguments, stdout=subprocess.PIPE) as receiver:
+                assert receiver.stdout is not None
+                assert receiver.stdout.readline() == b"ready\n"
+                if folder == "full":
+                    with pytest.raises(rect.TransferFailed, match="the receiver can't keep it"):
+                        one.transfer("wombat-2", "maps", b"a map", timeout=8)
+                else:
+                    one.transfer("wombat-2", "maps", b"a map", timeout=8)

@@ -1,6 +1,7 @@
 //! Owns transfers: bytes of any size from one robot to another, in pieces, resumed where they stopped.
 //!
-//! The receiver pulls. The sender offers (a query to the receiver's inbox, repeated until it is settled) and answers
+//! An offer names its sender itself, so the receiver first asks that robot on its own key whether it makes the offer
+//! ([`inbox`]). Then the receiver pulls. The sender offers (a query to the receiver's inbox, repeated until it is settled) and answers
 //! requests for ranges without remembering anything, so that it may be restarted at any time; the receiver knows what it
 //! holds, asks for what is missing with several requests on their way at once, and keeps what it holds on disk if it is to.
 //! Who pulls sets the pace, so that a slow link never has more of a transfer in its queues than it needs to stay busy
@@ -9,7 +10,8 @@
 //! | key | a query there | its payload | the reply |
 //! |---|---|---|---|
 //! | `<fleet>/<receiver>/@rect/inbox` | offers | [`Offer`] | [`Answer`] |
-//! | `<fleet>/<sender>/@rect/transfer/<id>` | asks for a range, or says that it ended | [`Request`] | the bytes alone, or an error with a [`Fault`] |
+//! | `<fleet>/<sender>/@rect/transfer/<id>` | asks whether it is offered | [`Request`] | the [`Offer`] |
+//! | the same | asks for a range, or says that it ended | [`Request`] | the bytes alone, or an error with a [`Fault`] |
 //!
 //! | part | what it decides |
 //! |---|---|

@@ -89,6 +89,7 @@ impl Robot {
         Transfers::start(
             inner.session.clone(),
             inner.place.clone(),
+            inner.runtime.clone(),
             pattern.try_into()?,
             options,
         )

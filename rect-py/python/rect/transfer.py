@@ -37,12 +37,15 @@ _LOG = logging.getLogger("rect")
 _WAITING = 256
 #: How many programs of a robot are heard about one offer.
 _MAX_ANSWERS = 16
+#: How many receivers' programs are kept waiting for the end of the transfer.
+_MAX_HELD = 16
 _OFFERS = 64
 #: How often progress is told at most.
 _PROGRESS_EVERY_S = 0.1
 #: How long nobody looks whether the session was closed.
 _LOOK_EVERY_S = 1.0
-_ENDED_TIMEOUT_S = 5.0
+#: How long a sender may take to learn how a transfer ended.
+_ENDED_TIMEOUT_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,8 @@ class Sending:
             )
         )
         self._events: SimpleQueue[tuple[str, Any, Any]] = SimpleQueue()
+        #: Queries that stay open until the offer of that number has been answered.
+        self._held: list[tuple[int, zenoh.Query]] = []
 
     def stop(self) -> None:
         """Ends it. What is there is kept where it is kept in a file."""
@@ -174,6 +179,7 @@ class Sending:
                 answers.append(answer)
             elif what == "answered" and about == number:
                 self._core.on_answers(answers)
+                self._release(number)
             elif what == "stop":
                 self._session.check()
                 raise Closed("the transfer was stopped")
@@ -197,21 +203,34 @@ class Sending:
 
     def _serve(self, key: str, query: zenoh.Query) -> None:
         """Answers a request; what is no request gets no answer."""
+        answer = self._core.on_request(payload_bytes(query.payload))
+        if answer is not None and answer[1] is None and len(self._held) < _MAX_HELD:
+            self._held.append((answer[2], query))
+            return
         with query:
-            answer = self._core.on_request(payload_bytes(query.payload))
-            if answer is None:
+            if answer is None or answer[1] is None:
                 return
-            is_piece, piece = answer
+            is_right, reply, _ = answer
             try:
-                if is_piece:
-                    query.reply(key, piece)
+                if is_right:
+                    query.reply(key, reply)
                 else:
-                    query.reply_err(piece)
+                    query.reply_err(reply)
             except zenoh.ZError as error:
                 _LOG.debug("a piece was not sent: %s", error)
 
+    def _release(self, number: int | None = None) -> None:
+        """Ends the queries that waited for the answers to this offer; `None`: all of them."""
+        held, self._held = self._held, []
+        for after, query in held:
+            if number is not None and after > number:
+                self._held.append((after, query))
+            else:
+                query.drop()
+
     def _drain(self) -> None:
         """Whoever still asks is told at once that there is no answer."""
+        self._release()
         while not self._events.empty():
             what, about, _ = self._events.get()
             if what == "query":
@@ -245,7 +264,7 @@ class Transfers:
     def next(self, timeout: float | None = None) -> Received:
         """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
         try:
-            return self._taking.ended.pop(timeout)
+            return self._taking.take(self._taking.ended.pop(timeout))
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
@@ -256,13 +275,13 @@ class Transfers:
 
     def __next__(self) -> Received:
         try:
-            return self._taking.ended.pop()
+            return self._taking.take(self._taking.ended.pop())
         except Ended:
             raise StopIteration from None
 
     async def next_async(self, timeout: float | None = None) -> Received:
         """The same for asyncio. Raises `Ended`, `TimeoutError`."""
-        return await self._taking.ended.pop_async(timeout)
+        return self._taking.take(await self._taking.ended.pop_async(timeout))
 
     def close(self) -> None:
         """Takes no more."""
@@ -301,7 +320,10 @@ class _Taking:
         self._lock = threading.Lock()
         self._running: dict[str, SimpleQueue[tuple[str, int, bytes]]] = {}
         self._is_stopped = False
-        self._offers: SimpleQueue[zenoh.Query | None] = SimpleQueue()
+        #: `offer` with a query, `confirmed` with a question and the reply, `silence` with a question, or `end`.
+        self._events: SimpleQueue[tuple[str, Any, bytes]] = SimpleQueue()
+        #: Places for what ended and the program has not taken yet.
+        self._room = threading.Semaphore(max(at_once, 1))
         session.endings.append(self.stop)
         session.start("rect inbox", self._answer_all)
         self._declared = Declared(session)
@@ -326,38 +348,81 @@ class _Taking:
         self.ended.close()
         for events in list(self._running.values()):
             events.put(("stop", 0, b""))
-        self._offers.put(None)
+        self._events.put(("end", None, b""))
+
+    def take(self, received: Received) -> Received:
+        """The program has taken it: there is room for another one."""
+        self._room.release()
+        return received
 
     def _on_query(self, query: zenoh.Query) -> None:
-        if self._offers.qsize() < _OFFERS:
-            self._offers.put(query)
+        if self._events.qsize() < _OFFERS:
+            self._events.put(("offer", query, b""))
         else:
             query.drop()
 
     def _answer_all(self) -> None:
         while True:
-            query = self._offers.get()
-            if query is None:
+            try:
+                what, about, reply = self._events.get(timeout=self._ask_senders())
+            except Empty:
+                continue
+            if what == "offer":
+                with about:
+                    try:
+                        about.reply(self._key, self._on_offer(payload_bytes(about.payload)))
+                    except zenoh.ZError as error:
+                        _LOG.debug("an offer was not answered: %s", error)
+            elif what == "confirmed":
+                self._on_confirmed(about, reply)
+            elif what == "silence":
+                self._inbox.on_silence(about)
+            else:
                 return
-            with query:
-                try:
-                    query.reply(self._key, self._on_offer(payload_bytes(query.payload)))
-                except zenoh.ZError as error:
-                    _LOG.debug("an offer was not answered: %s", error)
+
+    def _ask_senders(self) -> float | None:
+        """Asks the robots that offers name whether they make them. How long there is nothing to do after that."""
+        while True:
+            question, seconds = self._inbox.poll()
+            if question is None:
+                return None if seconds is None else at_once(max(seconds, 0))
+            self._ask_sender(question)
+
+    def _ask_sender(self, question: _rect.Question) -> None:
+        answered: list[bool] = []
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            # One question, one answer: more would fill the memory.
+            if reply.ok is not None and not answered:
+                answered.append(True)
+                self._events.put(("confirmed", question, payload_bytes(reply.ok.payload)))
+
+        on_end = partial(self._events.put, ("silence", question, b""))
+        key = self._session.place.own(question.robot, question.key)
+        target = zenoh.QueryTarget.BEST_MATCHING
+        _ask(self._session, key, question.payload, question.timeout, on_reply, on_end, target)
 
     def _on_offer(self, offer: bytes) -> bytes:
-        what, answer, id, offered = self._inbox.on_offer(offer)
-        if what == "known" and id is not None:
-            events = self._running.get(id)
-            if events is not None:
-                events.put(("offered", 0, b""))
-        elif offered is not None:
-            if self._is_stopped:
-                return self._inbox.on_busy(offered)
-            taken: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
-            self._running[offered.id] = taken
-            self._session.start("rect transfer", lambda: self._pull(offered, taken))
+        answer, known = self._inbox.on_offer(offer)
+        self._tell_offered(known)
         return answer
+
+    def _on_confirmed(self, question: _rect.Question, reply: bytes) -> None:
+        offered, known = self._inbox.on_confirmed(question, reply)
+        self._tell_offered(known)
+        if offered is None:
+            return
+        if self._is_stopped:
+            self._inbox.on_stopped(offered)
+            return
+        taken: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
+        self._running[offered.id] = taken
+        self._session.start("rect transfer", lambda: self._pull(offered, taken))
+
+    def _tell_offered(self, id: str | None) -> None:
+        events = None if id is None else self._running.get(id)
+        if events is not None:
+            events.put(("offered", 0, b""))
 
     def _pull(self, offered: _rect.Offered, events: SimpleQueue[tuple[str, int, bytes]]) -> None:
         about = Received(offered.sender, offered.topic, offered.name, offered.encoding, offered.size_bytes)
@@ -413,12 +478,24 @@ class _Taking:
 
     def _over(self, offered: _rect.Offered, pull: _rect.Pull, about: Received, key: str) -> None:
         # Only what the program has, or will have, is done. It may be slow: then this waits, and a place stays taken.
-        delivered = pull.is_stopped or self.ended.push(_received(about, pull))
-        self._inbox.on_ended(offered, pull, delivered)
+        has_room = not pull.is_stopped and self._wait_for_room()
+        self._inbox.on_ended(offered, pull, has_room or pull.is_stopped)
         self._running.pop(offered.id, None)
+        # First the sender: the program may exit as soon as it has been told.
         if not self._session.is_closed:
+            known = threading.Event()
             ended = _rect.transfer_ended()
-            _ask(self._session, key, ended, _ENDED_TIMEOUT_S, _ignored, _ignored, zenoh.QueryTarget.BEST_MATCHING)
+            _ask(self._session, key, ended, _ENDED_TIMEOUT_S, _ignored, known.set, zenoh.QueryTarget.BEST_MATCHING)
+            known.wait(_ENDED_TIMEOUT_S)
+        if has_room:
+            self.ended.push(_received(about, pull))
+
+    def _wait_for_room(self) -> bool:
+        """Waits until the program can take one more; `False`: it takes nothing any more."""
+        while not self._is_stopped:
+            if self._room.acquire(timeout=_LOOK_EVERY_S):
+                return True
+        return False
 
 
 def _received(about: Received, pull: _rect.Pull) -> Received:

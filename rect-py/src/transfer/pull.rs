@@ -14,9 +14,9 @@ use rect::{
     core::topic::Pattern,
     core::transfer::{
         self,
-        inbox::{self, Decision, Wanted},
+        inbox::{self, Confirmed, Decision, Wanted},
         receiver::{Ask, Receiver, Step},
-        Answer, Fault, Offer, Request, TransferId,
+        Fault, Offer, Request, TransferId,
     },
     storage::{Content, Store},
 };
@@ -33,6 +33,10 @@ const SAVE_EVERY: Duration = Duration::from_secs(2);
 /// The offers to one program's wish.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Inbox(Mutex<inbox::Inbox>);
+
+/// A question to the robot that an offer names.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Question(inbox::Question);
 
 /// A transfer that was offered, and is taken.
 #[pyclass(frozen, module = "rect._rect")]
@@ -54,13 +58,8 @@ struct Pulling {
     how: Option<Result<Content, Fault>>,
 }
 
-/// What to do with an offer: `take` it, tell the one that is `known`, or `answer`; the answer; the id; what is taken.
-type Decided<'py> = (
-    &'static str,
-    Bound<'py, PyBytes>,
-    Option<String>,
-    Option<Offered>,
-);
+/// The transfer that begins, or the id of one that goes on.
+type Taken = (Option<Offered>, Option<String>);
 
 /// `ask` (ticket, payload, time-out in seconds), `wait` (seconds), or `over`.
 type Next<'py> = (&'static str, u64, Option<Bound<'py, PyBytes>>, f64);
@@ -95,26 +94,48 @@ impl Inbox {
         Ok(Self(Mutex::new(inbox)))
     }
 
-    /// Someone offers.
-    fn on_offer<'py>(&self, py: Python<'py>, offer: &[u8]) -> Decided<'py> {
-        let decision = lock(&self.0).on_offer(offer);
-        let (what, answer, id, taken) = match decision {
-            Decision::Answer(answer) => ("answer", answer, None, None),
-            Decision::Known(id, answer) => ("known", answer, Some(id), None),
-            Decision::Take(id, offer) => {
-                let answer = Answer::Running { held_bytes: 0 };
-                let offer = *offer;
-                ("take", answer, Some(id), Some(Offered { id, offer }))
-            }
+    /// Handles an offer: the answer, and the id of the transfer if it is running.
+    fn on_offer<'py>(
+        &self,
+        py: Python<'py>,
+        offer: &[u8],
+    ) -> (Bound<'py, PyBytes>, Option<String>) {
+        let decision = lock(&self.0).on_offer(Instant::now(), offer);
+        let (answer, known) = match decision {
+            Decision::Answer(answer) => (answer, None),
+            Decision::Known(id, answer) => (answer, Some(id.to_string())),
         };
-        let answer = PyBytes::new(py, &answer.encode());
-        (what, answer, id.map(|id| id.to_string()), taken)
+        (PyBytes::new(py, &answer.encode()), known)
     }
 
-    /// It can't begin now: the answer, so that it is offered again.
-    fn on_busy<'py>(&self, py: Python<'py>, offered: &Offered) -> Bound<'py, PyBytes> {
+    /// What to ask, or how many seconds to wait (`None`: until something comes).
+    fn poll(&self) -> (Option<Question>, Option<f64>) {
+        match lock(&self.0).poll(Instant::now()) {
+            inbox::Step::Ask(question) => (Some(Question(question)), None),
+            inbox::Step::Wait(until) => (None, until.map(seconds_until)),
+        }
+    }
+
+    /// The asked robot has replied: the transfer that begins, or the id of one that goes on.
+    fn on_confirmed(&self, question: &Question, reply: &[u8]) -> Taken {
+        match lock(&self.0).on_confirmed(&question.0, reply) {
+            None => (None, None),
+            Some(Confirmed::Known(id)) => (None, Some(id.to_string())),
+            Some(Confirmed::Take(id, offer)) => {
+                let offer = *offer;
+                (Some(Offered { id, offer }), None)
+            }
+        }
+    }
+
+    /// Nothing more comes of a question.
+    fn on_silence(&self, question: &Question) {
+        lock(&self.0).on_silence(Instant::now(), &question.0);
+    }
+
+    /// It does not begin, because the program takes nothing any more.
+    fn on_stopped(&self, offered: &Offered) {
         lock(&self.0).on_ended(offered.id, &Err(Fault::Stopped));
-        PyBytes::new(py, &Answer::Busy.encode())
     }
 
     /// So much of it is there.
@@ -130,6 +151,33 @@ impl Inbox {
             _ => Err(Fault::Stopped),
         };
         lock(&self.0).on_ended(offered.id, &how);
+    }
+}
+
+#[pymethods]
+impl Question {
+    /// Whom to ask.
+    #[getter]
+    fn robot(&self) -> &str {
+        self.0.from.as_str()
+    }
+
+    /// What goes after that robot's `@rect/`.
+    #[getter]
+    fn key(&self) -> String {
+        transfer::source(self.0.id)
+    }
+
+    /// How long to wait for the reply, in seconds.
+    #[getter]
+    fn timeout(&self) -> f64 {
+        self.0.timeout.as_secs_f64()
+    }
+
+    /// What to send.
+    #[getter]
+    fn payload<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, &Request::Confirm.encode())
     }
 }
 
@@ -348,14 +396,9 @@ impl Pulling {
             Ok(()) => store
                 .finish()
                 .map_err(|error| Fault::NotKept(error.to_string())),
-            // Nothing of it is right, or never will be.
-            Err(fault @ (Fault::Checksum | Fault::Protocol(_) | Fault::Changed(_))) => {
-                store.discard();
-                Err(fault)
-            }
             Err(fault) => {
                 // What is not saved is sent again: why it ended counts more.
-                let _ = store.save(self.core.held());
+                let _ = store.interrupt(self.core.held(), &fault);
                 Err(fault)
             }
         }

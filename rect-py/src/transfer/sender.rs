@@ -15,7 +15,7 @@ use rect::{
         transfer::{
             self,
             offer::FileName,
-            sender::{Outcome, Sender, Step},
+            sender::{Outcome, Response, Sender, Step},
             Answer, Offer, Request,
         },
     },
@@ -129,24 +129,28 @@ impl TransferSender {
         self.core().on_answers(Instant::now(), &answers);
     }
 
-    /// The receiver asks: the piece (`True`), or what is wrong (`False`); `None`: there is nothing to answer.
+    /// Handles a request: the reply (`True`), or what is wrong (`False`), or the number of the offer until whose answers the
+    /// query stays open; `None`: it is no request.
     fn on_request<'py>(
         &self,
         py: Python<'py>,
         request: &[u8],
-    ) -> Option<(bool, Bound<'py, PyBytes>)> {
+    ) -> Option<(bool, Option<Bound<'py, PyBytes>>, u64)> {
         let request = Request::decode(request)?;
-        let range = self.core().on_request(Instant::now(), &request);
-        let piece = match range {
-            Ok(None) => return None,
-            Ok(Some(range)) => py.detach(|| self.source.read(range)).inspect_err(|fault| {
-                self.core().on_fault(fault.clone());
-            }),
+        let response = self.core().on_request(Instant::now(), &request);
+        let reply = match response {
+            Ok(Response::AfterOffer(number)) => return Some((true, None, number)),
+            Ok(Response::Offer) => return Some((true, Some(self.offer(py)), 0)),
+            Ok(Response::Piece(range)) => {
+                py.detach(|| self.source.read(range)).inspect_err(|fault| {
+                    self.core().on_fault(fault.clone());
+                })
+            }
             Err(fault) => Err(fault),
         };
-        Some(match piece {
-            Ok(bytes) => (true, PyBytes::new(py, &bytes)),
-            Err(fault) => (false, PyBytes::new(py, &fault.encode())),
+        Some(match reply {
+            Ok(bytes) => (true, Some(PyBytes::new(py, &bytes)), 0),
+            Err(fault) => (false, Some(PyBytes::new(py, &fault.encode())), 0),
         })
     }
 

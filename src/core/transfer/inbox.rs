@@ -1,5 +1,13 @@
 //! Owns the choice of offers: which are taken, and what the others are answered.
-use std::collections::{BTreeMap, VecDeque};
+//!
+//! An offer names its sender in its payload, and any program may send one in any robot's name. So the inbox first asks the
+//! named robot on that robot's own key, where access control lets nobody else answer: a transfer begins only after a program
+//! of that robot has repeated the offer there ([`Request::Confirm`](super::Request::Confirm)). Until then the receiver
+//! touches no file, reserves no memory, starts no thread and gives away no place.
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::{Duration, Instant},
+};
 
 use zenoh_keyexpr::keyexpr;
 
@@ -11,6 +19,18 @@ use crate::core::{name::Name, topic::Pattern};
 
 /// How many that ended are remembered, so that an offer that is repeated is answered as before.
 const ENDED: usize = 256;
+/// How long a sender has to confirm its offer. After that the next offer begins anew.
+const CONFIRM: Duration = Duration::from_secs(10);
+/// Timeout of one question to the sender.
+const ASK: Duration = Duration::from_secs(5);
+/// Pause before the second question, because the sender's route may still be on its way; it doubles each time.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+/// The longest pause between two questions.
+const LAST_PAUSE: Duration = Duration::from_secs(2);
+/// The most unconfirmed offers in one robot's name.
+const MAX_UNCONFIRMED_OF_ONE: usize = 8;
+/// The most unconfirmed offers of all robots.
+const MAX_UNCONFIRMED: usize = 64;
 
 /// What a program takes. Nothing is taken without one.
 #[derive(Clone, Debug)]
@@ -19,7 +39,7 @@ pub struct Wanted {
     pub pattern: Pattern,
     /// The largest, in bytes.
     pub max_bytes: u64,
-    /// How many at once; others wait until one has ended.
+    /// How many at once, of which one sender gets at most half (rounded up); others wait until one has ended.
     pub max_running: usize,
 }
 
@@ -28,8 +48,27 @@ pub struct Wanted {
 pub struct Inbox {
     me: Name,
     wanted: Wanted,
+    unconfirmed: BTreeMap<TransferId, Unconfirmed>,
     running: BTreeMap<TransferId, Running>,
     ended: VecDeque<(TransferId, u64, Answer)>,
+}
+
+/// An offer whose sender has not confirmed it. Only the name and the hash of its content are kept: the rest comes with the
+/// confirmation.
+#[derive(Debug)]
+struct Unconfirmed {
+    from: Name,
+    since: Instant,
+    pause: Duration,
+    state: Asking,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Asking {
+    /// The sender is asked then.
+    Due(Instant),
+    /// It has been asked. Without an answer or an end until then, the question counts as lost.
+    Asked(Instant),
 }
 
 #[derive(Debug)]
@@ -41,12 +80,39 @@ struct Running {
 /// What to do with an offer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Decision {
-    /// Take it: begin to receive, and answer that it runs. Then [`Inbox::on_held`] and [`Inbox::on_ended`].
-    Take(TransferId, Box<Offer>),
     /// It is running: tell its receiver that it was offered again, and answer this.
     Known(TransferId, Answer),
-    /// Answer this.
+    /// Answer this. [`Inbox::poll`] then says whether to ask its sender.
     Answer(Answer),
+}
+
+/// What to do next.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    /// Ask this sender, and report what comes of it: [`Inbox::on_confirmed`], then [`Inbox::on_silence`].
+    Ask(Question),
+    /// Nothing before then, unless something comes; `None`: nothing at all.
+    Wait(Option<Instant>),
+}
+
+/// A question to a sender: [`Request::Confirm`](super::Request::Confirm), to the key of [`super::source`] of that robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Question {
+    /// Which transfer.
+    pub id: TransferId,
+    /// The robot that the offer names.
+    pub from: Name,
+    /// How long to wait for the reply.
+    pub timeout: Duration,
+}
+
+/// What a confirmation brings about.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Confirmed {
+    /// Begin to receive. Then [`Inbox::on_held`] and [`Inbox::on_ended`].
+    Take(TransferId, Box<Offer>),
+    /// Its sender was restarted: the transfer goes on, tell its receiver that it was offered again.
+    Known(TransferId),
 }
 
 impl Inbox {
@@ -55,53 +121,180 @@ impl Inbox {
         Self {
             me,
             wanted,
+            unconfirmed: BTreeMap::new(),
             running: BTreeMap::new(),
             ended: VecDeque::new(),
         }
     }
 
-    /// Someone offers.
-    pub fn on_offer(&mut self, bytes: &[u8]) -> Decision {
+    /// Handles an offer in whoever's name. Call [`Self::poll`] afterwards.
+    pub fn on_offer(&mut self, now: Instant, bytes: &[u8]) -> Decision {
         let refused = |refusal| Decision::Answer(Answer::Refused(refusal));
         let offer = match Offer::decode(bytes) {
             Ok(offer) => offer,
             Err(error) => return refused(Refusal::NotUnderstood(error.to_string())),
         };
         let id = offer.id(&self.me);
-        if let Some(running) = self.running.get_mut(&id) {
+        if let Some(running) = self.running.get(&id) {
             if !running.offer.is_same(&offer) {
                 return refused(Refusal::NotUnderstood("another transfer has its id".into()));
             }
-            // After a restart of the sender it is another call that waits for the end.
-            running.offer.call = offer.call;
-            return Decision::Known(
-                id,
-                Answer::Running {
-                    held_bytes: running.held_bytes,
-                },
-            );
+            let held_bytes = running.held_bytes;
+            if running.offer.call != offer.call {
+                // Its sender was restarted, or somebody else offers in its name: only the sender itself can tell.
+                self.ask(now, id, &offer.from);
+            }
+            return Decision::Known(id, Answer::Running { held_bytes });
         }
-        let is_it =
-            |(ended, call, _): &&(TransferId, u64, Answer)| *ended == id && *call == offer.call;
-        if let Some((_, _, answer)) = self.ended.iter().find(is_it) {
+        if let Some(answer) = self.answer_of(id, offer.call) {
             return Decision::Answer(answer.clone());
         }
-        if !self.wants(&offer) {
-            return refused(Refusal::NotWanted);
+        if let Some(refusal) = self.refusal(&offer) {
+            return refused(refusal);
         }
-        let limit_bytes = self.wanted.max_bytes;
-        if offer.size_bytes > limit_bytes {
-            return refused(Refusal::TooLarge { limit_bytes });
-        }
-        if self.running.len() >= self.wanted.max_running {
+        if !self.has_room(&offer.from) || !self.ask(now, id, &offer.from) {
             return Decision::Answer(Answer::Busy);
+        }
+        Decision::Answer(Answer::Running { held_bytes: 0 })
+    }
+
+    /// Returns what to do now. Call it until it says to wait.
+    pub fn poll(&mut self, now: Instant) -> Step {
+        let lost =
+            |known: &Unconfirmed| matches!(known.state, Asking::Asked(until) if until <= now);
+        let late = self.unconfirmed.iter().filter(|(_, known)| lost(known));
+        let late: Vec<TransferId> = late.map(|(&id, _)| id).collect();
+        late.into_iter().for_each(|id| self.on_no_answer(now, id));
+        let due = |(_, known): &(&TransferId, &mut Unconfirmed)| matches!(known.state, Asking::Due(at) if at <= now);
+        if let Some((&id, known)) = self.unconfirmed.iter_mut().find(due) {
+            known.state = Asking::Asked(now + ASK + LAST_PAUSE);
+            return Step::Ask(Question {
+                id,
+                from: known.from.clone(),
+                timeout: ASK,
+            });
+        }
+        let times = self.unconfirmed.values().map(|known| match known.state {
+            Asking::Due(at) | Asking::Asked(at) => at,
+        });
+        Step::Wait(times.min())
+    }
+
+    /// Handles what the asked robot replied, which may be anything.
+    pub fn on_confirmed(&mut self, question: &Question, reply: &[u8]) -> Option<Confirmed> {
+        let offer = Offer::decode(reply).ok()?;
+        let id = offer.id(&self.me);
+        if id != question.id || offer.from != question.from {
+            return None;
+        }
+        self.unconfirmed.remove(&id);
+        if let Some(running) = self.running.get_mut(&id) {
+            if !running.offer.is_same(&offer) {
+                return None;
+            }
+            running.offer.call = offer.call;
+            return Some(Confirmed::Known(id));
+        }
+        // The sender's own words count, not those of the offer that led to it.
+        let is_new = self.answer_of(id, offer.call).is_none() && self.refusal(&offer).is_none();
+        if !is_new || !self.has_room(&offer.from) {
+            return None;
         }
         let running = Running {
             offer: offer.clone(),
             held_bytes: 0,
         };
         self.running.insert(id, running);
-        Decision::Take(id, Box::new(offer))
+        Some(Confirmed::Take(id, Box::new(offer)))
+    }
+
+    /// The question has ended: nothing more comes of it.
+    pub fn on_silence(&mut self, now: Instant, question: &Question) {
+        self.on_no_answer(now, question.id);
+    }
+
+    fn on_no_answer(&mut self, now: Instant, id: TransferId) {
+        let Some(known) = self.unconfirmed.get_mut(&id) else {
+            return;
+        };
+        if !matches!(known.state, Asking::Asked(_)) {
+            return;
+        }
+        if now.saturating_duration_since(known.since) + known.pause > CONFIRM {
+            self.unconfirmed.remove(&id);
+            return;
+        }
+        known.state = Asking::Due(now + known.pause);
+        known.pause = (known.pause * 2).min(LAST_PAUSE);
+    }
+
+    /// Notes that this robot is to be asked. `false`: too many are being asked already.
+    fn ask(&mut self, now: Instant, id: TransferId, from: &Name) -> bool {
+        if self.unconfirmed.contains_key(&id) {
+            return true;
+        }
+        let of_one = self
+            .unconfirmed
+            .values()
+            .filter(|known| known.from == *from);
+        let has_room = if of_one.count() >= MAX_UNCONFIRMED_OF_ONE {
+            self.forget_one(|known| known.from == *from)
+        } else {
+            self.unconfirmed.len() < MAX_UNCONFIRMED || self.forget_one(|_| true)
+        };
+        if !has_room {
+            return false;
+        }
+        let known = Unconfirmed {
+            from: from.clone(),
+            since: now,
+            pause: FIRST_PAUSE,
+            state: Asking::Due(now),
+        };
+        self.unconfirmed.insert(id, known);
+        true
+    }
+
+    /// Makes room for a new offer: of those whose sender did not answer so far, the oldest goes.
+    fn forget_one(&mut self, is_meant: impl Fn(&Unconfirmed) -> bool) -> bool {
+        let is_silent = |known: &Unconfirmed| {
+            matches!(known.state, Asking::Due(_)) && known.pause > FIRST_PAUSE && is_meant(known)
+        };
+        let silent = self
+            .unconfirmed
+            .iter()
+            .filter(|(_, known)| is_silent(known));
+        let oldest = silent.min_by_key(|(_, known)| known.since);
+        match oldest.map(|(&id, _)| id) {
+            Some(id) => self.unconfirmed.remove(&id).is_some(),
+            None => false,
+        }
+    }
+
+    fn answer_of(&self, id: TransferId, call: u64) -> Option<&Answer> {
+        let mut ended = self.ended.iter();
+        let found = ended.find(|(ended, ended_call, _)| *ended == id && *ended_call == call);
+        found.map(|(_, _, answer)| answer)
+    }
+
+    fn refusal(&self, offer: &Offer) -> Option<Refusal> {
+        let limit_bytes = self.wanted.max_bytes;
+        if !self.wants(offer) {
+            Some(Refusal::NotWanted)
+        } else if offer.size_bytes > limit_bytes {
+            Some(Refusal::TooLarge { limit_bytes })
+        } else {
+            None
+        }
+    }
+
+    fn has_room(&self, from: &Name) -> bool {
+        let all = self.running.len();
+        let of_one = self
+            .running
+            .values()
+            .filter(|known| known.offer.from == *from);
+        all < self.wanted.max_running && of_one.count() < self.wanted.max_running.div_ceil(2)
     }
 
     fn wants(&self, offer: &Offer) -> bool {
@@ -139,116 +332,4 @@ impl Inbox {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::core::transfer::offer::sample;
-
-    fn inbox(pattern: &str) -> Inbox {
-        let wanted = Wanted {
-            pattern: Pattern::new(pattern).expect("a pattern"),
-            max_bytes: 1000,
-            max_running: 2,
-        };
-        Inbox::new(Name::new("wombat-2").expect("a name"), wanted)
-    }
-
-    fn take(inbox: &mut Inbox, offer: &Offer) -> TransferId {
-        match inbox.on_offer(&offer.encode()) {
-            Decision::Take(id, taken) if *taken == *offer => id,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    #[test]
-    fn only_what_is_wanted_is_taken() {
-        let refused = |refusal| Decision::Answer(Answer::Refused(refusal));
-        for pattern in ["*/**", "wombat-1/map/*", "wombat-1/map/kitchen"] {
-            take(&mut inbox(pattern), &sample(10));
-        }
-        for pattern in ["wombat-3/**", "*/map", "*/log/*"] {
-            let decision = inbox(pattern).on_offer(&sample(10).encode());
-            assert_eq!(decision, refused(Refusal::NotWanted), "{pattern}");
-        }
-        let too_large = refused(Refusal::TooLarge { limit_bytes: 1000 });
-        assert_eq!(inbox("*/**").on_offer(&sample(1001).encode()), too_large);
-        assert_eq!(
-            inbox("*/**").on_offer(&sample(u64::MAX).encode()),
-            too_large
-        );
-        let nonsense = inbox("*/**").on_offer(b"nonsense");
-        assert!(matches!(
-            nonsense,
-            Decision::Answer(Answer::Refused(Refusal::NotUnderstood(_)))
-        ));
-    }
-
-    #[test]
-    fn the_same_offered_twice_is_one_transfer() {
-        let mut inbox = inbox("*/**");
-        let id = take(&mut inbox, &sample(10));
-        inbox.on_held(id, 4);
-        let known = Decision::Known(id, Answer::Running { held_bytes: 4 });
-        assert_eq!(inbox.on_offer(&sample(10).encode()), known);
-        let restarted = Offer {
-            call: 8,
-            ..sample(10)
-        };
-        assert_eq!(
-            inbox.on_offer(&restarted.encode()),
-            known,
-            "its sender was restarted"
-        );
-        inbox.on_ended(id, &Ok(()));
-        assert_eq!(
-            inbox.on_offer(&restarted.encode()),
-            Decision::Answer(Answer::Done)
-        );
-        let again = Offer {
-            call: 9,
-            ..sample(10)
-        };
-        assert_eq!(
-            take(&mut inbox, &again),
-            id,
-            "sent once more by the program's wish"
-        );
-    }
-
-    #[test]
-    fn too_many_at_once_wait() {
-        let mut inbox = inbox("*/**");
-        let first = take(&mut inbox, &sample(1));
-        take(&mut inbox, &sample(2));
-        let third = sample(3).encode();
-        assert_eq!(inbox.on_offer(&third), Decision::Answer(Answer::Busy));
-        inbox.on_ended(first, &Err(Fault::Stopped));
-        assert!(matches!(inbox.on_offer(&third), Decision::Take(..)));
-    }
-
-    #[test]
-    fn what_failed_stays_failed_and_what_was_interrupted_may_go_on() {
-        let mut inbox = inbox("*/**");
-        let full = Fault::NotKept("disk full".into());
-        let id = take(&mut inbox, &sample(1));
-        inbox.on_ended(id, &Err(full.clone()));
-        let answer = inbox.on_offer(&sample(1).encode());
-        assert_eq!(answer, Decision::Answer(Answer::Failed(full)));
-        for fault in [Fault::Silence(600), Fault::Stopped] {
-            let id = take(&mut inbox, &sample(2));
-            inbox.on_ended(id, &Err(fault));
-        }
-        take(&mut inbox, &sample(2));
-    }
-
-    #[test]
-    fn it_remembers_so_many_and_no_more() {
-        let mut inbox = inbox("*/**");
-        for call in 0..ENDED as u64 + 10 {
-            let id = take(&mut inbox, &Offer { call, ..sample(1) });
-            inbox.on_ended(id, &Ok(()));
-        }
-        assert_eq!(inbox.ended.len(), ENDED);
-        inbox.on_ended(sample(5).id(&inbox.me.clone()), &Ok(()));
-        assert_eq!(inbox.ended.len(), ENDED, "one that it does not know");
-    }
-}
+mod tests;

@@ -19,7 +19,8 @@ pub const MAX_BYTES: usize = 700;
 /// What is offered, and by whom.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Offer {
-    /// Who has it. Whoever offers in another's name gets nowhere: the receiver asks that one, who has no such transfer.
+    /// The robot that has it, as the offer claims. The receiver asks that robot before it believes it
+    /// ([`super::inbox`]).
     pub from: Name,
     /// About what.
     pub topic: Topic,

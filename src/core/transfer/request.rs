@@ -9,6 +9,7 @@ use super::{
 
 const RANGE: u8 = 0x10;
 const ENDED: u8 = 0x11;
+const CONFIRM: u8 = 0x12;
 
 /// What a receiver asks of a sender, or tells it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,26 +23,31 @@ pub enum Request {
         /// How many bytes the receiver holds: the sender's progress.
         held_bytes: u64,
     },
-    /// It is over on this side; the next answer to the offer says how. Without it the sender hears it somewhat later.
+    /// The transfer is over at the receiver. The sender offers once more, and the answer to that offer says how it ended: on
+    /// the receiver's own key, so that nobody else can end it. The sender keeps this query open until it has the answer.
     Ended,
+    /// Asks whether this robot offers the transfer. The reply is the encoded [`Offer`](super::Offer).
+    Confirm,
 }
 
 impl Request {
     /// As bytes.
     pub fn encode(&self) -> Vec<u8> {
-        let Self::Range {
-            offset,
-            length,
-            held_bytes,
-        } = self
-        else {
-            return vec![ENDED];
-        };
-        let mut out = vec![RANGE];
-        write_number(&mut out, *offset);
-        write_number(&mut out, u64::from(*length));
-        write_number(&mut out, *held_bytes);
-        out
+        match self {
+            Self::Range {
+                offset,
+                length,
+                held_bytes,
+            } => {
+                let mut out = vec![RANGE];
+                write_number(&mut out, *offset);
+                write_number(&mut out, u64::from(*length));
+                write_number(&mut out, *held_bytes);
+                out
+            }
+            Self::Ended => vec![ENDED],
+            Self::Confirm => vec![CONFIRM],
+        }
     }
 
     /// From bytes that anyone may have sent; `None`: they are no request.
@@ -63,6 +69,7 @@ impl Request {
                 }
             }
             ENDED => Self::Ended,
+            CONFIRM => Self::Confirm,
             _ => return None,
         };
         reader.end()?;
@@ -100,6 +107,7 @@ mod tests {
             range(1 << 40, MAX_PIECE_BYTES),
             range(u64::MAX - 1, 1),
             Request::Ended,
+            Request::Confirm,
         ];
         for request in requests {
             let bytes = request.encode();

@@ -34,6 +34,8 @@ pub struct Sender {
     /// How often nobody answered since something was heard.
     unanswered: u32,
     held_bytes: u64,
+    /// How many times it was offered.
+    offers: u64,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -73,6 +75,18 @@ pub enum Step {
     Over(Outcome),
 }
 
+/// What a request is answered with.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Response {
+    /// These bytes of the source.
+    Piece(Range<u64>),
+    /// The encoded offer: this robot does offer the transfer.
+    Offer,
+    /// Nothing yet. The query stays open until the answers to the offer of this number have come (the first has number 1), so
+    /// that the receiver knows when the sender has learned how the transfer ended.
+    AfterOffer(u64),
+}
+
 impl Sender {
     /// Of so many bytes. `patience`: how long nothing may be heard of the receiver; `None`: until the program ends it.
     /// `seed`: any number; pauses vary by it, so that many robots do not offer at once.
@@ -86,6 +100,7 @@ impl Sender {
             heard: now,
             unanswered: 0,
             held_bytes: 0,
+            offers: 0,
         }
     }
 
@@ -101,6 +116,7 @@ impl Sender {
                     until: now + ANSWER,
                     again: false,
                 };
+                self.offers += 1;
                 Step::Offer(ANSWER / 2)
             }
             State::Offering { until, .. } | State::Waiting { until } => Step::Wait(until),
@@ -154,15 +170,12 @@ impl Sender {
         (self.jitter >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// The receiver asks. Which bytes it gets; `None`: it only told something.
+    /// Handles a request and returns what it is answered with.
     ///
     /// # Errors
-    /// [`Fault::Protocol`]: there are no such bytes. It gets this instead.
-    pub fn on_request(
-        &mut self,
-        now: Instant,
-        request: &Request,
-    ) -> Result<Option<Range<u64>>, Fault> {
+    /// [`Fault::Protocol`]: there are no such bytes. [`Fault::Stopped`]: the transfer is over, so it is not confirmed any
+    /// more. The request is answered with this error.
+    pub fn on_request(&mut self, now: Instant, request: &Request) -> Result<Response, Fault> {
         (self.heard, self.unanswered) = (now, 0);
         match *request {
             Request::Range {
@@ -172,10 +185,15 @@ impl Sender {
             } => {
                 let range = Request::range(offset, length, self.size_bytes)?;
                 self.on_held(held_bytes);
-                if let State::Waiting { .. } = self.state {
-                    self.state = State::Waiting { until: now + QUIET };
+                self.quiet_until(now + QUIET);
+                Ok(Response::Piece(range))
+            }
+            Request::Confirm => {
+                if matches!(self.state, State::Over(_)) {
+                    return Err(Fault::Stopped);
                 }
-                Ok(Some(range))
+                self.quiet_until(now + QUIET);
+                Ok(Response::Offer)
             }
             Request::Ended => {
                 match &mut self.state {
@@ -183,8 +201,15 @@ impl Sender {
                     State::Offering { again, .. } => *again = true,
                     State::Over(_) => {}
                 }
-                Ok(None)
+                Ok(Response::AfterOffer(self.offers + 1))
             }
+        }
+    }
+
+    /// The receiver works on it: it is not offered again before then.
+    fn quiet_until(&mut self, until: Instant) {
+        if let State::Waiting { .. } = self.state {
+            self.state = State::Waiting { until };
         }
     }
 

@@ -1,9 +1,12 @@
 //! Owns taking transfers: what a program gets.
 use std::{fmt, fs, sync::Arc, thread, time::SystemTime};
 
-use tokio::sync::{
-    mpsc::{self, Receiver},
-    Mutex,
+use tokio::{
+    runtime::Handle,
+    sync::{
+        mpsc::{self, Receiver},
+        Mutex,
+    },
 };
 use zenoh::{query::Queryable, Session, Wait};
 
@@ -58,6 +61,7 @@ impl Transfers {
     pub(super) fn start(
         session: Session,
         place: Place,
+        runtime: Handle,
         pattern: Pattern,
         options: ReceiveTransfers,
     ) -> Result<Self, Error> {
@@ -76,8 +80,8 @@ impl Transfers {
         };
         let inbox = Inbox::new(place.robot.clone(), wanted);
         let key = place.own(Some(&place.robot), INBOX);
-        let shared = Shared::new(session.clone(), place, options, inbox, ended);
-        let (offers, incoming) = inbox::offers();
+        let shared = Shared::new(session.clone(), place, options, runtime, inbox, ended);
+        let (offers, incoming) = inbox::events();
         let (this, reply_key) = (shared.clone(), key.clone());
         let thread = thread::Builder::new().name("rect-inbox".into());
         let started = thread.spawn(move || this.answer_all(&incoming, &reply_key));
@@ -88,7 +92,7 @@ impl Transfers {
         // The thread ends with the queryable, which has the only other end.
         let declared = session
             .declare_queryable(key)
-            .callback(move |query| drop(offers.try_send(query)))
+            .callback(move |query| offers.push(query))
             .wait()
             .map_err(Error::zenoh("transfers can't be taken"))?;
         Ok(Self {

@@ -18,7 +18,7 @@ use crate::{
         transfer::{
             self,
             offer::FileName,
-            sender::{Outcome, Sender, Step},
+            sender::{Outcome, Response, Sender, Step},
             Answer, Offer, Request,
         },
     },
@@ -30,6 +30,8 @@ use crate::{
 pub(super) const WAITING: usize = 256;
 /// How many programs of a robot are heard about one offer.
 const MAX_ANSWERS: usize = 16;
+/// How many receivers' programs are kept waiting for the end of the transfer.
+const MAX_HELD: usize = 16;
 
 impl Transfer {
     /// From the checksum to the end.
@@ -54,7 +56,12 @@ impl Transfer {
         let mut sender = Sender::new(Instant::now(), offer.size_bytes, self.patience, offer.call);
         let mut told = Told::default();
         let mut round = Round::default();
-        let offer = offer.encode();
+        let mut served = Served {
+            source,
+            key,
+            offer: offer.encode(),
+            held: Vec::new(),
+        };
         loop {
             told.tell(sender.progress(), false, |progress| {
                 if let Some(callback) = self.on_progress.as_mut() {
@@ -67,7 +74,7 @@ impl Transfer {
                         number: round.number + 1,
                         answers: Vec::new(),
                     };
-                    self.offer(events, round.number, offer.clone(), timeout);
+                    self.offer(events, round.number, served.offer.clone(), timeout);
                     continue;
                 }
                 Step::Wait(until) => until,
@@ -83,12 +90,13 @@ impl Transfer {
             let left = until.saturating_duration_since(Instant::now());
             let now = Instant::now;
             match incoming.recv_timeout(left) {
-                Ok(Event::Query(query)) => serve(&mut sender, &source, &key, &query),
+                Ok(Event::Query(query)) => served.answer(&mut sender, query),
                 Ok(Event::Answer(number, answer)) if round.takes(number) => {
                     round.answers.push(answer)
                 }
                 Ok(Event::Answered(number)) if number == round.number => {
                     sender.on_answers(now(), &round.answers);
+                    served.held.retain(|(offer, _)| *offer > number);
                 }
                 Ok(Event::Answer(..) | Event::Answered(_)) | Err(RecvTimeoutError::Timeout) => {
                     if self.session.is_closed() {
@@ -175,28 +183,45 @@ impl Transfer {
     }
 }
 
-/// Answers a request; what is no request gets no answer.
-fn serve(sender: &mut Sender, source: &Source, key: &str, query: &Query) {
-    let request = query
-        .payload()
-        .and_then(|bytes| Request::decode(&bytes.to_bytes()));
-    let Some(request) = request else {
-        return;
-    };
-    let sent = match sender.on_request(Instant::now(), &request) {
-        Ok(None) => return,
-        Ok(Some(range)) => match source.read(range) {
-            Ok(bytes) => query.reply(key, bytes).wait(),
-            Err(fault) => {
-                let sent = query.reply_err(fault.encode()).wait();
-                sender.on_fault(fault);
-                sent
+/// What a transfer answers requests with.
+struct Served {
+    source: Source,
+    key: String,
+    offer: Vec<u8>,
+    /// Queries that stay open until the offer of that number has been answered.
+    held: Vec<(u64, Query)>,
+}
+
+impl Served {
+    /// Answers a request; what is no request gets no answer.
+    fn answer(&mut self, sender: &mut Sender, query: Query) {
+        let request = query
+            .payload()
+            .and_then(|bytes| Request::decode(&bytes.to_bytes()));
+        let Some(request) = request else {
+            return;
+        };
+        let sent = match sender.on_request(Instant::now(), &request) {
+            Ok(Response::Piece(range)) => match self.source.read(range) {
+                Ok(bytes) => query.reply(&self.key, bytes).wait(),
+                Err(fault) => {
+                    let sent = query.reply_err(fault.encode()).wait();
+                    sender.on_fault(fault);
+                    sent
+                }
+            },
+            Ok(Response::Offer) => query.reply(&self.key, &self.offer[..]).wait(),
+            Ok(Response::AfterOffer(number)) => {
+                if self.held.len() < MAX_HELD {
+                    self.held.push((number, query));
+                }
+                return;
             }
-        },
-        Err(fault) => query.reply_err(fault.encode()).wait(),
-    };
-    if let Err(error) = sent {
-        tracing::debug!("a piece was not sent: {error}");
+            Err(fault) => query.reply_err(fault.encode()).wait(),
+        };
+        if let Err(error) = sent {
+            tracing::debug!("a piece was not sent: {error}");
+        }
     }
 }
 

@@ -31,6 +31,9 @@ const SAVE_EVERY: Duration = Duration::from_secs(2);
 /// How long nobody looks whether the session was closed.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
+/// How long a sender may take to learn how a transfer ended.
+const TELL: Duration = Duration::from_secs(3);
+
 /// What happens to it.
 pub(super) enum Event {
     Reply(Ask, ZBytes),
@@ -71,13 +74,8 @@ impl Pull {
         let how = self.pull(&mut pulling, &mut store, incoming, on_held);
         match how {
             Ok(()) => store.finish().map_err(not_kept),
-            // Nothing of it is right, or never will be.
-            Err(fault @ (Fault::Checksum | Fault::Protocol(_) | Fault::Changed(_))) => {
-                store.discard();
-                Err(fault)
-            }
             Err(fault) => {
-                if let Err(error) = store.save(pulling.held()) {
+                if let Err(error) = store.interrupt(pulling.held(), &fault) {
                     tracing::warn!(
                         "what came of {:?} is not kept for later: {error}",
                         self.offer
@@ -185,19 +183,22 @@ impl Pull {
         );
     }
 
-    /// Tells the sender that it is over.
+    /// Tells the sender that it is over, and waits until it has learned how, as long as it can be reached.
     pub(super) fn tell_end(&self) {
         let key = self.source();
-        let (payload, timeout) = (Request::Ended.encode(), Duration::from_secs(5));
+        let (ended, end) = mpsc::channel::<()>();
+        let on_end = move || drop(ended);
+        let payload = Request::Ended.encode();
         ask(
             &self.session,
             &key,
             Whom::One,
             payload,
-            timeout,
+            TELL,
             |_| {},
-            || {},
+            on_end,
         );
+        let _ = end.recv_timeout(TELL);
     }
 }
 

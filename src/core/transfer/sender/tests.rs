@@ -55,7 +55,7 @@ fn it_does_not_ask_while_the_receiver_works() {
         now += Duration::from_secs(1);
         assert_eq!(
             sender.on_request(now, &range(n * 100, n * 100)),
-            Ok(Some(n * 100..n * 100 + 100))
+            Ok(Response::Piece(n * 100..n * 100 + 100))
         );
         assert_eq!(offers_at(&mut sender, now), now + QUIET);
     }
@@ -71,14 +71,14 @@ fn it_does_not_ask_while_the_receiver_works() {
 fn told_that_it_ended_it_asks_how_at_once() {
     let (mut sender, now) = sender(None);
     sender.poll(now);
-    assert_eq!(sender.on_request(now, &Request::Ended), Ok(None));
+    assert!(sender.on_request(now, &Request::Ended).is_ok());
     sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
     assert!(
         matches!(sender.poll(now), Step::Offer(_)),
         "told while an offer was out"
     );
     sender.on_answers(now, &[Answer::Running { held_bytes: 900 }]);
-    assert_eq!(sender.on_request(now, &Request::Ended), Ok(None));
+    assert!(sender.on_request(now, &Request::Ended).is_ok());
     assert!(
         matches!(sender.poll(now), Step::Offer(_)),
         "told while it waited"
@@ -168,4 +168,28 @@ fn what_is_not_there_can_not_be_asked_for() {
     ));
     assert!(sender.on_request(now, &range(900, u64::MAX)).is_ok());
     assert_eq!(sender.progress().held_bytes, 1000, "no more than there is");
+}
+
+#[test]
+fn confirms_its_offer_until_it_is_over() {
+    let (mut sender, now) = sender(None);
+    sender.poll(now);
+    let confirm = Request::Confirm;
+    assert_eq!(sender.on_request(now, &confirm), Ok(Response::Offer));
+    sender.on_answers(now, &[Answer::Done]);
+    assert_eq!(sender.on_request(now, &confirm), Err(Fault::Stopped));
+}
+
+#[test]
+fn a_receivers_end_is_held_until_a_later_offer_is_answered() {
+    let (mut sender, now) = sender(None);
+    sender.poll(now);
+    // The first offer may have been answered before the transfer ended.
+    let held = sender.on_request(now, &Request::Ended);
+    assert_eq!(held, Ok(Response::AfterOffer(2)));
+    sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+    assert!(matches!(sender.poll(now), Step::Offer(_)), "the second");
+    sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+    let held = sender.on_request(now, &Request::Ended);
+    assert_eq!(held, Ok(Response::AfterOffer(3)));
 }
