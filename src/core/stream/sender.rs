@@ -27,6 +27,16 @@ const GONE_AFTER: Duration = Duration::from_secs(6);
 const REMIND: Duration = Duration::from_secs(1);
 /// The most receivers of a stream that are listened to.
 pub const MAX_RECEIVERS: usize = 256;
+/// The most of them at one robot, so that no robot takes the places of the others.
+pub const MAX_RECEIVERS_OF_ROBOT: usize = 16;
+/// How long a receiver counts that has not reported a frame.
+const NEWCOMER: Duration = Duration::from_secs(3);
+/// How long a robot that is to listen elsewhere still counts where it was; where feedback comes less often, three times as
+/// long as between two reports.
+const LEAVES_WITHIN: Duration = Duration::from_secs(3);
+/// The slowest robot of the slow group holds the others down to this share of what the next one gets through, and no
+/// further.
+const HELD_TO: f64 = 1.0 / 3.0;
 
 /// How a stream is sent.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,6 +127,7 @@ struct Lane {
 #[derive(Debug)]
 struct Known {
     rate: Rate,
+    since: Instant,
     heard: Instant,
     says: Feedback,
     is_measured: bool,
@@ -229,31 +240,52 @@ impl Sender {
         self.lanes[group.index()].has_subscribers = Some(has_subscribers);
     }
 
-    /// A receiver of `robot` has said so.
+    /// Handles the feedback of a receiver of `robot`. That the robot sent it is certain, by its key; what it reports may be
+    /// wrong or made up, and holds down the other robots within limits only.
     pub fn on_feedback(&mut self, robot: &Name, feedback: &Feedback, now: Instant) {
         let key = (robot.clone(), feedback.receiver);
-        if self.receivers.len() >= MAX_RECEIVERS && !self.receivers.contains_key(&key) {
+        let of_robot = self
+            .receivers
+            .range((robot.clone(), 0)..=(robot.clone(), u16::MAX));
+        let is_full =
+            of_robot.count() >= MAX_RECEIVERS_OF_ROBOT || self.receivers.len() >= MAX_RECEIVERS;
+        let is_known = self.receivers.contains_key(&key);
+        if (is_full && !is_known) || !self.is_of_this_stream(feedback) {
             return;
         }
         let limits = self.options.rates;
         let known = self.receivers.entry(key).or_insert_with(|| Known {
             rate: Rate::new(limits, now),
+            since: now,
             heard: now,
             says: *feedback,
             is_measured: false,
         });
         known.heard = now;
         known.says = *feedback;
-        self.groups.on_robot(robot, feedback.group);
-        // What it heard of an earlier program of this name says nothing of this one.
-        if feedback.frames == 0 || self.lanes.iter().any(|lane| lane.source == feedback.source) {
-            known.is_measured |= feedback.frames > 0;
-            known.rate.on_feedback(feedback, now);
-        }
+        known.is_measured |= feedback.frames > 0;
+        known.rate.on_feedback(feedback, now);
+        // A new robot is where newcomers are to listen, or where it holds down fewer.
+        let group = match feedback.group {
+            Group::Main => self.join(),
+            Group::Slow => Group::Slow,
+        };
+        self.groups.on_robot(robot, group);
         if self.options.mode == Mode::Adaptive && self.groups.of(robot) != Some(feedback.group) {
             self.notice_at.get_or_insert(now + REMIND);
         }
         self.poll(now);
+    }
+
+    /// Whether it reports frames that this program has sent, or none yet. What a receiver heard of an earlier program of
+    /// this name says nothing of this one.
+    fn is_of_this_stream(&self, feedback: &Feedback) -> bool {
+        let is_newcomer = feedback.source == 0 && feedback.frames == 0;
+        let was_sent = |lane: &Lane| {
+            let ago = lane.next.wrapping_sub(1).wrapping_sub(feedback.last);
+            lane.source == feedback.source && lane.frames > 0 && ago < u32::MAX / 2
+        };
+        is_newcomer || self.lanes.iter().any(was_sent)
     }
 
     /// What to put for all to know, if anything.
@@ -378,17 +410,28 @@ impl Sender {
         potentials
     }
 
-    /// What all that listen to a group's key get, and those that are to listen there: the least of them counts.
+    /// What all get that listen to a group's key or are to listen there: the least of them counts.
     fn rate_of(&self, group: Group) -> Option<f64> {
+        let now = self.polled;
+        let leaves_within = LEAVES_WITHIN.max(self.options.feedback * 3);
         let is_there = |((robot, _), known): &(&(Name, u16), &Known)| {
-            known.says.group == group || self.groups.of(robot) == Some(group)
+            let is_leaving = self.groups.is_leaving(robot, group, leaves_within, now);
+            let is_new = now.saturating_duration_since(known.since) < NEWCOMER;
+            (self.groups.of(robot) == Some(group) || (is_leaving && known.says.group == group))
+                && (known.is_measured || is_new)
         };
-        let rates = self
-            .receivers
-            .iter()
-            .filter(is_there)
-            .map(|(_, known)| known.rate.bytes_per_s());
-        rates.reduce(f64::min)
+        let mut robots = BTreeMap::new();
+        for ((robot, _), known) in self.receivers.iter().filter(is_there) {
+            let least = robots.entry(robot).or_insert(f64::INFINITY);
+            *least = known.rate.bytes_per_s().min(*least);
+        }
+        let mut rates: Vec<f64> = robots.into_values().collect();
+        rates.sort_by(f64::total_cmp);
+        let least = rates.first().copied()?;
+        Some(match (group, rates.get(1)) {
+            (Group::Slow, Some(next)) => least.max((next * HELD_TO).min(self.options.rates.first)),
+            _ => least,
+        })
     }
 
     /// Where a newcomer listens at first: not to frames that would fill a slow link for seconds.

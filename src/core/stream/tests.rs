@@ -2,12 +2,16 @@
 use std::time::Duration;
 
 use super::{
+    feedback::Feedback,
     ladder::Coding,
-    sender::{Options, Sender},
-    simulation::{Arrival, Condition, World},
+    sender::{Options, Sender, MAX_RECEIVERS, MAX_RECEIVERS_OF_ROBOT},
+    simulation::{Arrival, Condition, Random, World},
     Group,
 };
-use crate::core::attachment::Sent;
+use crate::core::{
+    attachment::{Attachment, Sent},
+    name::Name,
+};
 
 const PIXELS: usize = 320 * 240;
 const SEEDS: std::ops::Range<u64> = 0..5;
@@ -380,4 +384,155 @@ fn a_sensors_value_takes_six_to_eight_bytes_more_and_goes_at_once() {
         assert!(attachment.encode().len() <= 8);
     }
     assert_eq!(sender.notice(start).feedback_ms, 0);
+}
+
+/// What a forger reports, in the robot's own name, of a stream that it subscribes to.
+fn reported(newest: [Option<Attachment>; 2], group: Group, pace: u32) -> Option<Feedback> {
+    let newest = newest[group.index()]?;
+    Some(Feedback {
+        group,
+        receiver: 7,
+        source: newest.source,
+        last: newest.sequence,
+        span_ms: 500,
+        frames: 5,
+        bytes: 5000,
+        pace_bytes_per_s: Some(pace),
+        ..Feedback::default()
+    })
+}
+
+fn forger() -> Name {
+    Name::new("forger").expect("a name")
+}
+
+#[test]
+fn nonsense_as_feedback_makes_no_receiver_and_holds_nobody_down() {
+    let mut world = world(1);
+    world.add("laptop", 2, |_| Condition::of(20e6));
+    let mut random = Random(5);
+    world.forge = Box::new(move |sender, _, _, now| {
+        for _ in 0..20 {
+            let mut number = || random.next() as u32;
+            let feedback = Feedback {
+                receiver: number() as u16,
+                source: number() as u16,
+                last: number(),
+                span_ms: number(),
+                frames: number(),
+                bytes: number(),
+                skipped: number(),
+                age_ms: number(),
+                pace_bytes_per_s: Some(number() % 1000),
+                ..Feedback::default()
+            };
+            sender.on_feedback(&forger(), &feedback, now);
+        }
+    });
+    world.run(40);
+    assert_eq!(world.sender.status().receivers.len(), 1, "the laptop");
+    let late = found(&world, "laptop", 10, 40);
+    println!("{late:?}");
+    assert!(
+        late.frames_per_s > 12.0 && late.bytes_per_s > 500e3,
+        "{late:?}"
+    );
+}
+
+#[test]
+fn a_robot_that_reports_next_to_nothing_holds_a_laptop_down_for_seconds_only() {
+    for (about, forge_from) in [("from the beginning", 0), ("later", 20)] {
+        let mut world = world(1);
+        world.add("laptop", 2, |_| Condition::of(20e6));
+        world.forge = Box::new(move |sender, newest, since, now| {
+            // Whatever it is told, it stays where it is.
+            let says = reported(newest, Group::Main, 1);
+            if let Some(says) = says.filter(|_| since >= secs(forge_from)) {
+                sender.on_feedback(&forger(), &says, now);
+            }
+        });
+        world.run(60);
+        let late = found(&world, "laptop", forge_from + 15, 60);
+        println!("{about}: {late:?}");
+        assert!(late.frames_per_s > 12.0, "{about}: {late:?}");
+        assert!(late.bytes_per_s > 500e3, "{about}: {late:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_reports_much_and_little_by_turns_holds_a_laptop_down_less_and_less() {
+    let mut world = world(1);
+    world.add("laptop", 2, |_| Condition::of(20e6));
+    world.forge = Box::new(|sender, newest, since, now| {
+        let pace = if since.as_secs() % 16 < 8 {
+            20_000_000
+        } else {
+            1
+        };
+        if let Some(says) = reported(newest, Group::Main, pace) {
+            sender.on_feedback(&forger(), &says, now);
+        }
+    });
+    world.run(300);
+    let held_down = |from, to| {
+        let rates = world
+            .rates
+            .iter()
+            .filter(|(at, group, _)| *group == Group::Main && (secs(from)..secs(to)).contains(at));
+        let (count, held) = rates.fold((0, 0), |(count, held), (_, _, rate)| {
+            (count + 1, held + u32::from(*rate < 500e3))
+        });
+        f64::from(held) / f64::from(count)
+    };
+    let share = held_down(60, 300);
+    println!("held down for {share:.2} of the time");
+    assert!(share < 0.2, "{share}");
+}
+
+#[test]
+fn a_robot_that_reports_next_to_nothing_leaves_the_slow_group_a_third() {
+    for seed in SEEDS {
+        let mut world = world(seed);
+        world.add("laptop", 2, |_| Condition::of(20e6));
+        world.add("wombat-2", 30, |_| Condition::of(34e3));
+        world.forge = Box::new(|sender, newest, since, now| {
+            let says = reported(newest, Group::Slow, 1);
+            if let Some(says) = says.filter(|_| since >= secs(20)) {
+                sender.on_feedback(&forger(), &says, now);
+            }
+        });
+        world.run(80);
+        let (before, after) = (
+            found(&world, "wombat-2", 10, 20),
+            found(&world, "wombat-2", 40, 80),
+        );
+        println!("seed {seed}: {before:?} then {after:?}");
+        assert!(
+            after.bytes_per_s > before.bytes_per_s / 4.0,
+            "seed {seed}: {after:?}"
+        );
+        assert!(
+            found(&world, "laptop", 40, 80).frames_per_s > 12.0,
+            "seed {seed}"
+        );
+    }
+}
+
+#[test]
+fn one_robot_does_not_take_the_places_of_the_others() {
+    let now = std::time::Instant::now();
+    let mut sender = Sender::new(Options::default(), 1, 0, now);
+    for receiver in 0..1000 {
+        let says = Feedback {
+            receiver,
+            ..Feedback::default()
+        };
+        sender.on_feedback(&forger(), &says, now);
+    }
+    assert_eq!(sender.status().receivers.len(), MAX_RECEIVERS_OF_ROBOT);
+    for robot in 0..MAX_RECEIVERS {
+        let name = Name::new(&format!("wombat-{robot}")).expect("a name");
+        sender.on_feedback(&name, &Feedback::default(), now);
+    }
+    assert_eq!(sender.status().receivers.len(), MAX_RECEIVERS);
 }
