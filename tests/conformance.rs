@@ -38,7 +38,7 @@ fn check(file: &str, about: &str, seeds: Vec<Value>, out: impl Fn(&Value) -> Val
         let cases: Vec<String> = seeds
             .into_iter()
             .map(case)
-            .map(|case| format!("    {case}"))
+            .map(|case| format!("    {}", escaped(&case.to_string())))
             .collect();
         let (about, cases) = (json!(about), cases.join(",\n"));
         let text = format!("{{\n  \"about\": {about},\n  \"cases\": [\n{cases}\n  ]\n}}\n");
@@ -55,6 +55,25 @@ fn check(file: &str, about: &str, seeds: Vec<Value>, out: impl Fn(&Value) -> Val
             "{file}: {input}\n{wanted}\n{found}"
         );
     }
+}
+
+/// The same JSON without characters that an editor does not show as they are.
+fn escaped(json: &str) -> String {
+    let is_shown = |c: char| !matches!(c, '\u{7f}'..='\u{9f}' | '\u{200b}'..='\u{206f}' | '\u{feff}' | '\u{e0000}'..='\u{e007f}');
+    let mut text = String::with_capacity(json.len());
+    for c in json.chars() {
+        if is_shown(c) {
+            text.push(c);
+        } else {
+            let mut units = [0; 2];
+            text.extend(
+                c.encode_utf16(&mut units)
+                    .iter()
+                    .map(|unit| format!("\\u{unit:04x}")),
+            );
+        }
+    }
+    text
 }
 
 /// Equal; pixels may be off by `off`, since decoders of pictures with loss round differently.
@@ -112,6 +131,7 @@ fn payload_kind(error: &PayloadError) -> Value {
         PayloadError::Other { .. } => json!({"error": "other"}),
         PayloadError::Read { .. } => json!({"error": "read"}),
         PayloadError::Write { .. } => json!({"error": "write"}),
+        PayloadError::Encoding(_) => json!({"error": "encoding"}),
     }
 }
 

@@ -65,6 +65,9 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Messages that did not arrive, by their numbers.
     pub missed: u64,
+    /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters, more
+    /// than 200 bytes, reserved parts).
+    pub rejected: u64,
 }
 
 impl Robot {
@@ -284,6 +287,7 @@ pub extern "C" fn rect_robot_counters(
             received,
             received_bytes,
             missed,
+            rejected,
         } = counted;
         let counted = Counters {
             sent,
@@ -291,6 +295,7 @@ pub extern "C" fn rect_robot_counters(
             received,
             received_bytes,
             missed,
+            rejected,
         };
         give("counters", counters, counted)
     })

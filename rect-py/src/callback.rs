@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use pyo3::{intern, prelude::*};
+use rect::core::key::NoMessage;
 
 use crate::{connection::Links, counters::Counting, message::Inbound, queue::Queue};
 
@@ -62,14 +63,19 @@ impl OnMessage {
             priority,
             self.directed,
         );
-        let Some(said) = said else {
-            return Ok(());
+        let counting = &self.counting.get().0;
+        let said = match said {
+            Ok(said) => said,
+            Err(NoMessage::Elsewhere) => return Ok(()),
+            Err(NoMessage::InvalidTopic { .. }) => {
+                counting.on_rejected();
+                return Ok(());
+            }
         };
         let payload = bytes_of(&sample.getattr(intern!(py, "payload"))?)?;
         let encoding = sample.getattr(intern!(py, "encoding"))?.str()?;
         let over = self.links.as_ref();
         let over = over.and_then(|links| links.get().method_of(said.from()));
-        let counting = &self.counting.get().0;
         counting.on_received(payload.len()?, said.missed());
         let item = (said, payload, encoding, over).into_pyobject(py)?;
         self.queue.get().push(py, item.into_any().unbind())?;

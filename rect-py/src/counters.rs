@@ -17,8 +17,8 @@ impl Counting {
         self.0.on_sent(bytes);
     }
 
-    /// Messages sent, their bytes, messages received, their bytes, messages missed.
-    fn read(&self) -> (u64, u64, u64, u64, u64) {
+    /// Messages sent, their bytes, messages received, their bytes, messages missed, messages rejected.
+    fn read(&self) -> (u64, u64, u64, u64, u64, u64) {
         let read = self.0.read();
         (
             read.sent,
@@ -26,6 +26,7 @@ impl Counting {
             read.received,
             read.received_bytes,
             read.missed,
+            read.rejected,
         )
     }
 }

@@ -5,6 +5,7 @@ use bytes::Bytes;
 use pyo3::prelude::*;
 use rect::core::{
     encoding::Encoding,
+    key::NoMessage,
     message::{self, Delivered, Message},
     name::Name,
     payload::Payload,
@@ -28,22 +29,15 @@ impl Inbound {
     }
 
     /// A message; `None`: none for this robot, or one that the other subscription brings.
-    pub fn on_delivered(
+    #[pyo3(name = "on_delivered")]
+    fn on_delivered_or_none(
         &self,
         key: &str,
         attachment: Option<&[u8]>,
         priority: u8,
         directed: bool,
     ) -> Option<Said> {
-        let delivered = Delivered {
-            key,
-            // The bytes stay Python's; the core passes them on without looking.
-            payload: Payload::new(Bytes::new(), Encoding::BYTES),
-            attachment,
-            priority,
-            directed,
-        };
-        self.inbound().on_delivered(delivered).map(Said)
+        self.on_delivered(key, attachment, priority, directed).ok()
     }
 
     /// What came of each robot, and what did not.
@@ -57,6 +51,25 @@ impl Inbound {
 }
 
 impl Inbound {
+    /// Makes the message, or says why there is none.
+    pub fn on_delivered(
+        &self,
+        key: &str,
+        attachment: Option<&[u8]>,
+        priority: u8,
+        directed: bool,
+    ) -> Result<Said, NoMessage> {
+        let delivered = Delivered {
+            key,
+            // The bytes stay Python's; the core passes them on without looking.
+            payload: Payload::new(Bytes::new(), Encoding::BYTES),
+            attachment,
+            priority,
+            directed,
+        };
+        self.inbound().on_delivered(delivered).map(Said)
+    }
+
     fn inbound(&self) -> MutexGuard<'_, message::Inbound> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -16,6 +16,9 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Messages that did not arrive, by their numbers.
     pub missed: u64,
+    /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters, more
+    /// than 200 bytes, reserved parts).
+    pub rejected: u64,
 }
 
 /// The counters where they are counted, by any thread.
@@ -26,6 +29,7 @@ pub struct Counting {
     received: AtomicU64,
     received_bytes: AtomicU64,
     missed: AtomicU64,
+    rejected: AtomicU64,
 }
 
 impl Counting {
@@ -42,6 +46,11 @@ impl Counting {
         add(&self.missed, missed.into());
     }
 
+    /// A message with an invalid topic was dropped.
+    pub fn on_rejected(&self) {
+        add(&self.rejected, 1);
+    }
+
     /// As they are now.
     pub fn read(&self) -> Counters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -51,6 +60,7 @@ impl Counting {
             received: read(&self.received),
             received_bytes: read(&self.received_bytes),
             missed: read(&self.missed),
+            rejected: read(&self.rejected),
         }
     }
 }

@@ -22,6 +22,18 @@ pub struct Place {
     pub robot: Name,
 }
 
+/// Why a key is not that of a message to this robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoMessage {
+    /// It belongs to another fleet, is sent to another robot alone, or is not a message's key.
+    Elsewhere,
+    /// It is one but for its topic, which RECT does not allow (see [`Topic`]): only other Zenoh programs publish there.
+    InvalidTopic {
+        /// Whether it is sent to this robot alone.
+        directed: bool,
+    },
+}
+
 /// What a key says of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Address {
@@ -76,23 +88,32 @@ impl Place {
     /// What a key of this fleet says; `None` for one that is no message's, or is for another robot alone (which a
     /// subscription with `**` receives, too).
     pub fn address(&self, key: &str) -> Option<Address> {
-        let from = self.robot_of(key)?;
+        self.read(key).ok()
+    }
+
+    /// Reads a key that a subscription delivered.
+    ///
+    /// # Errors
+    /// [`NoMessage`]: it is not the key of a message to this robot.
+    pub fn read(&self, key: &str) -> Result<Address, NoMessage> {
+        let from = self.robot_of(key).ok_or(NoMessage::Elsewhere)?;
         let rest = &key[self.fleet.as_str().len() + from.as_str().len() + 2..];
         let directed = rest
             .strip_prefix(TO)
             .and_then(|rest| rest.strip_prefix('/'));
         let (to, topic) = match directed {
             Some(rest) => {
-                let (to, topic) = rest.split_once('/')?;
+                let (to, topic) = rest.split_once('/').ok_or(NoMessage::Elsewhere)?;
                 if self.robot != to {
-                    return None;
+                    return Err(NoMessage::Elsewhere);
                 }
                 (Some(self.robot.clone()), topic)
             }
             None => (None, rest),
         };
-        let topic = Topic::new(topic).ok()?;
-        Some(Address { from, to, topic })
+        let directed = to.is_some();
+        let topic = Topic::new(topic).map_err(|_| NoMessage::InvalidTopic { directed })?;
+        Ok(Address { from, to, topic })
     }
 }
 

@@ -3,7 +3,7 @@ use super::{
     attachment::{Attachment, Sent},
     codec::CodecError,
     gaps::{Gaps, Tally},
-    key::Place,
+    key::{NoMessage, Place},
     name::Name,
     payload::Payload,
     topic::Topic,
@@ -67,12 +67,18 @@ impl Inbound {
         Self { place, gaps }
     }
 
-    /// The message; `None` if it is none for this robot, or one that the other of a pattern's two subscriptions brings.
-    pub fn on_delivered(&mut self, delivered: Delivered<'_>) -> Option<Message> {
-        let address = self.place.address(delivered.key)?;
-        if address.to.is_some() != delivered.directed {
-            return None;
-        }
+    /// Makes the message.
+    ///
+    /// # Errors
+    /// [`NoMessage`]: it is not a message to this robot, or the other one of a pattern's two subscriptions delivers it too.
+    pub fn on_delivered(&mut self, delivered: Delivered<'_>) -> Result<Message, NoMessage> {
+        let address = match self.place.read(delivered.key) {
+            Ok(address) if address.to.is_some() == delivered.directed => address,
+            Err(NoMessage::InvalidTopic { directed }) if directed == delivered.directed => {
+                return Err(NoMessage::InvalidTopic { directed });
+            }
+            _ => return Err(NoMessage::Elsewhere),
+        };
         let attachment = delivered.attachment.and_then(Attachment::decode);
         let mut message = Message {
             from: address.from,
@@ -101,7 +107,7 @@ impl Inbound {
                 }
             }
         }
-        Some(message)
+        Ok(message)
     }
 
     /// What arrived of each robot.
@@ -170,6 +176,25 @@ mod tests {
     fn what_both_subscriptions_bring_comes_once() {
         let mut twice = delivered("rect/a/to/wombat-1/x", None);
         twice.directed = false;
-        assert!(inbound().on_delivered(twice).is_none());
+        assert!(inbound().on_delivered(twice).is_err());
+    }
+
+    #[test]
+    fn an_invalid_topic_of_another_program_is_rejected_once() {
+        let topic = "a\u{1b}]0;pwned\u{7}\u{1b}[2Jb\nfake/c";
+        for (key, directed) in [
+            (format!("rect/a/{topic}"), false),
+            (format!("rect/a/to/wombat-1/{topic}"), true),
+        ] {
+            let mut inbound = inbound();
+            let rejected = NoMessage::InvalidTopic { directed };
+            let first = inbound.on_delivered(delivered(&key, None));
+            assert_eq!(first.expect_err("rejected"), rejected);
+            let mut twice = delivered(&key, None);
+            twice.directed = !directed;
+            let second = inbound.on_delivered(twice);
+            assert_eq!(second.expect_err("rejected"), NoMessage::Elsewhere);
+            assert_eq!(inbound.tallies().count(), 0);
+        }
     }
 }

@@ -43,6 +43,19 @@ pub enum TopicError {
     /// A wildcard where one thing is to be named.
     #[error("the topic {0:?} has a wildcard in it: a message is about one thing; wildcards are for subscribing")]
     Wildcard(String),
+    /// A character that a terminal would obey, or that makes a line read as something else than it is: control characters,
+    /// invisible characters, and the marks that change the direction of text.
+    #[error(
+        "the topic {topic:?} has the character U+{:04X} in it: control characters, invisible characters and marks of text \
+         direction are not allowed in topics; use letters, digits, `_`, `-` and `/`",
+        u32::from(*.found)
+    )]
+    Character {
+        /// The rejected text.
+        topic: String,
+        /// The first such character.
+        found: char,
+    },
     /// A part that belongs to Zenoh or RECT.
     #[error("the topic {topic:?} has the part {part:?} in it, which is for RECT's own messages")]
     Reserved {
@@ -136,6 +149,10 @@ fn checked(text: &str) -> Result<&keyexpr, TopicError> {
         return Err(TopicError::Length);
     }
     let topic = || text.to_owned();
+    if let Some(found) = text.chars().find(|&c| is_harmful(c)) {
+        let topic = topic();
+        return Err(TopicError::Character { topic, found });
+    }
     let key = keyexpr::new(text).map_err(|error| TopicError::Invalid {
         topic: topic(),
         reason: error.to_string(),
@@ -148,6 +165,21 @@ fn checked(text: &str) -> Result<&keyexpr, TopicError> {
         }),
         None => Ok(key),
     }
+}
+
+/// Returns whether a terminal would obey the character, or would show something else than what is there because of it. The
+/// joiners U+200C and U+200D belong to ordinary text and are allowed.
+fn is_harmful(c: char) -> bool {
+    c.is_control()
+        || matches!(c,
+            '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}' | '\u{200e}' | '\u{200f}'
+            // Line and paragraph separator, and the bidirectional embeddings and overrides.
+            | '\u{2028}'..='\u{202e}'
+            // Invisible operators, and the bidirectional isolates.
+            | '\u{2060}'..='\u{206f}'
+            | '\u{feff}' | '\u{fff9}'..='\u{fffb}'
+            // Tags, which are invisible letters.
+            | '\u{e0000}'..='\u{e007f}')
 }
 
 impl FromStr for Topic {
@@ -238,6 +270,31 @@ mod tests {
             "a?b", &too_long,
         ] {
             assert!(Topic::new(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn control_and_direction_characters_are_rejected_in_topics_and_patterns() {
+        let controls = (0..=0x1f).chain(0x7f..=0x9f).filter_map(char::from_u32);
+        let directions = (0x202a..=0x202e)
+            .chain(0x2066..=0x2069)
+            .chain([0x200e, 0x200f, 0x61c]);
+        for c in controls.chain(directions.filter_map(char::from_u32)) {
+            let text = format!("arm/{c}angle");
+            let error = Topic::new(&text).expect_err("a topic");
+            assert!(
+                matches!(&error, TopicError::Character { found, .. } if *found == c),
+                "{error}"
+            );
+            let shown = error.to_string();
+            assert!(
+                shown.contains(&format!("U+{:04X}", u32::from(c))) && !shown.contains(c),
+                "{shown}"
+            );
+            assert!(Pattern::new(&format!("*/{text}/*")).is_err(), "{c:?}");
+        }
+        for good in ["日本/角度", "a\u{200d}b", "é", "arm angle"] {
+            assert!(Topic::new(good).is_ok(), "{good}");
         }
     }
 

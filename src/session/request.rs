@@ -180,7 +180,7 @@ impl Replies {
                     }
                     None => Err(Error::Zenoh {
                         what: "the answer is none of a robot",
-                        reason: format!("its key is {}", sample.key_expr()),
+                        reason: format!("its key is {:?}", sample.key_expr().as_str()),
                     }),
                 }
             }

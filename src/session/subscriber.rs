@@ -24,6 +24,7 @@ use crate::{
     core::{
         encoding::Encoding,
         gaps::Tally,
+        key::NoMessage,
         message::{Delivered, Inbound, Message},
         name::Name,
         payload::Payload,
@@ -107,8 +108,10 @@ impl Robot {
             let counting = self.inner.counting.clone();
             let links = self.inner.known.as_ref().map(Known::links);
             let on_sample = move |sample: Sample| {
-                let Some(mut message) = on_sample(&inbound, &sample, directed) else {
-                    return;
+                let mut message = match on_sample(&inbound, &sample, directed) {
+                    Ok(message) => message,
+                    Err(NoMessage::Elsewhere) => return,
+                    Err(NoMessage::InvalidTopic { .. }) => return counting.on_rejected(),
                 };
                 if let Some(links) = &links {
                     let links = links.lock().unwrap_or_else(PoisonError::into_inner);
@@ -269,7 +272,11 @@ impl fmt::Debug for Subscriber {
     }
 }
 
-fn on_sample(inbound: &Mutex<Inbound>, sample: &Sample, directed: bool) -> Option<Message> {
+fn on_sample(
+    inbound: &Mutex<Inbound>,
+    sample: &Sample,
+    directed: bool,
+) -> Result<Message, NoMessage> {
     let attachment = sample.attachment().map(ZBytes::to_bytes);
     lock(inbound).on_delivered(Delivered {
         key: sample.key_expr().as_str(),

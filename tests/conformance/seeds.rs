@@ -69,6 +69,19 @@ pub fn topics() -> Vec<Value> {
         "a/@x",
         "a#b",
         "a?b",
+        "日本/角度",
+        "a\u{200d}b",
+        "a\nb",
+        "a\tb",
+        "a\u{1b}[2Jb",
+        "a\u{7f}b",
+        "a\u{9b}b",
+        "a\u{200b}b",
+        "a\u{200f}b",
+        "a\u{202e}b",
+        "a\u{2066}b",
+        "a\u{feff}b",
+        "a\u{e0041}b",
     ]);
     topics.extend([200, 201].map(|n| Value::from("x".repeat(n))));
     topics
@@ -93,6 +106,11 @@ pub fn patterns() -> Vec<Value> {
         "*/@rect/**",
         "*/to/x",
         "a//b",
+        "*/ä/**",
+        "*/a\nb/**",
+        "*/a\u{1b}[2Jb/**",
+        "*/a\u{202e}b/*",
+        "a\u{202e}b/x",
     ])
 }
 
@@ -127,6 +145,8 @@ pub fn keys() -> Vec<Value> {
         "rect/a",
         "rectx/a/x",
         "",
+        "rect/a/x\u{1b}[2J",
+        "rect/a/to/wombat-1/x\u{202e}",
     ];
     keys.extend(read.map(|key| here(json!({"do": "address", "key": key}))));
     keys

@@ -146,7 +146,7 @@ class Replies:
         key = str(reply.ok.key_expr)
         address = self._session.place.address(key)
         if address is None:
-            raise ZenohError("the answer is none of a robot", f"its key is {key}")
+            raise ZenohError("the answer is none of a robot", f"its key is {key!r}")
         sender = address[0]
         payload = Payload(payload_bytes(reply.ok.payload), str(reply.ok.encoding))
         return Reply(sender, self._session.decoder.payload(sender, payload))

@@ -48,6 +48,9 @@ class Counters:
     received_bytes: int
     #: Messages that did not arrive, by their numbers.
     missed: int
+    #: Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
+    #: more than 200 bytes, reserved parts).
+    rejected: int
 
 
 class Events:
