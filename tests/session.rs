@@ -264,3 +264,72 @@ async fn closing_ends_whatever_waits() {
     assert_eq!(ended.expect("in time"), (true, true, true));
     b.close().await.expect("closed");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_encoding_that_is_too_long_is_rejected_before_it_is_sent() {
+    let (a, b) = pair("a", "b").await;
+    let too_long = || rect::Payload::new("1", rect::Encoding::new("x".repeat(201)));
+    let longest = rect::Payload::new("1", rect::Encoding::new("x".repeat(200)));
+    let heard = b.subscribe("a/x").await.expect("subscribed");
+    let _service = b.serve("long", move |_| async move { Ok::<_, String>(too_long()) });
+    let _service = _service.await.expect("served");
+    until_heard(&a, "x", || heard.try_recv().is_some()).await;
+    let published = a.publish("x", too_long()).await;
+    let sent = a.send("b", "x", too_long()).await;
+    let asked = a.request("b", "long", too_long(), PATIENCE).await.map(drop);
+    let transferred = a.transfer("b", "x", too_long()).expect("named").await;
+    for refused in [published, sent, asked, transferred] {
+        let text = refused.expect_err("too long").to_string();
+        assert!(
+            text.contains("is 201 bytes long, and an encoding has at most 200"),
+            "{text}"
+        );
+    }
+    // The requester is told what is wrong with the answer, and not that nobody serves.
+    let error = a
+        .request("b", "long", "", PATIENCE)
+        .await
+        .expect_err("an error");
+    assert!(matches!(error, Error::Service { .. }), "{error}");
+    a.publish("x", longest.clone()).await.expect("published");
+    loop {
+        let message = timeout(PATIENCE, heard.recv()).await.expect("in time");
+        let message = message.expect("open");
+        if message.payload == longest {
+            break;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_of_another_program_with_an_invalid_topic_is_dropped_and_counted() {
+    let (a, b) = pair("a", "b").await;
+    let heard = b.subscribe("a/**").await.expect("subscribed");
+    until_heard(&a, "ready", || heard.try_recv().is_some()).await;
+    let key = "rect/a/a\u{1b}]0;pwned\u{7}\u{1b}[2Jb\nfake/c";
+    a.zenoh().put(key, "12.5").await.expect("put");
+    a.publish("end", "").await.expect("published");
+    loop {
+        let message = timeout(PATIENCE, heard.recv()).await.expect("in time");
+        match message.expect("open").topic.as_str() {
+            "ready" => {}
+            topic => break assert_eq!(topic, "end"),
+        }
+    }
+    assert_eq!(b.counters().rejected, 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_panics_answers_with_an_error() {
+    let (a, b) = pair("a", "b").await;
+    let panics = |request: Arc<rect::Request>| async move {
+        assert!(!request.payload.bytes.starts_with(b"panic"), "on purpose");
+        Ok::<_, String>("well")
+    };
+    let _service = b.serve("panics", panics).await.expect("served");
+    let known = async { while a.request("b", "panics", "", PATIENCE).await.is_err() {} };
+    timeout(PATIENCE, known).await.expect("served in time");
+    let error = a.request("b", "panics", "panic", PATIENCE).await;
+    let error = error.map(drop).expect_err("an error").to_string();
+    assert!(error.contains("the service's function panicked"), "{error}");
+}

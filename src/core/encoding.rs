@@ -4,8 +4,23 @@
 //! the last may name a packing: `application/json;zstd` is JSON in one zstd frame.
 use std::{borrow::Cow, fmt};
 
-/// The longest encoding, in bytes: Zenoh's schemas may have 255 bytes.
+/// The longest encoding that can be sent, in bytes. Zenoh allows 255 in a schema; the rest is for what RECT adds to it.
 pub const MAX_BYTES: usize = 200;
+
+/// How much of an encoding that is too long an error shows, in characters.
+const SHOWN_CHARACTERS: usize = 40;
+
+/// The encoding is longer than [`MAX_BYTES`]. Shorten it, or put what it says into the payload.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the encoding {beginning:?}... is {bytes} bytes long, and an encoding has at most {MAX_BYTES}"
+)]
+pub struct TooLong {
+    /// How it begins.
+    pub beginning: String,
+    /// Its length, in bytes.
+    pub bytes: usize,
+}
 
 /// What a payload is.
 #[derive(Clone, PartialEq, Eq, Hash)]
@@ -29,14 +44,22 @@ impl Encoding {
     /// Bytes with a layout that the rest of the encoding tells: raw pictures, arrays.
     pub const RAW: &'static str = "application/octet-stream";
 
-    /// As a peer or a program wrote it; too long a one is cut, which makes it an unknown one.
+    /// As a peer or a program wrote it. A payload with one of more than [`MAX_BYTES`] can't be sent.
     pub fn new(text: impl Into<Cow<'static, str>>) -> Self {
-        let text = text.into();
-        if text.len() <= MAX_BYTES {
-            return Self(text);
+        Self(text.into())
+    }
+
+    /// Checks that a payload with this encoding can be sent.
+    ///
+    /// # Errors
+    /// [`TooLong`].
+    pub fn check_length(&self) -> Result<(), TooLong> {
+        let bytes = self.0.len();
+        if bytes <= MAX_BYTES {
+            return Ok(());
         }
-        let end = (0..=MAX_BYTES).rev().find(|&n| text.is_char_boundary(n));
-        Self(text[..end.unwrap_or(0)].to_owned().into())
+        let beginning = self.0.chars().take(SHOWN_CHARACTERS).collect();
+        Err(TooLong { beginning, bytes })
     }
 
     /// As text.
@@ -102,8 +125,17 @@ mod tests {
     }
 
     #[test]
-    fn too_long_a_one_is_cut_between_characters() {
+    fn an_encoding_of_more_than_200_bytes_is_rejected_before_it_is_sent() {
+        let longest = Encoding::new("x".repeat(MAX_BYTES));
+        assert_eq!(longest.check_length(), Ok(()));
+        assert!(longest.packed("zstd").check_length().is_err());
         let long = Encoding::new("ä".repeat(MAX_BYTES));
-        assert!(long.as_str().len() <= MAX_BYTES && long.as_str().starts_with('ä'));
+        let error = long.check_length().expect_err("too long");
+        assert_eq!(error.bytes, 2 * MAX_BYTES);
+        let text = error.to_string();
+        assert!(
+            text.contains("400 bytes") && text.contains("at most 200"),
+            "{text}"
+        );
     }
 }

@@ -2,7 +2,10 @@
 use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
-use super::{codec::CodecError, encoding::Encoding};
+use super::{
+    codec::CodecError,
+    encoding::{Encoding, TooLong},
+};
 
 /// Bytes, and what they are. Cloning shares them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,6 +45,9 @@ pub enum PayloadError {
         /// What the parser says.
         reason: String,
     },
+    /// The encoding can't be sent.
+    #[error(transparent)]
+    Encoding(#[from] TooLong),
     /// The picture or array in it can't be had.
     #[error(transparent)]
     Codec(#[from] CodecError),
@@ -82,6 +88,15 @@ impl Payload {
             bytes: bytes.into(),
             encoding,
         }
+    }
+
+    /// Returns the payload if it can be sent.
+    ///
+    /// # Errors
+    /// [`PayloadError::Encoding`]: its encoding is too long.
+    pub fn sendable(self) -> Result<Self, PayloadError> {
+        self.encoding.check_length()?;
+        Ok(self)
     }
 
     /// As text.

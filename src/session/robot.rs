@@ -205,10 +205,11 @@ impl Robot {
 
     pub(super) fn payload(&self, value: impl ToPayload) -> Result<Payload, Error> {
         let payload = value.into_payload()?;
-        Ok(match &self.codec {
+        let payload = match &self.codec {
             Some(codec) => codec.encode(&payload)?,
             None => payload,
-        })
+        };
+        Ok(payload.sendable()?)
     }
 
     async fn say(&self, topic: Topic, to: Option<Name>, payload: Payload) -> Result<(), Error> {

@@ -135,12 +135,15 @@ impl Robot {
                 let answer = answer.clone();
                 working.spawn(async move {
                     let request = Arc::new(request);
+                    let _on_panic = RefusesOnPanic(request.clone());
                     let said = match answer(request.clone()).await {
                         Ok(value) => request.reply(value),
                         Err(error) => request.refuse(error),
                     };
                     if let Err(error) = said {
                         tracing::warn!("an answer was not sent: {error}");
+                        // Without any answer the requester would be told that nobody serves this.
+                        let _ = request.refuse(error.to_string());
                     }
                     drop(permit);
                 });
@@ -176,6 +179,17 @@ impl fmt::Debug for Requests {
 impl Drop for Requests {
     fn drop(&mut self) {
         self.inbox.close();
+    }
+}
+
+/// Answers with an error if the service's function panics.
+struct RefusesOnPanic(Arc<Request>);
+
+impl Drop for RefusesOnPanic {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let _ = self.0.refuse("the service's function panicked");
+        }
     }
 }
 
@@ -216,7 +230,7 @@ impl Request {
     /// # Errors
     /// [`Error::Payload`]; [`Error::Zenoh`] when the session is closed.
     pub fn reply(&self, value: impl ToPayload) -> Result<(), Error> {
-        let payload = value.into_payload()?;
+        let payload = value.into_payload()?.sendable()?;
         let reply = self.query.reply(&self.key, payload.bytes);
         let reply = reply.encoding(payload.encoding.as_str()).wait();
         reply.map_err(Error::zenoh("the answer is not sent"))
@@ -227,7 +241,7 @@ impl Request {
     /// # Errors
     /// As [`reply`](Self::reply).
     pub fn refuse(&self, error: impl ToPayload) -> Result<(), Error> {
-        let error = error_to_payload(&self.me, error.into_payload()?);
+        let error = error_to_payload(&self.me, error.into_payload()?.sendable()?);
         reply_error(&self.query, error).map_err(Error::zenoh("the answer is not sent"))
     }
 }

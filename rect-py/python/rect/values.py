@@ -30,6 +30,8 @@ _CHANNELS = {"grey8": 1, "rgb8": 3, "rgba8": 4}
 _MODES = {"grey8": "L", "rgb8": "RGB", "rgba8": "RGBA"}
 #: What goes as JSON, as most messages do.
 _PLAIN = frozenset((dict, list, float, int, bool, type(None)))
+#: So many characters are never more bytes than an encoding may have.
+_SHORT_ENCODING = 50
 _ELEMENTS = ("u8", "i8", "u16", "i16", "u32", "i32", "i64", "f32", "f64")
 
 
@@ -167,10 +169,14 @@ class Picture:
 def payload_of(value: Any, codec: _rect.Codec | None = None) -> Payload:
     """A value as it is sent, made smaller by a codec if there is one."""
     if codec is None:
-        return Payload(*_parts(value))
-    if codec.name.split(":")[0] in _PICTURE_CODECS and not isinstance(value, (Payload, bytes)):
-        value = Picture(value)
-    return Payload(*codec.encode(*_parts(value)))
+        bytes, encoding = _parts(value)
+    else:
+        if codec.name.split(":")[0] in _PICTURE_CODECS and not isinstance(value, (Payload, builtins.bytes)):
+            value = Picture(value)
+        bytes, encoding = codec.encode(*_parts(value))
+    if len(encoding) > _SHORT_ENCODING:
+        _rect.check_encoding(encoding)
+    return Payload(bytes, encoding)
 
 
 def value_of(payload: Payload) -> Any:
@@ -211,7 +217,7 @@ def _parts(value: Any) -> tuple[bytes, str]:
     if isinstance(value, bytes):
         return value, BYTES
     if isinstance(value, Payload):
-        return value.bytes, value.encoding
+        return _checked(value)
     if isinstance(value, Cbor):
         return _rect.write_value(value.value, True)
     if isinstance(value, (bytearray, memoryview)):
@@ -223,6 +229,19 @@ def _parts(value: Any) -> tuple[bytes, str]:
     if _is_pillow(value):
         return _raw_picture(Picture(value))
     return _rect.write_value(value)
+
+
+def _checked(payload: Payload) -> tuple[bytes, str]:
+    """What a program's own payload has, if it can be sent."""
+    if not isinstance(payload.bytes, bytes):
+        raise TypeError(f"a payload has bytes, not a {type(payload.bytes).__name__}")
+    if not isinstance(payload.encoding, str):
+        raise TypeError(f"an encoding is text, not a {type(payload.encoding).__name__}")
+    try:
+        payload.encoding.encode()
+    except UnicodeEncodeError as error:
+        raise PayloadError(f"this encoding is not text in UTF-8: {error}", "encoding") from None
+    return payload.bytes, payload.encoding
 
 
 def _raw_picture(picture: Picture) -> tuple[bytes, str]:

@@ -188,6 +188,7 @@ impl Stream {
         job: Job,
         payload: Payload,
     ) -> Result<(), Error> {
+        let payload = payload.sendable()?;
         let attachment = self
             .shared
             .core()

@@ -16,7 +16,11 @@ use zenoh::Session;
 use super::offering::{Stop, WAITING};
 use crate::{
     core::{
-        encoding::Encoding, key::Place, name::Name, payload::Payload, topic::Topic,
+        encoding::Encoding,
+        key::Place,
+        name::Name,
+        payload::{Payload, PayloadError},
+        topic::Topic,
         transfer::Progress,
     },
     error::Error,
@@ -103,6 +107,13 @@ impl Transfer {
 
     /// Begins; the first that is returned ends it when dropped, the other has how it ended.
     fn begin(self) -> Result<(Stop, Outcome), Error> {
+        let of_source = match &self.source {
+            TransferSource::Bytes(_, encoding) => Some(encoding),
+            TransferSource::File(_) => None,
+        };
+        if let Some(encoding) = self.encoding.as_ref().or(of_source) {
+            encoding.check_length().map_err(PayloadError::from)?;
+        }
         let (events, incoming) = mpsc::sync_channel(WAITING);
         let (done, outcome) = oneshot::channel();
         let stop = Stop::new(&events);
