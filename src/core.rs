@@ -16,6 +16,7 @@ pub mod payload;
 pub mod picture;
 pub mod queue;
 pub mod request;
+pub mod router;
 pub mod stream;
 pub mod topic;
 pub mod transfer;

@@ -3,8 +3,10 @@ use std::{path::PathBuf, time::Duration};
 
 use crate::core::{
     codec::CodecError,
+    login::LoginRefused,
     name::{Name, NameError},
     payload::{Payload, PayloadError},
+    router::WrongRobot,
     topic::{Topic, TopicError},
     transfer::{Fault, OfferError, Refusal},
     wording,
@@ -37,6 +39,12 @@ pub enum Error {
         /// What Zenoh says.
         reason: String,
     },
+    /// The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    #[error(transparent)]
+    LoginRefused(#[from] LoginRefused),
+    /// The router serves another robot than the program joins as. Join under the router's name, or at the right router.
+    #[error(transparent)]
+    WrongRobot(#[from] WrongRobot),
     /// A locator, or something else in the options, that Zenoh does not take.
     #[error("the option {what} can't be {value:?}: {reason}")]
     Option {

@@ -2,6 +2,7 @@
 mod decoder;
 mod inbox;
 mod lanes;
+mod opening;
 mod options;
 mod publication;
 mod registry;

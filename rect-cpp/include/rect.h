@@ -78,6 +78,10 @@ typedef enum rect_code {
     RECT_CODE_FAULT = 19,
     // A failure that this version of the header has no word for; the text tells.
     RECT_CODE_OTHER = 20,
+    // The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    RECT_CODE_LOGIN_REFUSED = 21,
+    // The router serves another robot than the program joins as. Join under that name, or at the right router.
+    RECT_CODE_WRONG_ROBOT = 22,
 } rect_code;
 
 // How far a connection is.
@@ -367,7 +371,7 @@ typedef struct rect_options {
     const char *user;
     // The user's password.
     const char *password;
-    // The file with the login, `user:password`; default `/etc/rect/users`.
+    // The file with the login, `user:password`; default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
     const char *login_file;
     // How long to wait for the router, in ms; default 5000, so that a program may be started together with it.
     uint32_t patience_ms;
@@ -377,6 +381,9 @@ typedef struct rect_options {
     const char *const *zenoh_values;
     // How many settings.
     size_t zenoh_len;
+    // Joins although the router serves another robot: for a program that uses another name on purpose. A router with access
+    // control as `rect-router init` writes it drops what such a program publishes.
+    bool allow_name_mismatch;
 } rect_options;
 
 // A message from another robot (or another program of this one). One that a call gives has an `id`, and is there until
@@ -431,6 +438,9 @@ typedef struct rect_counters {
     uint64_t received_bytes;
     // Messages that did not arrive, by their numbers.
     uint64_t missed;
+    // Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters, more
+    // than 200 bytes, reserved parts).
+    uint64_t rejected;
 } rect_counters;
 
 // A request, which is there until the callback returns. It is answered by `rect_request_reply` or `rect_request_refuse`

@@ -53,6 +53,10 @@ pub enum Code {
     Fault = 19,
     /// A failure that this version of the header has no word for; the text tells.
     Other = 20,
+    /// The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    LoginRefused = 21,
+    /// The router serves another robot than the program joins as. Join under that name, or at the right router.
+    WrongRobot = 22,
 }
 
 /// Why a call did not do it.
@@ -124,6 +128,8 @@ fn code(error: &Error) -> Code {
         Error::Payload(PayloadError::Codec(_)) | Error::Codec(_) => Code::Codec,
         Error::Payload(_) => Code::Payload,
         Error::NoRouter { .. } => Code::NoRouter,
+        Error::LoginRefused(_) => Code::LoginRefused,
+        Error::WrongRobot(_) => Code::WrongRobot,
         Error::Option { .. } => Code::Option,
         Error::NoService { .. } => Code::NoService,
         Error::TimedOut { .. } => Code::TimedOut,

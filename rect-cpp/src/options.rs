@@ -30,7 +30,7 @@ pub struct Options {
     pub user: *const c_char,
     /// The user's password.
     pub password: *const c_char,
-    /// The file with the login, `user:password`; default `/etc/rect/users`.
+    /// The file with the login, `user:password`; default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
     pub login_file: *const c_char,
     /// How long to wait for the router, in ms; default 5000, so that a program may be started together with it.
     pub patience_ms: u32,
@@ -40,6 +40,9 @@ pub struct Options {
     pub zenoh_values: *const *const c_char,
     /// How many settings.
     pub zenoh_len: usize,
+    /// Joins although the router serves another robot: for a program that uses another name on purpose. A router with access
+    /// control as `rect-router init` writes it drops what such a program publishes.
+    pub allow_name_mismatch: bool,
 }
 
 /// As the library has them.
@@ -78,6 +81,9 @@ unsafe fn with(mut options: rect::Options, given: &Options) -> Result<rect::Opti
         }
         if let Some(file) = text_or_none("options.login_file", given.login_file)? {
             options = options.login_file(file);
+        }
+        if given.allow_name_mismatch {
+            options = options.allow_name_mismatch();
         }
         let values = items("options.zenoh_values", given.zenoh_values, given.zenoh_len)?;
         let keys = items("options.zenoh_keys", given.zenoh_keys, given.zenoh_len)?;

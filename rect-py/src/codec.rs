@@ -10,6 +10,7 @@ use rect::core::{
     payload::Payload,
 };
 
+use crate::detached::detached;
 use crate::errors::OrRaise;
 
 /// Bytes and what they are, as Python has them.
@@ -72,7 +73,7 @@ impl Codec {
         encoding: &str,
     ) -> PyResult<Parts<'py>> {
         let payload = payload(bytes, encoding);
-        let encoded = py.detach(|| self.0.encode(&payload)).or_raise()?;
+        let encoded = detached(py, || self.0.encode(&payload)).or_raise()?;
         Ok(parts(py, &encoded))
     }
 }
@@ -93,9 +94,7 @@ pub fn unpack<'py>(
     }
     let payload = payload(bytes, encoding);
     let limits = limits(max_bytes, None);
-    let decoded = py
-        .detach(|| codec::decode(&payload, &limits, &known))
-        .or_raise()?;
+    let decoded = detached(py, || codec::decode(&payload, &limits, &known)).or_raise()?;
     Ok(parts(py, &decoded))
 }
 
@@ -111,7 +110,7 @@ impl Dictionary {
     /// Makes one of samples.
     #[staticmethod]
     fn train(py: Python<'_>, samples: Vec<Vec<u8>>, size: usize) -> PyResult<Self> {
-        let trained = py.detach(|| dictionary::Dictionary::train(&samples, size));
+        let trained = detached(py, || dictionary::Dictionary::train(&samples, size));
         Ok(Self(Arc::new(trained.or_raise()?)))
     }
 

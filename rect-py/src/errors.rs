@@ -71,6 +71,7 @@ impl Raised for PayloadError {
         let kind = match self {
             Self::Codec(codec) => return codec.raised(),
             Self::Write { .. } => "write",
+            Self::Encoding(_) => "encoding",
             Self::Other { .. } => "other",
             Self::Read { .. } => "read",
         };
@@ -93,19 +94,8 @@ impl Raised for OfferError {
 /// What Zenoh says, on one line, without places in its source.
 #[pyfunction]
 pub fn in_words(said: &str) -> String {
-    wording::with_causes(&Said(said.to_owned()))
+    wording::on_one_line(said)
 }
-
-#[derive(Debug)]
-struct Said(String);
-
-impl std::fmt::Display for Said {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for Said {}
 
 /// Never lets go of an object: after a fork, ending it would wait for threads that the child does not have.
 #[pyfunction]

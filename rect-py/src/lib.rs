@@ -7,12 +7,14 @@ mod callback;
 mod codec;
 mod connection;
 mod counters;
+mod detached;
 mod errors;
 mod message;
 mod picture;
 mod place;
 mod queue;
 mod request;
+mod router;
 mod stream;
 mod transfer;
 mod urgency;
@@ -30,15 +32,17 @@ mod _rect {
         codec::{unpack, Codec, Dictionary},
         connection::{named_connection, Links, Presence},
         counters::Counting,
+        detached::{forget_work, settle},
         errors::{forget, in_words},
         message::{Inbound, Said},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
         place::{
-            check_name, check_topic, encoding_parts, first_login, is_packed, pattern, pattern_of,
-            Place,
+            check_encoding, check_name, check_topic, encoding_parts, is_packed, pattern,
+            pattern_of, Place,
         },
         queue::{Ended, Queue},
         request::{error_encoding, error_from, read_asking, write_asking},
+        router::{check_router, default_login_file, robot_of_router, Joining},
         stream::{Job, StreamReceiver, StreamSender},
         transfer::{transfer_ended, Inbox, Offered, Pull, Question, TransferSender},
         urgency::{goes_apart, qos, qos_of_frames},
@@ -50,10 +54,13 @@ mod _rect {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         use rect::core::{
-            named_connection, queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS, transfer,
+            login, named_connection, queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS, router,
+            transfer,
         };
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_MS", DEFAULT_TIMEOUT_MS)?;
+        module.add("LOGIN_VARIABLE", login::FILE_VARIABLE)?;
+        module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
         module.add("TRANSFER_INBOX", transfer::INBOX)?;
         module.add("CONFIG", named_connection::CONFIG)?;
         module.add("ADD", named_connection::ADD)?;

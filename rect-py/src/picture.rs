@@ -10,6 +10,7 @@ use rect::core::{
 
 use crate::{
     codec::{limits, payload},
+    detached::detached,
     errors::OrRaise,
 };
 
@@ -67,7 +68,7 @@ pub fn read_picture<'py>(
 ) -> PyResult<Seen<'py>> {
     let payload = payload(bytes, encoding);
     let limits = limits(max_bytes, max_pixels);
-    let picture = py.detach(|| payload.picture(&limits)).or_raise()?;
+    let picture = detached(py, || payload.picture(&limits)).or_raise()?;
     Ok(seen(py, &picture))
 }
 
@@ -81,9 +82,7 @@ pub fn scaled<'py>(
 ) -> PyResult<Seen<'py>> {
     let (width, height, format) = size;
     let picture = picture_of(width, height, &format, pixels)?;
-    let scaled = py
-        .detach(|| picture.scaled(wanted.0, wanted.1))
-        .or_raise()?;
+    let scaled = detached(py, || picture.scaled(wanted.0, wanted.1)).or_raise()?;
     Ok(seen(py, &scaled))
 }
 
@@ -124,7 +123,7 @@ pub fn read_array<'py>(
 ) -> PyResult<Counted<'py>> {
     let payload = payload(bytes, encoding);
     let limits = limits(max_bytes, None);
-    let array = py.detach(|| payload.array(&limits)).or_raise()?;
+    let array = detached(py, || payload.array(&limits)).or_raise()?;
     let numbers = PyBytes::new(py, array.bytes());
     Ok((array.element().as_str(), array.shape().to_vec(), numbers))
 }

@@ -4,8 +4,8 @@ use rect::core::{
     codec,
     encoding::Encoding,
     key,
-    login::logins,
     name::Name,
+    payload::PayloadError,
     stream::{self, Group},
     topic::{Pattern, Topic},
 };
@@ -72,11 +72,11 @@ pub fn is_packed(text: &str) -> bool {
     codec::is_packed(&Encoding::new(text.to_owned()))
 }
 
-/// The first user and password of a login file's text.
+/// Raises unless a payload with that encoding can be sent.
 #[pyfunction]
-pub fn first_login(text: &str) -> Option<(String, String)> {
-    let first = logins(text).next();
-    first.map(|(user, password)| (user.to_owned(), password.to_owned()))
+pub fn check_encoding(text: &str) -> PyResult<()> {
+    let checked = Encoding::new(text.to_owned()).check_length();
+    checked.map_err(PayloadError::from).or_raise()
 }
 
 #[pymethods]

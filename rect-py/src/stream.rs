@@ -21,6 +21,7 @@ use rect::core::{
 
 use crate::{
     codec::{parts, Parts},
+    detached::detached,
     errors::{raised, OrRaise},
     picture::picture_of,
     place::{name, Place},
@@ -123,7 +124,7 @@ impl StreamSender {
     ) -> PyResult<Parts<'py>> {
         let (width, height, format) = size;
         let picture = picture_of(width, height, &format, pixels)?;
-        let encoded = py.detach(|| encode(&picture, job.0.level, self.photographs));
+        let encoded = detached(py, || encode(&picture, job.0.level, self.photographs));
         Ok(parts(py, &encoded.or_raise()?))
     }
 

@@ -14,6 +14,7 @@ mod table;
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
+use rect::core::login;
 
 /// Why a command came to nothing, in words.
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -101,14 +102,18 @@ pub struct ConnectionsArgs {
     pub ask: AskArgs,
 }
 
+fn default_login_file() -> PathBuf {
+    login::default_file(std::env::var(login::FILE_VARIABLE).ok()).into()
+}
+
 /// How to reach the router.
 #[derive(Debug, Parser)]
 pub struct RouterArgs {
     /// The router to ask
     #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
     pub router: String,
-    /// The login file, where the router wants a login
-    #[arg(long, value_name = "FILE", default_value = "/etc/rect/users")]
+    /// The login file, where the router asks for a login; $RECT_LOGIN changes the default
+    #[arg(long, value_name = "FILE", default_value_os_t = default_login_file())]
     pub users: PathBuf,
 }
 

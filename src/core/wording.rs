@@ -16,6 +16,11 @@ pub fn with_causes(error: &(dyn Error + 'static)) -> String {
     text
 }
 
+/// Returns an error's text on one line, without the places in Zenoh's source code that it names.
+pub fn on_one_line(error: &str) -> String {
+    for_people(error)
+}
+
 /// A short time, in so many milliseconds.
 pub fn milliseconds(ms: f64) -> String {
     let decimals = usize::from(ms < 10.0);

@@ -1,16 +1,22 @@
 //! Owns how a program joins: by which router, or directly, as whom.
 use std::{
     fs,
-    path::{Path, PathBuf},
-    time::Duration,
+    path::PathBuf,
+    time::{Duration, Instant},
 };
 
 use serde_json::{json, Value};
-use zenoh::Config;
+use zenoh::{Config, Session};
 
-use super::robot::Robot;
+use super::{opening, robot::Robot};
 use crate::{
-    core::{key::Place, login, name::Name, wording},
+    core::{
+        key::Place,
+        login::{self, Login},
+        name::Name,
+        router::{JoinError, Joining},
+        wording,
+    },
     error::Error,
 };
 
@@ -18,8 +24,6 @@ use crate::{
 const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
 /// Where another router is named for all programs that do not name one.
 const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
-/// Where `rect-router init` puts the logins.
-const DEFAULT_LOGIN_FILE: &str = "/etc/rect/users";
 const DEFAULT_FLEET: &str = "rect";
 
 /// How to join, where `connect("wombat-1")` does not do.
@@ -37,6 +41,7 @@ pub struct Options {
     listen: Vec<String>,
     login: Option<(String, String)>,
     login_file: PathBuf,
+    allows_name_mismatch: bool,
     patience: Duration,
     zenoh: Vec<(String, Value)>,
 }
@@ -58,7 +63,8 @@ impl Options {
             endpoints: Vec::new(),
             listen: Vec::new(),
             login: None,
-            login_file: DEFAULT_LOGIN_FILE.into(),
+            login_file: Self::default_login_file(),
+            allows_name_mismatch: false,
             patience: Duration::from_secs(5),
             zenoh: Vec::new(),
         })
@@ -84,6 +90,11 @@ impl Options {
             .unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
     }
 
+    /// Returns the login file of programs that name none: the environment's `RECT_LOGIN`, else `/etc/rect/users`.
+    pub fn default_login_file() -> PathBuf {
+        login::default_file(std::env::var(login::FILE_VARIABLE).ok()).into()
+    }
+
     /// At another router, as `tcp/192.168.0.7:7447`; default: [`default_router`](Self::default_router).
     #[must_use]
     pub fn router(mut self, endpoint: impl Into<String>) -> Self {
@@ -106,17 +117,25 @@ impl Options {
         self
     }
 
-    /// As that user; by default the first line of `/etc/rect/users`, `user:password`, if it can be read.
+    /// As that user; by default the first line of the login file, `user:password`, if it can be read.
     #[must_use]
     pub fn login(mut self, user: impl Into<String>, password: impl Into<String>) -> Self {
         self.login = Some((user.into(), password.into()));
         self
     }
 
-    /// As the user of the first line of that file, `user:password`.
+    /// As the user of the first line of that file, `user:password`; default: [`default_login_file`](Self::default_login_file).
     #[must_use]
     pub fn login_file(mut self, file: impl Into<PathBuf>) -> Self {
         self.login_file = file.into();
+        self
+    }
+
+    /// Joins although the router serves another robot: for a program that uses another name on purpose. A router with
+    /// access control as `rect-router init` writes it drops what such a program publishes.
+    #[must_use]
+    pub fn allow_name_mismatch(mut self) -> Self {
+        self.allows_name_mismatch = true;
         self
     }
 
@@ -137,39 +156,69 @@ impl Options {
     /// Joins.
     ///
     /// # Errors
-    /// [`Error::NoRouter`]: none is there; [`Error::Option`]: Zenoh does not take one of the options.
+    /// [`Error::NoRouter`]: none is there; [`Error::LoginRefused`]; [`Error::WrongRobot`]: the router serves another robot;
+    /// [`Error::Option`]: Zenoh does not take one of the options.
     pub async fn connect(self) -> Result<Robot, Error> {
-        let config = self.config()?;
-        let direct = self.is_direct();
-        let opened = zenoh::open(config.clone()).await;
-        let session = opened.map_err(|error| self.refused(direct, &error))?;
-        let router = (!direct).then_some(config);
-        Robot::start(session, self.place, router).await
+        if self.is_direct() {
+            let opened = zenoh::open(self.config(None)?).await;
+            let session = opened.map_err(|error| self.refused(&error))?;
+            return Robot::start(session, self.place, None).await;
+        }
+        let (session, config) = self.join().await?;
+        if !self.allows_name_mismatch {
+            let tokens = opening::tokens_of_router(&session).await;
+            if let Err(wrong) = self.place.check_router(&self.router, tokens) {
+                if let Err(error) = session.close().await {
+                    tracing::debug!("the session does not close: {error}");
+                }
+                return Err(wrong.into());
+            }
+        }
+        Robot::start(session, self.place, Some(config)).await
+    }
+
+    /// Opens a session with the router, and returns it with its configuration.
+    async fn join(&self) -> Result<(Session, Config), Error> {
+        let mut joining = Joining::new(&self.router, self.login_or_file(), self.patience);
+        let began = Instant::now();
+        loop {
+            let config = self.config(joining.credentials())?;
+            let limit = joining.limit(began.elapsed());
+            let reason = match opening::open(config.clone(), limit).await {
+                Ok(session) => return Ok((session, config)),
+                Err(reason) => reason,
+            };
+            let pause = joining.on_failure(began.elapsed(), reason.as_deref());
+            tokio::time::sleep(pause.map_err(|error| self.not_joined(error))?).await;
+        }
+    }
+
+    fn not_joined(&self, error: JoinError) -> Error {
+        match error {
+            JoinError::NoRouter { reason } => {
+                let endpoint = self.router.clone();
+                Error::NoRouter { endpoint, reason }
+            }
+            JoinError::Login(refused) => refused.into(),
+        }
     }
 
     fn is_direct(&self) -> bool {
         !self.endpoints.is_empty() || !self.listen.is_empty()
     }
 
-    fn refused(&self, direct: bool, error: &zenoh::Error) -> Error {
-        let reason = wording::with_causes(error.as_ref());
-        if direct {
-            let all = self.listen.iter().chain(&self.endpoints);
-            let value = all.cloned().collect::<Vec<_>>().join(" ");
-            let what = "listen or endpoint";
-            return Error::Option {
-                what,
-                value,
-                reason,
-            };
+    fn refused(&self, error: &zenoh::Error) -> Error {
+        let all = self.listen.iter().chain(&self.endpoints);
+        Error::Option {
+            what: "listen or endpoint",
+            value: all.cloned().collect::<Vec<_>>().join(" "),
+            reason: wording::with_causes(error.as_ref()),
         }
-        let endpoint = self.router.clone();
-        Error::NoRouter { endpoint, reason }
     }
 
-    fn config(&self) -> Result<Config, Error> {
+    /// `credentials`: for the router; direct links use those of the options.
+    fn config(&self, credentials: Option<(&str, &str)>) -> Result<Config, Error> {
         let mut config = Config::default();
-        let patience_ms = u64::try_from(self.patience.as_millis()).unwrap_or(u64::MAX);
         let mut settings = vec![
             // Identical robots in one network are told apart by their links, not by who hears whose multicast.
             ("scouting/multicast/enabled", json!(false)),
@@ -194,11 +243,17 @@ impl Options {
             settings.extend([
                 ("mode", json!("client")),
                 ("connect/endpoints", json!([self.router])),
-                ("connect/timeout_ms", json!(patience_ms)),
+                // One attempt: `join` decides about more. The pauses are those of reconnecting.
+                ("connect/timeout_ms", json!(0)),
                 ("connect/retry", retry(100)),
             ]);
         }
-        if let Some((user, password)) = self.user() {
+        let login = self.login_or_file();
+        let credentials = match self.is_direct() {
+            true => login.credentials(),
+            false => credentials,
+        };
+        if let Some((user, password)) = credentials {
             let login = json!({ "user": user, "password": password });
             settings.push(("transport/auth/usrpwd", login));
         }
@@ -219,17 +274,18 @@ impl Options {
         Ok(config)
     }
 
-    fn user(&self) -> Option<(String, String)> {
-        self.login.clone().or_else(|| first_login(&self.login_file))
+    fn login_or_file(&self) -> Login {
+        match &self.login {
+            Some((user, password)) => Login::given(user, password),
+            None => {
+                let text = fs::read_to_string(&self.login_file);
+                let text = text.as_deref().map_err(ToString::to_string);
+                Login::of_file(self.login_file.display().to_string(), text)
+            }
+        }
     }
 }
 
 fn retry(first_ms: u32) -> Value {
     json!({ "period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2 })
-}
-
-fn first_login(file: &Path) -> Option<(String, String)> {
-    let text = fs::read_to_string(file).ok()?;
-    let (user, password) = login::logins(&text).next()?;
-    Some((user.to_owned(), password.to_owned()))
 }

@@ -62,6 +62,10 @@ enum class Code {
     fault = RECT_CODE_FAULT,
     /// Another failure; the text tells.
     other = RECT_CODE_OTHER,
+    /// The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    login_refused = RECT_CODE_LOGIN_REFUSED,
+    /// The router serves another robot than the program joins as. Join under that name, or at the right router.
+    wrong_robot = RECT_CODE_WRONG_ROBOT,
 };
 
 /// Why a call did not do it.

@@ -29,12 +29,15 @@ struct Options {
     std::string user{};
     /// The user's password.
     std::string password{};
-    /// The file with the login, `user:password`; default `/etc/rect/users`.
+    /// The file with the login, `user:password`; default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
     std::string login_file{};
     /// How long to wait for the router; default 5 s, so that a program may be started together with it.
     std::chrono::milliseconds patience{0};
     /// Any settings of Zenoh's configuration: paths, as `transport/unicast/max_links`, and their values in JSON.
     std::vector<std::pair<std::string, std::string>> zenoh{};
+    /// Joins although the router serves another robot: for a program that uses another name on purpose. A router with access
+    /// control as `rect-router init` writes it drops what such a program publishes.
+    bool allow_name_mismatch{false};
 };
 
 /// @cond
@@ -74,6 +77,7 @@ auto with_options(const Options& options, Use use) {
     raw.zenoh_keys = keys.data();
     raw.zenoh_values = values.data();
     raw.zenoh_len = keys.size();
+    raw.allow_name_mismatch = options.allow_name_mismatch;
     return use(raw);
 }
 

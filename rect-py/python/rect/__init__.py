@@ -18,6 +18,7 @@ from rect.errors import (
     FileError,
     InvalidNameError,
     InvalidTopicError,
+    LoginRefused,
     NoRouter,
     NoService,
     OptionError,
@@ -28,6 +29,7 @@ from rect.errors import (
     TransferError,
     TransferFailed,
     TransferRefused,
+    WrongRobot,
     ZenohError,
 )
 from rect.message import Message
@@ -57,6 +59,7 @@ __all__ = [
     "Frame",
     "InvalidNameError",
     "InvalidTopicError",
+    "LoginRefused",
     "Message",
     "NoRouter",
     "NoService",
@@ -84,6 +87,7 @@ __all__ = [
     "TransferRefused",
     "Transfers",
     "Watch",
+    "WrongRobot",
     "ZenohError",
     "__version__",
     "connect",

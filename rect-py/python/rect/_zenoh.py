@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
@@ -53,12 +54,12 @@ def payload_bytes(payload: Any) -> bytes:
     return b"" if payload is None else cast(bytes, payload.to_bytes())
 
 
-def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None) -> T:
+def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None, timeout: float | None = None) -> T:
     """The same as `call()`, which may take long: on a thread of its own, so that Ctrl-C ends the wait at once.
 
-    `undo` is given the result if nobody waits for it any more.
+    `undo` is given the result if nobody waits for it any more. Raises `TimeoutError` after `timeout` seconds.
     """
-    if not is_main():
+    if timeout is None and not is_main():
         # Ctrl-C is the main thread's.
         return call()
     try:
@@ -68,7 +69,7 @@ def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None) 
     job = _Job(call, undo)
     worker.jobs.put(job)
     try:
-        job.wait()
+        job.wait(timeout)
     except BaseException:
         job.leave()
         raise
@@ -98,10 +99,14 @@ class _Job:
             self._either(made=True)
         self._done.put(None)
 
-    def wait(self) -> None:
+    def wait(self, timeout: float | None) -> None:
+        deadline = None if timeout is None else time.monotonic() + timeout
         while True:
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                raise TimeoutError
             with contextlib.suppress(Empty):
-                return self._done.get(timeout=at_once(None))
+                return self._done.get(timeout=at_once(left))
 
     def leave(self) -> None:
         self._either(made=False)

@@ -26,7 +26,7 @@ from rect._zenoh import LARGE_BYTES
 from rect.errors import CodecError, NoService, TimedOut
 from rect.inbox import DEFAULT_CAPACITY, Ended
 from rect.message import Message
-from rect.options import DEFAULT_LOGIN_FILE, Options, seconds, text
+from rect.options import Options, seconds, text
 from rect.registry import Connections
 from rect.request import Replies as BlockingReplies
 from rect.request import Reply
@@ -57,12 +57,15 @@ def connect(
     endpoints: Sequence[str] = (),
     listen: Sequence[str] = (),
     login: tuple[str, str] | None = None,
-    login_file: str | Path = DEFAULT_LOGIN_FILE,
+    login_file: str | Path | None = None,
     timeout: float = 5.0,
     zenoh: Mapping[str, Any] | None = None,
+    allow_name_mismatch: bool = False,
 ) -> Connecting:
     """Joins, as `rect.connect`: `async with connect(...) as robot:`, or `robot = await connect(...)`."""
-    return Connecting(Options(name, fleet, router, endpoints, listen, login, login_file, timeout, zenoh or {}))
+    settings = zenoh or {}
+    options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch)
+    return Connecting(Options(name, *options))
 
 
 class Connecting:
@@ -581,6 +584,10 @@ class Service:
                 request.reply(await said if inspect.isawaitable(said) else said)
             except Exception as error:
                 request.refuse_for(error)
+            except BaseException as error:
+                # The loop ends by it (`sys.exit`), or this task was cancelled: the asker hears so all the same.
+                request.refuse_for(error)
+                raise
         except Exception as error:
             _LOG.warning("an answer was not sent: %s", error)
         finally:

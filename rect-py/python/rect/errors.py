@@ -62,6 +62,23 @@ class NoRouter(RectError, ConnectionError):
         self.endpoint = endpoint
 
 
+class LoginRefused(RectError, ConnectionError):
+    """The router asks for a login, and this program's is missing or wrong. Name the team's login file."""
+
+    def __init__(self, text: str, endpoint: str) -> None:
+        super().__init__(text)
+        self.endpoint = endpoint
+
+
+class WrongRobot(RectError):
+    """The router serves another robot (`serves`) than the program joins as. Join under that name, or at the right
+    router."""
+
+    def __init__(self, text: str, serves: str) -> None:
+        super().__init__(text)
+        self.serves = serves
+
+
 class NoService(RectError, LookupError):
     """Nobody has that service. Is the robot there, and does its program run? `there`: the robots that are."""
 

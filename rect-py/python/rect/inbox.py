@@ -13,6 +13,7 @@ from collections import deque
 from typing import Any, Generic, TypeVar, cast
 
 from rect import _rect
+from rect.options import seconds, text, whole
 from rect.waiting import at_once
 
 T = TypeVar("T")
@@ -27,10 +28,8 @@ class Inbox(Generic[T]):
     """A queue with somebody at either end."""
 
     def __init__(self, capacity: int, when_full: str) -> None:
-        if isinstance(capacity, bool) or not isinstance(capacity, int):
-            raise TypeError(f"capacity is a whole number, not a {type(capacity).__name__}")
         #: Where Zenoh's threads put in, best without a line of Python: it costs a thread of theirs more than all else.
-        self.queue = _rect.Queue(max(capacity, 1), when_full)
+        self.queue = _rect.Queue(whole("capacity", capacity, 1), text("when_full", when_full))
         self._tasks: deque[tuple[asyncio.AbstractEventLoop, asyncio.Future[None]]] = deque()
 
     def push(self, item: T) -> bool:
@@ -41,7 +40,7 @@ class Inbox(Generic[T]):
         """Takes the oldest, once there is one. Raises `Ended`, or `TimeoutError`."""
         lock = threading.Lock()
         lock.acquire()
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = None if timeout is None else time.monotonic() + seconds("timeout", timeout)
         try:
             while True:
                 item = self.queue.pop(lock)
@@ -50,8 +49,8 @@ class Inbox(Generic[T]):
                 left = None if deadline is None else deadline - time.monotonic()
                 if left is not None and left <= 0:
                     raise TimeoutError
-                seconds = at_once(left)
-                if not lock.acquire(timeout=-1 if seconds is None else min(seconds, threading.TIMEOUT_MAX)):
+                wait = at_once(left)
+                if not lock.acquire(timeout=-1 if wait is None else min(wait, threading.TIMEOUT_MAX)):
                     self.queue.leave(lock)
         except BaseException:
             # It does not wait any more. If it was woken meanwhile, the next one is to look instead.
@@ -69,7 +68,7 @@ class Inbox(Generic[T]):
     async def pop_async(self, timeout: float | None = None) -> T:
         """The same as `pop`, for asyncio."""
         loop = asyncio.get_running_loop()
-        deadline = None if timeout is None else loop.time() + timeout
+        deadline = None if timeout is None else loop.time() + seconds("timeout", timeout)
         while True:
             told: asyncio.Future[None] = loop.create_future()
             self._tasks.append((loop, told))

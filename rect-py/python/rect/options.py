@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,19 +15,30 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import patiently
-from rect.errors import NoRouter, OptionError, RectError
+from rect.errors import OptionError
 
 #: Where a robot's router serves its programs unless told otherwise.
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 #: Where another router is named for all programs that do not name one.
 ROUTER_VARIABLE = "RECT_ENDPOINT"
-#: Where `rect-router init` puts the logins.
-DEFAULT_LOGIN_FILE = "/etc/rect/users"
+#: What Zenoh needs to report why it can't connect: as a client it reports only that it could not.
+_DIAGNOSIS: dict[str, Any] = {
+    "mode": "peer",
+    "connect/exit_on_failure": True,
+    "listen/endpoints": [],
+    "scouting/gossip/enabled": False,
+    "open/return_conditions/connect_scouted": False,
+}
 
 
 def default_router() -> str:
     """The router of programs that name none: what the environment's `RECT_ENDPOINT` says, else `tcp/127.0.0.1:7447`."""
     return os.environ.get(ROUTER_VARIABLE) or DEFAULT_ROUTER
+
+
+def default_login_file() -> str:
+    """The login file of programs that name none: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`."""
+    return _rect.default_login_file(os.environ.get(_rect.LOGIN_VARIABLE))
 
 
 @dataclass
@@ -38,19 +51,25 @@ class Options:
     endpoints: Sequence[str] = ()
     listen: Sequence[str] = ()
     login: tuple[str, str] | None = None
-    login_file: str | Path = DEFAULT_LOGIN_FILE
+    login_file: str | Path | None = None
     timeout: float = 5.0
     settings: Mapping[str, Any] = field(default_factory=dict)
+    allow_name_mismatch: bool = False
 
     def __post_init__(self) -> None:
         for what in ("name", "fleet"):
             text(what, getattr(self, what))
         for what in ("endpoints", "listen"):
             given = getattr(self, what)
-            if isinstance(given, str) or not all(isinstance(one, str) for one in given):
+            is_list = isinstance(given, Sequence) and not isinstance(given, str)
+            if not is_list or not all(isinstance(one, str) for one in given):
                 raise TypeError(f"{what} is a list of locators such as ['tcp/192.168.0.7:7447'], not {given!r}")
         if self.router is not None:
             text("router", self.router)
+        if self.login is not None:
+            is_pair = isinstance(self.login, (tuple, list)) and len(self.login) == 2
+            if not is_pair or not all(isinstance(one, str) for one in self.login):
+                raise TypeError("login is (user, password), two texts")
         seconds("timeout", self.timeout)
 
     @property
@@ -61,20 +80,55 @@ class Options:
     def place(self) -> _rect.Place:
         return _rect.Place(self.fleet, self.name)
 
+    @property
+    def endpoint(self) -> str:
+        """The router, where there is one."""
+        return self.router or default_router()
+
     def open(self) -> zenoh.Session:
-        """Joins. Raises `NoRouter`, `OptionError`."""
-        config = self._config()
+        """Joins. Raises `NoRouter`, `LoginRefused`, `OptionError`."""
+        joining = self._joining()
+        if self.is_direct:
+            return self._open_directly(joining)
+        began = time.monotonic()
+        while True:
+            settings = self._settings(joining.credentials())
+            _config(settings)
+            reason: str | None
+            try:
+                return patiently(
+                    lambda settings=settings: _attempt(settings),  # type: ignore[misc]
+                    lambda session: session.close(),
+                    joining.limit(time.monotonic() - began),
+                )
+            except TimeoutError:
+                reason = None
+            except zenoh.ZError as error:
+                reason = str(error)
+            time.sleep(joining.on_failure(time.monotonic() - began, reason))
+
+    def _open_directly(self, joining: _rect.Joining) -> zenoh.Session:
+        config = _config(self._settings(joining.credentials()))
         try:
             return patiently(lambda: zenoh.open(config), lambda session: session.close())
         except zenoh.ZError as error:
-            raise self._refused(_rect.in_words(str(error))) from None
+            locators = " ".join([*self.listen, *self.endpoints])
+            raise OptionError("listen or endpoint", locators, _rect.in_words(str(error))) from None
 
-    def _refused(self, reason: str) -> RectError:
-        if self.is_direct:
-            return OptionError("listen or endpoint", " ".join([*self.listen, *self.endpoints]), reason)
-        return NoRouter(self.router or default_router(), reason)
+    def _joining(self) -> _rect.Joining:
+        file = Path(self.login_file or default_login_file())
+        text, unreadable = None, ""
+        if self.login is None:
+            try:
+                text = file.read_text()
+            except OSError as error:
+                unreadable = error.strerror or str(error)
+            except UnicodeDecodeError:
+                unreadable = "it is not text"
+        login = None if self.login is None else (self.login[0], self.login[1])
+        return _rect.Joining(self.endpoint, self.timeout, login, str(file), text, unreadable)
 
-    def _config(self) -> zenoh.Config:
+    def _settings(self, credentials: tuple[str, str] | None) -> dict[str, Any]:
         settings: dict[str, Any] = {
             # Identical robots in one network are told apart by their links, not by who hears whose multicast.
             "scouting/multicast/enabled": False,
@@ -98,23 +152,48 @@ class Options:
             settings.update(
                 {
                     "mode": "client",
-                    "connect/endpoints": [self.router or default_router()],
-                    "connect/timeout_ms": int(self.timeout * 1000),
+                    "connect/endpoints": [self.endpoint],
+                    # One attempt: `open` decides about more. The pauses are those of reconnecting.
+                    "connect/timeout_ms": 0,
                     "connect/retry": _retry(100),
                 }
             )
-        login = self.login or _first_login(self.login_file)
-        if login:
-            user, password = login
+        if credentials is not None:
+            user, password = credentials
             settings["transport/auth/usrpwd"] = {"user": user, "password": password}
-        config = zenoh.Config()
-        for key, value in {**settings, **self.settings}.items():
-            value = json.dumps(value)
-            try:
-                config.insert_json5(key, value)
-            except zenoh.ZError as error:
-                raise OptionError("of Zenoh", f"{key}: {value}", _rect.in_words(str(error))) from None
-        return config
+        return {**settings, **self.settings}
+
+
+def _config(settings: Mapping[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in settings.items():
+        value = json.dumps(value)
+        try:
+            config.insert_json5(key, value)
+        except zenoh.ZError as error:
+            raise OptionError("of Zenoh", f"{key}: {value}", _rect.in_words(str(error))) from None
+    return config
+
+
+def _attempt(settings: Mapping[str, Any]) -> zenoh.Session:
+    """One attempt to join. Raises `zenoh.ZError` with the reason."""
+    try:
+        return zenoh.open(_config(settings))
+    except zenoh.ZError:
+        # Raises the reason; where this succeeds, the router has come up just now.
+        with contextlib.closing(zenoh.open(_config({**settings, **_DIAGNOSIS}))):
+            raise
+
+
+def tokens_of_router(session: zenoh.Session) -> list[str]:
+    """The keys of the liveliness tokens that name the robot of the session's router; none where it serves no robot, or
+    does not answer in time. The router answers by itself: nothing goes over the air."""
+    router = next(iter(session.info.routers_zid()), None)
+    if router is None:
+        return []
+    key = _rect.robot_of_router(str(router))
+    replies = session.liveliness().get(key, timeout=_rect.ROBOT_TIMEOUT_S)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
 def text(what: str, value: object) -> str:
@@ -133,12 +212,14 @@ def seconds(what: str, value: object) -> float:
     return float(value)
 
 
+def whole(what: str, value: object, least: int) -> int:
+    """The argument, if it is a whole number from `least` on."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"{what} is a whole number, not a {type(value).__name__}")
+    if not least <= value < 2**63:
+        raise OptionError(what, value, f"it is a whole number from {least} on")
+    return value
+
+
 def _retry(first_ms: int) -> dict[str, int]:
     return {"period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2}
-
-
-def _first_login(file: str | Path) -> tuple[str, str] | None:
-    try:
-        return _rect.first_login(Path(file).read_text())
-    except (OSError, UnicodeDecodeError):
-        return None

@@ -39,6 +39,8 @@ class Publication:
             try:
                 self._publisher.put(payload.bytes, encoding=self._as_zenohs(payload.encoding), attachment=attachment)
             except zenoh.ZError as error:
+                # It may have been closed meanwhile.
+                self._check()
                 raise refused("the message is not sent", error) from None
             self._next = (self._next + 1) % _HIGHEST
 

@@ -11,10 +11,10 @@ import zenoh
 
 from rect import _rect, registry
 from rect._zenoh import LARGE_BYTES, patiently
-from rect.errors import NoService
+from rect.errors import NoService, OptionError
 from rect.inbox import DEFAULT_CAPACITY
 from rect.message import Message
-from rect.options import DEFAULT_LOGIN_FILE, Options, seconds, text
+from rect.options import Options, seconds, text, whole
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
@@ -43,9 +43,10 @@ def connect(
     endpoints: Sequence[str] = (),
     listen: Sequence[str] = (),
     login: tuple[str, str] | None = None,
-    login_file: str | Path = DEFAULT_LOGIN_FILE,
+    login_file: str | Path | None = None,
     timeout: float = 5.0,
     zenoh: Mapping[str, Any] | None = None,
+    allow_name_mismatch: bool = False,
 ) -> Robot:
     """Joins as a program of that robot, at the router of this computer.
 
@@ -56,15 +57,20 @@ def connect(
       program, as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not
       wait for that.
     - `login`: user and password; default: the first line of `login_file`, `user:password`, if it can be read.
+    - `login_file`: default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
     - `timeout`: how long to wait for the router, in seconds, so that a program may be started together with it.
     - `zenoh`: any setting of Zenoh's configuration, by its path; goes before ours.
+    - `allow_name_mismatch`: joins although the router serves another robot, for a program that uses another name on
+      purpose. A router with access control as `rect-router init` writes it drops what such a program publishes.
 
-    Raises `NoRouter`, `InvalidNameError`, `OptionError`.
+    Raises `NoRouter`, `LoginRefused`, `WrongRobot`, `InvalidNameError`, `OptionError`.
 
     >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
     ...     robot.publish("greeting", "hello")
     """
-    return Robot(Options(name, fleet, router, endpoints, listen, login, login_file, timeout, zenoh or {}))
+    settings = zenoh or {}
+    options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch)
+    return Robot(Options(name, *options))
 
 
 class Robot:
@@ -339,8 +345,8 @@ class Robot:
             self._session,
             text("pattern", pattern),
             folder=folder,
-            max_bytes=max_bytes,
-            at_once=at_once,
+            max_bytes=whole("max_bytes", max_bytes, 0),
+            at_once=whole("at_once", at_once, 1),
             patience=seconds("patience", patience),
             on_progress=on_progress,
         )
@@ -405,6 +411,9 @@ class Robot:
         self._session.check()
         known = _rect.write_value(dict(options or {}))[0]
         given = (text("name", name), text("method", method), text("address", address))
+        for what, number in (("port", port), ("psm", psm)):
+            if number is not None and not 0 <= whole(what, number, 0) < 2**16:
+                raise OptionError(what, number, "it is a whole number from 0 to 65535")
         connection = _rect.named_connection(*given, port, psm, known)
         registry.configure(self._session, robot or self.name, _rect.ADD, connection)
 

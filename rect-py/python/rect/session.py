@@ -9,7 +9,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -19,11 +19,14 @@ from rect.decoder import Decoder
 from rect.errors import Closed
 from rect.inbox import Inbox
 from rect.lanes import Lanes
-from rect.options import Options
+from rect.options import Options, tokens_of_router
 from rect.publication import Publication
 from rect.request import Replies
 from rect.state import Known
 from rect.subscriber import Declared, undeclared
+
+if TYPE_CHECKING:
+    from rect.stream import Stream
 
 #: The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
 _MAX_PUBLICATIONS = 256
@@ -50,6 +53,8 @@ class Session:
         self.inboxes: set[Inbox[Any]] = set()
         #: Called when it closes, before Zenoh does.
         self.endings: list[Callable[[], object]] = []
+        #: What sends frames.
+        self.streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
@@ -61,6 +66,8 @@ class Session:
             if self.is_direct:
                 self._presence = state.say_there(self.zenoh, self.place)
             else:
+                if not options.allow_name_mismatch:
+                    _rect.check_router(self.place, options.endpoint, tokens_of_router(self.zenoh))
                 self.known = Known(self)
         except BaseException:
             self.close()
@@ -127,6 +134,8 @@ class Session:
             publications = list(self._publications.values())
         for publication in publications:
             publication.finish(_FINISH_S)
+        for stream in list(self.streams):
+            stream.finish(_FINISH_S)
         for thread in list(self._threads):
             if thread is not threading.current_thread():
                 thread.join(_FINISH_S)
@@ -160,9 +169,11 @@ def _close_all() -> None:
     for session in list(_OPEN):
         with contextlib.suppress(Exception):
             session.close()
+    _rect.settle(_FINISH_S)
 
 
 def _on_fork() -> None:
+    _rect.forget_work()
     if _ONCE_OPEN:
         _FORKED[:] = [True]
     for session in list(_OPEN):

@@ -64,6 +64,7 @@ class Stream:
         except zenoh.ZError as error:
             self._declared.end()
             raise refused("the stream is refused", error) from None
+        session.streams.add(self)
         weakref.finalize(self, self._declared.leave).atexit = False
 
     def send(self, frame: Any) -> int:
@@ -72,12 +73,16 @@ class Stream:
         A picture (numpy, Pillow or `Picture`) of an adaptive stream goes at the size and quality that get through; all
         else goes as it is, by the stream's codec if it has one.
 
+        A frame during which the robot is closed is dropped, like one that a slow link has no room for.
+
         Raises `PayloadError`, `CodecError`, `Closed`.
         """
         self._session.check()
         picture = _picture(frame) if self._is_adaptive and self._codec is None else None
         # One frame at a time: they go out in the order of their numbers.
         with self._sending:
+            if self._session.is_closed:
+                return 0
             if picture is not None:
                 size = (picture.width, picture.height, picture.format)
                 jobs = self._core.offer(picture.width * picture.height)
@@ -97,6 +102,8 @@ class Stream:
         both `None` where the program's own choice counts. To how many it went."""
         self._session.check()
         with self._sending:
+            if self._session.is_closed:
+                return 0
             jobs = self._core.offer(pixels)
             for job in jobs:
                 payload = payload_of(encode(job.quality, job.scale))
@@ -112,6 +119,11 @@ class Stream:
     def close(self) -> None:
         """Ends it."""
         self._declared.end()
+
+    def finish(self, timeout: float) -> None:
+        """Waits for who is sending a frame: a thread that Python's end finds in Zenoh ends the process."""
+        if self._sending.acquire(timeout=timeout):
+            self._sending.release()
 
     def __enter__(self) -> Stream:
         return self
@@ -141,7 +153,8 @@ class Stream:
         try:
             self._publishers[job.group].put(frame, encoding=encoding, attachment=attachment)
         except zenoh.ZError as error:
-            raise refused("the frame is not sent", error) from None
+            if not self._session.is_closed:
+                raise refused("the frame is not sent", error) from None
 
     @property
     def _on_feedback(self) -> Callable[[zenoh.Sample], None]:

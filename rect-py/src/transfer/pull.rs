@@ -23,6 +23,7 @@ use rect::{
 
 use super::{file_error, patience, seconds_until};
 use crate::{
+    detached::detached,
     errors::{raised, OrRaise},
     place::Place,
 };
@@ -78,7 +79,7 @@ impl Inbox {
     ) -> PyResult<Self> {
         let pattern = Pattern::new(pattern).or_raise()?;
         if let Some(folder) = folder {
-            let made = py.detach(|| {
+            let made = detached(py, || {
                 std::fs::create_dir_all(&folder)?;
                 Store::clean(&folder, SystemTime::now());
                 Ok(())
@@ -232,7 +233,7 @@ impl Pull {
     ) -> PyResult<Self> {
         let patience = patience(py, patience_s)?;
         let offer = offered.offer.clone();
-        let opened = py.detach(|| match folder {
+        let opened = detached(py, || match folder {
             None => Store::in_memory(offer.size_bytes).map(|store| (store, Default::default())),
             Some(folder) => Store::in_folder(&folder, offered.id, &offer),
         });
@@ -258,7 +259,7 @@ impl Pull {
 
     /// What to do now. Takes as long as the checksum, once all is there.
     fn poll<'py>(&self, py: Python<'py>) -> Next<'py> {
-        match py.detach(|| lock(&self.0).poll()) {
+        match detached(py, || lock(&self.0).poll()) {
             Step::Ask(ask) => {
                 let payload = PyBytes::new(py, &ask.request.encode());
                 let (ticket, timeout) = (ask.ticket, ask.timeout.as_secs_f64());
@@ -271,7 +272,7 @@ impl Pull {
 
     /// A reply has come.
     fn on_reply(&self, py: Python<'_>, ticket: u64, bytes: &[u8]) {
-        py.detach(|| lock(&self.0).on_reply(ticket, bytes));
+        detached(py, || lock(&self.0).on_reply(ticket, bytes));
     }
 
     /// An error has come; Zenoh's own, such as that it took too long, is none of the sender's.

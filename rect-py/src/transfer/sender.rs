@@ -24,6 +24,7 @@ use rect::{
 
 use super::{file_error, patience, seconds_until};
 use crate::{
+    detached::detached,
     errors::{raised, OrRaise},
     place::{name, topic, Place},
 };
@@ -69,10 +70,10 @@ impl TransferSender {
         let (source, given_name) = match source {
             Given::Bytes(bytes) => {
                 let bytes = Bytes::copy_from_slice(bytes.as_bytes());
-                (py.detach(|| Source::of_bytes(bytes)), None)
+                (detached(py, || Source::of_bytes(bytes)), None)
             }
             Given::File(path) => {
-                let source = py.detach(|| Source::of_file(&path));
+                let source = detached(py, || Source::of_file(&path));
                 let source = source.map_err(|error| file_error(py, &path, &error))?;
                 let name = path.file_name();
                 (source, name.map(|name| name.to_string_lossy().into_owned()))
@@ -142,7 +143,7 @@ impl TransferSender {
             Ok(Response::AfterOffer(number)) => return Some((true, None, number)),
             Ok(Response::Offer) => return Some((true, Some(self.offer(py)), 0)),
             Ok(Response::Piece(range)) => {
-                py.detach(|| self.source.read(range)).inspect_err(|fault| {
+                detached(py, || self.source.read(range)).inspect_err(|fault| {
                     self.core().on_fault(fault.clone());
                 })
             }

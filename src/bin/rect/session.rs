@@ -22,8 +22,8 @@ pub struct JoinArguments {
     /// The router; $RECT_ENDPOINT changes the default
     #[arg(long, value_name = "ENDPOINT", default_value_t = Options::default_router())]
     router: String,
-    /// The login file, where the router wants a login
-    #[arg(long, value_name = "FILE", default_value = "/etc/rect/users")]
+    /// The login file, where the router asks for a login; $RECT_LOGIN changes the default
+    #[arg(long, value_name = "FILE", default_value_os_t = Options::default_login_file())]
     users: PathBuf,
 }
 
@@ -64,7 +64,7 @@ impl JoinArguments {
     pub async fn join_to_hear(&self) -> Result<Robot, Failure> {
         match self.join().await {
             Ok(robot) => Ok(robot),
-            Err(error) if error.is::<Unnamed>() => Ok(self.options(NOBODY)?.connect().await?),
+            Err(error) if error.is::<Unnamed>() => Ok(self.nobody()?.connect().await?),
             Err(error) => Err(error),
         }
     }
@@ -74,8 +74,13 @@ impl JoinArguments {
         Ok(options.router(&self.router).login_file(&self.users))
     }
 
+    /// To ask the router, whichever robot it serves.
+    fn nobody(&self) -> Result<Options, rect::Error> {
+        Ok(self.options(NOBODY)?.allow_name_mismatch())
+    }
+
     async fn robot_of_router(&self) -> Result<String, Failure> {
-        let asking = self.options(NOBODY)?.connect().await?;
+        let asking = self.nobody()?.connect().await?;
         let zenoh = asking.zenoh();
         let router = zenoh.info().routers_zid().await.next();
         let router = router.map(|id| id.to_string()).unwrap_or_default();

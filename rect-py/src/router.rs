@@ -1,0 +1,112 @@
+//! Owns joining a router, as the core decides it: attempts, the login, and which robot the router serves.
+use std::{
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use pyo3::prelude::*;
+use rect::core::{
+    login::{self, Login},
+    router::{self, JoinError},
+};
+
+use crate::{
+    errors::{raised, OrRaise, Raised},
+    place::Place,
+};
+
+/// The attempts to join one router.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Joining {
+    endpoint: String,
+    core: Mutex<router::Joining>,
+}
+
+#[pymethods]
+impl Joining {
+    /// `login`: what the program names; without it the first line of `file`, whose text is `text`, or which can't be read for
+    /// the reason `unreadable`.
+    #[new]
+    #[pyo3(signature = (endpoint, timeout_s, login, file, text, unreadable))]
+    fn new(
+        endpoint: String,
+        timeout_s: f64,
+        login: Option<(String, String)>,
+        file: String,
+        text: Option<&str>,
+        unreadable: String,
+    ) -> PyResult<Self> {
+        let login = match login {
+            Some((user, password)) => Login::given(user, password),
+            None => Login::of_file(file, text.ok_or(unreadable)),
+        };
+        let timeout = Duration::try_from_secs_f64(timeout_s).unwrap_or(Duration::MAX);
+        let core = Mutex::new(router::Joining::new(endpoint.clone(), login, timeout));
+        Ok(Self { endpoint, core })
+    }
+
+    /// User and password for the next attempt.
+    fn credentials(&self) -> Option<(String, String)> {
+        let core = self.core();
+        let (user, password) = core.credentials()?;
+        Some((user.to_owned(), password.to_owned()))
+    }
+
+    /// How long the next attempt may take, in seconds.
+    fn limit(&self, elapsed_s: f64) -> f64 {
+        self.core().limit(duration(elapsed_s)).as_secs_f64()
+    }
+
+    /// After a failed attempt: the pause before the next one, in seconds. `reason` is None where it took too long. Raises
+    /// `NoRouter`, `LoginRefused`.
+    fn on_failure(&self, py: Python<'_>, elapsed_s: f64, reason: Option<&str>) -> PyResult<f64> {
+        let pause = self.core().on_failure(duration(elapsed_s), reason);
+        pause
+            .map(|pause| pause.as_secs_f64())
+            .map_err(|error| match error {
+                JoinError::NoRouter { reason } => {
+                    raised(py, "NoRouter", (self.endpoint.clone(), reason))
+                }
+                JoinError::Login(refused) => {
+                    let text = refused.to_string();
+                    raised(py, "LoginRefused", (text, self.endpoint.clone()))
+                }
+            })
+    }
+}
+
+impl Joining {
+    fn core(&self) -> MutexGuard<'_, router::Joining> {
+        self.core.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Raised for router::WrongRobot {
+    fn raised(self) -> PyErr {
+        let serves = self.serves.robot.to_string();
+        Python::attach(|py| raised(py, "WrongRobot", (self.to_string(), serves)))
+    }
+}
+
+/// The login file of programs that name none; `given`: what the environment says.
+#[pyfunction]
+#[pyo3(signature = (given))]
+pub fn default_login_file(given: Option<String>) -> String {
+    login::default_file(given)
+}
+
+/// The key expression of the liveliness tokens that name the robot of the router with that id.
+#[pyfunction]
+pub fn robot_of_router(id: &str) -> String {
+    router::robot_of_router(id)
+}
+
+/// Raises `WrongRobot` if the tokens name another robot than that of the place.
+#[pyfunction]
+pub fn check_router(place: &Place, endpoint: &str, tokens: Vec<String>) -> PyResult<()> {
+    place.0.check_router(endpoint, tokens).or_raise()
+}
+
+fn duration(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or_default()
+}

@@ -1,0 +1,186 @@
+"""Joining a router: logins, the robot that it serves, and the time that it may take.
+
+RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_joining.py
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import rect
+import zenoh
+from conftest import DEADLINE, free_port
+from test_routers import program
+
+Setting = dict[str, object]
+
+
+@contextmanager
+def router(settings: Setting) -> Iterator[str]:
+    """A router with these settings; where it listens."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [program("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting"]
+    command += [part for key, value in settings.items() for part in ("--cfg", f"{key}:{json.dumps(value)}")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        log = ""
+        try:
+            for line in process.stdout:
+                log += line
+                if "rect-router is up" in line:
+                    break
+            else:
+                pytest.fail(f"the router does not start: {log}")
+            rest = process.stdout
+            threading.Thread(target=lambda: list(rest), daemon=True).start()
+            yield endpoint
+        finally:
+            process.terminate()
+
+
+@pytest.fixture(scope="module")
+def with_logins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """A router that asks for a login, and its login file."""
+    users = tmp_path_factory.mktemp("logins") / "users"
+    users.write_text("fleet:secret\n")
+    with router({"transport/auth/usrpwd/dictionary_file": str(users)}) as endpoint:
+        yield endpoint, users
+
+
+@pytest.fixture(scope="module")
+def of_wombat_1() -> Iterator[str]:
+    """The router of the robot wombat-1."""
+    with router({"plugins/rect/robot": "wombat-1"}) as endpoint:
+        yield endpoint
+
+
+def test_a_missing_login_is_reported_at_once_with_what_to_do(with_logins: tuple[str, Path]) -> None:
+    endpoint, _ = with_logins
+    began = time.monotonic()
+    with pytest.raises(rect.LoginRefused) as raised:
+        rect.connect("wombat-1", router=endpoint, login_file="/none", timeout=20)
+    assert time.monotonic() - began < 5
+    assert re.search(r"asks for a login, and the login file /none can't be read: No such file", str(raised.value))
+    assert "RECT_LOGIN" in str(raised.value) and raised.value.endpoint == endpoint
+
+
+@pytest.mark.parametrize("login", [("fleet", "guessed"), ("nobody", "secret")])
+def test_a_wrong_login_is_reported_at_once(with_logins: tuple[str, Path], login: tuple[str, str]) -> None:
+    began = time.monotonic()
+    with pytest.raises(rect.LoginRefused, match=f"refused the login of user {login[0]}: "):
+        rect.connect("wombat-1", router=with_logins[0], login=login, timeout=20)
+    assert time.monotonic() - began < 5
+
+
+def test_the_login_file_is_named_by_the_environment(
+    with_logins: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    endpoint, users = with_logins
+    monkeypatch.setenv("RECT_LOGIN", str(users))
+    with rect.connect("wombat-1", router=endpoint) as robot:
+        robot.publish("x", 1, urgency="urgent")
+    wrong = tmp_path / "wrong"
+    wrong.write_text("fleet:guessed\n")
+    monkeypatch.setenv("RECT_LOGIN", str(wrong))
+    with pytest.raises(rect.LoginRefused, match=re.escape(f"of user fleet in {wrong}")):
+        rect.connect("wombat-1", router=endpoint)
+    rect.connect("wombat-1", router=endpoint, login_file=users).close()
+
+
+def test_a_router_without_logins_is_joined_with_one(of_wombat_1: str) -> None:
+    with rect.connect("wombat-1", router=of_wombat_1, login=("fleet", "secret")) as robot:
+        robot.publish("x", 1, urgency="urgent")
+
+
+def test_the_router_of_another_robot_is_reported(of_wombat_1: str) -> None:
+    with pytest.raises(rect.WrongRobot) as raised:
+        rect.connect("wombat-7", router=of_wombat_1)
+    said = str(raised.value)
+    assert "serves the robot wombat-1," in said and "joins as the robot wombat-7:" in said and of_wombat_1 in said
+    assert raised.value.serves == "wombat-1"
+    with pytest.raises(rect.WrongRobot, match=r"wombat-1 of the fleet rect, .* wombat-1 of the fleet lions"):
+        rect.connect("wombat-1", fleet="lions", router=of_wombat_1)
+    with rect.connect("wombat-7", router=of_wombat_1, allow_name_mismatch=True) as robot:
+        robot.publish("x", 1)
+
+
+def test_a_router_of_no_robot_is_joined_under_any_name() -> None:
+    with router({}) as endpoint, rect.connect("wombat-7", router=endpoint) as robot:
+        robot.publish("x", 1)
+
+
+def test_a_stock_router_is_joined_under_any_name() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config), rect.connect("wombat-7", router=endpoint) as robot:
+        robot.publish("x", 1)
+
+
+def test_the_timeout_holds_where_nothing_listens() -> None:
+    began = time.monotonic()
+    with pytest.raises(rect.NoRouter, match="Connection refused"):
+        rect.connect("wombat-1", router=f"tcp/127.0.0.1:{free_port()}", timeout=1)
+    assert 1 <= time.monotonic() - began < 1.5
+
+
+@pytest.mark.parametrize("on", [lambda call: call(), lambda call: in_a_thread(call)], ids=["main", "thread"])
+def test_the_timeout_holds_where_nothing_answers(on: Callable[[Callable[[], None]], None]) -> None:
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        endpoint = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+
+        def joins() -> None:
+            began = time.monotonic()
+            with pytest.raises(rect.NoRouter, match=r"no answer within 1 s"):
+                rect.connect("wombat-1", router=endpoint, timeout=1)
+            assert 1 <= time.monotonic() - began < 1.5
+
+        on(joins)
+
+
+def in_a_thread(call: Callable[[], None]) -> None:
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            call()
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join(DEADLINE)
+    assert not thread.is_alive()
+    if failed:
+        raise failed[0]
+
+
+def test_a_router_that_starts_a_little_later_is_waited_for() -> None:
+    port = free_port()
+    joined: list[rect.Robot] = []
+    waiting = threading.Thread(
+        target=lambda: joined.append(rect.connect("wombat-1", router=f"tcp/127.0.0.1:{port}", timeout=DEADLINE))
+    )
+    waiting.start()
+    waiting.join(0.3)
+    assert waiting.is_alive()
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", json.dumps([f"tcp/127.0.0.1:{port}"]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config):
+        waiting.join(DEADLINE)
+        joined[0].close()

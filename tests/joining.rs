@@ -1,0 +1,163 @@
+//! Joining a router: logins, the robot that it serves, and the time that it may take. The router is a stock one, in this
+//! process: `cargo test -p rect --test joining`
+mod pair;
+
+use std::{
+    io::Read,
+    net::TcpListener,
+    path::Path,
+    time::{Duration, Instant},
+};
+
+use pair::{free_endpoint, PATIENCE};
+use rect::{Error, Options, Robot};
+use serde_json::{json, Value};
+use zenoh::{Config, Session, Wait};
+
+/// What a refusal that is recognised may take, far below the timeout of the attempt.
+const AT_ONCE: Duration = Duration::from_secs(5);
+
+fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {
+    let mut config = Config::default();
+    let base = [
+        ("mode", json!("router")),
+        ("listen/endpoints", json!([endpoint])),
+        ("scouting/multicast/enabled", json!(false)),
+    ];
+    for (key, value) in base.iter().chain(settings) {
+        let text = value.to_string();
+        config.insert_json5(key, &text).expect("a setting");
+    }
+    zenoh::open(config).wait().expect("a router")
+}
+
+/// A router that asks for a login, and its login file.
+fn router_with_logins(folder: &Path) -> (Session, String, String) {
+    let (endpoint, file) = (free_endpoint(), folder.join("users"));
+    std::fs::write(&file, "fleet:secret\n").expect("written");
+    let file = file.display().to_string();
+    let logins = ("transport/auth/usrpwd/dictionary_file", json!(file));
+    (router(&endpoint, &[logins]), endpoint, file)
+}
+
+fn options(robot: &str, endpoint: &str) -> Options {
+    let options = Options::new(robot).expect("a name").login_file("/none");
+    options.router(endpoint).patience(PATIENCE)
+}
+
+async fn refused(options: Options) -> Error {
+    let began = Instant::now();
+    let refused = options.connect().await.expect_err("not joined");
+    assert!(began.elapsed() < AT_ONCE, "{:?}", began.elapsed());
+    refused
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_missing_or_wrong_login_is_reported_at_once_with_what_to_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (_router, endpoint, file) = router_with_logins(folder.path());
+    let missing = options("wombat-1", &endpoint);
+    let wrong = options("wombat-1", &endpoint).login("fleet", "guessed");
+    for (options, said) in [
+        (
+            missing,
+            "asks for a login, and the login file /none can't be read: No such file",
+        ),
+        (
+            wrong,
+            "refused the login of user fleet: the user or the password is wrong",
+        ),
+    ] {
+        let error = refused(options).await;
+        assert!(matches!(error, Error::LoginRefused(_)), "{error:?}");
+        let text = error.to_string();
+        assert!(text.contains(said) && text.contains("RECT_LOGIN"), "{text}");
+        assert!(text.contains(&endpoint), "{text}");
+    }
+    let right = options("wombat-1", &endpoint).login_file(&file).connect();
+    right.await.expect("joined").close().await.expect("closed");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_router_without_logins_is_joined_with_one() {
+    let endpoint = free_endpoint();
+    let _router = router(&endpoint, &[]);
+    let robot = options("wombat-1", &endpoint).login("fleet", "secret");
+    let robot = robot.connect().await.expect("joined");
+    // Over a connection of its own, which is opened like the first.
+    robot.urgent().publish("x", "now").await.expect("published");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_router_of_another_robot_is_reported() {
+    let endpoint = free_endpoint();
+    let router = router(&endpoint, &[]);
+    let join = |robot: &str| options(robot, &endpoint).connect();
+    // A router of no robot accepts all names.
+    join("wombat-7")
+        .await
+        .expect("joined")
+        .close()
+        .await
+        .expect("closed");
+    let token = format!("rect/wombat-1/@rect/alive/{}", router.zid());
+    let _token = router
+        .liveliness()
+        .declare_token(token)
+        .wait()
+        .expect("a token");
+    let error = refused(options("wombat-7", &endpoint)).await;
+    assert!(matches!(error, Error::WrongRobot(_)), "{error:?}");
+    let text = error.to_string();
+    assert!(
+        text.contains("serves the robot wombat-1,") && text.contains("wombat-7:"),
+        "{text}"
+    );
+    let lions = options("wombat-1", &endpoint)
+        .fleet("lions")
+        .expect("a name");
+    let text = refused(lions).await.to_string();
+    assert!(text.contains("wombat-1 of the fleet lions"), "{text}");
+    join("wombat-1").await.expect("joined");
+    let on_purpose = options("wombat-7", &endpoint).allow_name_mismatch();
+    let robot: Robot = on_purpose.connect().await.expect("joined");
+    robot.publish("x", "now").await.expect("published");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_timeout_holds_where_nothing_listens_and_where_nothing_answers() {
+    let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let at = silent.local_addr().expect("an address");
+    let silent = std::thread::spawn(move || {
+        let (mut stream, _) = silent.accept().expect("a connection");
+        // Takes what comes until the other end hangs up.
+        let _ = stream.read_to_end(&mut Vec::new());
+    });
+    for (endpoint, said) in [
+        (free_endpoint(), "Connection refused"),
+        (format!("tcp/{at}"), "no answer within 1 s"),
+    ] {
+        let began = Instant::now();
+        let timeout = Duration::from_secs(1);
+        let joined = options("wombat-1", &endpoint).patience(timeout).connect();
+        let error = joined.await.expect_err("no router");
+        let took = began.elapsed();
+        assert!(
+            timeout <= took && took < Duration::from_millis(1500),
+            "{took:?}"
+        );
+        assert!(matches!(error, Error::NoRouter { .. }), "{error:?}");
+        assert!(error.to_string().contains(said), "{error}");
+    }
+    silent.join().expect("it ends");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_router_that_starts_a_little_later_is_waited_for() {
+    let endpoint = free_endpoint();
+    let joining = tokio::spawn(options("wombat-1", &endpoint).connect());
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert!(!joining.is_finished());
+    let _router = router(&endpoint, &[]);
+    joining.await.expect("no panic").expect("joined");
+}
