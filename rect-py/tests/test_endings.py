@@ -107,6 +107,40 @@ def test_ctrl_c_ends_every_wait_at_once(waiting: str) -> None:
     assert "KeyboardInterrupt" in error
 
 
+_CAMERA = """
+    import numpy
+    camera = one.stream("camera")
+    watch = two.watch("wombat-1", "camera")
+    picture = numpy.random.default_rng(1).integers(0, 256, (480, 640, 3), numpy.uint8)
+    def film():
+        while not one.is_closed:
+            camera.send(picture)
+    threading.Thread(target=film, daemon=True).start()
+    watch.next(timeout=20)
+"""
+
+
+@pytest.mark.parametrize("ending", ["one.close(); two.close()", "pass"])
+def test_a_camera_program_ends_without_a_traceback(ending: str) -> None:
+    ended = run(_CAMERA + f"    {ending}\n")
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_ctrl_c_in_a_camera_program_is_the_only_traceback() -> None:
+    code = program(_CAMERA + "    print('films', flush=True)\n    time.sleep(60)\n")
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "films\n"
+            process.send_signal(signal.SIGINT)
+            _, error = process.communicate(timeout=10)
+        finally:
+            process.kill()
+    assert error.count("Traceback") == 1 and error.strip().endswith("KeyboardInterrupt"), error
+
+
 def test_a_robot_of_the_parent_says_so_in_a_child_which_ends() -> None:
     ended = run(
         """

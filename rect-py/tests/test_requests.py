@@ -6,12 +6,14 @@ pytest rect-py/tests/test_requests.py
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections.abc import Iterator
 
 import pytest
 import rect
 from conftest import DEADLINE, until_served
+from rect.service import AT_A_TIME
 
 Pair = tuple[rect.Robot, rect.Robot]
 
@@ -50,6 +52,35 @@ def test_what_a_handler_raises_arrives_as_an_error(pair: Pair, caplog: pytest.Lo
         assert caplog.text == ""
     assert (raised.value.robot, raised.value.value) == ("wombat-1", "there are the cells 1 and 2")
     assert refused.value.value == {"cells": [1, 2]}
+
+
+def test_a_handler_that_exits_answers_with_an_error_and_goes_on_serving(
+    pair: Pair, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, two = pair
+
+    def exits(request: rect.Request) -> int:
+        if request.value == "exit":
+            sys.exit(3)
+        return 1
+
+    one.serve("exits", exits)
+    until_served(two, "wombat-1", "exits")
+    with caplog.at_level(logging.ERROR, "rect"):
+        # More often than there are threads that answer.
+        for _ in range(AT_A_TIME + 1):
+            with pytest.raises(rect.ServiceError, match=r"the service called sys\.exit\(3\)"):
+                two.request("wombat-1", "exits", "exit", timeout=DEADLINE)
+    assert two.request("wombat-1", "exits", timeout=DEADLINE).value == 1
+    assert "the service exits raised" in caplog.text
+
+
+def test_an_answer_that_can_not_be_sent_arrives_as_an_error(pair: Pair) -> None:
+    one, two = pair
+    one.serve("long", lambda request: rect.Payload(b"", "x" * 300))
+    until_served(two, "wombat-1", "long")
+    with pytest.raises(rect.ServiceError, match="is 300 bytes long, and an encoding has at most 200"):
+        two.request("wombat-1", "long", timeout=DEADLINE)
 
 
 def test_a_generator_gives_several_answers_and_all_robots_are_asked(pair: Pair) -> None:

@@ -6,6 +6,8 @@ pytest rect-py/tests/test_robot.py
 from __future__ import annotations
 
 import logging
+import queue
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -214,6 +216,12 @@ def test_state_goes_to_a_callback(pair: Pair) -> None:
     assert seen == [rect.Event("peer_up", "wombat-1")]
 
 
+_TOO_LONG = "is 304 bytes long, and an encoding has at most 200"
+_NUMBER: Any = 7
+_TEXT: Any = "x"
+_NO_SECONDS = "timeout is a number of seconds, not a str"
+
+
 @pytest.mark.parametrize(
     ("wrong", "error", "said"),
     [
@@ -223,6 +231,21 @@ def test_state_goes_to_a_callback(pair: Pair) -> None:
         (lambda robot: robot.publish("@rect/x", 1), rect.InvalidTopicError, "for RECT's own messages"),
         (lambda robot: robot.publish("x" * 201, 1), rect.InvalidTopicError, "a topic is 1 to 200 bytes long"),
         (lambda robot: robot.publish(7, 1), TypeError, "topic is text, not a int"),
+        (lambda robot: robot.publish("a\nb", 1), rect.InvalidTopicError, "the character U+000A in it"),
+        (lambda robot: robot.publish("a\u202eb", 1), rect.InvalidTopicError, "the character U+202E in it"),
+        (lambda robot: robot.subscribe("*/a\x1b[2J/**"), rect.InvalidTopicError, "the character U+001B in it"),
+        (lambda robot: robot.serve("a\x7f", print), rect.InvalidTopicError, "the character U+007F in it"),
+        (lambda robot: robot.publish("x", rect.Payload(b"", "a/b;" + "x" * 300)), rect.PayloadError, _TOO_LONG),
+        (lambda robot: robot.send("a", "x", rect.Payload(b"", "ä" * 110)), rect.PayloadError, "is 220 bytes long"),
+        (
+            rect.PayloadError,
+            "202 bytes",
+        ),
+        (lambda robot: robot.request("a", "x", rect.Payload(b"", "x" * 304)), rect.PayloadError, _TOO_LONG),
+        (lambda robot: robot.transfer("a", "x", rect.Payload(b"", "x" * 304)), rect.PayloadError, _TOO_LONG),
+        (lambda robot: robot.publish("x", rect.Payload(b"", _NUMBER)), TypeError, "an encoding is text, not a int"),
+        (lambda robot: robot.publish("x", rect.Payload(_TEXT)), TypeError, "a payload has bytes, not a str"),
+        (lambda robot: robot.publish("x", rect.Payload(b"", "\ud800")), rect.PayloadError, "not text in UTF-8"),
         (lambda robot: robot.publish("x", 1, urgency="soon"), rect.OptionError, 'the option urgency can\'t be "soon"'),
         (lambda robot: robot.publish("x", 1, codec="zip"), rect.CodecError, 'there is no codec "zip"'),
         (lambda robot: robot.publish("x", 1, codec=7), TypeError, "codec is text such as"),
@@ -234,6 +257,20 @@ def test_state_goes_to_a_callback(pair: Pair) -> None:
         (lambda robot: robot.subscribe("*/x", 7), TypeError, "callback is a function, not a int"),
         (lambda robot: robot.subscribe("*/x", when_full="?"), rect.OptionError, '"newest wins"'),
         (lambda robot: robot.subscribe("*/x", capacity="1"), TypeError, "capacity is a whole number, not a str"),
+        (lambda robot: robot.subscribe("*/x", capacity=-1), rect.OptionError, "the option capacity can't be -1"),
+        (lambda robot: robot.subscribe("*/x", capacity=0), rect.OptionError, "a whole number from 1 on"),
+        (lambda robot: robot.subscribe("*/x", capacity=2**70), rect.OptionError, "the option capacity can't be"),
+        (lambda robot: robot.subscribe("*/x", when_full=1), TypeError, "when_full is text, not a int"),
+        (lambda robot: robot.watch("a", "x", capacity=-1), rect.OptionError, "the option capacity can't be -1"),
+        (lambda robot: robot.subscribe("*/x").next(timeout="x"), TypeError, _NO_SECONDS),
+        (lambda robot: robot.subscribe("*/x").next(timeout=float("nan")), rect.OptionError, "the option timeout can't"),
+        (lambda robot: robot.watch("a", "x").next(timeout="x"), TypeError, _NO_SECONDS),
+        (lambda robot: robot.on_state().next(timeout="x"), TypeError, _NO_SECONDS),
+        (lambda robot: robot.receive_transfers("*/x").next(timeout="x"), TypeError, _NO_SECONDS),
+        (lambda robot: robot.receive_transfers("*/x", at_once=0), rect.OptionError, "the option at_once can't be 0"),
+        (lambda robot: robot.receive_transfers("*/x", max_bytes=-1), rect.OptionError, "the option max_bytes can't be"),
+        (lambda robot: robot.add_connection("a", "tcp", "b", port=-1), rect.OptionError, "the option port can't be -1"),
+        (lambda robot: robot.add_connection("a", "tcp", "b", port="7"), TypeError, "port is a whole number, not a str"),
         (lambda robot: robot.listen("*", "x", 1), rect.InvalidNameError, "has '*' in it"),
         (lambda robot: robot.listen("a", "x", -1), rect.OptionError, "the option timeout can't be -1"),
         (lambda robot: robot.request("a", "x", timeout="1"), TypeError, "timeout is a number of seconds, not a str"),
@@ -276,6 +313,53 @@ def test_a_locator_that_is_none_is_named() -> None:
     wrong: Any = "tcp/127.0.0.1:0"
     with pytest.raises(TypeError, match="listen is a list of locators"):
         rect.connect("wombat-1", listen=wrong)
+
+
+def test_options_of_another_type_are_named() -> None:
+    wrong: Any
+    for wrong in ("fleet", ("fleet",), ("fleet", 7)):
+        with pytest.raises(TypeError, match=r"login is \(user, password\), two texts"):
+            rect.connect("wombat-1", login=wrong)
+    wrong = 7
+    with pytest.raises(TypeError, match="endpoints is a list of locators"):
+        rect.connect("wombat-1", endpoints=wrong)
+
+
+def test_an_encoding_that_is_too_long_leaves_the_session_as_it_was(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/x")
+    until_heard(one, "x")
+    with pytest.raises(rect.PayloadError):
+        one.publish("x", rect.Payload(b"", "a/b;" + "x" * 300))
+    longest = rect.Payload(b"1", "a/b;" + "x" * 196)
+    one.publish("x", longest)
+    assert heard.next(DEADLINE).payload == longest
+
+
+def test_a_message_of_another_program_with_an_invalid_topic_is_dropped_and_counted(pair: Pair) -> None:
+    one, two = pair
+    heard = two.subscribe("wombat-1/**")
+    until_heard(one, "x")
+    one.zenoh.put("rect/wombat-1/a\x1b]0;pwned\x07\x1b[2Jb\nfake/c", b"12.5")
+    one.publish("x", 1)
+    assert heard.next(DEADLINE).topic == "x"
+    assert (two.counters().received, two.counters().rejected) == (1, 1)
+
+
+def test_a_callback_that_exits_is_called_for_the_next_message(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+    one, two = pair
+    calls: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def exits(message: rect.Message) -> None:
+        calls.put(message.value)
+        sys.exit(3)
+
+    with caplog.at_level(logging.ERROR, "rect"), two.subscribe("wombat-1/x", exits):
+        until_heard(one, "x")
+        one.publish("x", 1)
+        one.publish("x", 2)
+        assert [calls.get(timeout=DEADLINE) for _ in range(2)] == [1, 2]
+    assert "the callback for wombat-1/x raised" in caplog.text
 
 
 def test_a_closed_robot_says_so(pair: Pair) -> None:

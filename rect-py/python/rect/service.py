@@ -104,7 +104,7 @@ class Request:
             return
         if not isinstance(error, RectError):
             _LOG.error("the service %s raised", self.topic, exc_info=error)
-        self.refuse(str(error) or type(error).__name__)
+        self.refuse(shown(error))
 
     def __repr__(self) -> str:
         return f"Request({self.sender}, {self.topic})"
@@ -212,6 +212,13 @@ class Service:
                 self._idle += 1
 
 
+def shown(error: BaseException) -> str:
+    """What an asker is told of what a handler raised."""
+    if isinstance(error, SystemExit):
+        return f"the service called sys.exit({'' if error.code is None else repr(error.code)})"
+    return str(error) or type(error).__name__
+
+
 def _busy(me: str, key: str) -> Callable[[zenoh.Query], None]:
     def refuse(query: zenoh.Query) -> None:
         request = Request(query, me, key)
@@ -231,7 +238,8 @@ def answer(request: Request, handler: Callable[[Request], Any]) -> None:
                     request.reply(one)
             else:
                 request.reply(said)
-        except Exception as error:
+        except BaseException as error:
+            # `sys.exit` too: it would end this thread alone, and the requester would be told that nobody serves.
             request.refuse_for(error)
     except Exception as error:
         _LOG.warning("an answer was not sent: %s", error)

@@ -203,7 +203,8 @@ class Subscription(Generic[T]):
         for what in self._source:
             try:
                 self._callback(what)
-            except Exception:
+            except BaseException:
+                # `sys.exit` too: on a thread it would end nothing but the callback, and without a word.
                 _LOG.exception("the callback for %s raised", self._about)
 
 
