@@ -107,6 +107,15 @@ TEST_CASE("numbers out of their range are errors") {
     CHECK(rect_picture_payload(4, 4, RECT_FORMAT_RGB8, "x", 1, &buffer, &error) == RECT_CODE_CODEC);
 }
 
+TEST_CASE("topics with characters that control a terminal or reorder text are errors that name the character") {
+    const Alone alone;
+    for (const auto* topic : {"a\x1b[2Jb", "a\nb", "a\xc2\x9b" "b", "a\xe2\x80\xae" "b"}) {
+        const auto error = alone.robot.publish(topic, "x").error();
+        CHECK(error.code == rect::Code::topic);
+        CHECK_THAT(error.text, ContainsSubstring("the character U+"));
+    }
+}
+
 TEST_CASE("options of joining are checked") {
     rect::Options options;
     options.router = "tcp/127.0.0.1:1";

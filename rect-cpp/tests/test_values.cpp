@@ -1,5 +1,6 @@
 // Values: text, bytes, pictures, arrays; and the small parts of the headers.
 #include <array>
+#include <limits>
 #include <vector>
 
 #include "pair.hpp"
@@ -19,6 +20,40 @@ TEST_CASE("text and bytes come back as they were") {
     const auto error = message->payload.text().error();
     CHECK(error.code == rect::Code::payload);
     CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("zenoh/bytes, not text"));
+}
+
+namespace {
+
+// A number as it is published.
+template <class T>
+std::string published(T value) {
+    std::string text;
+    must(rect::detail::with_payload(value, [&](const rect_payload& payload) -> rect::expected<void> {
+        CHECK(rect::detail::view(payload.encoding) == "application/json");
+        text.assign(static_cast<const char*>(payload.data), payload.len);
+        return {};
+    }));
+    return text;
+}
+
+}  // namespace
+
+TEST_CASE("numbers and truth values are published as JSON that means the same") {
+    CHECK(published(12.5) == "12.5");
+    CHECK(published(0.1) == "0.1");
+    CHECK(published(0.1F) == "0.1");
+    CHECK(published(5.0) == "5.0");
+    CHECK(published(1.0 / 3) == "0.3333333333333333");
+    CHECK(published(-1e300) == "-1e+300");
+    CHECK(published(42) == "42");
+    CHECK(published(std::numeric_limits<std::uint64_t>::max()) == "18446744073709551615");
+    CHECK(published(true) == "true");
+    const auto nothing = [](const rect_payload&) -> rect::expected<void> { return {}; };
+    const auto none = rect::detail::with_payload(std::numeric_limits<double>::quiet_NaN(), nothing);
+    CHECK(none.error().code == rect::Code::payload);
+    Pair pair;
+    const auto subscriber = must(pair.two.subscribe("*/angle"));
+    CHECK(must(pair.heard(subscriber, "angle", 12.5)->payload.text()) == "12.5");
 }
 
 TEST_CASE("arrays come back with their shape and their numbers") {

@@ -3,8 +3,13 @@
 #ifndef RECT_PAYLOAD_HPP
 #define RECT_PAYLOAD_HPP
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <iomanip>
+#include <limits>
+#include <locale>
+#include <sstream>
 #include <string>
 #include <string_view>
 #include <type_traits>
@@ -20,6 +25,15 @@ namespace rect {
 inline namespace RECT_ABI {
 
 class Payload;
+class PayloadView;
+
+/// @cond
+namespace detail {
+// False, but only once the type is known.
+template <class T>
+inline constexpr bool never = false;
+}  // namespace detail
+/// @endcond
 
 /// How a type of the program's becomes a payload and back; specialised for each, as `rect/nlohmann.hpp` does for JSON:
 ///
@@ -29,7 +43,16 @@ class Payload;
 ///         static rect::expected<Reading> from_payload(const rect::PayloadView& payload);
 ///     };
 template <class T, class = void>
-struct Adapter;
+struct Adapter {
+    static_assert(detail::never<T>,
+                  "no rect::Adapter for this type: include <rect/nlohmann.hpp> (it needs nlohmann-json) for JSON, containers and "
+                  "structs with NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE, use rect::numbers of <rect/numbers.hpp> for arrays of "
+                  "numbers, or specialise rect::Adapter for the type");
+    /// Declared only: the advice above is the one error that the compiler reports.
+    static expected<Payload> to_payload(const T& value);
+    /// See to_payload.
+    static expected<T> from_payload(const PayloadView& payload);
+};
 
 /// Bytes and what they are, which belong to something else: a message, a frame, the program.
 class PayloadView {
@@ -125,6 +148,36 @@ inline constexpr bool is_bytes<T, std::void_t<decltype(std::declval<const T&>().
     std::is_same_v<decltype(std::declval<const T&>().data()), const std::uint8_t*> ||
     std::is_same_v<decltype(std::declval<const T&>().data()), std::uint8_t*>;
 
+/// A number or truth value as JSON, whatever the program's locale is. Code::payload: JSON has no infinity and no NaN.
+template <class T>
+expected<std::string> number_to_json(T value) {
+    if constexpr (std::is_same_v<T, bool>) {
+        return std::string(value ? "true" : "false");
+    } else if constexpr (std::is_integral_v<T>) {
+        return std::to_string(value);
+    } else {
+        if (!std::isfinite(value)) {
+            return failed(Code::payload, "this value can't be written as JSON: it is infinite or not a number");
+        }
+        std::string text;
+        // As few digits as give the same number again.
+        for (int digits = std::numeric_limits<T>::digits10; digits <= std::numeric_limits<T>::max_digits10; ++digits) {
+            std::ostringstream written;
+            written.imbue(std::locale::classic());
+            written << std::setprecision(digits) << value;
+            text = written.str();
+            std::istringstream read(text);
+            read.imbue(std::locale::classic());
+            T same{};
+            if (read >> same && same == value) {
+                break;
+            }
+        }
+        // A number with a fraction stays one for the receiver.
+        return text.find_first_of(".e") == std::string::npos ? text + ".0" : text;
+    }
+}
+
 /// Calls `use` with the value as C wants it.
 template <class T, class Use>
 expected<void> with_payload(const T& value, Use use) {
@@ -140,6 +193,12 @@ expected<void> with_payload(const T& value, Use use) {
         return use(rect_payload{bytes.data(), bytes.size(), raw("zenoh/bytes")});
     } else if constexpr (std::is_same_v<T, Picture>) {
         return value.payload([&](const rect_payload& payload) { return use(payload); });
+    } else if constexpr (std::is_arithmetic_v<T>) {
+        const auto text = number_to_json(value);
+        if (!text) {
+            return unexpected<Error>(text.error());
+        }
+        return use(rect_payload{text->data(), text->size(), raw("application/json")});
     } else {
         const auto made = Adapter<T>::to_payload(value);
         if (!made) {
