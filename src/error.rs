@@ -65,8 +65,8 @@ pub enum Error {
         /// Who is there.
         there: String,
     },
-    /// It took too long. Ask again, allow more time, or look at the link (`rect-router connections`).
-    #[error("no {what} within {after:?}")]
+    /// It took too long. Ask again, allow more time, or look at the link (`rect connections`).
+    #[error("no {what} within {}", wording::duration(*.after))]
     TimedOut {
         /// What was waited for.
         what: String,

@@ -13,6 +13,8 @@ pub mod blocking;
 mod error;
 #[cfg(feature = "session")]
 mod session;
+#[cfg(feature = "terminal")]
+pub mod terminal;
 
 #[cfg(feature = "session")]
 pub use error::Error;

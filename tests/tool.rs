@@ -2,8 +2,9 @@
 mod pair;
 
 use std::{
-    io::{BufRead, BufReader, Write},
+    io::{BufRead, BufReader, Read, Write},
     process::{Child, Command, Output, Stdio},
+    sync::mpsc::{self, RecvTimeoutError},
     time::{Duration, Instant},
 };
 
@@ -288,6 +289,187 @@ fn a_dictionary_is_trained_from_a_recording() {
         text(&nothing.stderr).contains("/none.jsonl"),
         "{}",
         text(&nothing.stderr)
+    );
+}
+
+/// The exit status of a program whose reader has gone.
+const CLOSED_PIPE: i32 = 141;
+
+#[test]
+fn a_reader_that_has_gone_ends_a_command_quietly() {
+    let (a, endpoint) = robot("a");
+    for json in [false, true] {
+        let mut arguments = vec!["sub", "a/**", "--as", "b", "--router", &endpoint];
+        arguments.extend(json.then_some("--json"));
+        let mut command = rect(&arguments);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = Killed(command.spawn().expect("it runs"));
+        drop(child.0.stdout.take());
+        let began = Instant::now();
+        let status = loop {
+            if let Some(status) = child.0.try_wait().expect("our child") {
+                break status;
+            }
+            assert!(began.elapsed() < PATIENCE, "it goes on without a reader");
+            a.publish("x", "1").expect("published");
+            std::thread::sleep(Duration::from_millis(10));
+        };
+        let mut said = String::new();
+        let mut stderr = child.0.stderr.take().expect("piped");
+        stderr.read_to_string(&mut said).expect("text");
+        assert_eq!(status.code(), Some(CLOSED_PIPE), "{said}");
+        assert!(!said.contains("panicked"), "{said}");
+    }
+}
+
+#[test]
+fn output_that_cannot_be_written_is_an_error_and_no_panic() {
+    let (_a, endpoint) = robot("a");
+    let full = || std::fs::File::create("/dev/full").expect("linux");
+    for arguments in [
+        &["completion", "bash"][..],
+        &["peers", "--as", "b", "--router", &endpoint],
+        &["peers", "--json", "--as", "b", "--router", &endpoint],
+    ] {
+        let mut command = rect(arguments);
+        let output = command.stdout(full()).output().expect("it runs");
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
+        assert!(
+            said.contains("cannot write") && !said.contains("panicked"),
+            "{said}"
+        );
+    }
+    // Nor is a message for which there is no room on stderr.
+    let mut command = rect(&["pub", "x", "1", "--router", "tcp/127.0.0.1:1"]);
+    let status = command.stderr(full()).status().expect("it runs");
+    assert_eq!(status.code(), Some(1));
+}
+
+/// A topic that writes a second line and controls the terminal.
+const HOSTILE: &str = "a\x1b]0;pwned\x07\x1b[2Jb\nfake/c: 12.5";
+
+#[test]
+fn what_others_send_cannot_control_the_terminal() {
+    let (a, endpoint) = robot("a");
+    let mut config = zenoh::Config::default();
+    let settings = [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+    ];
+    for (key, value) in settings {
+        config.insert_json5(key, &value).expect("a setting");
+    }
+    let stock = zenoh::Wait::wait(zenoh::open(config)).expect("a session");
+    let mut command = rect(&["sub", "*/**", "--as", "b", "--router", &endpoint]);
+    let mut child = Killed(command.stdout(Stdio::piped()).spawn().expect("it runs"));
+    let mut lines = BufReader::new(child.0.stdout.take().expect("piped")).lines();
+    let (stop, stopped) = mpsc::channel::<()>();
+    let publishing = std::thread::spawn(move || {
+        let running =
+            || stopped.recv_timeout(Duration::from_millis(20)) == Err(RecvTimeoutError::Timeout);
+        while running() {
+            for key in [format!("rect/c/{HOSTILE}"), "rect/c/end".to_owned()] {
+                let put = stock.put(key, format!("1\nfake/d: 3{HOSTILE}"));
+                zenoh::Wait::wait(put.encoding(HOSTILE)).expect("put");
+            }
+        }
+    });
+    let mut shown = Vec::new();
+    // The second one comes after a whole round.
+    while shown
+        .iter()
+        .filter(|line: &&String| line.contains("c/end"))
+        .count()
+        < 2
+    {
+        shown.push(lines.next().expect("it goes on").expect("text"));
+    }
+    drop(stop);
+    publishing.join().expect("it ends");
+    for line in &shown {
+        assert!(!line.contains(['\x1b', '\x07']), "{line:?}");
+        assert!(!line.starts_with("fake/"), "{line:?}");
+    }
+    let _failing = a.serve("fail", |_| Err::<String, _>(format!("{HOSTILE}\u{202e}")));
+    let failed = ran(&["request", "a", "fail", "--as", "b", "--router", &endpoint]);
+    let said = text(&failed.stderr);
+    assert!(said.contains("a answers with an error"), "{said}");
+    assert!(!said.contains(['\x1b', '\u{202e}']), "{said:?}");
+    assert!(
+        !said.lines().any(|line| line.starts_with("fake/")),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn listening_to_a_robot_that_is_not_there_is_hinted_at() {
+    let (a, endpoint) = robot("a");
+    for (pattern, hinted) in [("wombat-9/**", true), ("a/**", false), ("*/**", false)] {
+        let arguments = [
+            "sub", pattern, "--count", "1", "--as", "b", "--router", &endpoint,
+        ];
+        let mut child = Killed(
+            rect(&arguments)
+                .stderr(Stdio::piped())
+                .stdout(Stdio::null())
+                .spawn()
+                .expect("it runs"),
+        );
+        let mut lines = BufReader::new(child.0.stderr.take().expect("piped")).lines();
+        let listening = lines.next().expect("a line").expect("text");
+        assert!(
+            listening.contains(&format!("listening to {pattern}")),
+            "{listening}"
+        );
+        if hinted {
+            let hint = lines.next().expect("a line").expect("text");
+            assert!(
+                hint.contains("no robot wombat-9") && hint.contains("a, b"),
+                "{hint}"
+            );
+            continue;
+        }
+        let began = Instant::now();
+        while child.0.try_wait().expect("our child").is_none() {
+            assert!(began.elapsed() < PATIENCE, "it ends after one");
+            a.publish("x", "1").expect("published");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let more: Vec<_> = lines.map_while(Result::ok).collect();
+        assert_eq!(more, Vec::<String>::new());
+    }
+}
+
+#[test]
+fn colours_are_for_terminals_or_on_demand() {
+    let (a, endpoint) = robot("a");
+    let shown = |more: &[&str]| {
+        let mut arguments = vec!["peers", "--as", "b", "--router", &endpoint];
+        arguments.extend(more);
+        let output = rect(&arguments)
+            .env_remove("CLICOLOR_FORCE")
+            .output()
+            .expect("it runs");
+        text(&output.stdout)
+    };
+    let _stay = a;
+    assert!(!shown(&[]).contains('\x1b'));
+    assert!(shown(&["--color", "always"]).contains('\x1b'));
+    assert!(!shown(&["--color", "never"]).contains('\x1b'));
+}
+
+#[test]
+fn an_address_without_a_protocol_is_one_of_tcp() {
+    let (_a, endpoint) = robot("a");
+    let address = endpoint.strip_prefix("tcp/").expect("tcp");
+    let there = ran(&["peers", "--as", "b", "--router", address]);
+    assert!(there.status.success(), "{}", text(&there.stderr));
+    let wrong = ran(&["peers", "--as", "b", "--router", "localhost"]);
+    let said = text(&wrong.stderr);
+    assert!(
+        said.contains("tcp/127.0.0.1:7447") && !said.contains("Json5"),
+        "{said}"
     );
 }
 

@@ -40,7 +40,7 @@ typedef enum rect_code {
     RECT_CODE_OK = 0,
     // There are no more: all have answered.
     RECT_CODE_END = 1,
-    // It took longer than was allowed. Ask again, allow more time, or look at the link (`rect-router connections`).
+    // It took longer than was allowed. Ask again, allow more time, or look at the link (`rect connections`).
     RECT_CODE_TIMED_OUT = 2,
     // An argument is NULL, not UTF-8, or out of its range; the text names it.
     RECT_CODE_ARGUMENT = 3,

@@ -15,7 +15,7 @@ pub enum Code {
     Ok = 0,
     /// There are no more: all have answered.
     End = 1,
-    /// It took longer than was allowed. Ask again, allow more time, or look at the link (`rect-router connections`).
+    /// It took longer than was allowed. Ask again, allow more time, or look at the link (`rect connections`).
     TimedOut = 2,
     /// An argument is NULL, not UTF-8, or out of its range; the text names it.
     Argument = 3,

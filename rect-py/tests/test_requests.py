@@ -107,7 +107,7 @@ def test_an_answer_that_does_not_come_is_timed_out(pair: Pair) -> None:
     go_on = threading.Event()
     one.serve("slow", lambda request: go_on.wait(DEADLINE))
     until_served(two, "wombat-1", "slow")
-    with pytest.raises(rect.TimedOut, match="no answer about slow within 200ms"):
+    with pytest.raises(rect.TimedOut, match="no answer about slow within 200 ms"):
         two.request("wombat-1", "slow", timeout=0.2)
     go_on.set()
 

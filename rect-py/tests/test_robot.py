@@ -139,7 +139,7 @@ def test_where_the_rule_is_to_wait_nothing_is_dropped(pair: Pair) -> None:
 
 def test_the_next_message_is_listened_for(pair: Pair) -> None:
     one, two = pair
-    with pytest.raises(rect.TimedOut, match="no message wombat-1/arm within 10ms"):
+    with pytest.raises(rect.TimedOut, match="no message wombat-1/arm within 10 ms"):
         two.listen("wombat-1", "arm", 0.01)
 
     def say() -> None:

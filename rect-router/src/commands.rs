@@ -9,12 +9,18 @@ mod manual;
 mod scan;
 mod service;
 mod status;
-mod table;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{env, path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
-use rect::core::login;
+use rect::{
+    core::{display, endpoint, login, wording},
+    terminal::{paint_err, Style},
+};
+
+/// Names the router of commands and programs that name none.
+const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
+const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
 
 /// Why a command came to nothing, in words.
 type Failure = Box<dyn std::error::Error + Send + Sync>;
@@ -109,8 +115,8 @@ fn default_login_file() -> PathBuf {
 /// How to reach the router.
 #[derive(Debug, Parser)]
 pub struct RouterArgs {
-    /// The router to ask
-    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    /// The router to ask; $RECT_ENDPOINT changes the default
+    #[arg(long, value_name = "ENDPOINT", default_value_t = default_router(), value_parser = endpoint::parse)]
     pub router: String,
     /// The login file, where the router asks for a login; $RECT_LOGIN changes the default
     #[arg(long, value_name = "FILE", default_value_os_t = default_login_file())]
@@ -137,6 +143,12 @@ pub struct ScanArgs {
 /// What `doctor` takes.
 #[derive(Debug, Parser)]
 pub struct DoctorArgs {
+    /// Check that this is the robot of the router [default: any]
+    #[arg(long = "as", value_name = "ROBOT")]
+    pub robot: Option<String>,
+    /// The fleet's name
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
     /// As JSON
     #[arg(long)]
     pub json: bool,
@@ -175,10 +187,28 @@ pub fn run(command: &Command) -> ExitCode {
         Command::Man(args) => manual::write(args).map(|()| ExitCode::SUCCESS),
     };
     done.unwrap_or_else(|error| {
-        eprintln!(
-            "rect-router: {}",
-            rect::core::wording::with_causes(error.as_ref())
-        );
+        // Parts of it may come from another robot.
+        let text = display::line(&wording::with_causes(error.as_ref())).into_owned();
+        let program = format!("{}:", program());
+        rect::errln!("{} {text}", paint_err(Style::Wrong, &program));
         ExitCode::FAILURE
     })
+}
+
+/// As what a person started this program: `rect` becomes it for some of its commands.
+fn program() -> &'static str {
+    let name = env::args_os().next();
+    if name.is_some_and(|name| name == "rect") {
+        "rect"
+    } else {
+        "rect-router"
+    }
+}
+
+/// The router of commands that name none.
+fn default_router() -> String {
+    let named = env::var(ROUTER_VARIABLE).ok();
+    named
+        .filter(|named| !named.is_empty())
+        .unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
 }

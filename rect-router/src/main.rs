@@ -18,7 +18,7 @@ fn main() -> ExitCode {
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("rect-router: {}", wording::with_causes(error.as_ref()));
+            rect::errln!("rect-router: {}", wording::with_causes(error.as_ref()));
             ExitCode::FAILURE
         }
     }

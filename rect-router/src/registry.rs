@@ -15,7 +15,10 @@ use std::{
     time::{Instant, SystemTime, UNIX_EPOCH},
 };
 
-use rect::core::connection::{Connection, ConnectionState as State, PeerId, Traffic, Trouble};
+use rect::core::{
+    connection::{Connection, ConnectionState as State, PeerId, Traffic, Trouble},
+    wording,
+};
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
 use zenoh_link::ble::{
@@ -229,7 +232,7 @@ impl Sources {
         ble: &Ble,
     ) -> Connection {
         let trouble = |trouble: connections::Trouble| Trouble {
-            what: trouble.what,
+            what: wording::short_reason(&trouble.what),
             ago_s: SystemTime::now()
                 .duration_since(trouble.at)
                 .map_or(0.0, |ago| ago.as_secs_f64()),

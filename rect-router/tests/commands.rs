@@ -5,8 +5,8 @@ mod support;
 use std::{fs, os::unix::fs::PermissionsExt, path::Path, process::Command};
 
 use serde_json::{json, Value};
-use support::{answers, init, program, rect_router, said, start, Air};
-use zenoh::Session;
+use support::{answers, client, init, program, rect_router, said, simulated, start, Air};
+use zenoh::{Session, Wait};
 use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
 
 #[test]
@@ -104,7 +104,7 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         1
     );
     let nobody = rect_router(&[&["status", "wombat-7"], &ask[..]].concat());
-    assert!(said(&nobody).contains("wombat-7 of fleet rect answers"));
+    assert!(said(&nobody).contains("no robot wombat-7 of fleet rect answers"));
     let doctor = rect_router(&[
         "doctor",
         "--json",
@@ -234,6 +234,129 @@ fn there_are_manual_pages_and_completions() {
     assert!(said(&completion).contains("--login-as"));
     let nowhere = rect_router(&["man", "/nowhere/at/all"]);
     assert!(!nowhere.status.success() && said(&nowhere).contains("/nowhere/at/all"));
+}
+
+#[test]
+fn the_doctor_looks_at_the_named_router_with_the_named_login() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let folder = init(root.path(), "wombat-1", &[]);
+    let (_router, endpoint) = start(&air, &folder, "wombat-1", "fleet");
+    let users = format!("{folder}/users");
+    let doctor = |more: &[&str], users: &str| {
+        let at = ["doctor", "--router", &endpoint, "--users", users];
+        rect_router(&[&at, more].concat())
+    };
+    let well = said(&doctor(&[], &users));
+    for line in [
+        "good   login: ",
+        "good   router: ",
+        "publish as wombat-1",
+        "good   connections: ",
+    ] {
+        assert!(well.contains(line), "{line}: {well}");
+    }
+    let right = said(&doctor(&["--as", "wombat-1"], &users));
+    assert!(right.contains("good   robot: "), "{right}");
+    let wrong = doctor(&["--as", "wombat-7"], &users);
+    let text = said(&wrong);
+    assert_eq!(wrong.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("WRONG  robot: ") && text.contains("of wombat-1, not of wombat-7"),
+        "{text}"
+    );
+
+    let other = root.path().join("other");
+    fs::write(&other, "fleet:not the password\n").expect("written");
+    let refused = doctor(&[], &other.display().to_string());
+    let text = said(&refused);
+    assert_eq!(refused.status.code(), Some(1), "{text}");
+    assert!(text.contains("refuses the login fleet of"), "{text}");
+    let without = said(&doctor(&[], "/nowhere/users"));
+    assert!(
+        without.contains("refuses programs without a login"),
+        "{without}"
+    );
+
+    fs::write(
+        format!("{folder}/connections.json"),
+        "{ \"connections\": [ { } ] }",
+    )
+    .expect("written");
+    let mistaken = doctor(&[], &users);
+    let text = said(&mistaken);
+    assert_eq!(mistaken.status.code(), Some(1), "{text}");
+    assert!(text.contains("rejects its connections file: 1:"), "{text}");
+}
+
+#[test]
+fn what_a_robot_reports_cannot_control_the_terminal() {
+    let air = Air::new();
+    let (mut router, endpoint) = simulated(&air, 1, &[]);
+    router.up();
+    let evil = client(&endpoint);
+    let answer = |key: &'static str, json: serde_json::Value| {
+        let reply = move |query: zenoh::query::Query| {
+            query.reply(key, json.to_string()).wait().expect("answered");
+        };
+        evil.declare_queryable(key)
+            .callback(reply)
+            .background()
+            .wait()
+            .expect("declared");
+    };
+    let hostile = "v\x1b]0;pwned\x07\x1b[2J\u{202e}\nwombat-9";
+    answer(
+        "rect/evil/@rect/status",
+        json!({ "id": "1", "version": hostile, "connections": {} }),
+    );
+    let error = json!({ "what": hostile, "ago_s": 1.0 });
+    let connection = json!([{ "name": hostile, "method": "tcp", "address": hostile, "state": "connecting", "last_error": error }]);
+    answer("rect/evil/@rect/connections", connection);
+    for command in ["status", "connections", "doctor"] {
+        let shown = said(&rect_router(&[command, "--router", &endpoint]));
+        assert!(shown.contains("evil"), "{command}: {shown}");
+        assert!(
+            !shown.contains(['\x1b', '\x07', '\u{202e}']),
+            "{command}: {shown:?}"
+        );
+        assert!(
+            !shown
+                .lines()
+                .any(|line| line.trim_start().starts_with("wombat-9")),
+            "{command}: {shown:?}"
+        );
+    }
+    let json = said(&rect_router(&["status", "--json", "--router", &endpoint]));
+    assert!(!json.contains('\u{202e}'), "{json:?}");
+    let read: Value = serde_json::from_str(&json).expect("JSON");
+    assert_eq!(read["evil"]["version"], hostile);
+}
+
+#[test]
+fn a_reader_that_has_gone_ends_a_command_quietly() {
+    let full = || fs::File::create("/dev/full").expect("linux");
+    for args in [
+        &["doctor", "--router", "tcp/127.0.0.1:1"][..],
+        &["completion", "bash"],
+        &["doctor", "--json"],
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_rect-router"))
+            .args(args)
+            .stdout(full())
+            .output();
+        let output = output.expect("it starts");
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {text}");
+        assert!(
+            text.contains("cannot write") && !text.contains("panicked"),
+            "{args:?}: {text}"
+        );
+    }
+    let status = Command::new(env!("CARGO_BIN_EXE_rect-router"))
+        .args(["status", "--router", "tcp/127.0.0.1:1"])
+        .stderr(full())
+        .status();
+    assert_eq!(status.expect("it starts").code(), Some(1));
 }
 
 #[test]

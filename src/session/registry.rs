@@ -178,10 +178,17 @@ impl Robot {
                 let robot = Some(robot);
                 Err(Error::Service { robot, payload })
             }
-            Err(_) => {
-                let topic = format!("the registry ({question})");
-                Err(self.nobody(robot.to_string(), topic).await)
-            }
+            Err(_) => Err(self.nobody(robot.to_string(), of_registry(question)).await),
         }
+    }
+}
+
+/// What was asked for, for the error that nobody answers.
+fn of_registry(question: &str) -> String {
+    if question == CONFIG {
+        "changes of connections (the router's access control has to allow them, and its settings have to name a connections file)"
+            .to_owned()
+    } else {
+        format!("the registry ({question})")
     }
 }

@@ -24,7 +24,7 @@ inline namespace RECT_ABI {
 enum class Code {
     /// There are no more: all have answered.
     end = RECT_CODE_END,
-    /// It took longer than was allowed. Ask again, allow more time, or look at the link (`rect-router connections`).
+    /// It took longer than was allowed. Ask again, allow more time, or look at the link (`rect connections`).
     timed_out = RECT_CODE_TIMED_OUT,
     /// An argument is not UTF-8, or out of its range; the text names it.
     argument = RECT_CODE_ARGUMENT,

@@ -147,7 +147,11 @@ def _quoted(value: object) -> str:
 
 
 def _seconds(seconds: float) -> str:
-    """As Rust shows a duration: `2s`, `500ms`."""
-    if seconds >= 1 or seconds == 0:
-        return f"{seconds:g}s"
-    return f"{seconds * 1000:g}ms"
+    """A duration, rounded as Rust rounds it for people: `2 s`, `4.2 s`, `500 ms`."""
+    if 0 < seconds < 0.9995:
+        return f"{seconds * 1000:.{int(seconds < 0.001)}f} ms"
+    if seconds < 9.95:
+        return f"{seconds:.1f} s".replace(".0 s", " s")
+    if seconds < 119.5:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7170 else f"{seconds / 3600:.0f} h"

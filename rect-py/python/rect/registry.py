@@ -90,6 +90,16 @@ def configure(session: Session, robot: str, how: str, what: str) -> None:
     _ask_router(session, robot, _rect.CONFIG, f"{how};by={session.place.robot}", what.encode())
 
 
+def _of_registry(question: str) -> str:
+    """What was asked for, for the error that nobody answers."""
+    if question != _rect.CONFIG:
+        return f"the registry ({question})"
+    return (
+        "changes of connections (the router's access control has to allow them, and its settings have to name a "
+        "connections file)"
+    )
+
+
 def _ask_router(session: Session, robot: str, question: str, parameters: str, payload: bytes | None) -> Payload:
     key = session.place.own(robot, question)
     replies: Inbox[zenoh.Reply] = Inbox(1, "oldest wins")
@@ -101,7 +111,7 @@ def _ask_router(session: Session, robot: str, question: str, parameters: str, pa
     except zenoh.ZError as error:
         raise refused("the router can't be asked", error) from None
     except (Ended, TimeoutError):
-        raise NoService(robot, f"the registry ({question})", peers(session)) from None
+        raise NoService(robot, _of_registry(question), peers(session)) from None
     finally:
         session.inboxes.discard(replies)
     if reply.ok is not None:

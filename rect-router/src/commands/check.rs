@@ -10,6 +10,6 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     if let Some(settings) = settings {
         Robot::prepare(settings, &mut config)?.check()?;
     }
-    println!("{}: nothing is wrong with it", args.config);
+    rect::outln!("{}: nothing is wrong with it", args.config);
     Ok(())
 }

@@ -1,11 +1,14 @@
 //! Owns what the commands share that ask a running router: a session with it, and the robots' answers.
 use std::{fs, time::Duration};
 
-use rect::core::{login, wording};
+use rect::{
+    core::{login, wording},
+    terminal::{self, Table},
+};
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
-use super::{table::table, AskArgs, Failure, RouterArgs};
+use super::{AskArgs, Failure, RouterArgs};
 
 /// How long to wait for answers: over a slow link, with several robots.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -51,31 +54,27 @@ pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, 
     Ok(answers)
 }
 
-/// Shows what the robots answer about `what` of theirs: as JSON, or as a table with the rows that `rows` makes of each.
+/// Prints what the robots answer about `what` of theirs: as JSON, or as the table that `table` makes of it.
 pub(super) fn show(
     args: &AskArgs,
     what: &str,
-    columns: &[&str],
-    rows: impl Fn(&str, &Value) -> Vec<Vec<String>>,
+    table: impl FnOnce(&[(String, Value)]) -> Result<Table, Failure>,
 ) -> Result<(), Failure> {
     let AskArgs { robot, fleet, .. } = args;
     let session = session(&args.router)?;
     let robots = answers(&session, &format!("{fleet}/{robot}/@rect/{what}"))?;
     if robots.is_empty() {
-        let who = if robot == "*" { "no robot" } else { robot };
-        return Err(format!("{who} of fleet {fleet} answers: does its router run, with plugins/rect in its configuration?").into());
+        let who = match robot.as_str() {
+            "*" => "no robot".to_owned(),
+            robot => format!("no robot {robot}"),
+        };
+        let advice = "does its router run, with plugins/rect in its configuration?";
+        return Err(format!("{who} of fleet {fleet} answers: {advice}").into());
     }
     if args.json {
         let all: serde_json::Map<_, _> = robots.into_iter().collect();
-        println!("{:#}", Value::Object(all));
-        return Ok(());
+        return Ok(terminal::json(&all)?);
     }
-    let mut shown = table(columns);
-    shown.add_rows(
-        robots
-            .iter()
-            .flat_map(|(robot, answer)| rows(robot, answer)),
-    );
-    println!("{shown}");
+    table(&robots)?.print();
     Ok(())
 }

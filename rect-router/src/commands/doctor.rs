@@ -1,9 +1,14 @@
 //! Owns `rect-router doctor`: what keeps this computer from talking to others, each with what to do about it.
+mod login;
 mod network;
 mod system;
 
 use std::{path::Path, process::ExitCode};
 
+use rect::{
+    core::display::line,
+    terminal::{self, paint, Style},
+};
 use serde::Serialize;
 
 use super::{DoctorArgs, Failure};
@@ -59,22 +64,46 @@ impl Finding {
     }
 }
 
+/// The columns of what stands before a finding and before an advice.
+const MARK_WIDTH: usize = 7;
+const ADVICE_WIDTH: usize = 10;
+
+/// Prints a text after `mark`, in lines that fit the terminal. What others have sent may be a part of it.
+fn show(mark: &str, text: &str) {
+    let indent = if mark.trim_start().starts_with("->") {
+        ADVICE_WIDTH
+    } else {
+        MARK_WIDTH
+    };
+    let width = terminal::width().map(|width| width.saturating_sub(indent));
+    for (n, text) in terminal::wrap(&line(text), width).iter().enumerate() {
+        if n == 0 {
+            rect::outln!("{mark}{text}");
+        } else {
+            rect::outln!("{:indent$}{text}", "");
+        }
+    }
+}
+
 /// Tells all findings; the exit status is 1 where something does not work.
 pub fn run(args: &DoctorArgs) -> Result<ExitCode, Failure> {
     let mut findings = system::findings(Path::new("/"));
-    findings.extend(network::findings(&args.router));
+    findings.extend(network::findings(args));
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&findings)?);
+        terminal::json(&findings)?;
     } else {
         for finding in &findings {
             let mark = match finding.verdict {
-                Verdict::Good => "good ",
-                Verdict::Poor => "poor ",
-                Verdict::Wrong => "WRONG",
+                Verdict::Good => paint(Style::Good, "good "),
+                Verdict::Poor => paint(Style::Poor, "poor "),
+                Verdict::Wrong => paint(Style::Wrong, "WRONG"),
             };
-            println!("{mark}  {}: {}", finding.about, finding.what);
+            show(
+                &format!("{mark}  "),
+                &format!("{}: {}", finding.about, finding.what),
+            );
             if let Some(advice) = &finding.advice {
-                println!("       -> {advice}");
+                show("       -> ", advice);
             }
         }
     }

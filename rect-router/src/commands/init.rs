@@ -81,20 +81,20 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
         .map_err(|error| format!("{} can't be made: {error}", args.folder.display()))?;
     for (path, text, owner) in files {
         write(&path, &text, owner).map_err(|error| format!("{}: {error}", path.display()))?;
-        println!("wrote {}", path.display());
+        rect::outln!("wrote {}", path.display());
     }
     if args.start {
         service::start()?;
-        println!("the router runs, and will at each boot: systemctl status rect-router");
+        rect::outln!("the router runs, and will at each boot: systemctl status rect-router");
     } else if installed {
-        println!("start it with: systemctl enable --now rect-router");
+        rect::outln!("start it with: systemctl enable --now rect-router");
     } else {
         let config = args.folder.join("robot.json5");
-        println!("start it with: rect-router -c {}", config.display());
+        rect::outln!("start it with: rect-router -c {}", config.display());
     }
     if args.users.is_none() {
         let users = args.folder.join("users");
-        println!(
+        rect::outln!(
             "the team's other robots need the same login: copy {} to them and give it as --users",
             users.display()
         );

@@ -1,6 +1,4 @@
 //! Owns what is told of the commands beside `--help`: manual pages, and what makes a shell complete them.
-use std::io;
-
 use clap::CommandFactory;
 
 use super::{CompletionArgs, Failure, ManArgs};
@@ -8,7 +6,9 @@ use crate::args::Args;
 
 pub fn complete(args: &CompletionArgs) {
     let mut command = Args::command();
-    clap_complete::generate(args.shell, &mut command, "rect-router", &mut io::stdout());
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut command, "rect-router", &mut script);
+    rect::outln!("{}", String::from_utf8_lossy(&script).trim_end());
 }
 
 pub fn write(args: &ManArgs) -> Result<(), Failure> {

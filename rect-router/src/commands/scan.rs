@@ -1,6 +1,7 @@
 //! Owns `rect-router scan`: which robots are heard by Bluetooth.
 use std::{collections::BTreeMap, time::Duration};
 
+use rect::terminal::{self, Table};
 use serde_json::{json, Value};
 use tokio::time::{timeout_at, Instant};
 use zenoh_link::ble::{
@@ -9,7 +10,7 @@ use zenoh_link::ble::{
     radio::{bluez, sim, Radio, RadioError, Sighting},
 };
 
-use super::{table::table, Failure, ScanArgs};
+use super::{Failure, ScanArgs};
 
 pub fn run(args: &ScanArgs) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -18,28 +19,27 @@ pub fn run(args: &ScanArgs) -> Result<(), Failure> {
         .build()?;
     let heard = runtime.block_on(heard(args))?;
     if args.json {
-        println!("{:#}", Value::from(heard));
-        return Ok(());
+        return Ok(terminal::json(&heard)?);
     }
-    let mut shown = table(&["ADDRESS", "NAME", "FLEET", "PSM", "SIGNAL"]);
+    let mut shown = Table::new(&["ADDRESS", "NAME", "FLEET", "PSM", "SIGNAL"]);
     for robot in &heard {
         let text = |key: &str| match &robot[key] {
-            Value::Null => "-".to_owned(),
+            Value::Null => String::new(),
             Value::String(text) => text.clone(),
             other => other.to_string(),
         };
         let signal = robot["rssi_dbm"].as_i64();
-        let signal = signal.map_or_else(|| "-".to_owned(), |dbm| format!("{dbm} dBm"));
-        shown.add_row([
-            text("address"),
-            text("name"),
-            text("fleet"),
-            text("psm"),
-            signal,
+        let signal = signal.map(|dbm| format!("{dbm} dBm"));
+        shown.row(vec![
+            text("address").into(),
+            text("name").into(),
+            text("fleet").into(),
+            text("psm").into(),
+            signal.into(),
         ]);
     }
-    println!("{shown}");
-    println!("{} heard within {} s", heard.len(), args.seconds);
+    shown.print();
+    rect::outln!("{} heard within {} s", heard.len(), args.seconds);
     Ok(())
 }
 

@@ -48,7 +48,7 @@ pub fn start() -> Result<(), Failure> {
         return Ok(());
     }
     Err("the configuration is written, but the router does not start; why: journalctl -u rect-router -n 20, \
-         and what to do: rect-router doctor. It is started again every 2 s"
+         and what to do: rect doctor. It is started again every 2 s"
         .into())
 }
 

@@ -1,25 +1,33 @@
 //! Owns `rect-router status`: which robots there are, a line for each.
+use rect::{
+    core::wording::duration_of_s,
+    terminal::{Cell, Style, Table},
+};
 use serde_json::Value;
 
-use super::{client::show, table::seconds, AskArgs, Failure};
+use super::{client::show, AskArgs, Failure};
 
 const COLUMNS: [&str; 7] = [
     "ROBOT",
     "UP",
     "CONNECTED",
     "MISSING",
-    "DISCOVERED",
-    "CONNECTS TO",
-    "VERSION",
+    "?DISCOVERED",
+    "?CONNECTS TO",
+    "?VERSION",
 ];
 
 pub fn run(args: &AskArgs) -> Result<(), Failure> {
-    show(args, "status", &COLUMNS, |robot, status| {
-        vec![row(robot, status)]
+    show(args, "status", |robots| {
+        let mut table = Table::new(&COLUMNS);
+        for (robot, status) in robots {
+            table.row(row(robot, status));
+        }
+        Ok(table)
     })
 }
 
-fn row(robot: &str, status: &Value) -> Vec<String> {
+fn row(robot: &str, status: &Value) -> Vec<Cell> {
     let counts = &status["connections"];
     let connected = |count: &Value| count["connected"].as_u64().unwrap_or(0);
     let by_method = counts["methods"].as_object().into_iter().flatten();
@@ -27,23 +35,26 @@ fn row(robot: &str, status: &Value) -> Vec<String> {
         .filter(|(_, count)| connected(count) > 0)
         .map(|(method, count)| format!("{} {method}", connected(count)))
         .collect();
-    let missing = counts["total"].as_u64().unwrap_or(0) - connected(counts);
+    let total = counts["total"].as_u64().unwrap_or(0);
     let connects_to = match status["auto_connect"].as_str() {
         Some("fleet") => format!("listed, {} of the fleet", status["auto_links"]),
         Some("none") => "nobody".to_owned(),
         _ => "listed".to_owned(),
     };
-    let or_none = |texts: Vec<String>| match texts.is_empty() {
-        true => "-".to_owned(),
-        false => texts.join(", "),
-    };
     vec![
-        robot.to_owned(),
-        (status["up_s"].as_f64()).map_or_else(|| "-".to_owned(), seconds),
-        or_none(by_method),
-        missing.to_string(),
-        counts["discovered"].as_u64().unwrap_or(0).to_string(),
-        connects_to,
-        status["version"].as_str().unwrap_or("-").to_owned(),
+        robot.into(),
+        status["up_s"].as_f64().map(duration_of_s).into(),
+        by_method.join(", ").into(),
+        match total.saturating_sub(connected(counts)) {
+            0 => "0".into(),
+            missing => Cell::styled(Style::Poor, missing.to_string()),
+        },
+        counts["discovered"]
+            .as_u64()
+            .unwrap_or(0)
+            .to_string()
+            .into(),
+        connects_to.into(),
+        status["version"].as_str().unwrap_or_default().into(),
     ]
 }

@@ -1,8 +1,12 @@
 //! Owns `rect air`: serving the simulated air to the programs of this machine, and talking to one that runs.
-use std::{fmt::Write as _, io, path::PathBuf};
+use std::{io, path::PathBuf};
 
 use crate::span::Span;
 use clap::{Args, Subcommand, ValueEnum};
+use rect::{
+    core::display::line,
+    terminal::{self, Table},
+};
 use tokio::signal::unix::{signal, SignalKind};
 use zenoh_link_ble::radio::sim::{
     self, AirOptions, AirServer, AirStatus, Condition, Control, ControlError, LlPayload, Phy,
@@ -163,10 +167,11 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let server = AirServer::bind(&arguments.socket.path(), options)?;
-    println!(
+    // A reader that is gone does not end the air.
+    let _ = rect::terminal::try_write(format_args!(
         "simulated air ({condition}) at {}: listen on ble/sim-1, or see `rect air --help`",
         server.path().display()
-    );
+    ));
     // Whichever ends, the server is dropped, and its socket with it.
     tokio::select! {
         () = server.serve() => {}
@@ -186,57 +191,51 @@ async fn status(socket: SocketArgument, json: bool) -> Result<(), AirError> {
         return Ok(());
     };
     if json {
-        println!("{}", serde_json::to_string_pretty(&status)?);
+        terminal::json(&status)?;
     } else {
-        print!("{}", table(&status));
+        show(&status);
     }
     Ok(())
 }
 
-fn table(status: &AirStatus) -> String {
+fn show(status: &AirStatus) {
     let cut = if status.is_cut { ", cut" } else { "" };
-    let mut text = format!("{}{cut}, {} phy\n\n", status.condition, status.phy);
-    // Writing to a string cannot fail.
-    let _ = writeln!(
-        text,
-        "{:<20} {:<17} {:<8} {:<6} {:<7} {:>12} {:>9} {:>8} {:>8}",
-        "ADAPTER", "ADDRESS", "STATE", "SCANS", "LISTENS", "BYTES", "PACKETS", "REPEATS", "BUSY"
-    );
+    rect::outln!("{}{cut}, {} phy\n", status.condition, status.phy);
+    let mut adapters = Table::new(&[
+        "ADAPTER", "STATE", "BYTES", "?ADDRESS", "?SCANS", "?LISTENS", "?PACKETS", "?REPEATS",
+        "?BUSY",
+    ]);
     for adapter in &status.adapters {
         let listens: Vec<_> = adapter.listens.iter().map(u16::to_string).collect();
-        let listens = listens.join(",");
-        let scans = if adapter.scans { "yes" } else { "-" };
         let stats = &adapter.stats;
-        let _ = writeln!(
-            text,
-            "{:<20} {} {:<8} {:<6} {:<7} {:>12} {:>9} {:>8} {:>7.1}s",
-            adapter.name,
-            adapter.address,
-            adapter.state,
-            scans,
-            if listens.is_empty() { "-" } else { &listens },
-            stats.bytes_on_air,
-            stats.pdus,
-            stats.repeats,
-            stats.busy.as_secs_f64()
-        );
+        adapters.row(vec![
+            adapter.name.as_str().into(),
+            adapter.state.as_str().into(),
+            stats.bytes_on_air.to_string().into(),
+            adapter.address.as_str().into(),
+            if adapter.scans { "yes" } else { "" }.into(),
+            listens.join(",").into(),
+            stats.pdus.to_string().into(),
+            stats.repeats.to_string().into(),
+            format!("{:.1} s", stats.busy.as_secs_f64()).into(),
+        ]);
     }
-    text.push('\n');
+    adapters.print();
     if status.links.is_empty() {
-        text.push_str("no links\n");
+        rect::outln!("\nno links");
+        return;
     }
+    rect::outln!("");
     for link in &status.links {
-        let _ = writeln!(
-            text,
+        rect::outln!(
             "{} -> {}: {} channel(s), {} and {} bytes waiting",
-            link.central,
-            link.peripheral,
+            line(&link.central),
+            line(&link.peripheral),
             link.channels,
             link.queued_bytes[0],
             link.queued_bytes[1]
         );
     }
-    text
 }
 
 impl SocketArgument {

@@ -2,16 +2,17 @@
 use std::{process::ExitCode, process::Stdio, time::Duration};
 
 use clap::Args;
-use rect::{Encoding, Error, Payload, Reply, Robot, Topic};
+use rect::{terminal, Encoding, Error, Payload, Reply, Robot, Topic};
 use serde_json::json;
 use tokio::{io::AsyncWriteExt, process::Command};
 
 use crate::{
     payload::PayloadArguments,
+    report,
     session::{name, JoinArguments, SpeakArguments},
     shown::{self, shown},
     span::Span,
-    Done,
+    Done, Failure,
 };
 
 /// Ask a service of a robot, and show its answer.
@@ -62,7 +63,7 @@ pub async fn request(arguments: RequestArguments) -> Done {
     let reply = asking
         .request(&whom, &arguments.topic, payload, timeout)
         .await?;
-    show(&reply, arguments.json);
+    show(&reply, arguments.json)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -80,10 +81,10 @@ async fn request_all(
         match reply {
             Ok(reply) => {
                 answers += 1;
-                show(&reply, arguments.json);
+                show(&reply, arguments.json)?;
             }
             Err(error @ Error::TimedOut { .. }) if answers == 0 => return Err(error.into()),
-            Err(error) => eprintln!("rect: {error}"),
+            Err(error) => report(&error),
         }
     }
     if answers == 0 {
@@ -92,17 +93,16 @@ async fn request_all(
     Ok(ExitCode::SUCCESS)
 }
 
-fn show(reply: &Reply, as_json: bool) {
+fn show(reply: &Reply, as_json: bool) -> Result<(), Failure> {
     let Reply { from, payload } = reply;
     if as_json {
         let encoding = payload.encoding.as_str();
-        println!(
-            "{}",
-            json!({ "from": from, "encoding": encoding, "value": shown::json(payload) })
-        );
+        let reply = json!({ "from": from, "encoding": encoding, "value": shown::json(payload) });
+        terminal::json_line(&reply)?;
     } else {
-        println!("{from}: {}", shown(payload));
+        rect::outln!("{from}: {}", shown(payload));
     }
+    Ok(())
 }
 
 /// `rect serve`.
@@ -115,7 +115,7 @@ pub async fn serve(arguments: ServeArguments) -> Done {
     };
     let _service = robot.serve(&arguments.topic, answer).await?;
     let (me, topic) = (robot.name(), &arguments.topic);
-    eprintln!("rect: {me} serves {topic}; `rect request {me} {topic}` asks; Ctrl-C ends this");
+    rect::errln!("rect: {me} serves {topic}; `rect request {me} {topic}` asks; Ctrl-C ends this");
     std::future::pending().await
 }
 

@@ -7,7 +7,7 @@ use std::{
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use rect::{Json, Name, Robot, Urgency};
+use rect::{core::display::line, Json, Name, Robot, Urgency};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::{
@@ -109,12 +109,12 @@ pub async fn run(arguments: BenchArguments) -> Done {
             "robot": other, "method": by, "idle": idle, "under_load": loaded,
             "goodput_kb_s": goodput_kb_s, "load_messages": said, "load_lost": lost,
         });
-        println!("{all:#}");
+        rect::terminal::json(&all)?;
         return Ok(ExitCode::SUCCESS);
     }
-    println!(
+    rect::outln!(
         "{other}, linked by {}",
-        by.as_deref().unwrap_or("another robot")
+        line(by.as_deref().unwrap_or("another robot"))
     );
     for (what, one) in [("idle", idle), ("under load", loaded)] {
         let RoundTrip {
@@ -123,9 +123,9 @@ pub async fn run(arguments: BenchArguments) -> Done {
             answers,
             lost,
         } = one;
-        println!("round trip, {what}: p50 {p50_ms:.1} ms, p99 {p99_ms:.1} ms ({answers} answers, {lost} lost; urgent, {PING_BYTES} bytes)");
+        rect::outln!("round trip, {what}: p50 {p50_ms:.1} ms, p99 {p99_ms:.1} ms ({answers} answers, {lost} lost; urgent, {PING_BYTES} bytes)");
     }
-    println!("goodput: {goodput_kb_s:.1} kB/s ({arrived} of {said} messages of {LOAD_BYTES} bytes, {lost} lost)");
+    rect::outln!("goodput: {goodput_kb_s:.1} kB/s ({arrived} of {said} messages of {LOAD_BYTES} bytes, {lost} lost)");
     Ok(ExitCode::SUCCESS)
 }
 
@@ -164,7 +164,7 @@ async fn serve(robot: &Robot) -> Done {
             }
         })
         .await?;
-    eprintln!(
+    rect::errln!(
         "rect: `rect bench {}` at the other robot measures; Ctrl-C ends this",
         robot.name()
     );

@@ -1,5 +1,5 @@
 //! Owns `rect completion`.
-use std::{io, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::{Args, CommandFactory};
 use clap_complete::{generate, Shell};
@@ -13,11 +13,9 @@ pub struct CompletionArguments {
 
 /// `rect completion`.
 pub fn run(arguments: &CompletionArguments) -> ExitCode {
-    generate(
-        arguments.shell,
-        &mut crate::Arguments::command(),
-        "rect",
-        &mut io::stdout(),
-    );
+    let mut script = Vec::new();
+    let mut command = crate::Arguments::command();
+    generate(arguments.shell, &mut command, "rect", &mut script);
+    rect::outln!("{}", String::from_utf8_lossy(&script).trim_end());
     ExitCode::SUCCESS
 }

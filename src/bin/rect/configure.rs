@@ -2,7 +2,7 @@
 use std::process::ExitCode;
 
 use clap::Args;
-use rect::{Name, NamedConnection};
+use rect::{core::display::line, Name, NamedConnection};
 use serde_json::Value;
 
 use crate::{
@@ -70,7 +70,10 @@ pub async fn connect(arguments: ConnectArguments) -> Done {
     let robot = at.join.join().await?;
     let whose = at.robot.unwrap_or_else(|| robot.name().clone());
     robot.add_connection_of(&whose, &connection).await?;
-    println!("{whose} has the connection {name} and dials it; `rect connections` shows what becomes of it");
+    rect::outln!(
+        "{whose} has the connection {} and dials it; `rect connections` shows what becomes of it",
+        line(&name)
+    );
     Ok(ExitCode::SUCCESS)
 }
 
@@ -80,7 +83,7 @@ pub async fn disconnect(arguments: DisconnectArguments) -> Done {
     let robot = at.join.join().await?;
     let whose = at.robot.unwrap_or_else(|| robot.name().clone());
     robot.remove_connection_of(&whose, &name).await?;
-    println!("{whose} has the connection {name} no more");
+    rect::outln!("{whose} has the connection {} no more", line(&name));
     Ok(ExitCode::SUCCESS)
 }
 

@@ -66,7 +66,7 @@ pub fn run(arguments: DictionaryArguments) -> Done {
     spinner.finish_and_clear();
     dictionary.write(&output)?;
     let (id, bytes) = (dictionary.id(), dictionary.as_bytes().len());
-    println!(
+    rect::outln!(
         "{}: dictionary {id}, {bytes} bytes, of {} messages",
         output.display(),
         learned.len()
@@ -80,7 +80,7 @@ pub fn run(arguments: DictionaryArguments) -> Done {
     }
     if before > 0 {
         let (count, share) = (unseen.len(), after as f64 / before as f64);
-        println!(
+        rect::outln!(
             "{count} messages that it has not seen: {before} bytes become {after} ({share:.2})"
         );
     }

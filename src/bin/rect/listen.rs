@@ -1,17 +1,22 @@
 //! Owns `rect sub`.
-use std::process::ExitCode;
+use std::{process::ExitCode, time::SystemTime};
 
 use clap::Args;
-use rect::{Message, Pattern};
+use rect::{
+    core::display::line,
+    terminal::{self, paint, Style},
+    Message, Name, Pattern, Robot,
+};
 use serde_json::json;
 
 use crate::{
+    clock::time_of_day,
     session::JoinArguments,
     shown::{self, shown},
     Done,
 };
 
-/// Show what robots say, until Ctrl-C.
+/// Show the messages of robots, until Ctrl-C.
 #[derive(Args)]
 pub struct SubArguments {
     /// Of whom and about what, <robot>/<topic> with wildcards: 'wombat-2/arm/*', '*/**'
@@ -22,6 +27,9 @@ pub struct SubArguments {
     /// A line of JSON for each
     #[arg(long)]
     json: bool,
+    /// Without the time at which each message arrived
+    #[arg(long)]
+    no_time: bool,
     #[command(flatten)]
     join: JoinArguments,
 }
@@ -30,6 +38,11 @@ pub struct SubArguments {
 pub async fn run(arguments: SubArguments) -> Done {
     let robot = arguments.join.join_to_hear().await?;
     let messages = robot.subscribe(&arguments.pattern).await?;
+    let pattern = arguments.pattern.to_string();
+    rect::errln!("rect: listening to {}; Ctrl-C ends this", line(&pattern));
+    if let Some(hint) = missing(&robot, arguments.pattern.robot()).await? {
+        rect::errln!("rect: {hint}");
+    }
     let mut left = arguments.count.unwrap_or(u64::MAX);
     while left > 0 {
         let Some(message) = messages.recv().await else {
@@ -37,34 +50,58 @@ pub async fn run(arguments: SubArguments) -> Done {
         };
         left -= 1;
         if arguments.json {
-            println!("{}", as_json(&message));
+            terminal::json_line(&as_json(&message))?;
+        } else if arguments.no_time {
+            rect::outln!("{}", as_text(&message));
         } else {
-            println!("{}", as_text(&message));
+            let time = time_of_day(SystemTime::now());
+            rect::outln!("{} {}", paint(Style::Faint, &time), as_text(&message));
         }
     }
     let dropped = messages.dropped();
     if dropped > 0 {
-        eprintln!("rect: {dropped} messages came faster than they could be shown");
+        rect::errln!("rect: {dropped} messages came faster than they could be shown");
     }
     Ok(ExitCode::SUCCESS)
 }
 
+/// A hint, if the robot that the user named is not there.
+async fn missing(robot: &Robot, named: Option<&Name>) -> Result<Option<String>, rect::Error> {
+    let Some(named) = named.filter(|named| *named != robot.name()) else {
+        return Ok(None);
+    };
+    let peers = robot.peers().await?;
+    if peers.contains(named) {
+        return Ok(None);
+    }
+    let mut there: Vec<&str> = peers.iter().map(Name::as_str).collect();
+    there.push(robot.name().as_str());
+    there.sort_unstable();
+    Ok(Some(format!(
+        "there is no robot {named} now; there are: {}. Its messages are shown once it is there",
+        there.join(", ")
+    )))
+}
+
 fn as_text(message: &Message) -> String {
     let Message { from, topic, .. } = message;
-    let mut line = format!("{from}/{topic}");
+    let topic = line(topic.as_str());
+    let mut text = paint(Style::Name, &format!("{from}/{topic}"));
     if message.to.is_some() {
-        line += " (to this robot)";
+        text += " (to this robot)";
     }
     if let Some(method) = &message.over {
-        line += &format!(" (over {method})");
+        text += &format!(" (over {})", line(method));
     }
     if message.missed > 0 {
-        line += &format!(" ({} before it did not arrive)", message.missed);
+        let missed = format!(" ({} before it did not arrive)", message.missed);
+        text += &paint(Style::Poor, &missed);
     }
     if let Some(flaw) = &message.flaw {
-        line += &format!(" (as it came: {flaw})");
+        let flaw = format!(" (as it came: {})", line(&flaw.to_string()));
+        text += &paint(Style::Wrong, &flaw);
     }
-    format!("{line}: {}", shown(&message.payload))
+    format!("{text}: {}", shown(&message.payload))
 }
 
 fn as_json(message: &Message) -> serde_json::Value {

@@ -7,7 +7,6 @@ use crate::Done;
 
 /// Write the manual's pages, one for each command, such as: rect man /usr/local/share/man/man1
 #[derive(Args)]
-#[command(hide = true)]
 pub struct ManArguments {
     /// A folder that is there
     folder: PathBuf,

@@ -2,8 +2,11 @@
 use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
-use comfy_table::{presets::NOTHING, Table};
-use rect::{core::wording::milliseconds, Connection, ConnectionState, Name};
+use rect::{
+    core::wording::milliseconds,
+    terminal::{self, connections_of_robot, Table},
+    Connection, ConnectionState, Name,
+};
 use serde_json::json;
 
 use crate::{
@@ -55,14 +58,14 @@ pub async fn peers(arguments: PeersArguments) -> Done {
             .iter()
             .map(|peer| json!({ "robot": peer, "links": linked.get(peer.as_str()) }))
             .collect();
-        println!("{:#}", serde_json::Value::from(all));
+        terminal::json(&all)?;
         return Ok(ExitCode::SUCCESS);
     }
     if peers.is_empty() {
-        println!("no other robot of the fleet {} is there", robot.fleet());
+        rect::outln!("no other robot of the fleet {} is there", robot.fleet());
         return Ok(ExitCode::SUCCESS);
     }
-    let mut table = table(["ROBOT", "LINKED BY", "ROUND TRIP", "SIGNAL"]);
+    let mut table = Table::new(&["ROBOT", "LINKED BY", "ROUND TRIP", "SIGNAL"]);
     for peer in &peers {
         let links = linked.get(peer.as_str()).cloned().unwrap_or_default();
         let each = |of: fn(&Connection) -> Option<String>| {
@@ -80,9 +83,14 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         };
         let round_trip = each(|link| link.round_trip_ms.map(milliseconds));
         let signal = each(|link| link.rssi_dbm.map(|dbm| format!("{dbm} dBm")));
-        table.add_row([peer.to_string(), by, round_trip, signal]);
+        table.row(vec![
+            peer.as_str().into(),
+            by.into(),
+            round_trip.into(),
+            signal.into(),
+        ]);
     }
-    println!("{table}");
+    table.print();
     Ok(ExitCode::SUCCESS)
 }
 
@@ -92,45 +100,9 @@ pub async fn connections(arguments: ConnectionsArguments) -> Done {
     let whose = arguments.robot.unwrap_or_else(|| robot.name().clone());
     let connections = robot.connections_of(&whose, &arguments.which).await?;
     if arguments.json {
-        println!("{:#}", serde_json::to_value(&connections)?);
+        terminal::json(&connections)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let mut table = table([
-        "NAME",
-        "METHOD",
-        "ADDRESS",
-        "STATE",
-        "PEER",
-        "ROUND TRIP",
-        "LAST ERROR",
-    ]);
-    for one in &connections {
-        let peer = one.peer.as_ref();
-        let peer = peer.map(|peer| peer.robot.clone().unwrap_or_else(|| peer.id.clone()));
-        let round_trip = one.round_trip_ms.map(milliseconds);
-        let trouble = one.last_error.as_ref().map(|trouble| trouble.what.clone());
-        let state = match one.state {
-            ConnectionState::Connected => "connected",
-            ConnectionState::Connecting => "connecting",
-            ConnectionState::Discovered => "discovered",
-        };
-        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
-        table.add_row([
-            or_dash(one.name.clone()),
-            one.method.clone(),
-            one.address.clone(),
-            state.to_owned(),
-            or_dash(peer),
-            or_dash(round_trip),
-            or_dash(trouble),
-        ]);
-    }
-    println!("{table}");
+    connections_of_robot(&connections).print();
     Ok(ExitCode::SUCCESS)
-}
-
-fn table<const N: usize>(columns: [&str; N]) -> Table {
-    let mut table = Table::new();
-    table.load_preset(NOTHING).set_header(columns);
-    table
 }

@@ -5,7 +5,7 @@ use clap::Args;
 use rect::{Name, Options, Robot, Urgency};
 use serde_json::Value;
 
-use crate::Failure;
+use crate::{endpoint, Failure};
 
 /// As whom to ask a router which robot it is of; nothing is said under this name.
 const NOBODY: &str = "rect-tool";
@@ -20,11 +20,11 @@ pub struct JoinArguments {
     #[arg(long, default_value = "rect")]
     fleet: String,
     /// The router; $RECT_ENDPOINT changes the default
-    #[arg(long, value_name = "ENDPOINT", default_value_t = Options::default_router())]
+    #[arg(long, value_name = "ENDPOINT", default_value_t = Options::default_router(), value_parser = endpoint)]
     router: String,
-    /// The login file, where the router asks for a login; $RECT_LOGIN changes the default
-    #[arg(long, value_name = "FILE", default_value_os_t = Options::default_login_file())]
-    users: PathBuf,
+    /// The login file, if the router asks for a login [default: $RECT_LOGIN, else /etc/rect/users]
+    #[arg(long, value_name = "FILE")]
+    users: Option<PathBuf>,
 }
 
 /// How to say something.
@@ -71,7 +71,11 @@ impl JoinArguments {
 
     fn options(&self, robot: &str) -> Result<Options, rect::Error> {
         let options = Options::new(robot)?.fleet(self.fleet.as_str())?;
-        Ok(options.router(&self.router).login_file(&self.users))
+        let options = options.router(&self.router);
+        Ok(match &self.users {
+            Some(file) => options.login_file(file),
+            None => options,
+        })
     }
 
     /// To ask the router, whichever robot it serves.

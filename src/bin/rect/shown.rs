@@ -2,7 +2,7 @@
 use std::io::{self, IsTerminal};
 
 use rect::{
-    core::{codec::Limits, picture::Picture},
+    core::{codec::Limits, display, picture::Picture},
     Payload,
 };
 use serde_json::Value;
@@ -14,7 +14,7 @@ const COLUMNS: u32 = 60;
 
 /// A payload in a line or a few.
 pub fn shown(payload: &Payload) -> String {
-    let kind = payload.encoding.as_str();
+    let kind = &*display::line(payload.encoding.as_str());
     if let Ok(text) = payload.text() {
         return cut(text);
     }
@@ -55,19 +55,9 @@ pub fn json(payload: &Payload) -> Value {
 }
 
 fn cut(text: &str) -> String {
-    // What a peer sends does not get to steer the terminal.
-    let mut cut: String = text
-        .chars()
-        .map(|c| {
-            if c.is_control() && c != '\n' {
-                '\u{fffd}'
-            } else {
-                c
-            }
-        })
-        .take(MAX_CHARACTERS)
-        .collect();
-    if text.chars().nth(MAX_CHARACTERS).is_some() {
+    let end = text.char_indices().nth(MAX_CHARACTERS).map(|(end, _)| end);
+    let mut cut = display::paragraph(&text[..end.unwrap_or(text.len())]).into_owned();
+    if end.is_some() {
         cut.push_str(" ...");
     }
     cut
@@ -131,6 +121,10 @@ mod tests {
     fn a_text_does_not_steer_the_terminal_nor_fill_it() {
         let bell = "\x1b[2J\x07".to_payload().expect("text");
         assert!(!shown(&bell).contains('\x1b'));
+        let two_lines = "1\nwombat-9/b: 12.5".to_payload().expect("text");
+        assert_eq!(shown(&two_lines), "1\n    wombat-9/b: 12.5");
+        let hostile = Payload::new(vec![255], Encoding::new("a\x1b[2J\u{202e}"));
+        assert_eq!(shown(&hostile), "a\u{fffd}[2J\u{fffd}, 1 bytes");
         let long = "x".repeat(10_000).to_payload().expect("text");
         assert!(shown(&long).len() < 2010);
     }

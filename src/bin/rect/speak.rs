@@ -89,7 +89,7 @@ async fn say(
         say(&speaking, payload.clone()).await?;
     }
     if arguments.speak.dictionary.is_some() {
-        eprintln!("rect: staying for those who fetch the dictionary; Ctrl-C ends this");
+        rect::errln!("rect: staying for those who fetch the dictionary; Ctrl-C ends this");
         std::future::pending::<()>().await;
     }
     robot.close().await?;

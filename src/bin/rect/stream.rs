@@ -4,9 +4,9 @@ use std::{fs, path::PathBuf, process::ExitCode, time::Duration};
 use clap::{Args, Subcommand};
 use rect::{
     core::{codec::Limits, picture::Picture},
-    Encoding, Frame, Name, Payload, StreamOptions, Topic,
+    terminal, Encoding, Frame, Name, Payload, StreamOptions, Topic,
 };
-use serde_json::json;
+use serde_json::{json, Value};
 use tokio::time::{interval, MissedTickBehavior};
 
 use crate::{
@@ -80,14 +80,11 @@ pub async fn run(arguments: StreamArguments) -> Done {
                 if let Some(file) = &output {
                     replace(file, &frame.payload)?;
                 }
-                println!(
-                    "{}",
-                    if json {
-                        as_json(&frame)
-                    } else {
-                        as_text(&frame)
-                    }
-                );
+                if json {
+                    terminal::json_line(&as_json(&frame))?;
+                } else {
+                    rect::outln!("{}", as_text(&frame));
+                }
             }
             Ok(ExitCode::SUCCESS)
         }
@@ -104,7 +101,7 @@ pub async fn run(arguments: StreamArguments) -> Done {
             let pictures: Vec<Picture> = pictures.iter().map(picture).collect::<Result<_, _>>()?;
             let robot = join.join().await?;
             let stream = robot.stream(&topic, StreamOptions::default()).await?;
-            eprintln!(
+            rect::errln!(
                 "rect: `rect stream watch {} {topic}` shows them; Ctrl-C ends this",
                 robot.name()
             );
@@ -130,15 +127,14 @@ fn as_text(frame: &Frame) -> String {
     )
 }
 
-fn as_json(frame: &Frame) -> String {
-    let line = json!({
+fn as_json(frame: &Frame) -> Value {
+    json!({
         "number": frame.number,
         "age_ms": frame.age.map(|age| age.as_millis() as u64),
         "skipped": frame.skipped,
         "encoding": frame.payload.encoding.as_str(),
         "bytes": frame.payload.bytes.len(),
-    });
-    line.to_string()
+    })
 }
 
 /// A viewer never sees half a picture.

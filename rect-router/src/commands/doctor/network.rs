@@ -1,53 +1,212 @@
 //! Owns what can be wrong between this computer and the others: its router, its peers, their clocks.
-use serde_json::Value;
-use zenoh::Session;
+use std::{
+    collections::BTreeSet,
+    net::{TcpStream, ToSocketAddrs},
+    os::unix::net::UnixStream,
+    time::Duration,
+};
 
-use super::Finding;
+use rect::core::{display, named_connection::CONFIG, wording::short_reason};
+use serde_json::Value;
+use zenoh::{Session, Wait};
+
+use super::{login, Finding};
 use crate::{
     commands::{
         client::{answers, session},
-        RouterArgs,
+        DoctorArgs, RouterArgs,
     },
+    connections::file::{self, Limits},
     registry::now_s,
 };
 
 /// Zenoh drops nothing for it by default, but what was when can't be told any more.
 const SKEW: f64 = 2.0;
+/// How long to wait for the router to accept a connection at all, and for liveliness tokens.
+const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Of the router, and of all that it knows.
-pub fn findings(args: &RouterArgs) -> Vec<Finding> {
-    let session = match session(args) {
+/// Of the login file, the router, and all that it knows.
+pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
+    let mut findings = login::findings(&args.router.users);
+    let session = match session(&args.router) {
         Ok(session) => session,
         Err(error) => {
-            let advice = "start it (`rect-router -c ...`), or give another one by --router; a login is taken from --users";
-            return vec![Finding::wrong("router", error.to_string(), advice)];
+            findings.push(no_session(&args.router, &error.to_string()));
+            return findings;
         }
     };
-    let mut findings = vec![Finding::good(
+    findings.push(Finding::good(
         "router",
-        format!("it answers at {}", args.router),
-    )];
+        format!("it answers at {}", args.router.router),
+    ));
+    let robot = robot_of_router(&session, &args.fleet);
+    findings.push(is_robot(args, robot.as_deref()));
+    if let Some(robot) = &robot {
+        findings.extend(connections_file(&session, &args.fleet, robot));
+        findings.push(others(&session, &args.fleet, robot));
+    }
     findings.extend(peers(&session));
     findings.extend(clocks(&session));
     findings
 }
 
+/// Why there is no session: nobody listens, or the router does not let this program in.
+fn no_session(args: &RouterArgs, error: &str) -> Finding {
+    const ABOUT: &str = "router";
+    let (router, file) = (&args.router, args.users.display());
+    if !is_listening(router) {
+        let advice =
+            "start it (`rect init` writes its configuration), or name another one with --router";
+        return Finding::wrong(
+            ABOUT,
+            format!("no router answers at {router}: {}", short_reason(error)),
+            advice,
+        );
+    }
+    match login::user(&args.users) {
+        Some(user) => Finding::wrong(
+            ABOUT,
+            format!("the router at {router} refuses the login {user} of {file}"),
+            "name the login file of the router's team with --users",
+        ),
+        None => Finding::wrong(
+            ABOUT,
+            format!("the router at {router} refuses programs without a login, and there is none in {file}"),
+            "name the team's login file with --users; to read /etc/rect/users: `sudo usermod -aG rect $USER`, and log in again",
+        ),
+    }
+}
+
+/// Whether something accepts connections there.
+fn is_listening(endpoint: &str) -> bool {
+    let endpoint = endpoint.split(['#', '?']).next().unwrap_or_default();
+    match endpoint.split_once('/') {
+        Some(("tcp" | "tls" | "quic" | "ws", address)) => {
+            let addresses = address.to_socket_addrs().into_iter().flatten();
+            addresses
+                .into_iter()
+                .any(|address| TcpStream::connect_timeout(&address, TIMEOUT).is_ok())
+        }
+        Some(("unixsock-stream", path)) => UnixStream::connect(path).is_ok(),
+        _ => false,
+    }
+}
+
+/// The robot whose router this session is connected to.
+fn robot_of_router(session: &Session, fleet: &str) -> Option<String> {
+    let routers: Vec<_> = session
+        .info()
+        .routers_zid()
+        .wait()
+        .map(|id| id.to_string())
+        .collect();
+    let statuses = replies(session, &format!("{fleet}/*/@rect/status"));
+    let is_its = |status: &Value| {
+        status["id"]
+            .as_str()
+            .is_some_and(|id| routers.iter().any(|router| router == id))
+    };
+    statuses
+        .into_iter()
+        .find(|(_, status)| is_its(status))
+        .map(|(robot, _)| robot)
+}
+
+/// Whether the router is that of the robot as which programs here publish.
+fn is_robot(args: &DoctorArgs, robot: Option<&str>) -> Finding {
+    const ABOUT: &str = "robot";
+    let (router, fleet) = (&args.router.router, &args.fleet);
+    match (robot, &args.robot) {
+        (Some(robot), None) => Finding::good(ABOUT, format!("programs here publish as {robot} of the fleet {fleet}")),
+        (Some(robot), Some(named)) if robot == named => {
+            Finding::good(ABOUT, format!("programs here publish as {robot} of the fleet {fleet}"))
+        }
+        (Some(robot), Some(named)) => Finding::wrong(
+            ABOUT,
+            format!(
+                "the router at {router} is that of {robot}, not of {named}: what a program here publishes as {named} may reach nobody"
+            ),
+            format!("use the name {robot} in programs here, or name the router of {named} with --router"),
+        ),
+        (None, _) => Finding::poor(
+            ABOUT,
+            format!("the router at {router} is that of no robot of the fleet {fleet}"),
+            "name the robot in the router's configuration (plugins/rect/robot), or the fleet with --fleet",
+        ),
+    }
+}
+
+/// Whether the router can take the file of connections as it is now.
+fn connections_file(session: &Session, fleet: &str, robot: &str) -> Option<Finding> {
+    const ABOUT: &str = "connections";
+    let answers = replies(session, &format!("{fleet}/{robot}/@rect/{CONFIG}"));
+    let (_, answer) = answers.into_iter().next()?;
+    let limits = Limits {
+        robot: robot.to_owned(),
+        // How many there may be is the router's setting, which it does not tell.
+        most: usize::MAX,
+    };
+    Some(match file::parse(answer["text"].as_str()?, &limits) {
+        Ok(_) => Finding::good(
+            ABOUT,
+            format!("the connections file of {robot} has no mistake"),
+        ),
+        Err(mistake) => Finding::wrong(
+            ABOUT,
+            format!("the router of {robot} rejects its connections file: {mistake}"),
+            "correct the file; the router takes it as soon as it is saved",
+        ),
+    })
+}
+
+/// The other robots of the fleet.
+fn others(session: &Session, fleet: &str, own: &str) -> Finding {
+    const ABOUT: &str = "fleet";
+    let tokens = session.liveliness().get(format!("{fleet}/*/@rect/alive/*"));
+    let mut robots = BTreeSet::new();
+    for reply in tokens.timeout(TIMEOUT).wait().into_iter().flatten() {
+        if let Ok(sample) = reply.into_result() {
+            robots.extend(
+                sample
+                    .key_expr()
+                    .as_str()
+                    .split('/')
+                    .nth(1)
+                    .map(str::to_owned),
+            );
+        }
+    }
+    robots.remove(own);
+    if robots.is_empty() {
+        let advice =
+            "switch one on, in range; `rect scan` shows whether its advertisements are received";
+        return Finding::poor(
+            ABOUT,
+            format!("no other robot of the fleet {fleet} is there"),
+            advice,
+        );
+    }
+    let robots: Vec<_> = robots.into_iter().collect();
+    Finding::good(ABOUT, format!("other robots there: {}", robots.join(", ")))
+}
+
 /// Connections that are wanted and not there.
 fn peers(session: &Session) -> Vec<Finding> {
     let mut findings = Vec::new();
-    for (robot, waiting) in said(session, "*/*/@rect/connections?state=connecting") {
+    for (robot, waiting) in replies(session, "*/*/@rect/connections?state=connecting") {
         for one in waiting.as_array().into_iter().flatten() {
             let text = |value: &Value| value.as_str().unwrap_or("?").to_owned();
             let why = one["last_error"]["what"]
                 .as_str()
-                .unwrap_or("it was never heard");
+                .unwrap_or("it was never discovered");
             let what = format!(
-                "{robot} has no connection {} to {}/{}: {why}",
+                "{robot} has no connection {} to {}/{}: {}",
                 text(&one["name"]),
                 text(&one["method"]),
-                text(&one["address"])
+                text(&one["address"]),
+                short_reason(why)
             );
-            let advice = "is it switched on, in range, and called so? `rect-router connections` shows what there is";
+            let advice = "is it switched on, in range, and called so? `rect connections` shows what there is";
             findings.push(Finding::wrong("peer", what, advice));
         }
     }
@@ -58,7 +217,7 @@ fn peers(session: &Session) -> Vec<Finding> {
 fn clocks(session: &Session) -> Vec<Finding> {
     let asked = now_s();
     let mut findings = Vec::new();
-    for (robot, clock) in said(session, "*/*/@rect/clock") {
+    for (robot, clock) in replies(session, "*/*/@rect/clock") {
         // It was read at some time between the question and now.
         let (Some(theirs), answered) = (clock["unix_s"].as_f64(), now_s()) else {
             continue;
@@ -77,7 +236,11 @@ fn clocks(session: &Session) -> Vec<Finding> {
     findings
 }
 
-/// What robots say; none that does is no trouble of its own.
-fn said(session: &Session, selector: &str) -> Vec<(String, Value)> {
-    answers(session, selector).unwrap_or_default()
+/// What robots answer. No answer is not an error of its own.
+fn replies(session: &Session, selector: &str) -> Vec<(String, Value)> {
+    let mut replies = answers(session, selector).unwrap_or_default();
+    for (robot, _) in &mut replies {
+        *robot = display::line(robot).into_owned();
+    }
+    replies
 }
