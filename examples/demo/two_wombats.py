@@ -8,6 +8,7 @@ import hashlib
 import importlib.metadata
 import io
 import json
+import shutil
 import sys
 import time
 
@@ -21,6 +22,18 @@ CONDITION = "room"
 MESSAGES = 20
 PHOTOGRAPHS = ["astronaut.png", "coffee.png", "chelsea.png", "rocket.jpg", "camera.png", "motorcycle_left.png"]
 WAIT_S = 20
+NEXT = """
+Now try it yourself. Two simulated robots, in one terminal:
+
+  {rect} sim
+
+and in another one:
+
+  {rect} peers                     # which robots are there
+  {rect} sub '*/**'                # everything that they publish
+  {rect} request wombat-2 battery  # asks a service
+
+{rect} --help has the rest; docs/python.md shows how to write a program, docs/install.md how to install a robot."""
 
 
 def main() -> int:
@@ -41,6 +54,7 @@ def main() -> int:
             f"  {adapter['name']} sent {adapter['stats']['bytes_on_air'] / 1000:.0f} kB, headers and repeats included"
         )
     print(f"Everything arrived, intact, in {time.monotonic() - started:.0f} s.")
+    print(NEXT.format(rect=shutil.which("rect") or "rect"))
     return 0
 
 

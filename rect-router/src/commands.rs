@@ -8,15 +8,21 @@ mod init;
 mod manual;
 mod scan;
 mod service;
+mod sim;
 mod status;
 
 use std::{env, path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 use rect::{
-    core::{display, endpoint, login, wording},
+    core::{
+        display, endpoint, login,
+        name::{Name, NameError},
+        wording,
+    },
     terminal::{paint_err, Style},
 };
+use zenoh_link::ble::radio::sim::Condition;
 
 /// Names the router of commands and programs that name none.
 const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
@@ -40,6 +46,8 @@ pub enum Command {
     Scan(ScanArgs),
     /// Look for what keeps this computer from talking to others, and say what to do
     Doctor(DoctorArgs),
+    /// Start simulated robots to play with, on this computer and without Bluetooth, until Ctrl-C
+    Sim(SimArgs),
     /// Print what makes a shell complete these commands, such as: rect-router completion bash
     Completion(CompletionArgs),
     /// Write the manual's pages, one for each command
@@ -157,6 +165,26 @@ pub struct DoctorArgs {
     pub router: RouterArgs,
 }
 
+/// What `sim` takes.
+#[derive(Debug, Parser)]
+pub struct SimArgs {
+    /// How many robots, 2 to 8
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(2..=8))]
+    pub robots: u16,
+    /// How good the radio is: desk, room, wall, edge-of-range or crowded-hall
+    #[arg(long, default_value_t = Condition::Room)]
+    pub condition: Condition,
+    /// The fleet's name
+    #[arg(long, default_value = "rect", value_parser = name)]
+    pub fleet: Name,
+    /// The port of the first robot's router, which others follow; one that is taken, or 0, is replaced by a free one
+    #[arg(long, default_value_t = 7447)]
+    pub port: u16,
+    /// Start the routers alone, without programs that publish and answer
+    #[arg(long)]
+    pub quiet: bool,
+}
+
 /// What `completion` takes.
 #[derive(Debug, Parser)]
 pub struct CompletionArgs {
@@ -180,6 +208,7 @@ pub fn run(command: &Command) -> ExitCode {
         Command::Connections(args) => connections::run(args).map(|()| ExitCode::SUCCESS),
         Command::Scan(args) => scan::run(args).map(|()| ExitCode::SUCCESS),
         Command::Doctor(args) => doctor::run(args),
+        Command::Sim(args) => sim::run(args),
         Command::Completion(args) => {
             manual::complete(args);
             Ok(ExitCode::SUCCESS)
@@ -211,4 +240,8 @@ fn default_router() -> String {
     named
         .filter(|named| !named.is_empty())
         .unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
+}
+
+fn name(text: &str) -> Result<Name, NameError> {
+    Name::new(text)
 }

@@ -2,7 +2,13 @@
 
 mod support;
 
-use std::{fs, os::unix::fs::PermissionsExt, path::Path, process::Command};
+use std::{
+    fs,
+    io::{BufRead, BufReader},
+    os::unix::fs::PermissionsExt,
+    path::Path,
+    process::{Child, Command, Stdio},
+};
 
 use serde_json::{json, Value};
 use support::{answers, client, init, program, rect_router, said, simulated, start, Air};
@@ -357,6 +363,61 @@ fn a_reader_that_has_gone_ends_a_command_quietly() {
         .stderr(full())
         .status();
     assert_eq!(status.expect("it starts").code(), Some(1));
+}
+
+#[test]
+fn simulated_robots_can_be_asked_at_once_and_end_with_their_command() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut sim = Command::new(env!("CARGO_BIN_EXE_rect-router"));
+    sim.args(["sim", "--port", "0", "--condition", "desk"]);
+    let sim = sim.env(SOCKET_VARIABLE, folder.path().join("air.sock"));
+    let mut sim = Killed(sim.stdout(Stdio::piped()).spawn().expect("it starts"));
+    let lines = BufReader::new(sim.0.stdout.take().expect("piped")).lines();
+    let shown: Vec<_> = lines
+        .map_while(Result::ok)
+        .take_while(|line| !line.contains("Ctrl-C"))
+        .collect();
+    let endpoint = |robot: &str| {
+        let row = shown
+            .iter()
+            .find(|line| line.starts_with(robot))
+            .unwrap_or_else(|| panic!("{shown:#?}"));
+        row.split_whitespace()
+            .last()
+            .expect("an endpoint")
+            .to_owned()
+    };
+    let (one, two) = (endpoint("wombat-1"), endpoint("wombat-2"));
+    let status = said(&rect_router(&["status", "--router", &one]));
+    for robot in ["wombat-1", "wombat-2"] {
+        let row = status.lines().find(|line| line.starts_with(robot));
+        assert!(row.is_some_and(|row| row.contains("1 ble")), "{status}");
+    }
+    let session = client(&two);
+    let battery = support::ask(&session, "rect/wombat-1/battery").expect("an answer over the air");
+    assert_eq!(battery["percent"], 83);
+
+    let id = nix::unistd::Pid::from_raw(i32::try_from(sim.0.id()).expect("an id"));
+    nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGINT).expect("it runs");
+    assert!(sim.0.wait().expect("our child").success());
+    for endpoint in [one, two] {
+        let address = endpoint.trim_start_matches("tcp/");
+        assert!(
+            std::net::TcpStream::connect(address).is_err(),
+            "{address} still answers"
+        );
+    }
+    assert!(!folder.path().join("air.sock").exists());
+}
+
+/// A command that is ended with its test.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 #[test]

@@ -1,5 +1,6 @@
 """Owns `python -m rect ...` and `rect-router`: the router and its commands, which the wheel brings.
 
+python -m rect sim                              # two simulated robots to play with
 python -m rect router -l tcp/127.0.0.1:7447     # runs a router; everything after `router` is its own
 python -m rect doctor                           # so is any other command: doctor, status, connections, scan, init
 """

@@ -30,7 +30,12 @@ use rect::{
 /// What Zenoh logs as an error, its calls return too; RUST_LOG=zenoh=error shows it.
 const DEFAULT_FILTER: &str = "warn,zenoh=off";
 const EXAMPLE: &str = "\
-Examples, at a robot whose router runs (`sudo rect init wombat-1 --start` makes its configuration and starts it):
+Examples, without any robot: `rect sim` in one terminal, and in another
+  rect peers                               # which robots are there
+  rect sub '*/**'                          # everything that they publish
+  rect request wombat-2 battery            # asks a service of a robot
+
+At a robot whose router runs (`sudo rect init wombat-1 --start` makes its configuration and starts it):
   rect pub arm/angle 12.5                  # publishes to every robot
   rect sub '*/arm/*'                       # shows what any robot publishes about its arm
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot alone
@@ -61,6 +66,7 @@ enum When {
 
 #[derive(Subcommand)]
 enum Command {
+    Sim(router::SimArguments),
     Pub(speak::PubArguments),
     Send(speak::SendArguments),
     Sub(listen::SubArguments),
@@ -124,6 +130,7 @@ fn main() -> ExitCode {
         Command::Connect(arguments) => wait(configure::connect(arguments)),
         Command::Disconnect(arguments) => wait(configure::disconnect(arguments)),
         Command::Bench(arguments) => wait(bench::run(arguments)),
+        Command::Sim(arguments) => router::sim(arguments),
         Command::Status(arguments) => router::status(arguments),
         Command::Scan(arguments) => router::scan(arguments),
         Command::Doctor(arguments) => router::doctor(arguments),

@@ -43,6 +43,19 @@ pub struct CheckArguments {
     arguments: Vec<OsString>,
 }
 
+/// Start simulated robots to play with, on this computer and without Bluetooth, until Ctrl-C
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+pub struct SimArguments {
+    /// `rect sim --help` has the options
+    #[arg(
+        trailing_var_arg = true,
+        allow_hyphen_values = true,
+        value_name = "OPTIONS"
+    )]
+    arguments: Vec<OsString>,
+}
+
 /// Which router to ask.
 #[derive(Args)]
 struct AtArguments {
@@ -104,6 +117,11 @@ pub fn init(arguments: InitArguments) -> Done {
 /// `rect check`.
 pub fn check(arguments: CheckArguments) -> Done {
     become_router("check", arguments.arguments)
+}
+
+/// `rect sim`.
+pub fn sim(arguments: SimArguments) -> Done {
+    become_router("sim", arguments.arguments)
 }
 
 /// `rect status`.
