@@ -21,6 +21,7 @@ pub mod request;
 pub mod router;
 pub mod stream;
 pub mod topic;
+pub mod topics;
 pub mod transfer;
 pub mod urgency;
 pub mod wording;

@@ -31,6 +31,7 @@ and in another one:
 
   {rect} peers                     # which robots are there
   {rect} sub '*/**'                # everything that they publish
+  {rect} topic list                # which topics there are
   {rect} request wombat-2 battery  # asks a service
 
 {rect} --help has the rest; docs/python.md shows how to write a program, docs/install.md how to install a robot."""

@@ -13,4 +13,5 @@ pub mod router;
 mod signals;
 pub mod status;
 pub mod threads;
+mod topics;
 pub mod version;

@@ -11,6 +11,7 @@ use crate::{
     config_service,
     connections::{Connections, Fleet, Watching},
     registry::Registry,
+    topics,
 };
 
 /// A robot whose router does not run yet.
@@ -91,6 +92,8 @@ impl Robot {
             config_service::serve(session, &self.own, Arc::clone(connections))?;
         }
         let (own, settings) = (&self.own, &self.settings);
+        let keys = format!("{}/{}", settings.fleet, settings.robot);
+        topics::serve(session, host.as_ref(), &keys)?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
         Ok(Running {

@@ -174,6 +174,7 @@ fn show(args: &SimArgs, air: &Air, robots: &[Robot]) {
                 format!("rect sub '*/**'{fleet}"),
                 "everything that they publish",
             ),
+            (format!("rect topic list{fleet}"), "which topics there are"),
             (
                 format!("rect request {two} battery{fleet}"),
                 "ask a service",

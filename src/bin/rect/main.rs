@@ -17,6 +17,7 @@ mod shown;
 mod span;
 mod speak;
 mod stream;
+mod topic;
 mod transfer;
 
 use std::{future::Future, process::ExitCode};
@@ -33,6 +34,7 @@ const EXAMPLE: &str = "\
 Examples, without any robot: `rect sim` in one terminal, and in another
   rect peers                               # which robots are there
   rect sub '*/**'                          # everything that they publish
+  rect topic list                          # which topics there are
   rect request wombat-2 battery            # asks a service of a robot
 
 At a robot whose router runs (`sudo rect init wombat-1 --start` makes its configuration and starts it):
@@ -73,6 +75,7 @@ enum Command {
     Request(ask::RequestArguments),
     Serve(ask::ServeArguments),
     Stream(stream::StreamArguments),
+    Topic(topic::TopicArguments),
     Transfer(transfer::TransferArguments),
     Peers(registry::PeersArguments),
     Status(router::StatusArguments),
@@ -124,6 +127,7 @@ fn main() -> ExitCode {
         Command::Request(arguments) => wait(ask::request(arguments)),
         Command::Serve(arguments) => wait(ask::serve(arguments)),
         Command::Stream(arguments) => wait(stream::run(arguments)),
+        Command::Topic(arguments) => wait(topic::run(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Peers(arguments) => wait(registry::peers(arguments)),
         Command::Connections(arguments) => wait(registry::connections(arguments)),

@@ -1,0 +1,325 @@
+//! Owns `rect topic`: which topics robots publish, and how often. Each robot's own router measures that, so that no message
+//! goes over the air for it.
+use std::{process::ExitCode, time::Duration};
+
+use clap::{Args, Subcommand};
+use rect::{
+    core::{
+        display::line,
+        topics::{TopicReport, Topics, MEASURE, TOPIC, TOPICS, WINDOW},
+        wording::bytes,
+    },
+    terminal::{self, Cell, Style, Table},
+    Name, Robot,
+};
+use serde_json::json;
+
+use crate::{
+    session::{name, JoinArguments},
+    span::Span,
+    Done, Failure,
+};
+
+/// How long routers have to answer: over a slow link, with several robots.
+const TIMEOUT: Duration = Duration::from_secs(5);
+/// How long messages are counted before `list` and `info` show them.
+const COUNTED: Duration = Duration::from_secs(2);
+/// How often `hz` prints.
+const EVERY: Duration = Duration::from_secs(1);
+
+/// Show the topics that robots publish, as their routers measure them
+#[derive(Args)]
+pub struct TopicArguments {
+    #[command(subcommand)]
+    command: TopicCommand,
+}
+
+#[derive(Subcommand)]
+enum TopicCommand {
+    /// List the topics of a robot, or of all robots of the fleet
+    List {
+        /// The robot [default: all]
+        #[arg(value_parser = name)]
+        robot: Option<Name>,
+        #[command(flatten)]
+        measured: MeasuredArguments,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+    /// Print the rate of a topic once a second, until Ctrl-C
+    Hz {
+        /// The topic, <robot>/<topic>: wombat-2/arm/angle
+        #[arg(value_parser = of_robot)]
+        topic: OfRobot,
+        /// End after so many lines
+        #[arg(long)]
+        count: Option<u64>,
+        /// A line of JSON each time
+        #[arg(long)]
+        json: bool,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+    /// Show everything that is known of a topic
+    Info {
+        /// The topic, <robot>/<topic>: wombat-2/arm/angle
+        #[arg(value_parser = of_robot)]
+        topic: OfRobot,
+        #[command(flatten)]
+        measured: MeasuredArguments,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+}
+
+#[derive(Args)]
+struct MeasuredArguments {
+    /// How long to count messages, at most 5s; 0s: list only what programs have declared
+    #[arg(long, default_value = "2s")]
+    duration: Span,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// A topic of one robot.
+#[derive(Clone, Debug)]
+struct OfRobot {
+    robot: Name,
+    topic: String,
+}
+
+fn of_robot(text: &str) -> Result<OfRobot, String> {
+    let named = text.split_once('/').filter(|(_, topic)| !topic.is_empty());
+    let (robot, topic) = named.ok_or("write <robot>/<topic>, such as wombat-2/arm/angle")?;
+    if topic.contains(['*', '?', '#', ';', '$']) {
+        return Err("name one topic, without wildcards; `rect topic list` shows all".to_owned());
+    }
+    Ok(OfRobot {
+        robot: name(robot).map_err(|error| error.to_string())?,
+        topic: topic.to_owned(),
+    })
+}
+
+/// `rect topic`.
+pub async fn run(arguments: TopicArguments) -> Done {
+    match arguments.command {
+        TopicCommand::List {
+            robot: whose,
+            measured,
+            join,
+        } => {
+            let robot = join.join_to_hear().await?;
+            let answers = measure(&robot, whose.as_ref(), None, measured.duration).await?;
+            if measured.json {
+                let all = answers
+                    .iter()
+                    .map(|(robot, topics)| (robot.clone(), as_json(topics)));
+                terminal::json(&all.collect::<serde_json::Map<_, _>>())?;
+            } else {
+                list(&answers);
+            }
+        }
+        TopicCommand::Hz {
+            topic,
+            count,
+            json,
+            join,
+        } => {
+            let robot = join.join_to_hear().await?;
+            hz(&robot, &topic, count, json).await?;
+        }
+        TopicCommand::Info {
+            topic,
+            measured,
+            join,
+        } => {
+            let robot = join.join_to_hear().await?;
+            let one = measure(
+                &robot,
+                Some(&topic.robot),
+                Some(&topic.topic),
+                measured.duration,
+            )
+            .await?;
+            let topics = one
+                .first()
+                .map(|(_, topics)| topics.clone())
+                .unwrap_or_default();
+            let Some(report) = topics.topics.first() else {
+                return Err(not_there(&topic));
+            };
+            if measured.json {
+                terminal::json(&report_as_json(report))?;
+            } else {
+                info(&topic, &topics, report);
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn not_there(topic: &OfRobot) -> Failure {
+    let OfRobot { robot, topic } = topic;
+    let topic = line(topic);
+    format!("{robot} has no publisher of {topic}, and published nothing about it now; `rect topic list {robot}` shows its topics")
+        .into()
+}
+
+/// The topics of a robot or of all, once messages were counted for that time.
+async fn measure(
+    robot: &Robot,
+    whose: Option<&Name>,
+    topic: Option<&str>,
+    duration: Span,
+) -> Result<Vec<(String, Topics)>, Failure> {
+    let duration = duration.0.min(WINDOW);
+    if duration.is_zero() {
+        return ask(robot, whose, topic, false).await;
+    }
+    // The first question makes the routers count.
+    ask(robot, whose, topic, true).await?;
+    tokio::time::sleep(duration).await;
+    ask(robot, whose, topic, true).await
+}
+
+/// What the routers answer, by the robots' names.
+async fn ask(
+    robot: &Robot,
+    whose: Option<&Name>,
+    topic: Option<&str>,
+    measure: bool,
+) -> Result<Vec<(String, Topics)>, Failure> {
+    let fleet = robot.fleet();
+    let who = whose.map_or("*", Name::as_str);
+    let mut parameters = Vec::new();
+    parameters.extend(measure.then(|| MEASURE.to_owned()));
+    parameters.extend(topic.map(|topic| format!("{TOPIC}={topic}")));
+    let selector = format!("{fleet}/{who}/@rect/{TOPICS}?{}", parameters.join(";"));
+    let replies = robot.zenoh().get(selector).timeout(TIMEOUT).await?;
+    let mut answers = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        let sample = reply.into_result().map_err(|error| {
+            let text = error.payload().to_bytes();
+            Failure::from(String::from_utf8_lossy(&text).into_owned())
+        })?;
+        let key = sample.key_expr().as_str();
+        let name = key.split('/').nth(1).unwrap_or(key).to_owned();
+        answers.push((name, serde_json::from_slice(&sample.payload().to_bytes())?));
+    }
+    if answers.is_empty() {
+        let who = whose.map_or_else(
+            || "no robot".to_owned(),
+            |robot| format!("no robot {robot}"),
+        );
+        return Err(format!(
+            "{who} of the fleet {fleet} answers about its topics: does its router run, with plugins/rect in its configuration?"
+        )
+        .into());
+    }
+    answers.sort_by(|(one, _), (other, _)| one.cmp(other));
+    Ok(answers)
+}
+
+fn list(answers: &[(String, Topics)]) {
+    let mut table = Table::new(&[
+        "TOPIC",
+        "RATE",
+        "?BYTES/S",
+        "?LAST",
+        "?PUBLISHERS",
+        "?ENCODING",
+    ]);
+    let mut more = 0;
+    for (robot, topics) in answers {
+        more += topics.more;
+        let measured = topics.window_s > 0.0;
+        for one in &topics.topics {
+            let counted = !one.encoding.is_empty();
+            table.row(vec![
+                Cell::styled(Style::Name, format!("{robot}/{}", one.topic)),
+                measured.then(|| format!("{:.1} Hz", one.hz)).into(),
+                counted.then(|| bytes(one.bytes_per_s)).into(),
+                counted.then(|| bytes(one.last_bytes)).into(),
+                one.publishers.to_string().into(),
+                one.encoding.as_str().into(),
+            ]);
+        }
+    }
+    table.print();
+    if more > 0 {
+        rect::errln!("rect: there are more topics than are shown");
+    }
+}
+
+async fn hz(robot: &Robot, topic: &OfRobot, count: Option<u64>, json: bool) -> Result<(), Failure> {
+    // The first question makes the router count.
+    ask(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
+    let mut ticks = tokio::time::interval(EVERY);
+    ticks.tick().await;
+    tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
+    for _ in 0..count.unwrap_or(u64::MAX) {
+        ticks.tick().await;
+        let answers = ask(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
+        let topics = answers.into_iter().next().map(|(_, topics)| topics);
+        let topics = topics.unwrap_or_default();
+        let report = topics.topics.first().cloned().unwrap_or_default();
+        if json {
+            terminal::json_line(&report_as_json(&report))?;
+        } else {
+            rect::outln!("{}", rate(&report, topics.window_s));
+        }
+    }
+    Ok(())
+}
+
+fn rate(report: &TopicReport, window_s: f64) -> String {
+    if report.hz == 0.0 {
+        return format!("no message within {window_s} s");
+    }
+    let intervals = report
+        .interval_ms
+        .map_or_else(String::new, |(least, most)| {
+            format!(", {least} to {most} ms apart")
+        });
+    format!(
+        "{:.1} Hz, {}/s{intervals} (within {window_s} s)",
+        report.hz,
+        bytes(report.bytes_per_s)
+    )
+}
+
+fn info(topic: &OfRobot, topics: &Topics, report: &TopicReport) {
+    let OfRobot { robot, topic } = topic;
+    rect::outln!("topic:      {robot}/{}", line(topic));
+    rect::outln!("publishers: {}", report.publishers);
+    if topics.window_s == 0.0 {
+        return;
+    }
+    rect::outln!("rate:       {}", rate(report, topics.window_s));
+    if !report.encoding.is_empty() {
+        rect::outln!("encoding:   {}", line(&report.encoding));
+        rect::outln!("last:       {}", bytes(report.last_bytes));
+    }
+}
+
+fn as_json(topics: &Topics) -> serde_json::Value {
+    json!({
+        "window_s": topics.window_s,
+        "topics": topics.topics.iter().map(report_as_json).collect::<Vec<_>>(),
+        "more": topics.more,
+    })
+}
+
+/// With names, which the router's answer leaves out to be short.
+fn report_as_json(one: &TopicReport) -> serde_json::Value {
+    json!({
+        "topic": one.topic,
+        "publishers": one.publishers,
+        "encoding": one.encoding,
+        "hz": one.hz,
+        "bytes_per_s": one.bytes_per_s,
+        "last_bytes": one.last_bytes,
+        "interval_ms": one.interval_ms,
+    })
+}

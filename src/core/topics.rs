@@ -1,0 +1,427 @@
+//! Counts the messages of a robot's topics, for its router, and holds the answer that the router gives about them. Given the
+//! time; docs/registry.md has the form of the answer.
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::{Duration, Instant},
+};
+
+use serde::{Deserialize, Serialize};
+
+/// Rates are those of this time before the question.
+pub const WINDOW: Duration = Duration::from_secs(5);
+/// The most topics that are counted; messages of more only count as such.
+pub const MAX_TOPICS: usize = 256;
+/// The parts into which the window is divided.
+const SLOTS: u32 = 10;
+const SLOT: Duration = Duration::from_millis(500);
+/// The longest encoding that is kept, in bytes.
+const MAX_ENCODING_BYTES: usize = 64;
+/// The longest topic that is counted, in bytes.
+const MAX_TOPIC_BYTES: usize = 220;
+
+/// The part of RECT's own keys under which a router answers about its robot's topics.
+pub const TOPICS: &str = "topics";
+/// The parameter of a question there that makes the router count messages.
+pub const MEASURE: &str = "measure";
+/// The parameter that selects one topic.
+pub const TOPIC: &str = "topic";
+
+/// What a router answers about the topics of its robot.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Topics {
+    /// For how long messages have been counted, at most [`WINDOW`], in seconds; 0: not at all.
+    pub window_s: f64,
+    /// Each topic.
+    pub topics: Vec<TopicReport>,
+    /// How many topics there are beside these.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub more: usize,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
+}
+
+/// One topic. As JSON it is a list of the fields in this order, to be short.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Row", into = "Row")]
+pub struct TopicReport {
+    /// The key below the robot's name.
+    pub topic: String,
+    /// How many publishers are declared.
+    pub publishers: usize,
+    /// The encoding of the last message; empty if none was counted.
+    pub encoding: String,
+    /// Messages a second.
+    pub hz: f64,
+    /// Payload bytes a second.
+    pub bytes_per_s: u64,
+    /// The payload of the last message, in bytes.
+    pub last_bytes: u64,
+    /// The shortest and the longest time between two messages, in milliseconds.
+    pub interval_ms: Option<(f64, f64)>,
+}
+
+type Row = (String, usize, String, f64, u64, u64, Option<(f64, f64)>);
+
+impl From<Row> for TopicReport {
+    fn from(row: Row) -> Self {
+        let (topic, publishers, encoding, hz, bytes_per_s, last_bytes, interval_ms) = row;
+        Self {
+            topic,
+            publishers,
+            encoding,
+            hz,
+            bytes_per_s,
+            last_bytes,
+            interval_ms,
+        }
+    }
+}
+
+impl From<TopicReport> for Row {
+    fn from(one: TopicReport) -> Self {
+        (
+            one.topic,
+            one.publishers,
+            one.encoding,
+            one.hz,
+            one.bytes_per_s,
+            one.last_bytes,
+            one.interval_ms,
+        )
+    }
+}
+
+/// Counts messages from when it is made.
+#[derive(Debug)]
+pub struct Counter {
+    start: Instant,
+    topics: BTreeMap<String, Counted>,
+    /// Messages of topics that there was no room for.
+    uncounted: u64,
+}
+
+#[derive(Debug, Default)]
+struct Counted {
+    slots: VecDeque<Slot>,
+    encoding: String,
+    last_bytes: u64,
+    last: Option<Instant>,
+}
+
+/// What came within one part of the window.
+#[derive(Clone, Copy, Debug, Default)]
+struct Slot {
+    number: u128,
+    /// When its first message came.
+    first: Option<Instant>,
+    messages: u64,
+    bytes: u64,
+    /// The shortest and the longest time to the message before.
+    intervals: Option<(Duration, Duration)>,
+}
+
+impl Counter {
+    /// Begins to count.
+    pub fn new(now: Instant) -> Self {
+        Self {
+            start: now,
+            topics: BTreeMap::new(),
+            uncounted: 0,
+        }
+    }
+
+    /// Counts a message.
+    pub fn on_message(&mut self, now: Instant, topic: &str, payload_bytes: usize, encoding: &str) {
+        let number = self.slot(now);
+        let known = self.topics.contains_key(topic);
+        if !known && (self.topics.len() >= MAX_TOPICS || topic.len() > MAX_TOPIC_BYTES) {
+            self.uncounted += 1;
+            return;
+        }
+        if !known {
+            self.topics.insert(topic.to_owned(), Counted::default());
+        }
+        if let Some(counted) = self.topics.get_mut(topic) {
+            counted.on_message(now, number, payload_bytes as u64, encoding);
+        }
+    }
+
+    /// The answer at `now`, with the publishers of each topic that are declared. `topic` selects one; only then are the
+    /// intervals a part of the answer.
+    pub fn report(
+        &self,
+        now: Instant,
+        publishers: &BTreeMap<String, usize>,
+        topic: Option<&str>,
+    ) -> Topics {
+        let window = now.saturating_duration_since(self.start).min(WINDOW);
+        let oldest = self.slot(now).saturating_sub(u128::from(SLOTS));
+        let counted = self.topics.iter().map(|(topic, counted)| {
+            let publishers = publishers.get(topic).copied().unwrap_or_default();
+            counted.report(topic, publishers, now, window, oldest)
+        });
+        let mut topics: BTreeMap<_, _> = counted.map(|one| (one.topic.clone(), one)).collect();
+        for (name, &count) in publishers {
+            topics
+                .entry(name.clone())
+                .or_insert_with(|| declared(name, count));
+        }
+        listed(
+            topics.into_values(),
+            topic,
+            window.as_secs_f64(),
+            usize::from(self.uncounted > 0),
+        )
+    }
+
+    fn slot(&self, now: Instant) -> u128 {
+        now.saturating_duration_since(self.start).as_millis() / SLOT.as_millis()
+    }
+}
+
+/// The answer while no messages are counted.
+pub fn report_declared(publishers: &BTreeMap<String, usize>, topic: Option<&str>) -> Topics {
+    let topics = publishers
+        .iter()
+        .map(|(name, &count)| declared(name, count));
+    listed(topics, topic, 0.0, 0)
+}
+
+fn declared(topic: &str, publishers: usize) -> TopicReport {
+    TopicReport {
+        topic: topic.to_owned(),
+        publishers,
+        ..TopicReport::default()
+    }
+}
+
+fn listed(
+    topics: impl Iterator<Item = TopicReport>,
+    only: Option<&str>,
+    window_s: f64,
+    more: usize,
+) -> Topics {
+    let mut topics: Vec<_> = topics
+        .filter(|one| only.is_none_or(|only| one.topic == only))
+        .collect();
+    if only.is_none() {
+        topics.iter_mut().for_each(|one| one.interval_ms = None);
+    }
+    let more = more + topics.len().saturating_sub(MAX_TOPICS);
+    topics.truncate(MAX_TOPICS);
+    let window_s = tenths(window_s);
+    Topics {
+        window_s,
+        topics,
+        more,
+    }
+}
+
+impl Counted {
+    fn on_message(&mut self, now: Instant, number: u128, bytes: u64, encoding: &str) {
+        if self.slots.back().is_none_or(|slot| slot.number != number) {
+            self.slots.push_back(Slot {
+                number,
+                ..Slot::default()
+            });
+            // The one that is being filled, and those of the window before it.
+            while self.slots.len() > SLOTS as usize + 1 {
+                self.slots.pop_front();
+            }
+        }
+        let interval = self.last.map(|last| now.saturating_duration_since(last));
+        if let Some(slot) = self.slots.back_mut() {
+            slot.first.get_or_insert(now);
+            slot.messages += 1;
+            slot.bytes += bytes;
+            slot.intervals = match (slot.intervals, interval) {
+                (Some((least, most)), Some(one)) => Some((least.min(one), most.max(one))),
+                (None, Some(one)) => Some((one, one)),
+                (known, None) => known,
+            };
+        }
+        self.last = Some(now);
+        self.last_bytes = bytes;
+        if self.encoding != encoding {
+            let end = encoding.char_indices().map(|(at, c)| at + c.len_utf8());
+            let end = end.take_while(|&end| end <= MAX_ENCODING_BYTES).last();
+            self.encoding = encoding[..end.unwrap_or(0)].to_owned();
+        }
+    }
+
+    fn report(
+        &self,
+        topic: &str,
+        publishers: usize,
+        now: Instant,
+        window: Duration,
+        oldest: u128,
+    ) -> TopicReport {
+        let slots = || self.slots.iter().filter(|slot| slot.number >= oldest);
+        let messages: u64 = slots().map(|slot| slot.messages).sum();
+        let bytes: u64 = slots().map(|slot| slot.bytes).sum();
+        let intervals = slots().filter_map(|slot| slot.intervals);
+        let intervals = intervals.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
+        // A rate over less than one slot would be that of a single message.
+        let seconds = window.max(SLOT).as_secs_f64();
+        let hz = match (slots().find_map(|slot| slot.first), self.last) {
+            (Some(first), Some(last)) if messages > 1 && last > first => {
+                let mean = (last - first).div_f64((messages - 1) as f64);
+                // One that has gone quiet has not published at that rate until now.
+                let is_quiet = now.saturating_duration_since(last) > 2 * mean;
+                if is_quiet {
+                    messages as f64 / seconds
+                } else {
+                    1.0 / mean.as_secs_f64()
+                }
+            }
+            _ => messages as f64 / seconds,
+        };
+        TopicReport {
+            topic: topic.to_owned(),
+            publishers,
+            encoding: self.encoding.clone(),
+            hz: tenths(hz),
+            bytes_per_s: (bytes as f64 / seconds).round() as u64,
+            last_bytes: self.last_bytes,
+            interval_ms: intervals.map(|(least, most)| (tenths_ms(least), tenths_ms(most))),
+        }
+    }
+}
+
+fn tenths(number: f64) -> f64 {
+    (number * 10.0).round() / 10.0
+}
+
+fn tenths_ms(time: Duration) -> f64 {
+    tenths(time.as_secs_f64() * 1000.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn none() -> BTreeMap<String, usize> {
+        BTreeMap::new()
+    }
+
+    /// A counter that has counted a message of 24 bytes each 100 ms for so many milliseconds.
+    fn counted(ms: u32) -> (Counter, Instant) {
+        let start = Instant::now();
+        let mut counter = Counter::new(start);
+        for at in (100..=ms).step_by(100) {
+            counter.on_message(start + at * MS, "arm/angle", 24, "application/json");
+        }
+        (counter, start + ms * MS)
+    }
+
+    #[test]
+    fn a_rate_is_that_of_the_last_seconds() {
+        for ms in [2_000, 5_000, 60_000] {
+            let (counter, now) = counted(ms);
+            let report = counter.report(now, &none(), None);
+            let one = &report.topics[0];
+            assert_eq!(one.hz, 10.0, "{ms}: {one:?}");
+            assert!((220..=280).contains(&one.bytes_per_s), "{ms}: {one:?}");
+            assert_eq!(
+                (one.last_bytes, one.encoding.as_str()),
+                (24, "application/json")
+            );
+        }
+    }
+
+    #[test]
+    fn a_topic_that_has_gone_quiet_has_no_rate() {
+        let (counter, now) = counted(3_000);
+        let report = counter.report(now + 2 * WINDOW, &none(), None);
+        assert_eq!(
+            (report.topics[0].hz, report.topics[0].last_bytes),
+            (0.0, 24)
+        );
+    }
+
+    #[test]
+    fn the_rate_of_a_slow_topic_is_that_of_its_intervals() {
+        let start = Instant::now();
+        let mut counter = Counter::new(start);
+        for second in 1..=4 {
+            counter.on_message(start + second * 1000 * MS, "slow", 1, "");
+        }
+        let hz = |ms: u32| counter.report(start + ms * MS, &none(), None).topics[0].hz;
+        assert_eq!(hz(4_400), 1.0);
+        assert!(hz(8_500) < 0.5, "it has gone quiet");
+    }
+
+    #[test]
+    fn intervals_are_told_of_a_single_topic() {
+        let (mut counter, now) = counted(2_000);
+        counter.on_message(now + 250 * MS, "arm/angle", 24, "application/json");
+        let report = counter.report(now + 300 * MS, &none(), Some("arm/angle"));
+        assert_eq!(report.topics[0].interval_ms, Some((100.0, 250.0)));
+        let all = counter.report(now + 300 * MS, &none(), None);
+        assert_eq!(all.topics[0].interval_ms, None);
+        assert!(counter
+            .report(now, &none(), Some("other"))
+            .topics
+            .is_empty());
+    }
+
+    #[test]
+    fn declared_publishers_are_listed_whether_or_not_they_publish() {
+        let (counter, now) = counted(1_000);
+        let publishers = BTreeMap::from([("arm/angle".to_owned(), 2), ("idle".to_owned(), 1)]);
+        let report = counter.report(now, &publishers, None);
+        let of: Vec<_> = report
+            .topics
+            .iter()
+            .map(|one| (one.topic.as_str(), one.publishers))
+            .collect();
+        assert_eq!(of, [("arm/angle", 2), ("idle", 1)]);
+        let unmeasured = report_declared(&publishers, None);
+        assert_eq!((unmeasured.window_s, unmeasured.topics.len()), (0.0, 2));
+    }
+
+    #[test]
+    fn what_is_remembered_is_bounded() {
+        let start = Instant::now();
+        let mut counter = Counter::new(start);
+        for n in 0..2 * MAX_TOPICS {
+            counter.on_message(start + MS, &format!("t{n}"), 1, &"e".repeat(1000));
+        }
+        counter.on_message(start + MS, &"x".repeat(MAX_TOPIC_BYTES + 1), 1, "");
+        for second in 0..1000 {
+            counter.on_message(start + 1000 * second * MS, "t0", 1, &"\u{e4}".repeat(1000));
+        }
+        let report = counter.report(start + 2 * MS, &none(), None);
+        assert_eq!(report.topics.len(), MAX_TOPICS);
+        assert_eq!(report.more, 1, "there are more than that");
+        assert!(counter
+            .topics
+            .values()
+            .all(|one| one.slots.len() <= SLOTS as usize + 1));
+        assert!(counter
+            .topics
+            .values()
+            .all(|one| one.encoding.len() <= MAX_ENCODING_BYTES));
+    }
+
+    #[test]
+    fn an_answer_about_ten_topics_is_short_and_comes_back() {
+        let start = Instant::now();
+        let mut counter = Counter::new(start);
+        for n in 0..10 {
+            counter.on_message(start + MS, &format!("sensor/{n}"), 24, "application/json");
+        }
+        let report = counter.report(start + 2000 * MS, &none(), None);
+        let json = serde_json::to_string(&report).expect("JSON");
+        assert!(json.len() < 600, "{} bytes: {json}", json.len());
+        assert_eq!(
+            serde_json::from_str::<Topics>(&json).expect("the same"),
+            report
+        );
+    }
+}
