@@ -63,6 +63,12 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "{peers:#}"
     );
 
+    // Access control lets the fleet ask about topics.
+    let topics = "rect/wombat-1/@rect/topics?measure";
+    answers(&program(&two, &there), topics, |answer| {
+        answer["topics"].is_array()
+    });
+
     // Who is in the air at all, and of whose team.
     let mut scan = Command::new(env!("CARGO_BIN_EXE_rect-router"));
     scan.args(["scan", "--adapter", "sim-scan", "--seconds", "2", "--json"]);
@@ -277,6 +283,18 @@ fn the_doctor_looks_at_the_named_router_with_the_named_login() {
     let text = said(&refused);
     assert_eq!(refused.status.code(), Some(1), "{text}");
     assert!(text.contains("refuses the login fleet of"), "{text}");
+    let table = rect_router(&[
+        "status",
+        "--router",
+        &endpoint,
+        "--users",
+        &other.display().to_string(),
+    ]);
+    assert!(
+        said(&table).contains("refuses the login fleet of"),
+        "{}",
+        said(&table)
+    );
     let without = said(&doctor(&[], "/nowhere/users"));
     assert!(
         without.contains("refuses programs without a login"),

@@ -4,12 +4,14 @@ mod support;
 
 use std::{
     fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
 use serde_json::{json, Value};
-use support::{admin, arrives, client_with, login_file, repository, Router, DEADLINE};
+use support::{
+    admin, answers, arrives, client_with, login_file, repository, Air, Router, DEADLINE,
+};
 use zenoh::{Session, Wait};
 
 const WITH_LOGIN: [&str; 2] = ["robot.json5", "base-station.json5"];
@@ -326,5 +328,45 @@ fn a_lost_robot_is_dialled_again_within_a_second() {
             Some(&json!(-1)),
             "{name}"
         );
+    }
+}
+
+/// The commands that a file's comment gives, each as one line.
+fn documented_commands(name: &str) -> Vec<String> {
+    let text = fs::read_to_string(file(name)).expect("there");
+    let comment = text
+        .lines()
+        .map_while(|line| line.strip_prefix("//").map(str::trim));
+    let lines = comment.collect::<Vec<_>>().join("\n").replace("\\\n", " ");
+    let commands = lines
+        .lines()
+        .filter(|line| line.starts_with("rect-router "));
+    commands.map(str::to_owned).collect()
+}
+
+#[test]
+fn the_documented_simulation_has_two_named_robots_that_are_linked() {
+    let air = Air::new();
+    let commands = documented_commands("simulation.json5");
+    assert_eq!(commands.len(), 2, "{commands:?}");
+    let mut robots = Vec::new();
+    for command in &commands {
+        let program = format!("exec {}", env!("CARGO_BIN_EXE_rect-router"));
+        let mut words = command.replacen("rect-router", &program, 1);
+        words = words.replace("config/simulation.json5", &file("simulation.json5"));
+        for port in ["7447", "7448"] {
+            words = words.replace(&format!("tcp/127.0.0.1:{port}"), "tcp/127.0.0.1:0");
+        }
+        let mut router = Router::start_program_on(&air, Path::new("sh"), &["-c", &words]);
+        let endpoint = router.listener_of("tcp/");
+        router.up();
+        robots.push((router, endpoint));
+    }
+    let session = client_with(&robots[0].1, &[]).expect("let in");
+    for robot in ["wombat-1", "wombat-2"] {
+        let asked = format!("rect/{robot}/@rect/connections/count");
+        answers(&session, &asked, |count| {
+            count["methods"]["ble"]["connected"] == 1
+        });
     }
 }

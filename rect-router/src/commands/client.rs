@@ -1,8 +1,16 @@
 //! Owns what the commands share that ask a running router: a session with it, and the robots' answers.
-use std::{fs, time::Duration};
+use std::{
+    fs,
+    net::{TcpStream, ToSocketAddrs},
+    os::unix::net::UnixStream,
+    time::Duration,
+};
 
 use rect::{
-    core::{login, wording},
+    core::{
+        login,
+        wording::{self, short_reason},
+    },
     terminal::{self, Table},
 };
 use serde_json::Value;
@@ -13,8 +21,28 @@ use super::{AskArgs, Failure, RouterArgs};
 /// How long to wait for answers: over a slow link, with several robots.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// How long to wait for the router to accept a connection at all.
+const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// There is no session with a router.
+#[derive(Debug, thiserror::Error)]
+#[error("{what}; {advice}")]
+pub(super) struct NoSession {
+    /// Why.
+    pub what: String,
+    /// What to do.
+    pub advice: &'static str,
+}
+
 /// A client of that router, logged in where there is a login file.
-pub(super) fn session(args: &RouterArgs) -> Result<Session, Failure> {
+pub(super) fn session(args: &RouterArgs) -> Result<Session, NoSession> {
+    let users = fs::read_to_string(&args.users).unwrap_or_default();
+    let login = login::logins(&users).next();
+    let opened = config(args, login).and_then(|config| zenoh::open(config).wait());
+    opened.map_err(|error| no_session(args, login.map(|(user, _)| user), &error))
+}
+
+fn config(args: &RouterArgs, login: Option<login::Login<'_>>) -> zenoh::Result<Config> {
     let mut config = Config::default();
     for (key, value) in [
         ("mode", Value::from("client")),
@@ -23,15 +51,44 @@ pub(super) fn session(args: &RouterArgs) -> Result<Session, Failure> {
     ] {
         config.insert_json5(key, &value.to_string())?;
     }
-    let users = fs::read_to_string(&args.users).unwrap_or_default();
-    if let Some((user, password)) = login::logins(&users).next() {
+    if let Some((user, password)) = login {
         let login = serde_json::json!({ "user": user, "password": password });
         config.insert_json5("transport/auth/usrpwd", &login.to_string())?;
     }
-    zenoh::open(config).wait().map_err(|error| {
-        let why = wording::with_causes(error.as_ref());
-        format!("no router answers at {}: {why}", args.router).into()
-    })
+    Ok(config)
+}
+
+/// Why there is no session: nobody listens there, or the router does not let this program in.
+fn no_session(args: &RouterArgs, user: Option<&str>, error: &zenoh::Error) -> NoSession {
+    let (router, file) = (&args.router, args.users.display());
+    let (what, advice) = match (is_listening(router), user) {
+        (false, _) => (
+            format!("no router answers at {router}: {}", short_reason(&wording::with_causes(error.as_ref()))),
+            "start it (`rect init` writes its configuration), or name another one with --router",
+        ),
+        (true, Some(user)) => (
+            format!("the router at {router} refuses the login {user} of {file}"),
+            "name the login file of the router's team with --users",
+        ),
+        (true, None) => (
+            format!("the router at {router} refuses programs without a login, and there is none in {file}"),
+            "name the team's login file with --users; to read /etc/rect/users: `sudo usermod -aG rect $USER`, and log in again",
+        ),
+    };
+    NoSession { what, advice }
+}
+
+/// Whether something accepts connections there.
+fn is_listening(endpoint: &str) -> bool {
+    let endpoint = endpoint.split(['#', '?']).next().unwrap_or_default();
+    match endpoint.split_once('/') {
+        Some(("tcp" | "tls" | "ws", address)) => {
+            let mut addresses = address.to_socket_addrs().into_iter().flatten();
+            addresses.any(|address| TcpStream::connect_timeout(&address, PROBE_TIMEOUT).is_ok())
+        }
+        Some(("unixsock-stream", path)) => UnixStream::connect(path).is_ok(),
+        _ => false,
+    }
 }
 
 /// What each robot answers, by its name; an error that one answers is this one's, too.

@@ -134,6 +134,16 @@ impl Router {
         self.wait_for("Listener added: ")
     }
 
+    /// The endpoint of the next listener of that kind in the log, such as `tcp/`.
+    pub fn listener_of(&mut self, protocol: &str) -> String {
+        loop {
+            let endpoint = self.listener();
+            if endpoint.starts_with(protocol) {
+                return endpoint;
+            }
+        }
+    }
+
     /// The configuration in use, as the log shows it.
     pub fn configuration(&mut self) -> Value {
         let text = self.wait_for("Initial conf: ");

@@ -48,13 +48,6 @@ pub fn findings(file: &Path) -> Vec<Finding> {
     findings
 }
 
-/// The user as whom a program logs in, if there is one.
-pub fn user(file: &Path) -> Option<String> {
-    let text = fs::read_to_string(file).ok()?;
-    let (user, _) = logins(&text).next()?;
-    Some(user.to_owned())
-}
-
 #[cfg(test)]
 mod tests {
     use super::{super::Verdict, *};

@@ -1,10 +1,5 @@
 //! Owns what can be wrong between this computer and the others: its router, its peers, their clocks.
-use std::{
-    collections::BTreeSet,
-    net::{TcpStream, ToSocketAddrs},
-    os::unix::net::UnixStream,
-    time::Duration,
-};
+use std::{collections::BTreeSet, time::Duration};
 
 use rect::core::{display, named_connection::CONFIG, wording::short_reason};
 use serde_json::Value;
@@ -14,7 +9,7 @@ use super::{login, Finding};
 use crate::{
     commands::{
         client::{answers, session},
-        DoctorArgs, RouterArgs,
+        DoctorArgs,
     },
     connections::file::{self, Limits},
     registry::now_s,
@@ -22,7 +17,7 @@ use crate::{
 
 /// Zenoh drops nothing for it by default, but what was when can't be told any more.
 const SKEW: f64 = 2.0;
-/// How long to wait for the router to accept a connection at all, and for liveliness tokens.
+/// How long to wait for liveliness tokens.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Of the login file, the router, and all that it knows.
@@ -31,7 +26,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     let session = match session(&args.router) {
         Ok(session) => session,
         Err(error) => {
-            findings.push(no_session(&args.router, &error.to_string()));
+            findings.push(Finding::wrong("router", error.what, error.advice));
             return findings;
         }
     };
@@ -48,48 +43,6 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     findings.extend(peers(&session));
     findings.extend(clocks(&session));
     findings
-}
-
-/// Why there is no session: nobody listens, or the router does not let this program in.
-fn no_session(args: &RouterArgs, error: &str) -> Finding {
-    const ABOUT: &str = "router";
-    let (router, file) = (&args.router, args.users.display());
-    if !is_listening(router) {
-        let advice =
-            "start it (`rect init` writes its configuration), or name another one with --router";
-        return Finding::wrong(
-            ABOUT,
-            format!("no router answers at {router}: {}", short_reason(error)),
-            advice,
-        );
-    }
-    match login::user(&args.users) {
-        Some(user) => Finding::wrong(
-            ABOUT,
-            format!("the router at {router} refuses the login {user} of {file}"),
-            "name the login file of the router's team with --users",
-        ),
-        None => Finding::wrong(
-            ABOUT,
-            format!("the router at {router} refuses programs without a login, and there is none in {file}"),
-            "name the team's login file with --users; to read /etc/rect/users: `sudo usermod -aG rect $USER`, and log in again",
-        ),
-    }
-}
-
-/// Whether something accepts connections there.
-fn is_listening(endpoint: &str) -> bool {
-    let endpoint = endpoint.split(['#', '?']).next().unwrap_or_default();
-    match endpoint.split_once('/') {
-        Some(("tcp" | "tls" | "quic" | "ws", address)) => {
-            let addresses = address.to_socket_addrs().into_iter().flatten();
-            addresses
-                .into_iter()
-                .any(|address| TcpStream::connect_timeout(&address, TIMEOUT).is_ok())
-        }
-        Some(("unixsock-stream", path)) => UnixStream::connect(path).is_ok(),
-        _ => false,
-    }
 }
 
 /// The robot whose router this session is connected to.

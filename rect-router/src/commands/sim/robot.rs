@@ -76,10 +76,10 @@ impl Robot {
 
     /// A session with its router.
     pub fn session(&self) -> Result<Session, Failure> {
-        client::session(&RouterArgs {
+        Ok(client::session(&RouterArgs {
             router: self.endpoint.clone(),
             users: PathBuf::new(),
-        })
+        })?)
     }
 
     /// Whether programs that name no router reach this one.
