@@ -108,6 +108,59 @@ fn robots_are_connected_by_name_shown_and_measured() {
     // The radio has measured it meanwhile.
     says(&two, &["peers"], " ms");
 
+    // The commands of `rect` that the router's program does.
+    let status = says(&two, &["status"], "wombat-1");
+    assert!(
+        status.contains("wombat-2") && status.contains("1 ble"),
+        "{status}"
+    );
+    let other = ran(
+        &two,
+        &["doctor", "--router", &one.endpoint, "--as", "wombat-2"],
+    );
+    assert!(
+        said(&other).contains("of wombat-1, not of wombat-2"),
+        "{}",
+        said(&other)
+    );
+    let help = said(&ran(&two, &["init", "--help"]));
+    assert!(
+        help.contains("rect init") && !help.contains("rect-router init"),
+        "{help}"
+    );
+
+    // Another robot's topics, as its own router measures them.
+    let speaking = ["pub", "arm/angle", "12.5", "--every", "100ms"];
+    let speaking = rect(&one, &speaking).stderr(Stdio::null()).spawn();
+    let _speaking = Running(speaking.expect("it runs"));
+    let topics = says(&two, &["topic", "list", "wombat-1"], "application/json");
+    assert!(
+        topics.contains("wombat-1/arm/angle") && topics.contains(" Hz"),
+        "{topics}"
+    );
+    let info = ran(&two, &["topic", "info", "wombat-1/arm/angle", "--json"]);
+    let info: Value = serde_json::from_slice(&info.stdout).expect("JSON");
+    assert_eq!(
+        (&info["publishers"], &info["last_bytes"]),
+        (&1.into(), &4.into()),
+        "{info:#}"
+    );
+    let rate = said(&ran(
+        &two,
+        &["topic", "hz", "wombat-1/arm/angle", "--count", "1"],
+    ));
+    assert!(
+        rate.contains(" Hz, ") && rate.contains("ms apart"),
+        "{rate}"
+    );
+    let nothing = ran(&two, &["topic", "info", "wombat-1/nothing"]);
+    assert_eq!(nothing.status.code(), Some(1));
+    assert!(
+        said(&nothing).contains("rect topic list wombat-1"),
+        "{}",
+        said(&nothing)
+    );
+
     let gone = ran(&two, &["disconnect", "radio"]);
     assert!(gone.status.success(), "{}", said(&gone));
     let again = ran(&two, &["disconnect", "radio"]);

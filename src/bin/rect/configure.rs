@@ -71,7 +71,7 @@ pub async fn connect(arguments: ConnectArguments) -> Done {
     let whose = at.robot.unwrap_or_else(|| robot.name().clone());
     robot.add_connection_of(&whose, &connection).await?;
     rect::outln!(
-        "{whose} has the connection {} and dials it; `rect connections` shows what becomes of it",
+        "{whose} has the connection {}; `rect connections` shows its state",
         line(&name)
     );
     Ok(ExitCode::SUCCESS)
