@@ -42,7 +42,7 @@ pub(super) fn session(args: &RouterArgs) -> Result<Session, NoSession> {
     opened.map_err(|error| no_session(args, login.map(|(user, _)| user), &error))
 }
 
-fn config(args: &RouterArgs, login: Option<login::Login<'_>>) -> zenoh::Result<Config> {
+fn config(args: &RouterArgs, login: Option<(&str, &str)>) -> zenoh::Result<Config> {
     let mut config = Config::default();
     for (key, value) in [
         ("mode", Value::from("client")),
