@@ -102,6 +102,22 @@ impl Refusal {
             other => Self::Other(other),
         }
     }
+
+    /// Returns the reason as the refusing side logs it. [`fmt::Display`] is for the side that is refused.
+    pub fn own_reason(self) -> &'static str {
+        match self {
+            Self::Version => "the two speak no common version of the link: update the older side",
+            Self::AlreadyLinked => "the two are linked already",
+            Self::Crossing => "both dialled at once, and this side's dial goes first",
+            Self::Full => "this side has as many links as max_links allows",
+            Self::NameTaken => {
+                "its name is that of another robot or of this one: give one of the two another name="
+            }
+            Self::Secret => "the two do not have the same secret",
+            Self::Malformed => "it does not follow the link protocol",
+            Self::Other(_) => "for another reason",
+        }
+    }
 }
 
 impl fmt::Display for Refusal {

@@ -278,7 +278,8 @@ impl Listener {
         let number = match (verdict, number) {
             (Verdict::Accept, Some(number)) => number,
             (Verdict::Refuse(refusal), _) => {
-                tracing::info!("ble: {device} is refused: {refusal}");
+                let reason = refusal.own_reason();
+                tracing::info!("ble: refused a link with {device}: {reason}");
                 if peer.is_some() {
                     if let Some(refused) = held.unless_evicted(refuse(&channel, refusal)).await {
                         // Its handshake was a right one all the same.
