@@ -169,3 +169,41 @@ async fn requests_and_answers_are_unpacked_too() {
         .expect_err("damaged");
     assert!(error.to_string().contains("zstd"), "{error}");
 }
+
+/// Another dictionary with the same id, which takes some ten thousand tries.
+fn with_the_same_id(dictionary: &Dictionary) -> Dictionary {
+    // The magic number and the id are not part of it.
+    let mut begun = crc32fast::Hasher::new();
+    begun.update(&dictionary.as_bytes()[8..]);
+    let is_same = |suffix: &u32| {
+        let mut hash = begun.clone();
+        hash.update(&suffix.to_le_bytes());
+        32768 + hash.finalize() % 32768 == dictionary.id()
+    };
+    let suffix = (0..).find(is_same).expect("one of 32768 on average");
+    let bytes = [dictionary.as_bytes(), &suffix.to_le_bytes()].concat();
+    Dictionary::new(bytes).expect("a dictionary")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dictionary_of_one_robot_is_not_used_for_anothers_messages() {
+    let endpoint = pair::free_endpoint();
+    let b = pair::listening("b", &endpoint).await;
+    let honest = pair::dialling("honest", &endpoint).await;
+    let other = pair::dialling("other", &endpoint).await;
+    let samples: Vec<String> = (0..2000).map(|n| reading(n).to_string()).collect();
+    let dictionary = Dictionary::train(&samples, 4096).expect("trained");
+    let same_id = with_the_same_id(&dictionary);
+    assert_eq!(same_id.id(), dictionary.id());
+    let heard_at_b = b.subscribe("*/x").await.expect("subscribed");
+    let payload = Payload::new(reading(5000).to_string(), Encoding::JSON);
+    for (robot, dictionary) in [(other, same_id), (honest, dictionary)] {
+        let packed = robot.packed_with(Arc::new(dictionary)).expect("shared");
+        let mut message = heard(&packed, &heard_at_b, &payload).await;
+        while message.from != *robot.name() || message.flaw.is_some() {
+            assert_eq!(message.flaw, None, "{}", message.from);
+            message = heard(&packed, &heard_at_b, &payload).await;
+        }
+        assert_eq!(message.payload, payload, "{}", message.from);
+    }
+}

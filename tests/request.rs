@@ -12,6 +12,7 @@ use std::{
 
 use pair::{dialling, pair, PATIENCE};
 use rect::{Error, Json, Robot, Service};
+use zenoh::Wait;
 
 async fn doubling(robot: &Robot) -> Service {
     let served = robot.serve("double", |request| async move {
@@ -162,4 +163,22 @@ async fn a_request_that_is_dropped_is_over_at_once() {
     b.close().await.expect("closed");
     assert!(closing.elapsed() < PATIENCE, "nothing waits for an hour");
     serving.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_error_is_of_the_robot_that_was_asked_whatever_name_it_has() {
+    let (a, b) = pair("a", "b").await;
+    let service = a.zenoh().declare_queryable("rect/a/arm");
+    let service = service.callback(|query| {
+        let error = query
+            .reply_err("stuck")
+            .encoding("text/plain;from=wombat-9");
+        error.wait().expect("replied");
+    });
+    let _service = service.wait().expect("declared");
+    let error = asked(&b, "a", "arm", 1.0).await.expect_err("an error");
+    match error {
+        Error::Service { robot, .. } => assert_eq!(robot.expect("a name"), "a"),
+        other => panic!("{other}"),
+    }
 }

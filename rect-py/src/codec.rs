@@ -1,17 +1,16 @@
 //! Owns codecs and dictionaries: what makes payloads smaller, and undoes it.
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
     codec::{self, dictionary::Packed, Limits},
-    dictionary::{self, Dictionaries},
+    dictionary::{self, Dictionaries, RobotDictionaries},
     encoding::Encoding,
     payload::Payload,
 };
 
-use crate::detached::detached;
-use crate::errors::OrRaise;
+use crate::{detached::detached, errors::OrRaise, place::name};
 
 /// Bytes and what they are, as Python has them.
 pub type Parts<'py> = (Bound<'py, PyBytes>, String);
@@ -23,6 +22,10 @@ pub struct Codec(Arc<dyn codec::Codec>);
 /// What many messages have in common.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Dictionary(pub Arc<dictionary::Dictionary>);
+
+/// The dictionaries of several robots, each for that robot's messages alone.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Known(Mutex<RobotDictionaries>);
 
 /// Python's bytes as a payload, which shares them.
 pub fn payload(bytes: PyBackedBytes, encoding: &str) -> Payload {
@@ -96,6 +99,41 @@ pub fn unpack<'py>(
     let limits = limits(max_bytes, None);
     let decoded = detached(py, || codec::decode(&payload, &limits, &known)).or_raise()?;
     Ok(parts(py, &decoded))
+}
+
+#[pymethods]
+impl Known {
+    #[new]
+    fn new() -> Self {
+        Self(Mutex::default())
+    }
+
+    /// Adds one of that robot's.
+    fn add(&self, robot: &str, dictionary: &Dictionary) -> PyResult<()> {
+        let robot = name(robot)?;
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        known.add(&robot, dictionary.0.clone());
+        Ok(())
+    }
+
+    /// Undoes the packings of a payload of that robot's.
+    fn unpack<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        bytes: PyBackedBytes,
+        encoding: &str,
+    ) -> PyResult<Parts<'py>> {
+        let robot = name(robot)?;
+        let payload = payload(bytes, encoding);
+        let decoded = py.detach(|| {
+            let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let dictionaries = known.of(&robot).clone();
+            drop(known);
+            codec::decode(&payload, &Limits::default(), &dictionaries)
+        });
+        Ok(parts(py, &decoded.or_raise()?))
+    }
 }
 
 #[pymethods]

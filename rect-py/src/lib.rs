@@ -29,7 +29,7 @@ mod _rect {
     use crate::{
         attachment::{now_ms, read_attachment, write_attachment, write_attachment_now},
         callback::{Moment, OnMessage, OnRequest},
-        codec::{unpack, Codec, Dictionary},
+        codec::{unpack, Codec, Dictionary, Known},
         connection::{named_connection, Links, Presence},
         counters::Counting,
         detached::{forget_work, settle},

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 import rect
+import zenoh
 from conftest import DEADLINE, until_served
 from rect.service import AT_A_TIME
 
@@ -152,3 +153,18 @@ def test_a_packed_request_is_unpacked(pair: Pair) -> None:
     one.serve("length", lambda request: len(request.value))
     until_served(two, "wombat-1", "length")
     assert two.request("wombat-1", "length", "x" * 5000, codec="zstd", timeout=DEADLINE).value == 5000
+
+
+def test_an_error_is_of_the_robot_that_was_asked_whatever_name_it_has(pair: Pair) -> None:
+    one, two = pair
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply_err(b"stuck", encoding="text/plain;from=wombat-9")
+
+    service = one.zenoh.declare_queryable("rect/wombat-1/arm", answer)
+    until_served(two, "wombat-1", "arm")
+    with pytest.raises(rect.ServiceError) as error:
+        two.request("wombat-1", "arm", 1, timeout=DEADLINE)
+    assert error.value.robot == "wombat-1"
+    service.undeclare()

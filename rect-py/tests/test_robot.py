@@ -9,13 +9,14 @@ import logging
 import queue
 import sys
 import threading
+import zlib
 from collections.abc import Callable
 from typing import Any
 
 import numpy
 import pytest
 import rect
-from conftest import DEADLINE, until_heard
+from conftest import DEADLINE, free_port, until_heard
 
 Pair = tuple[rect.Robot, rect.Robot]
 
@@ -404,3 +405,27 @@ def test_many_threads_say_things_at_once(pair: Pair) -> None:
         thread.join()
     assert [message.sequence for message in messages] == list(range(1600))
     assert heard.tallies["wombat-1"] == rect.Tally(1600, 0)
+
+
+def test_a_dictionary_of_one_robot_is_not_used_for_anothers_messages() -> None:
+    samples = [b'{"angle_deg": %d, "moving": true, "battery_volt": 7.2}' % n for n in range(2000)]
+    dictionary = rect.Dictionary.train(samples, 4096)
+    begun = zlib.crc32(bytes(dictionary)[8:])
+    suffixes = (n.to_bytes(4, "little") for n in range(2**32))
+    suffix = next(suffix for suffix in suffixes if 32768 + zlib.crc32(suffix, begun) % 32768 == dictionary.id)
+    same_id = rect.Dictionary(bytes(dictionary) + suffix)
+    assert same_id.id == dictionary.id
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    value = {"angle_deg": 45, "moving": False, "battery_volt": 7.1}
+    with (
+        rect.connect("wombat-2", listen=[endpoint]) as two,
+        rect.connect("other", endpoints=[endpoint]) as other,
+        rect.connect("honest", endpoints=[endpoint]) as honest,
+    ):
+        heard = two.subscribe("*/telemetry")
+        for robot, known in ((other, same_id), (honest, dictionary)):
+            codec = robot.share(known)
+            until_heard(robot, "telemetry")
+            robot.publish("telemetry", value, codec=codec)
+            message = heard.next(DEADLINE)
+            assert (message.sender, message.flaw, message.value) == (robot.name, None, value)

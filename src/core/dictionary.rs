@@ -4,7 +4,7 @@
 //! everywhere, and frames name it in two bytes: `32768 + crc32(all after the id) mod 32768`. A dictionary that another
 //! program made gets that id, too; [`Dictionary::write`] writes it so that `zstd -D` reads RECT's frames.
 use std::{
-    collections::VecDeque,
+    collections::{BTreeMap, VecDeque},
     fmt,
     io::{self, Read},
     path::{Path, PathBuf},
@@ -12,6 +12,8 @@ use std::{
 };
 
 use zstd::zstd_safe::{self, CDict, DDict};
+
+use super::name::Name;
 
 /// The largest dictionary, in bytes: larger ones help no more, and each takes up to ten times as much memory.
 pub const MAX_BYTES: usize = 128 << 10;
@@ -240,6 +242,41 @@ impl Dictionaries {
     /// All, the oldest first.
     pub fn iter(&self) -> impl Iterator<Item = &Arc<Dictionary>> {
         self.0.iter()
+    }
+}
+
+/// The dictionaries of several robots. Each robot's messages are unpacked with that robot's own dictionaries: an id of two
+/// bytes is easily found for other content, so that one robot could change or spoil what is read of another's messages.
+#[derive(Debug, Default)]
+pub struct RobotDictionaries(BTreeMap<Name, Dictionaries>);
+
+impl RobotDictionaries {
+    /// How many are kept of all robots together; of one robot, [`Dictionaries::MOST`].
+    pub const MOST: usize = 64;
+
+    /// The dictionaries of that robot.
+    pub fn of(&self, robot: &Name) -> &Dictionaries {
+        static NONE: Dictionaries = Dictionaries(VecDeque::new());
+        self.0.get(robot).unwrap_or(&NONE)
+    }
+
+    /// Adds one of that robot's, in place of one with the same id. With too many, the robot that has most loses its oldest.
+    pub fn add(&mut self, robot: &Name, dictionary: Arc<Dictionary>) {
+        let known = self.0.entry(robot.clone()).or_default();
+        known.0.retain(|known| known.id != dictionary.id);
+        if known.0.len() == Dictionaries::MOST {
+            known.0.pop_front();
+        }
+        known.0.push_back(dictionary);
+        while self.len() > Self::MOST {
+            let most = self.0.values_mut().max_by_key(|known| known.0.len());
+            most.and_then(|known| known.0.pop_front());
+            self.0.retain(|_, known| !known.0.is_empty());
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.0.values().map(|known| known.0.len()).sum()
     }
 }
 

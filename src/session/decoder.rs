@@ -11,7 +11,7 @@ use super::robot::Robot;
 use crate::{
     core::{
         codec::{self, dictionary::Packed, CodecError, Limits},
-        dictionary::{Dictionaries, Dictionary},
+        dictionary::{Dictionary, RobotDictionaries},
         key::Place,
         message::Message,
         name::Name,
@@ -38,7 +38,7 @@ pub(super) struct Decoder {
 
 #[derive(Default)]
 struct Known {
-    dictionaries: Dictionaries,
+    dictionaries: RobotDictionaries,
     missing: HashMap<(Name, u32), Instant>,
     served: HashMap<u32, Queryable<()>>,
 }
@@ -64,7 +64,7 @@ impl Decoder {
 
     /// The same with what is known already.
     pub(super) fn message_now(&self, message: &mut Message) {
-        message.flaw = self.unpack_now(&mut message.payload).err();
+        message.flaw = self.unpack_now(&message.from, &mut message.payload).err();
     }
 
     /// Makes a payload of that robot's what it was before it was packed; on an error it stays as it is.
@@ -73,18 +73,19 @@ impl Decoder {
         from: &Name,
         payload: &mut Payload,
     ) -> Result<(), CodecError> {
-        match self.unpack_now(payload) {
+        match self.unpack_now(from, payload) {
             // Boxed: it is rare and large, and would be moved with every message.
             Err(CodecError::Dictionary { id }) if Box::pin(self.fetch(from, id)).await => {
-                self.unpack_now(payload)
+                self.unpack_now(from, payload)
             }
             done => done,
         }
     }
 
-    fn unpack_now(&self, payload: &mut Payload) -> Result<(), CodecError> {
+    fn unpack_now(&self, from: &Name, payload: &mut Payload) -> Result<(), CodecError> {
         if codec::is_packed(&payload.encoding) {
-            *payload = codec::decode(payload, &self.limits, &self.known().dictionaries)?;
+            let known = self.known();
+            *payload = codec::decode(payload, &self.limits, known.dictionaries.of(from))?;
         }
         Ok(())
     }
@@ -109,9 +110,10 @@ impl Decoder {
             found = dictionary.filter(|dictionary| dictionary.id() == id);
         }
         let mut known = self.known();
-        let added =
-            found.is_some_and(|dictionary| known.dictionaries.add(Arc::new(dictionary)).is_ok());
-        if !added {
+        let added = found.is_some();
+        if let Some(dictionary) = found {
+            known.dictionaries.add(from, Arc::new(dictionary));
+        } else {
             tracing::warn!(
                 "{from} has no dictionary {id}: its messages that were packed with it stay packed"
             );
@@ -144,7 +146,9 @@ impl Decoder {
             .map_err(Error::zenoh("the dictionary can't be shared"))?;
         known.served.insert(id, queryable);
         // One's own messages are heard, too.
-        let _ = known.dictionaries.add(dictionary.clone());
+        known
+            .dictionaries
+            .add(&self.place.robot, dictionary.clone());
         Ok(())
     }
 

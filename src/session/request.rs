@@ -49,6 +49,8 @@ pub struct Replies {
     inbox: Arc<Inbox<zenoh::query::Reply>>,
     decoder: Arc<Decoder>,
     place: Place,
+    /// The robot that was asked; `None`: all.
+    asked: Option<Name>,
     what: String,
     timeout: Duration,
     cancellation: CancellationToken,
@@ -136,6 +138,7 @@ impl Robot {
             inbox,
             decoder: self.inner.decoder.clone(),
             place: place.clone(),
+            asked: robot,
             what: format!("answer about {topic}"),
             timeout,
             cancellation,
@@ -191,6 +194,8 @@ impl Replies {
                 if robot.is_none() && payload.bytes == b"Timeout"[..] {
                     Err(timed_out())
                 } else {
+                    // Only the robot that was asked can answer, whatever name the answer has.
+                    let robot = robot.map(|robot| self.asked.clone().unwrap_or(robot));
                     Err(Error::Service { robot, payload })
                 }
             }

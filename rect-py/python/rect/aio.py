@@ -410,7 +410,7 @@ class Subscriber(_Coming[Message]):
         message = as_it_came(await self._subscriber._inbox.pop_async(timeout))
         decoder = self._subscriber._session.decoder
         try:
-            message.payload = decoder.payload_now(message.payload)
+            message.payload = decoder.payload_now(message.sender, message.payload)
         except CodecError as error:
             if error.dictionary is None:
                 message.flaw = error

@@ -19,8 +19,6 @@ _LOG = logging.getLogger("rect")
 _PATIENCE_S = 5.0
 #: Who did not have it is asked again after this time at the earliest, so that messages of that kind do not wait each.
 _ASK_AGAIN_S = 30.0
-#: The most dictionaries that are kept, as in the core.
-_MOST = 16
 #: The most that are remembered as not to be had.
 _MAX_MISSING = 256
 
@@ -32,26 +30,24 @@ class Decoder:
         self._session = session
         self._place = place
         self._lock = threading.Lock()
-        self._known: dict[int, _rect.Dictionary] = {}
+        self._known = _rect.Known()
         self._missing: dict[tuple[str, int], float] = {}
         self._served: dict[int, object] = {}
 
     def payload(self, sender: str, packed: Payload) -> Payload:
         """A payload of that robot's as it was before it was packed; fetches what is needed for that."""
         try:
-            return self.payload_now(packed)
+            return self.payload_now(sender, packed)
         except CodecError as error:
             if error.dictionary is None or not self.fetch(sender, error.dictionary):
                 raise
-        return self.payload_now(packed)
+        return self.payload_now(sender, packed)
 
-    def payload_now(self, packed: Payload) -> Payload:
+    def payload_now(self, sender: str, packed: Payload) -> Payload:
         """The same with what is known already."""
         if not _rect.is_packed(packed.encoding):
             return packed
-        with self._lock:
-            known = list(self._known.values())
-        return Payload(*_rect.unpack(packed.bytes, packed.encoding, known))
+        return Payload(*self._known.unpack(sender, packed.bytes, packed.encoding))
 
     def fetch(self, sender: str, id: int) -> bool:
         """Asks the sender for a dictionary; whether it is here now."""
@@ -63,7 +59,7 @@ class Decoder:
         found = self._ask(sender, id)
         with self._lock:
             if found is not None:
-                self._keep(found)
+                self._known.add(sender, found)
                 return True
             if len(self._missing) >= _MAX_MISSING:
                 self._missing.clear()
@@ -88,7 +84,7 @@ class Decoder:
                 raise refused("the dictionary can't be shared", error) from None
             self._served[dictionary.id] = declared
             # One's own messages are heard, too.
-            self._keep(dictionary)
+            self._known.add(self._place.robot, dictionary)
 
     def _ask(self, sender: str, id: int) -> _rect.Dictionary | None:
         replies: Inbox[zenoh.Reply] = Inbox(16, "oldest wins")
@@ -113,11 +109,6 @@ class Decoder:
             return None
         finally:
             replies.close()
-
-    def _keep(self, dictionary: _rect.Dictionary) -> None:
-        if len(self._known) >= _MOST:
-            del self._known[next(iter(self._known))]
-        self._known[dictionary.id] = dictionary
 
     def _key(self, robot: str, id: int) -> str:
         """Where a robot has a dictionary that it made."""

@@ -55,6 +55,7 @@ class Replies:
         self, session: Session, robot: str | None, topic: str, payload: Payload, urgency: str, timeout: float
     ) -> None:
         self._session = session
+        self._robot = robot
         self._what = f"answer about {topic}"
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
@@ -159,7 +160,8 @@ class Replies:
         payload = Payload(payload_bytes(answer.payload), encoding)
         if robot is None and payload.bytes == _TIMEOUT:
             return self.timed_out()
-        return service_error(robot, payload)
+        # Only the robot that was asked can answer, whatever name the answer has.
+        return service_error(None if robot is None else self._robot or robot, payload)
 
 
 @lru_cache

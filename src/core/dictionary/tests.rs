@@ -110,3 +110,44 @@ fn the_oldest_is_forgotten_and_none_is_replaced() {
     assert_eq!(known.iter().count(), Dictionaries::MOST);
     assert!(known.get(first.id()).is_none());
 }
+
+#[test]
+fn each_robot_has_its_own_and_none_takes_the_places_of_the_others() {
+    let name = |text: &str| Name::new(text).expect("a name");
+    let (honest, other) = (name("honest"), name("other"));
+    let mut known = RobotDictionaries::default();
+    let first = trained(0);
+    known.add(&honest, first.clone());
+    let same_id = Arc::new(Dictionary {
+        bytes: b"other".to_vec(),
+        id: first.id(),
+        prepared: Prepared::new(first.as_bytes()).expect("prepared"),
+    });
+    known.add(&other, same_id.clone());
+    let found = |known: &RobotDictionaries, robot: &Name| {
+        known
+            .of(robot)
+            .get(first.id())
+            .map(|known| known.bytes.clone())
+    };
+    assert_eq!(found(&known, &honest), Some(first.bytes.clone()));
+    assert_eq!(found(&known, &other), Some(same_id.bytes.clone()));
+    assert_eq!(found(&known, &name("nobody")), None);
+    for robot in 0..8 {
+        for kind in 1..=Dictionaries::MOST {
+            known.add(&name(&format!("robot-{robot}")), trained(kind));
+        }
+    }
+    assert_eq!(known.len(), RobotDictionaries::MOST);
+    assert_eq!(
+        found(&known, &honest),
+        Some(first.bytes.clone()),
+        "it has few"
+    );
+    known.add(&honest, same_id.clone());
+    assert_eq!(
+        found(&known, &honest),
+        Some(same_id.bytes.clone()),
+        "its own change"
+    );
+}
