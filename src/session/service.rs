@@ -49,7 +49,8 @@ pub struct Request {
     query: Query,
     me: Name,
     key: String,
-    /// Who asks; `None`: a stock program, which does not say.
+    /// Who asks, as the program says of itself; `None`: a stock program, which does not say. Zenoh does not verify it: do not
+    /// let permissions depend on it.
     pub from: Option<Name>,
     /// What is asked.
     pub payload: Payload,

@@ -334,8 +334,8 @@ class Robot:
         closed: an iterator of those that ended. Without it none is taken.
 
         `folder`: they become files there, in a folder for each sender, and go on after a restart; default: in memory.
-        `max_bytes`: larger ones are refused. `at_once`: more of them wait. `patience`: how long nothing may come
-        before one is given up, in seconds.
+        `max_bytes`: larger ones are refused. `at_once`: more of them wait; of one sender, more than half. `patience`:
+        how long nothing may come before one is given up, in seconds.
 
         Raises `InvalidTopicError`, `FileError`, `Closed`.
         """

@@ -49,7 +49,8 @@ class Request:
         self._query = query
         self._me = me
         self._key = key
-        #: Who asks; `None`: a stock program, which does not say.
+        #: Who asks, as the program says of itself; `None`: a stock program, which does not say. Zenoh does not verify
+        #: it: do not let permissions depend on it.
         self.sender = sender
         #: What is asked, as bytes with an encoding.
         self.payload = Payload(payload_bytes(query.payload), "zenoh/bytes" if encoding is None else str(encoding))

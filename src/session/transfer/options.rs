@@ -18,7 +18,8 @@ pub enum Keep {
     /// In memory. What was there is lost in a restart.
     Memory,
     /// In a folder for each sender in this one, under the name that the sender gives, replacing a file of that name. What
-    /// came goes on after a restart; what nothing was added to for a week is removed. One taker for a folder.
+    /// came goes on after a restart; what nothing was added to for a week is removed, and of one sender all but the newest 16
+    /// parts. What fails for good leaves nothing behind. One taker for a folder.
     Folder(PathBuf),
 }
 
@@ -70,7 +71,8 @@ impl ReceiveTransfers {
         }
     }
 
-    /// How many at once; others wait. Default 4. On a slow link fewer wait for each other less.
+    /// How many at once, half of them (rounded up) of one sender at most; others wait. Default 4. On a slow link fewer wait for
+    /// each other less.
     #[must_use]
     pub fn at_once(self, at_once: usize) -> Self {
         Self {
