@@ -566,7 +566,7 @@ typedef struct rect_receive_options {
     const char *folder;
     // The largest that is taken, in bytes. It has to be given.
     uint64_t max_bytes;
-    // How many at once; others wait. Default 4.
+    // How many at once, half of them of one sender at most; others wait. Default 4.
     size_t at_once;
     // How long nothing may come before one is given up, in ms; default 600000.
     uint32_t patience_ms;

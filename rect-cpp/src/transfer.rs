@@ -67,7 +67,7 @@ pub struct ReceiveOptions {
     pub folder: *const c_char,
     /// The largest that is taken, in bytes. It has to be given.
     pub max_bytes: u64,
-    /// How many at once; others wait. Default 4.
+    /// How many at once, half of them of one sender at most; others wait. Default 4.
     pub at_once: usize,
     /// How long nothing may come before one is given up, in ms; default 600000.
     pub patience_ms: u32,

@@ -37,7 +37,7 @@ struct ReceiveOptions {
     std::uint64_t max_bytes = 0;
     /// Into a folder for each sender in this one, under the name that the sender gives; empty: into memory.
     std::string folder{};
-    /// How many at once; 0: 4.
+    /// How many at once, half of them (rounded up) of one sender at most; 0: 4.
     std::size_t at_once = 0;
     /// How long nothing may come before one is given up; 0: 10 minutes.
     std::chrono::milliseconds patience{0};
