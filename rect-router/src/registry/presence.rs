@@ -13,14 +13,16 @@ const ALIVE: &str = "@rect/alive";
 
 /// This robot's token, and whose the identifiers of routers are.
 pub struct Presence {
-    robots: Arc<Mutex<HashMap<String, String>>>,
+    /// Of each router, the robots whose tokens name it. A robot can put any router's identifier under its own name: the
+    /// first one counts, until its own token is gone.
+    robots: Arc<Mutex<HashMap<String, Vec<String>>>>,
     _token: LivelinessToken,
 }
 
 impl Presence {
     /// From now on this robot is there.
     pub fn start(session: &Session, fleet: &str, robot: &str) -> zenoh::Result<Arc<Self>> {
-        let robots = Arc::<Mutex<HashMap<String, String>>>::default();
+        let robots = Arc::<Mutex<HashMap<String, Vec<String>>>>::default();
         let heard = Arc::clone(&robots);
         let on_sample = move |sample: Sample| {
             let key = sample.key_expr().as_str();
@@ -29,8 +31,8 @@ impl Presence {
             };
             let mut robots = heard.lock();
             match sample.kind() {
-                SampleKind::Put => drop(robots.insert(id.to_owned(), robot.to_owned())),
-                SampleKind::Delete => drop(robots.remove(id)),
+                SampleKind::Put => on_token(&mut robots, robot, id),
+                SampleKind::Delete => on_token_gone(&mut robots, robot, id),
             }
         };
         let subscriber = session
@@ -48,11 +50,47 @@ impl Presence {
 
     /// The robot whose router has that identifier.
     pub fn robot_of(&self, id: &str) -> Option<String> {
-        self.robots.lock().get(id).cloned()
+        self.robots.lock().get(id)?.first().cloned()
+    }
+}
+
+fn on_token(robots: &mut HashMap<String, Vec<String>>, robot: &str, id: &str) {
+    let named = robots.entry(id.to_owned()).or_default();
+    if !named.iter().any(|known| known == robot) {
+        named.push(robot.to_owned());
+    }
+}
+
+fn on_token_gone(robots: &mut HashMap<String, Vec<String>>, robot: &str, id: &str) {
+    let Some(named) = robots.get_mut(id) else {
+        return;
+    };
+    named.retain(|known| known != robot);
+    if named.is_empty() {
+        robots.remove(id);
     }
 }
 
 fn robot_and_id(key: &str) -> Option<(&str, &str)> {
     let (robot, id) = key.split_once(&format!("/{ALIVE}/"))?;
     Some((robot.rsplit('/').next()?, id))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_can_not_pass_for_another_ones_router() {
+        let mut robots = HashMap::new();
+        on_token(&mut robots, "wombat-1", "a1b2");
+        on_token(&mut robots, "wombat-1", "a1b2");
+        on_token(&mut robots, "wombat-2", "a1b2");
+        assert_eq!(robots["a1b2"], ["wombat-1", "wombat-2"]);
+        on_token_gone(&mut robots, "wombat-2", "a1b2");
+        assert_eq!(robots["a1b2"], ["wombat-1"]);
+        on_token_gone(&mut robots, "wombat-1", "a1b2");
+        on_token_gone(&mut robots, "wombat-1", "a1b2");
+        assert!(robots.is_empty());
+    }
 }
