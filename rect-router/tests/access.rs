@@ -8,6 +8,14 @@ use std::{
     time::{Duration, Instant},
 };
 
+use rect::{
+    core::{
+        encoding::Encoding,
+        name::Name,
+        transfer::{offer::FileName, Checksum, Offer},
+    },
+    Options, ReceiveTransfers, Topic,
+};
 use serde_json::{json, Value};
 use support::{
     answers, arrives, ask, change, init, program, repository, start, start_with, Air, DEADLINE,
@@ -50,6 +58,73 @@ fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
     );
     let now = ask(&laptop, settings).expect("may read them");
     assert_eq!(now["text"], text.replace('[', "[ "));
+}
+
+/// Of an empty file of that robot's.
+fn empty_offer(from: &str) -> Offer {
+    Offer {
+        from: Name::new(from).expect("a name"),
+        topic: Topic::new("maps").expect("a topic"),
+        name: FileName::new("map.bin").expect("a file's name"),
+        encoding: Encoding::BYTES,
+        size_bytes: 0,
+        checksum: Checksum::of(b""),
+        call: 1,
+    }
+}
+
+#[test]
+fn a_program_can_not_confirm_a_transfer_in_another_robots_name() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let robot = init(root.path(), "wombat-1", &[]);
+    let users = format!("{robot}/users");
+    let other = init(root.path(), "wombat-2", &["--users", &users]);
+    let dial =
+        json!({ "connections": [{ "name": "robot", "method": "ble", "address": "wombat-1" }] });
+    fs::write(format!("{other}/connections.json"), dial.to_string()).expect("written");
+    let (_robot, here) = start(&air, &robot, "wombat-1", "fleet");
+    let (_other, there) = start(&air, &other, "wombat-2", "fleet");
+    let forger = program(&other, &there);
+    // It confirms its own offer, and one in the name of wombat-3.
+    let offers = ["wombat-3", "wombat-2"].map(empty_offer);
+    let me = Name::new("wombat-1").expect("a name");
+    let confirming = offers.clone().map(|offer| {
+        let key = format!("rect/{}/@rect/transfer/{}", offer.from, offer.id(&me));
+        let declared = forger.declare_queryable(key.clone()).complete(true);
+        let declared = declared.callback(move |query| {
+            query.reply(&key, offer.encode()).wait().expect("replied");
+        });
+        declared.wait().expect("declared")
+    });
+    let received = root.path().join("received");
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async {
+        let options = Options::new("wombat-1").expect("a name").login_file(&users);
+        let robot = options.router(&here).connect().await.expect("joined");
+        let taking = ReceiveTransfers::in_folder(&received, 100);
+        let transfers = robot.receive_transfers("*/**", taking).await;
+        let transfers = transfers.expect("declared");
+        let deadline = Instant::now() + DEADLINE;
+        loop {
+            assert!(Instant::now() < deadline, "its own does not arrive");
+            for offer in &offers {
+                let asked = forger
+                    .get("rect/wombat-1/@rect/inbox")
+                    .payload(offer.encode());
+                let replies = asked.await.expect("asked");
+                while replies.recv_async().await.is_ok() {}
+            }
+            let soon = Duration::from_millis(200);
+            if let Ok(got) = tokio::time::timeout(soon, transfers.next()).await {
+                let got = got.expect("open").expect("whole");
+                assert_eq!(got.from.as_str(), "wombat-2");
+                break;
+            }
+        }
+    });
+    assert!(received.join("wombat-2/map.bin").exists());
+    assert!(!received.join("wombat-3").exists());
+    drop(confirming);
 }
 
 /// The base station's access control as the README has it for a star of these robots.
