@@ -44,6 +44,7 @@ def test_the_tutorial_does_what_it_says(endpoint: str, tmp_path: Path, monkeypat
         [sys.executable, str(file)], capture_output=True, text=True, timeout=DEADLINE * 2, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr, done.stderr
     assert "wombat-1 arm/angle {'degrees': 12.5}" in done.stdout
     assert "nobody serves double at wombat-7; robots there:" in done.stdout
 
