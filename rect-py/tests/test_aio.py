@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import sys
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 
 import numpy
@@ -33,6 +35,34 @@ def with_a_pair(test: Callable[[rect.aio.Robot, rect.aio.Robot], Awaitable[None]
             await asyncio.wait_for(test(one, two), DEADLINE)
 
     asyncio.run(run())
+
+
+def test_a_handler_that_exits_ends_the_loop_after_an_answer(caplog: pytest.LogCaptureFixture) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    told: list[str] = []
+
+    def asks(asker: rect.Robot) -> None:
+        until_served(asker, "wombat-1", "exits")
+        try:
+            asker.request("wombat-1", "exits", timeout=DEADLINE)
+        except rect.RectError as error:
+            told.append(str(error))
+
+    def exits(request: rect.Request) -> None:
+        sys.exit(3)
+
+    async def serve() -> None:
+        async with rect.aio.connect("wombat-1", endpoints=[endpoint]) as robot:
+            robot.serve("exits", exits)
+            asking.start()
+            await asyncio.sleep(DEADLINE)
+
+    with rect.connect("wombat-2", listen=[endpoint]) as asker, caplog.at_level(logging.ERROR, "rect"):
+        asking = threading.Thread(target=asks, args=(asker,))
+        with pytest.raises(SystemExit):
+            asyncio.run(serve())
+        asking.join(DEADLINE)
+    assert told == ["wombat-1 answers with an error: the service called sys.exit(3)"]
 
 
 def test_messages_come_by_async_for() -> None:

@@ -324,8 +324,15 @@ class Robot:
         task = asyncio.ensure_future(work)
         assert isinstance(task, asyncio.Task)
         self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(self._on_done)
         return task
+
+    def _on_done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        error = None if task.cancelled() else task.exception()
+        # `sys.exit` has ended the loop: whoever runs that has it already.
+        if isinstance(error, Exception):
+            _LOG.error("a task of %r failed", self, exc_info=error)
 
     async def _say(self, topic: str, to: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         self._session.check()
@@ -584,8 +591,11 @@ class Service:
                 request.reply(await said if inspect.isawaitable(said) else said)
             except Exception as error:
                 request.refuse_for(error)
+            except asyncio.CancelledError:
+                request.refuse("the service ends")
+                raise
             except BaseException as error:
-                # The loop ends by it (`sys.exit`), or this task was cancelled: the asker hears so all the same.
+                # `sys.exit` ends the loop; the requester is told so first.
                 request.refuse_for(error)
                 raise
         except Exception as error:
