@@ -9,18 +9,36 @@ use std::{
 };
 
 use rect::{
+    blocking,
     core::{
         encoding::Encoding,
         name::Name,
         transfer::{offer::FileName, Checksum, Offer},
     },
-    Options, ReceiveTransfers, Topic,
+    Error, Options, ReceiveTransfers, Topic,
 };
 use serde_json::{json, Value};
 use support::{
     answers, arrives, ask, change, init, program, repository, start, start_with, Air, DEADLINE,
 };
 use zenoh::{Session, Wait};
+
+#[test]
+fn a_program_with_another_robots_name_or_without_the_login_is_told_so_when_it_joins() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let robot = init(root.path(), "wombat-1", &[]);
+    let (_router, endpoint) = start(&air, &robot, "wombat-1", "fleet");
+    let users = format!("{robot}/users");
+    let join = |name: &str, users: &str| {
+        let options = Options::new(name).expect("a name").login_file(users);
+        blocking::Robot::join(options.router(&endpoint))
+    };
+    join("wombat-1", &users).expect("joined");
+    let wrong = join("wombat-7", &users).expect_err("another robot's router");
+    assert!(matches!(wrong, Error::WrongRobot(_)), "{wrong}");
+    let refused = join("wombat-1", "/none").expect_err("no login");
+    assert!(matches!(refused, Error::LoginRefused(_)), "{refused}");
+}
 
 #[test]
 fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {

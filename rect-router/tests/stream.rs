@@ -13,7 +13,7 @@ use std::{
 
 use rect::{
     core::stream::ladder::{Coding, Level, PICTURES},
-    Encoding, Frame, Payload, Robot, Stream, StreamOptions, Watch,
+    Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
 };
 use support::{joined, simulated, Air, Router, DEADLINE};
 use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
@@ -177,10 +177,11 @@ fn a_laptop_at_the_senders_router_gets_it_lossless_while_a_robot_on_bluetooth_ge
 
 async fn two_watchers([here, there]: &[String; 2]) {
     let sender = joined("wombat-1", here).await;
-    let (laptop, robot) = (
-        joined("laptop", here).await,
-        joined("wombat-2", there).await,
-    );
+    let robot = joined("wombat-2", there).await;
+    // Another robot's router, on purpose.
+    let laptop = Options::new("laptop").expect("a name").login_file("/none");
+    let laptop = laptop.router(here).allow_name_mismatch().connect().await;
+    let laptop = laptop.expect("joined");
     let stream = stream(&sender).await;
     let slow = robot.watch("wombat-1", "camera").await.expect("watched");
     let fast = laptop.watch("wombat-1", "camera").await.expect("watched");
