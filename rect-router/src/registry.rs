@@ -12,7 +12,7 @@ use std::{
     collections::HashMap,
     sync::{mpsc, Arc},
     thread,
-    time::{Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 use rect::core::{
@@ -28,7 +28,7 @@ use zenoh_link::ble::{
 use self::{
     document::{peers, Clock, Counts, Status},
     presence::Presence,
-    publisher::publish,
+    publisher::{publish, Change},
     radio::Ble,
     selector::Selector,
     sockets::Sockets,
@@ -44,7 +44,7 @@ use crate::{
 pub struct Registry {
     _presence: Arc<Presence>,
     /// The only one that is held for good: without it the publisher ends.
-    _changed: Arc<mpsc::Sender<()>>,
+    _changed: Arc<mpsc::Sender<Change>>,
 }
 
 /// What is counted below Zenoh on a link, since that began.
@@ -80,8 +80,9 @@ impl Registry {
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
         let changed = Arc::new(changed);
-        let on_change = on_change(&changed);
-        let presence = Presence::start(session, &settings.fleet, &settings.robot)?;
+        let on_robots = on_change(&changed, Change::Robots);
+        let on_change = on_change(&changed, Change::Links);
+        let presence = Presence::start(session, &settings.fleet, &settings.robot, on_robots)?;
         let uptime = Uptime::start([session].into_iter().chain(&host), &on_change)?;
         if let Some(connections) = &connections {
             connections.on_change(on_change);
@@ -104,6 +105,7 @@ impl Registry {
             peers
         })?;
         let (id, start) = (session.zid().to_string(), Instant::now());
+        let others = Arc::clone(&presence);
         sources.answer(own, "status", move |connections, _| {
             let rule = fleet.rule();
             Status {
@@ -112,6 +114,7 @@ impl Registry {
                 up_s: start.elapsed().as_secs_f64(),
                 auto_connect: rule.auto_connect,
                 auto_links: rule.auto_links,
+                same_name: others.namesakes(),
                 connections: Counts::of(&connections),
             }
         })?;
@@ -158,15 +161,45 @@ impl Sources {
         queryable.background().wait()
     }
 
-    /// All that are wanted, by name, all others that are there, and those that could be.
-    fn connections(&self, sockets: &Sockets) -> Vec<Connection> {
+    /// All links but those between this robot's own routers.
+    fn links(&self) -> Vec<Link> {
         let sessions = || [&self.session].into_iter().chain(&self.host);
         let own: Vec<_> = sessions().map(Session::zid).collect();
-        let mut links: Vec<Link> = Vec::new();
+        let mut links = Vec::new();
         for session in sessions() {
             let of_others = |link: &Link| !own.contains(link.zid());
             links.extend(session.info().links().wait().filter(of_others));
         }
+        links
+    }
+
+    /// Whether a link to a router that is younger than `newest` does not have the name of its robot yet.
+    fn awaits_names(&self, newest: Duration) -> bool {
+        let sessions = [&self.session].into_iter().chain(&self.host);
+        let routers: Vec<_> = sessions
+            .flat_map(|session| session.info().routers_zid().wait())
+            .collect();
+        let is_new = |link: &Link| {
+            let up = self.uptime.of(&Ends::of(link.src(), link.dst()));
+            up.is_none_or(|up| up < newest)
+        };
+        self.links().iter().any(|link| {
+            routers.contains(link.zid())
+                && is_new(link)
+                && self.presence.robot_of(&link.zid().to_string()).is_none()
+        })
+    }
+
+    /// The other end of a link to that router, if there is one.
+    fn way_to(&self, id: &str) -> Option<String> {
+        let links = self.links();
+        let link = links.iter().find(|link| link.zid().to_string() == id)?;
+        Some(link.dst().to_string())
+    }
+
+    /// All that are wanted, by name, all others that are there, and those that could be.
+    fn connections(&self, sockets: &Sockets) -> Vec<Connection> {
+        let links = self.links();
         let mut by_ends: HashMap<_, _> = links
             .iter()
             .map(|link| (Ends::of(link.src(), link.dst()), link))
@@ -292,11 +325,14 @@ impl Sources {
 }
 
 /// What tells the publisher of a change, if there still is one.
-fn on_change(changed: &Arc<mpsc::Sender<()>>) -> impl Fn() + Clone + Send + Sync + 'static {
+fn on_change(
+    changed: &Arc<mpsc::Sender<Change>>,
+    change: Change,
+) -> impl Fn() + Clone + Send + Sync + 'static {
     let changed = Arc::downgrade(changed);
     move || {
         if let Some(changed) = changed.upgrade() {
-            let _ = changed.send(());
+            let _ = changed.send(change);
         }
     }
 }

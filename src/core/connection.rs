@@ -143,7 +143,7 @@ pub enum Event {
         /// Which.
         robot: Name,
     },
-    /// This robot has a link more.
+    /// This robot has a link more. It comes again, with the robot, if the link turns out to lead to one later on.
     LinkUp(Link),
     /// It has one less.
     LinkDown(Link),
@@ -167,35 +167,69 @@ pub struct Link {
 /// The links there are, to tell what is news.
 #[derive(Debug, Default)]
 pub struct Links {
-    links: BTreeMap<Link, usize>,
+    /// By method and address: the robot at the other end, once that is known.
+    links: BTreeMap<(String, String), Option<Name>>,
 }
 
 impl Links {
-    /// All connections as they are now; what has changed since the last time.
+    /// Returns what has changed, given all connections as they are now. Which robot a link leads to is known a moment after
+    /// the link, and forgotten a moment before its end: neither is a link less.
     pub fn on_connections(&mut self, connections: &[Connection]) -> Vec<Event> {
-        let mut now = BTreeMap::new();
+        let mut now: BTreeMap<_, Option<Name>> = BTreeMap::new();
         let connected = |one: &&Connection| one.state == ConnectionState::Connected;
-        for one in connections.iter().filter(connected) {
-            *now.entry(Link::of(one)).or_default() += 1;
+        for Link {
+            method,
+            address,
+            robot,
+        } in connections.iter().filter(connected).map(Link::of)
+        {
+            let known = now.entry((method, address)).or_default();
+            *known = known.take().or(robot);
         }
-        let before = std::mem::replace(&mut self.links, now);
-        let gone = before.keys().filter(|link| !self.links.contains_key(link));
-        let new = self.links.keys().filter(|link| !before.contains_key(link));
-        let gone = gone.cloned().map(Event::LinkDown);
-        gone.chain(new.cloned().map(Event::LinkUp)).collect()
+        let before = std::mem::take(&mut self.links);
+        let (mut gone, mut new) = (Vec::new(), Vec::new());
+        for (ends, robot) in &mut now {
+            match (before.get(ends), robot.as_ref()) {
+                (Some(before), None) => robot.clone_from(before),
+                (Some(Some(before)), Some(robot)) if before == robot => {}
+                (Some(Some(before)), Some(_)) => {
+                    gone.push(Event::LinkDown(Link::between(ends, Some(before))));
+                    new.push(Event::LinkUp(Link::between(ends, robot.as_ref())));
+                }
+                (Some(None) | None, _) => {
+                    new.push(Event::LinkUp(Link::between(ends, robot.as_ref())));
+                }
+            }
+        }
+        for (ends, robot) in before.iter().filter(|(ends, _)| !now.contains_key(*ends)) {
+            gone.push(Event::LinkDown(Link::between(ends, robot.as_ref())));
+        }
+        self.links = now;
+        gone.append(&mut new);
+        gone
     }
 
     /// By what a robot is linked with this one; `None`: not at all, or by several methods.
     pub fn method(&self, robot: &Name) -> Option<&str> {
-        let mut methods = self.links.keys();
-        let its = |link: &&Link| link.robot.as_ref() == Some(robot);
-        let first = methods.find(its)?;
-        let other = methods.find(|link| its(link) && link.method != first.method);
-        other.is_none().then_some(first.method.as_str())
+        let its = self
+            .links
+            .iter()
+            .filter(|(_, to)| to.as_ref() == Some(robot));
+        let mut methods = its.map(|((method, _), _)| method.as_str());
+        let first = methods.next()?;
+        methods.all(|method| method == first).then_some(first)
     }
 }
 
 impl Link {
+    fn between((method, address): &(String, String), robot: Option<&Name>) -> Self {
+        Self {
+            method: method.clone(),
+            address: address.clone(),
+            robot: robot.cloned(),
+        }
+    }
+
     fn of(connection: &Connection) -> Self {
         let robot = connection
             .peer
@@ -277,6 +311,54 @@ mod tests {
             "{news:?}"
         );
         assert_eq!(links.method(&b), None, "by two methods");
+    }
+
+    #[test]
+    fn a_link_whose_robot_becomes_known_later_is_not_lost() {
+        use ConnectionState::Connected;
+        let named = connection("ble", "b", Connected);
+        let unnamed = Connection {
+            peer: None,
+            ..named.clone()
+        };
+        let link = |robot: Option<&str>| Link {
+            method: "ble".to_owned(),
+            address: "to-b".to_owned(),
+            robot: robot.map(|robot| Name::new(robot).expect("a name")),
+        };
+        let mut links = Links::default();
+        // A reconnect, again and again: the link, its robot, its robot forgotten, its end.
+        for _ in 0..2 {
+            let news = links.on_connections(std::slice::from_ref(&unnamed));
+            assert_eq!(news, [Event::LinkUp(link(None))]);
+            let news = links.on_connections(std::slice::from_ref(&named));
+            assert_eq!(news, [Event::LinkUp(link(Some("b")))]);
+            assert_eq!(links.on_connections(std::slice::from_ref(&unnamed)), []);
+            let b = Name::new("b").expect("a name");
+            assert_eq!(links.method(&b), Some("ble"));
+            let news = links.on_connections(&[]);
+            assert_eq!(news, [Event::LinkDown(link(Some("b")))]);
+        }
+    }
+
+    #[test]
+    fn another_robot_at_the_same_address_is_another_link() {
+        use ConnectionState::Connected;
+        let first = connection("tcp", "b", Connected);
+        let second = Connection {
+            peer: Some(PeerId {
+                id: "2".to_owned(),
+                robot: Some("c".to_owned()),
+            }),
+            ..first.clone()
+        };
+        let mut links = Links::default();
+        assert_eq!(links.on_connections(&[first]).len(), 1);
+        let news = links.on_connections(&[second]);
+        assert!(
+            matches!(&news[..], [Event::LinkDown(_), Event::LinkUp(_)]),
+            "{news:?}"
+        );
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Owns `rect-router doctor`: what keeps this computer from talking to others, each with what to do about it.
 mod login;
+mod names;
 mod network;
 mod system;
 

@@ -30,6 +30,8 @@ pub struct Status {
     pub auto_connect: AutoConnect,
     /// With `fleet`, to how many beside those listed.
     pub auto_links: usize,
+    /// Identifiers of other routers of the fleet that have this robot's name; none is as it should be.
+    pub same_name: Vec<String>,
     /// How many connections it has.
     pub connections: Counts,
 }

@@ -1,5 +1,8 @@
-//! Owns who is there: this robot says so by a liveliness token, and hears the others' of its fleet.
-use std::{collections::HashMap, sync::Arc};
+//! Owns who is there: this robot says so by a liveliness token, and hears the others' of its fleet. Another router with
+//! this robot's own name is found here, too.
+mod namesakes;
+
+use std::{collections::HashMap, sync::Arc, time::Instant};
 
 use parking_lot::Mutex;
 use zenoh::{
@@ -8,32 +11,62 @@ use zenoh::{
     Session, Wait,
 };
 
+use self::namesakes::Namesakes;
+pub use self::namesakes::News;
+
 /// `<fleet>/<robot>/@rect/alive/<id of its router>`
 const ALIVE: &str = "@rect/alive";
 
 /// This robot's token, and whose the identifiers of routers are.
 pub struct Presence {
-    /// Of each router, the robots whose tokens name it. A robot can put any router's identifier under its own name: the
-    /// first one counts, until its own token is gone.
-    robots: Arc<Mutex<HashMap<String, Vec<String>>>>,
+    heard: Arc<Mutex<Heard>>,
     _token: LivelinessToken,
 }
 
+#[derive(Default)]
+struct Heard {
+    /// The robots whose tokens name a router, by the router's identifier. A robot can put any router's identifier under its
+    /// own name: the first one counts, until its own token is gone.
+    robots: HashMap<String, Vec<String>>,
+    namesakes: Namesakes,
+}
+
 impl Presence {
-    /// From now on this robot is there.
-    pub fn start(session: &Session, fleet: &str, robot: &str) -> zenoh::Result<Arc<Self>> {
-        let robots = Arc::<Mutex<HashMap<String, Vec<String>>>>::default();
-        let heard = Arc::clone(&robots);
+    /// From now on this robot is there. Calls `on_change` when another one comes or goes.
+    pub fn start(
+        session: &Session,
+        fleet: &str,
+        robot: &str,
+        on_change: impl Fn() + Send + Sync + 'static,
+    ) -> zenoh::Result<Arc<Self>> {
+        let heard = Arc::<Mutex<Heard>>::default();
+        let (own_name, own_id) = (robot.to_owned(), session.zid().to_string());
+        let others = Arc::clone(&heard);
         let on_sample = move |sample: Sample| {
             let key = sample.key_expr().as_str();
             let Some((robot, id)) = robot_and_id(key) else {
                 return;
             };
-            let mut robots = heard.lock();
-            match sample.kind() {
-                SampleKind::Put => on_token(&mut robots, robot, id),
-                SampleKind::Delete => on_token_gone(&mut robots, robot, id),
+            if id == own_id {
+                return;
             }
+            let mut heard = others.lock();
+            match sample.kind() {
+                SampleKind::Put => {
+                    on_token(&mut heard.robots, robot, id);
+                    if robot == own_name {
+                        heard.namesakes.on_up(id, Instant::now());
+                    }
+                }
+                SampleKind::Delete => {
+                    on_token_gone(&mut heard.robots, robot, id);
+                    if robot == own_name {
+                        heard.namesakes.on_down(id);
+                    }
+                }
+            }
+            drop(heard);
+            on_change();
         };
         let subscriber = session
             .liveliness()
@@ -43,14 +76,24 @@ impl Presence {
         let own = format!("{fleet}/{robot}/{ALIVE}/{}", session.zid());
         let token = session.liveliness().declare_token(own).wait()?;
         Ok(Arc::new(Self {
-            robots,
+            heard,
             _token: token,
         }))
     }
 
     /// The robot whose router has that identifier.
     pub fn robot_of(&self, id: &str) -> Option<String> {
-        self.robots.lock().get(id)?.first().cloned()
+        self.heard.lock().robots.get(id)?.first().cloned()
+    }
+
+    /// Returns the identifiers of others with this robot's name.
+    pub fn namesakes(&self) -> Vec<String> {
+        self.heard.lock().namesakes.there(Instant::now())
+    }
+
+    /// Returns what has changed about others with this robot's name since the last call.
+    pub fn news_of_namesakes(&self) -> Vec<News> {
+        self.heard.lock().namesakes.news(Instant::now())
     }
 }
 

@@ -3,13 +3,13 @@
 use std::{
     collections::BTreeSet,
     sync::mpsc::{Receiver, RecvTimeoutError},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use rect::core::connection::{Connection, ConnectionState as State};
 use zenoh::{bytes::Encoding, Wait};
 
-use super::{sockets::Sockets, Sources};
+use super::{presence::News, sockets::Sockets, Sources};
 
 /// Several changes within so long are published as one.
 const TOGETHER: Duration = Duration::from_millis(50);
@@ -18,16 +18,32 @@ const TOGETHER: Duration = Duration::from_millis(50);
 /// link. So a hall where robots come and go costs one publication in so long.
 const LOOK: Duration = Duration::from_secs(1);
 
+/// How long a link to a router waits for the name of its robot before it is published without one.
+const NAMING: Duration = Duration::from_secs(1);
+
+/// What may have to be published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// A link, or a connection that is wanted, comes or goes.
+    Links,
+    /// Robots come or go. It matters only if a link leads to one.
+    Robots,
+}
+
 /// Publishes until nobody can tell of a change any more.
-pub fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
+pub fn publish(sources: &Sources, key: &str, changes: &Receiver<Change>) {
     let mut told = Others::default();
     loop {
         let is_changed = match changes.recv_timeout(LOOK) {
-            Ok(()) => gather(changes),
+            Ok(first) => gather(first, changes),
             Err(RecvTimeoutError::Timeout) => Ok(false),
             Err(RecvTimeoutError::Disconnected) => return,
         };
         let Ok(is_changed) = is_changed else { return };
+        report_namesakes(sources);
+        if is_changed && wait_for_names(sources, changes).is_err() {
+            return;
+        }
         let are_others = told.are_now(&sources.connections(&Sockets::unasked()));
         if !is_changed && !are_others {
             continue;
@@ -43,13 +59,48 @@ pub fn publish(sources: &Sources, key: &str, changes: &Receiver<()>) {
     }
 }
 
-/// Waits for what follows a change at once; an error: nobody can tell of one any more.
-fn gather(changes: &Receiver<()>) -> Result<bool, RecvTimeoutError> {
+/// Waits for what follows a change at once, and tells whether any of it concerns links; an error: nobody can tell of one any
+/// more.
+fn gather(first: Change, changes: &Receiver<Change>) -> Result<bool, RecvTimeoutError> {
+    let mut is_of_links = first == Change::Links;
     loop {
         match changes.recv_timeout(TOGETHER) {
-            Ok(()) => {}
-            Err(RecvTimeoutError::Timeout) => return Ok(true),
+            Ok(change) => is_of_links |= change == Change::Links,
+            Err(RecvTimeoutError::Timeout) => return Ok(is_of_links),
             Err(ended) => return Err(ended),
+        }
+    }
+}
+
+/// Waits while a new link to a router has no name yet: the robot says who it is over that link, a moment later.
+fn wait_for_names(sources: &Sources, changes: &Receiver<Change>) -> Result<(), RecvTimeoutError> {
+    let deadline = Instant::now() + NAMING;
+    while sources.awaits_names(NAMING) {
+        match changes.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+            Ok(_) => {}
+            Err(RecvTimeoutError::Timeout) => break,
+            Err(ended) => return Err(ended),
+        }
+    }
+    Ok(())
+}
+
+/// Logs that another robot has this one's name. Neither is cut off: nobody can tell which of them is in the right, and
+/// over TCP a link has no name that could be refused.
+fn report_namesakes(sources: &Sources) {
+    for news in sources.presence.news_of_namesakes() {
+        match news {
+            News::Found(id) => {
+                let way = match sources.way_to(&id) {
+                    Some(link) => format!("at {link}"),
+                    None => "behind another robot".to_owned(),
+                };
+                tracing::error!(
+                    "another router of this fleet has this robot's name: {id}, {way}. Messages and answers of the two get \
+                     mixed up; give one of them another name (`robot` in plugins/rect, or rect-router init)"
+                );
+            }
+            News::Gone(id) => tracing::info!("the router {id} with this robot's name is gone"),
         }
     }
 }

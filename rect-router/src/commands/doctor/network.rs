@@ -5,7 +5,7 @@ use rect::core::{display, named_connection::CONFIG, wording::short_reason};
 use serde_json::Value;
 use zenoh::{Session, Wait};
 
-use super::{login, Finding};
+use super::{login, names, Finding};
 use crate::{
     commands::{
         client::{answers, session},
@@ -42,6 +42,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     }
     findings.extend(peers(&session));
     findings.extend(clocks(&session));
+    findings.extend(names::findings(&replies(&session, "*/*/@rect/status")));
     findings
 }
 
