@@ -7,7 +7,9 @@
 use std::process::ExitCode;
 
 use rect::core::wording;
-use rect_router::{args, commands, config, logging, robot::Robot, router, threads, version};
+use rect_router::{
+    args, commands, config, logging, robot::Robot, router, threads, version,
+};
 
 fn main() -> ExitCode {
     threads::set();
@@ -15,13 +17,15 @@ fn main() -> ExitCode {
     if let Some(command) = &args.command {
         return commands::run(command);
     }
-    match run(&args) {
+    let status = match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            rect::errln!("rect-router: {}", wording::with_causes(error.as_ref()));
+            logging::report(&wording::with_causes(error.as_ref()));
             ExitCode::FAILURE
         }
-    }
+    };
+    logging::finish();
+    status
 }
 
 fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
@@ -31,7 +35,7 @@ fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error + Send + Sync>
     let robot = settings
         .map(|settings| Robot::prepare(settings, &mut config))
         .transpose()?;
-    tracing::info!("Initial conf: {}", config::without_secrets(&config));
+    tracing::debug!("Initial conf: {}", config::without_secrets(&config));
     router::run(config, robot)?;
     Ok(())
 }

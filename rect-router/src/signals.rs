@@ -8,6 +8,8 @@ use signal_hook::{
     low_level::signal_name,
 };
 
+use crate::logging;
+
 /// Sends `event()` on the first signal.
 pub fn watch<E: Send + 'static>(events: Sender<E>, event: fn() -> E) -> io::Result<()> {
     let mut signals = Signals::new([SIGTERM, SIGINT])?;
@@ -19,12 +21,13 @@ pub fn watch<E: Send + 'static>(events: Sender<E>, event: fn() -> E) -> io::Resu
                 let name = signal_name(signal).unwrap_or("signal");
                 if asked {
                     tracing::warn!("{name} again: ending without closing the links");
+                    logging::finish();
                     process::exit(128 + signal);
                 }
                 asked = true;
-                tracing::info!("{name}: closing");
                 // Nobody listens once the router has ended by itself; then there is nothing left to stop.
                 let _ = events.send(event());
+                tracing::info!("{name}: closing");
             }
         })?;
     Ok(())

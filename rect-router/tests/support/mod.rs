@@ -70,7 +70,7 @@ impl Router {
             .env("NO_COLOR", "1")
             .env(
                 "RUST_LOG",
-                "z=info,rect=info,zenoh::net::runtime::orchestrator=debug",
+                "z=info,rect=info,rect_router=debug,zenoh::net::runtime::orchestrator=debug",
             )
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

@@ -1,7 +1,7 @@
 //! Zenoh sessions with a router, and what is asked through them.
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use serde_json::{json, Value};
 use zenoh::{query::Reply, Config, Session, Wait};
 
 use super::DEADLINE;
@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// A client of the router at `endpoint`, with further settings.
 pub fn client_with(endpoint: &str, settings: &[(&str, &str)]) -> zenoh::Result<Session> {
     let mut config = Config::default();
-    let endpoints = format!("[\"{endpoint}\"]");
+    let endpoints = json!([endpoint]).to_string();
     let base = [
         ("mode", "\"client\""),
         ("connect/endpoints", endpoints.as_str()),
