@@ -15,6 +15,7 @@ use zenoh_link_slot::SLOT_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
+pub use self::login::{exposed_login_file, ExposedLogins};
 use self::login::{log_in_as, logins};
 pub use self::settings::{AutoConnect, Rule, Settings, MAX_AUTO_LINKS};
 use crate::args::Args;
@@ -126,6 +127,9 @@ fn change<T: Clone>(
 /// Checks the login file, if there is one, and shows the password of `user` wherever this router dials.
 pub fn log_in(config: &mut Config, user: Option<&str>) -> Result<(), ConfigError> {
     let logins = logins(config)?;
+    if let Some(exposed) = exposed_login_file(config) {
+        tracing::warn!("{exposed}");
+    }
     match user {
         Some(user) => log_in_as(config, user, logins),
         None => Ok(()),

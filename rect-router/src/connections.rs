@@ -111,6 +111,18 @@ impl Connections {
         Ok(self.apply(wanted))
     }
 
+    /// Removes what a router left beside the file that was killed while it changed it.
+    pub fn remove_leftovers(&self) {
+        match self.store.lock().remove_leftovers() {
+            Ok(0) => {}
+            Ok(removed) => tracing::info!(
+                "{}: removed what an interrupted change had left ({removed} files)",
+                self.path.display()
+            ),
+            Err(error) => tracing::debug!("{}: {error}", self.path.display()),
+        }
+    }
+
     /// Reads the file; nothing changes.
     pub fn check(&self) -> Result<(), FileError> {
         file::read(&self.path, &self.limits).map(drop)

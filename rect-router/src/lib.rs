@@ -8,6 +8,7 @@ mod config_service;
 pub mod connections;
 pub mod logging;
 pub mod registry;
+mod regular_file;
 pub mod robot;
 pub mod router;
 mod signals;

@@ -108,6 +108,7 @@ impl Robot {
 /// Dials what is in the file, and whatever will be.
 fn begin(connections: &Arc<Connections>) -> Option<Watching> {
     let path = connections.path().display();
+    connections.remove_leftovers();
     match connections.load() {
         Ok(changes) => tracing::info!("{path}: {changes}"),
         Err(error) => tracing::error!(

@@ -1,11 +1,22 @@
 //! The login file: who may connect, and what this router says of itself when it dials.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fmt, fs,
+    os::unix::fs::PermissionsExt,
+    path::{Path, PathBuf},
+};
 
 use rect::core::login;
 use zenoh::Config;
 
 use super::ConfigError;
+use crate::regular_file;
+
+/// The largest login file that is read, in bytes: some ten thousand users.
+const MAX_BYTES: u64 = 1 << 20;
+/// What everybody else on the computer may do with a file: read, write.
+const OTHERS_READ: u32 = 0o004;
+const OTHERS_WRITE: u32 = 0o002;
 
 /// The file of those who may log in, if there is one.
 pub(super) struct Logins {
@@ -14,25 +25,65 @@ pub(super) struct Logins {
 }
 
 pub(super) fn logins(config: &Config) -> Result<Option<Logins>, ConfigError> {
-    let Some(path) = config
-        .transport
-        .auth
-        .usrpwd
-        .dictionary_file()
-        .as_ref()
-        .map(PathBuf::from)
-    else {
+    let Some(path) = login_file(config) else {
         return Ok(None);
     };
-    let text = fs::read_to_string(&path).map_err(|source| ConfigError::LoginFile {
-        path: path.clone(),
-        source,
+    let text = regular_file::read_to_string(&path, MAX_BYTES).map_err(|source| {
+        ConfigError::LoginFile {
+            path: path.clone(),
+            source,
+        }
     })?;
     // Zenoh takes an empty file for no login at all, and would let everyone in.
     if text.trim().is_empty() {
         return Err(ConfigError::NoLogins { path });
     }
     Ok(Some(Logins { path, text }))
+}
+
+fn login_file(config: &Config) -> Option<PathBuf> {
+    let path = config.transport.auth.usrpwd.dictionary_file().as_ref()?;
+    Some(PathBuf::from(path))
+}
+
+/// A login file that users of this computer can read or write who are neither its owner nor in its group.
+#[derive(Debug, PartialEq, Eq)]
+pub struct ExposedLogins {
+    path: PathBuf,
+    may: &'static str,
+}
+
+impl ExposedLogins {
+    /// Looks at a login file; `None` if it is private or cannot be looked at.
+    pub fn find(path: &Path) -> Option<Self> {
+        let mode = fs::metadata(path).ok()?.permissions().mode();
+        let may = match (mode & OTHERS_READ != 0, mode & OTHERS_WRITE != 0) {
+            (false, false) => return None,
+            (true, false) => "read",
+            (false, true) => "write",
+            (true, true) => "read and write",
+        };
+        Some(Self {
+            path: path.to_owned(),
+            may,
+        })
+    }
+}
+
+impl fmt::Display for ExposedLogins {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "every user of this computer can {} the login file {path}; run: chmod o-rw {path}",
+            self.may,
+            path = self.path.display()
+        )
+    }
+}
+
+/// Returns what is wrong with the permissions of the configuration's login file, if there is one and something is.
+pub fn exposed_login_file(config: &Config) -> Option<ExposedLogins> {
+    ExposedLogins::find(&login_file(config)?)
 }
 
 pub(super) fn log_in_as(
@@ -56,4 +107,32 @@ pub(super) fn log_in_as(
             key: "transport/auth/usrpwd",
             value: user.to_owned(),
         })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_login_file_is_for_its_owner_and_its_group() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("users");
+        fs::write(&path, "fleet:secret\n").expect("written");
+        for (mode, found) in [
+            (0o600, None),
+            (0o660, None),
+            (0o644, Some("can read the")),
+            (0o642, Some("can write the")),
+            (0o666, Some("can read and write the")),
+        ] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("set");
+            let exposed = ExposedLogins::find(&path).map(|exposed| exposed.to_string());
+            match (found, exposed) {
+                (None, None) => {}
+                (Some(found), Some(exposed)) => assert!(exposed.contains(found), "{exposed}"),
+                (_, exposed) => panic!("{mode:o}: {exposed:?}"),
+            }
+        }
+        assert_eq!(ExposedLogins::find(&folder.path().join("nowhere")), None);
+    }
 }

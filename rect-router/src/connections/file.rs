@@ -2,7 +2,6 @@
 //! rule for the rest of the fleet; or the one mistake with its line and column. Half a file is never taken.
 use std::{
     collections::HashMap,
-    fs::File,
     io::{self, Read},
     path::{Path, PathBuf},
     str::FromStr,
@@ -15,10 +14,13 @@ use jsonc_parser::{
 };
 
 use super::spec::{Spec, Written, Wrong};
-use crate::config::{AutoConnect, MAX_AUTO_LINKS};
+use crate::{
+    config::{AutoConnect, MAX_AUTO_LINKS},
+    regular_file,
+};
 
 /// The largest file that is read, in bytes: some ten thousand connections.
-const MAX_BYTES: u64 = 1 << 20;
+pub(super) const MAX_BYTES: u64 = 1 << 20;
 
 /// Why a file is not taken. Nothing changes then.
 #[derive(Debug, thiserror::Error)]
@@ -83,7 +85,7 @@ pub struct Limits {
 pub fn read(path: &Path, limits: &Limits) -> Result<Wanted, FileError> {
     let path = || path.to_owned();
     let mut bytes = Vec::new();
-    File::open(path())
+    regular_file::open(&path())
         .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
         .map_err(|source| FileError::Unreadable {
             path: path(),

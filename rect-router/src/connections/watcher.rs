@@ -1,6 +1,7 @@
 //! Owns the watch over a connections file: what changes in it takes effect, what is wrong in it is told and changes nothing.
 use std::{
-    path::Path,
+    collections::BTreeSet,
+    path::{Path, PathBuf},
     sync::{
         mpsc::{self, Receiver, RecvTimeoutError},
         Arc,
@@ -30,17 +31,25 @@ impl Watching {
     /// Watches the folder: an editor, and whoever changes a file safely, puts a new file in its place.
     pub(super) fn start(connections: Arc<Connections>) -> notify::Result<Self> {
         let path = std::path::absolute(connections.path())?;
+        // Where that is a symbolic link, the file that it leads to changes in its own folder.
+        let mut paths = vec![path.clone()];
+        paths.extend(path.canonicalize().ok().filter(|real| *real != path));
+        let folders: BTreeSet<_> = paths
+            .iter()
+            .map(|path| path.parent().unwrap_or(Path::new("/")).to_owned())
+            .collect();
         let (events, changed) = mpsc::channel();
-        let watched = path.clone();
         let mut watcher = notify::recommended_watcher(move |event: notify::Result<Event>| {
-            let is_it =
-                event.is_ok_and(|event| !event.kind.is_access() && event.paths.contains(&watched));
+            let is_watched = |path: &PathBuf| paths.contains(path);
+            let is_it = event
+                .is_ok_and(|event| !event.kind.is_access() && event.paths.iter().any(is_watched));
             if is_it {
                 let _ = events.send(());
             }
         })?;
-        let folder = path.parent().unwrap_or(Path::new("/"));
-        watcher.watch(folder, RecursiveMode::NonRecursive)?;
+        for folder in &folders {
+            watcher.watch(folder, RecursiveMode::NonRecursive)?;
+        }
         thread::Builder::new()
             .name("connections".to_owned())
             .spawn(move || follow(&connections, &changed))?;

@@ -1,5 +1,5 @@
 //! `cargo test -p rect-router --lib connections::file`
-use std::io::Write;
+use std::{fs::File, io::Write};
 
 use super::*;
 
@@ -229,4 +229,13 @@ fn both_sides_of_the_limits() {
     assert!(written(deep.as_bytes()).is_err_and(|e| e.contains("depth")));
     let nowhere = read(&folder.path().join("nowhere"), &limits()).expect_err("not there");
     assert!(nowhere.to_string().contains("nowhere"));
+}
+
+#[test]
+fn a_pipe_in_its_place_is_refused_at_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("connections.json");
+    nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
+    let error = read(&path, &limits()).expect_err("a pipe");
+    assert!(matches!(error, FileError::Unreadable { .. }), "{error}");
 }
