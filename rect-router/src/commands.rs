@@ -72,9 +72,12 @@ pub struct InitArgs {
     /// For a laptop, from which the robots' settings may be changed
     #[arg(long)]
     pub base_station: bool,
-    /// Where to write
+    /// Where to write; a relative one is taken from where the command runs
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
     pub folder: PathBuf,
+    /// The TCP port of 127.0.0.1 for this computer's programs
+    #[arg(long, default_value_t = 7447, value_parser = clap::value_parser!(u16).range(1..))]
+    pub port: u16,
     /// Start the installed service with it, now and at each boot
     #[arg(long)]
     pub start: bool,

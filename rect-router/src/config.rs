@@ -5,6 +5,7 @@ mod error;
 mod fit;
 mod login;
 mod settings;
+mod startable;
 
 use serde_json::Value;
 use validated_struct::InsertionError;
@@ -18,6 +19,7 @@ pub(crate) use self::error::ConfigError;
 pub use self::login::{exposed_login_file, ExposedLogins};
 use self::login::{log_in_as, logins};
 pub use self::settings::{AutoConnect, Rule, Settings, MAX_AUTO_LINKS};
+pub use self::startable::{unstartable, MAX_SOCKET_PATH};
 use crate::args::Args;
 
 /// The configuration that these flags ask for, and RECT's own settings, which Zenoh does not see.
@@ -90,6 +92,17 @@ pub fn listen(
         }
         Ok(())
     })
+}
+
+/// Returns the endpoints that the router listens on.
+pub fn listens_on(config: &Config) -> Vec<EndPoint> {
+    let mode = config.mode().unwrap_or(WhatAmI::Router);
+    config
+        .listen
+        .endpoints
+        .get(mode)
+        .cloned()
+        .unwrap_or_default()
 }
 
 /// Makes the Bluetooth listeners tell of the fleet, unless they say another.

@@ -7,9 +7,7 @@
 use std::process::ExitCode;
 
 use rect::core::wording;
-use rect_router::{
-    args, commands, config, logging, robot::Robot, router, threads, version,
-};
+use rect_router::{args, commands, config, logging, robot::Robot, router, threads, version};
 
 fn main() -> ExitCode {
     threads::set();

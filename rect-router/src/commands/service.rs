@@ -12,6 +12,8 @@ use super::Failure;
 
 /// Where the router may write, as packaging/systemd/rect-router.service says.
 pub const STATE: &str = "/var/lib/rect";
+/// The folder of its socket file, which systemd makes when the service starts.
+pub const RUNTIME: &str = "/run/rect";
 /// Where the service reads its configuration.
 const CONFIGURATION: &str = "/etc/rect";
 const UNIT: &str = "rect-router.service";
