@@ -105,6 +105,14 @@ pub fn listens_on(config: &Config) -> Vec<EndPoint> {
         .unwrap_or_default()
 }
 
+/// Whether the router listens or dials by Bluetooth.
+pub fn uses_bluetooth(config: &Config) -> bool {
+    let mode = config.mode().unwrap_or(WhatAmI::Router);
+    let connect = config.connect.endpoints.get(mode).into_iter().flatten();
+    connect.flat_map(EndPoints::as_vec).any(|one| is_ble(&one))
+        || listens_on(config).iter().any(is_ble)
+}
+
 /// Makes the Bluetooth listeners tell of the fleet, unless they say another.
 pub fn announce(config: &mut Config, fleet: &str) -> Result<(), ConfigError> {
     const KEY: &str = "fleet";

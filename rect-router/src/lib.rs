@@ -6,6 +6,7 @@ pub mod commands;
 pub mod config;
 mod config_service;
 pub mod connections;
+pub mod limits;
 pub mod logging;
 pub mod registry;
 mod regular_file;

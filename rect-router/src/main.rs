@@ -7,7 +7,13 @@
 use std::process::ExitCode;
 
 use rect::core::wording;
-use rect_router::{args, commands, config, logging, robot::Robot, router, threads, version};
+use rect_router::{
+    args, commands, config,
+    limits::{SessionLimits, SessionSettings},
+    logging,
+    robot::Robot,
+    router, threads, version,
+};
 
 fn main() -> ExitCode {
     threads::set();
@@ -30,10 +36,16 @@ fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error + Send + Sync>
     logging::start()?;
     tracing::info!("rect-router {}", version::long());
     let (mut config, settings) = config::from_args(args)?;
+    let sessions = settings
+        .as_ref()
+        .map_or_else(SessionSettings::default, |settings| {
+            settings.sessions.clone()
+        });
     let robot = settings
         .map(|settings| Robot::prepare(settings, &mut config))
         .transpose()?;
     tracing::debug!("Initial conf: {}", config::without_secrets(&config));
-    router::run(config, robot)?;
+    let limits = SessionLimits::of(&config, &sessions)?;
+    router::run(config, limits, robot)?;
     Ok(())
 }

@@ -4,15 +4,24 @@ use std::{
     any::Any,
     io,
     panic::{self, AssertUnwindSafe},
-    sync::mpsc::{self, Receiver, Sender},
+    sync::{
+        mpsc::{self, Receiver, Sender},
+        Arc,
+    },
     thread,
     time::Duration,
 };
 
 use sd_notify::NotifyState;
-use zenoh::{Config, Session, Wait};
+use zenoh::{
+    internal::runtime::{DynamicRuntime, Runtime, RuntimeBuilder, ZRuntime},
+    Config, Session, Wait,
+};
+
+use rect::core::wording;
 
 use crate::{
+    limits::SessionLimits,
     robot::{self, Robot, Running},
     signals, status,
 };
@@ -20,33 +29,49 @@ use crate::{
 /// How long peers are given to take note that the router ends.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
+/// A router, and its own session with it.
+struct Opened {
+    runtime: Runtime,
+    session: Session,
+}
+
 enum Event {
-    Opened(Result<Session, RouterError>),
+    Opened(Result<Opened, RouterError>),
     Closed,
     StopAsked,
 }
 
 /// Runs a router until a signal ends it; `robot`: what RECT adds to it.
-pub fn run(config: Config, robot: Option<Robot>) -> Result<(), RouterError> {
+pub fn run(
+    mut config: Config,
+    limits: SessionLimits,
+    robot: Option<Robot>,
+) -> Result<(), RouterError> {
+    limits
+        .apply(&mut config)
+        .map_err(|error| RouterError::Open(error.into()))?;
     let (events, next) = mpsc::channel();
     signals::watch(events.clone(), || Event::StopAsked).map_err(RouterError::System)?;
 
     // Opening can wait for peers, and so it has a thread of its own: a signal is heard all the while.
-    spawn("open", &events, move || Event::Opened(open(config)))?;
-    let session = match next.recv() {
+    spawn("open", &events, move || {
+        Event::Opened(open(config, &limits))
+    })?;
+    let opened = match next.recv() {
         Ok(Event::Opened(opened)) => opened?,
         _ => return Ok(()),
     };
-    status::serve(&session).map_err(RouterError::Open)?;
+    let session = &opened.session;
+    status::serve(session).map_err(RouterError::Open)?;
     let running = robot
-        .map(|robot| robot.start(&session, None))
+        .map(|robot| robot.start(session, None))
         .transpose()
         .map_err(RouterError::Open)?;
     tracing::info!("rect-router is up, with id {}", session.zid());
     tell_systemd();
 
     match next.recv() {
-        Ok(Event::StopAsked) => close(session, running, &events, &next),
+        Ok(Event::StopAsked) => close(opened, running, &events, &next),
         _ => Ok(()),
     }
 }
@@ -59,20 +84,25 @@ fn tell_systemd() {
 }
 
 fn close(
-    session: Session,
+    opened: Opened,
     running: Option<Running>,
     events: &Sender<Event>,
     next: &Receiver<Event>,
 ) -> Result<(), RouterError> {
     spawn("close", events, move || {
-        if let Err(error) = robot::close(&session, running) {
+        let closed =
+            robot::close(&opened.session, running).and_then(|()| opened.runtime.close().wait());
+        if let Err(error) = closed {
             tracing::warn!("while closing: {error}");
         }
         Event::Closed
     })?;
     match next.recv_timeout(CLOSE_TIMEOUT) {
         Ok(_) => tracing::info!("closed"),
-        Err(_) => tracing::warn!("not all links were closed within {CLOSE_TIMEOUT:?}; ending"),
+        Err(_) => tracing::warn!(
+            "not all links were closed within {}; ending",
+            wording::duration(CLOSE_TIMEOUT)
+        ),
     }
     Ok(())
 }
@@ -92,7 +122,7 @@ fn spawn(
 }
 
 /// Zenoh panics where a required plugin can't be loaded or started; here that is an error like any other.
-fn open(config: Config) -> Result<Session, RouterError> {
+fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
     let opening = thread::current().id();
     let on_panic = panic::take_hook();
     panic::set_hook(Box::new(move |panic| {
@@ -100,10 +130,21 @@ fn open(config: Config) -> Result<Session, RouterError> {
             on_panic(panic);
         }
     }));
-    match panic::catch_unwind(AssertUnwindSafe(|| zenoh::open(config).wait())) {
+    let opening = || ZRuntime::Application.block_in_place(open_runtime(config, limits));
+    match panic::catch_unwind(AssertUnwindSafe(opening)) {
         Ok(opened) => opened.map_err(RouterError::Open),
         Err(panic) => Err(RouterError::Panic(reason(panic))),
     }
+}
+
+/// Does what `zenoh::open` does, and keeps the runtime: it tells of each session that begins.
+async fn open_runtime(config: Config, limits: &SessionLimits) -> zenoh::Result<Opened> {
+    let mut runtime = RuntimeBuilder::new(config).build().await?;
+    let dynamic = DynamicRuntime::from(runtime.clone());
+    dynamic.new_handler(Arc::new(limits.logins()));
+    let session = zenoh::session::init(dynamic).await?;
+    runtime.start().await?;
+    Ok(Opened { runtime, session })
 }
 
 fn reason(panic: Box<dyn Any + Send>) -> String {

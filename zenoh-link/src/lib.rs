@@ -2,7 +2,8 @@
 //!
 //! Zenoh's links are a closed enum (zenoh#2707), so a new one gets in only by standing where this crate stands:
 //! `[patch.crates-io] zenoh-link = { path = "zenoh-link" }`. Here is a table and no more; a link's work is done in its
-//! own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`, `zenoh-link-slot`). What Zenoh calls of the published crate exists here under the
+//! own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`, `zenoh-link-slot`). A router may limit which accepted links get to Zenoh
+//! (`admission`). What Zenoh calls of the published crate exists here under the
 //! same name, and so does everything else public in it; `tests/` holds the proof.
 
 use std::{collections::HashMap, sync::Arc};
@@ -14,6 +15,7 @@ use zenoh_link_commons::LocatorInspector as _;
 pub use zenoh_protocol::core::{EndPoint, Locator};
 use zenoh_result::{bail, Error, ZResult};
 
+pub mod admission;
 #[macro_use]
 mod table;
 

@@ -94,7 +94,13 @@ macro_rules! link_table {
         impl LinkManagerBuilderUnicast {
             /// The manager of the link that `endpoint` names; the links that it accepts go to `new_links`.
             pub fn make(new_links: NewLinkChannelSender, endpoint: &EndPoint) -> ZResult<LinkManagerUnicast> {
-                match LinkKind::try_from(endpoint)? {
+                let kind = LinkKind::try_from(endpoint)?;
+                let new_links = match kind {
+                    // The radio bounds its links itself, and they must find a place when all others are taken.
+                    LinkKind::Ble | LinkKind::Slot => new_links,
+                    _ => crate::admission::gated(new_links),
+                };
+                match kind {
                     $( $(#[$cfg])* LinkKind::$kind => Ok(Arc::new($krate::$manager::new(new_links))), )+
                     #[allow(unreachable_patterns)]
                     kind => not_in_this_build(kind),

@@ -4,15 +4,19 @@ use std::path::Path;
 use clap::Parser;
 
 use super::{service, CheckArgs, Failure};
-use crate::{args::Args, config, robot::Robot};
+use crate::{args::Args, config, limits::SessionLimits, robot::Robot};
 
 /// Reads everything and starts nothing; the error names all that would not work.
 pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     let flags = Args::try_parse_from(["rect-router", "--config", &args.config])?;
     let (mut config, settings) = config::from_args(&flags)?;
+    let sessions = settings
+        .as_ref()
+        .map_or_else(Default::default, |settings| settings.sessions.clone());
     if let Some(settings) = settings {
         Robot::prepare(settings, &mut config)?.check()?;
     }
+    SessionLimits::of(&config, &sessions)?;
     let is_service = is_of_service(Path::new(&args.config));
     let is_made = |folder: &Path| is_service && folder == Path::new(service::RUNTIME);
     let wrong: Vec<_> = (config::unstartable(&config, is_made).iter())

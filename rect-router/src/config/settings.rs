@@ -8,6 +8,7 @@ use serde_json::Value;
 use zenoh::Config;
 
 use super::ConfigError;
+use crate::limits::SessionSettings;
 
 const KEY: &str = "plugins/rect";
 /// A slot that is not used costs a wake-up in ten seconds.
@@ -77,6 +78,9 @@ pub struct Settings {
     /// How many there may be, 1 to 1000; default 32.
     #[serde(default = "default_max_connections")]
     pub max_connections: usize,
+    /// How the sessions that the router accepts are shared out; in a stock zenohd without effect.
+    #[serde(default)]
+    pub sessions: SessionSettings,
     /// Further listeners, such as `ble/hci0#name=wombat-1`: in a stock zenohd those of Bluetooth belong here.
     #[serde(default)]
     pub listen: Vec<String>,
@@ -166,6 +170,7 @@ mod tests {
             auto_connect: AutoConnect::Listed,
             auto_links: DEFAULT_AUTO_LINKS,
             max_connections: DEFAULT_MAX_CONNECTIONS,
+            sessions: SessionSettings::default(),
             listen: Vec::new(),
             login_as: None,
             host: None,
@@ -185,6 +190,7 @@ mod tests {
             ("{ robot: 'a', auto_links: 8 }", "auto_links"),
             ("{ robot: 'a', max_connections: 0 }", "max_connections"),
             ("{ robot: 'a', max_connections: 1001 }", "max_connections"),
+            ("{ robot: 'a', sessions: { per_robot: 1 } }", "per_robot"),
         ] {
             let error = taken(&format!("{{ plugins: {{ rect: {text} }} }}")).expect_err(text);
             assert!(error.to_string().contains(named), "{error}");

@@ -1,0 +1,102 @@
+//! How many may connect to a router, and that they keep nobody else out: `cargo test -p rect-router --test limits`
+
+mod support;
+
+use std::{
+    fs,
+    net::TcpStream,
+    time::{Duration, Instant},
+};
+
+use serde_json::json;
+use support::{
+    answers, arrives, ask, ble, client, client_with, file, init, program, simulated, start,
+    start_with, Air, Wombat,
+};
+use zenoh::Session;
+
+/// Of these, 3 are kept for Bluetooth; of the other 9, one login may have 5.
+const SESSIONS: [&str; 2] = ["--cfg", "transport/unicast/max_sessions:12"];
+
+/// The second user of the team's login file.
+fn other_user(folder: &str, endpoint: &str) -> Session {
+    let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
+    let (user, password) = users
+        .lines()
+        .nth(1)
+        .and_then(|line| line.split_once(':'))
+        .expect("a login");
+    let login = json!({ "user": user, "password": password }).to_string();
+    client_with(endpoint, &[("transport/auth/usrpwd", &login)]).expect("let in")
+}
+
+#[test]
+fn connections_that_do_not_log_in_keep_no_program_out() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let folder = init(root.path(), "wombat-1", &[]);
+    let (mut router, endpoint) = start(&air, &folder, "wombat-1", "fleet");
+    let socket = endpoint.strip_prefix("tcp/").expect("a TCP listener");
+    let idle: Vec<_> = (0..100)
+        .map(|_| TcpStream::connect(socket).expect("a connection"))
+        .collect();
+    let begun = Instant::now();
+    let session = program(&folder, &endpoint);
+    let status = ask(&session, "rect/wombat-1/@rect/status").expect("an answer");
+    assert!(status["id"].is_string(), "{status:#}");
+    // Sooner than the connections that are idle run into a timeout.
+    assert!(begun.elapsed() < Duration::from_secs(3));
+    router.wait_for("refused a connection from a program on this computer");
+    drop(idle);
+}
+
+#[test]
+fn a_login_with_many_sessions_keeps_no_robot_and_no_other_login_out() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let one = init(root.path(), "wombat-1", &[]);
+    let users = format!("{one}/users");
+    let two = init(root.path(), "wombat-2", &["--users", &users]);
+    let dial = file(&[ble("first", "wombat-1")]).to_string();
+    fs::write(format!("{two}/connections.json"), dial).expect("written");
+    let flags = [&SESSIONS[..], &["--login-as", "fleet"]].concat();
+    let (mut router, here) = start_with(&air, &one, "wombat-1", &flags);
+
+    let login = fs::read_to_string(&users).expect("a login file");
+    let (user, password) = login
+        .lines()
+        .next()
+        .and_then(|line| line.split_once(':'))
+        .expect("a login");
+    let login = json!({ "user": user, "password": password }).to_string();
+    let greedy: Vec<_> = (0..16)
+        .filter_map(|_| client_with(&here, &[("transport/auth/usrpwd", &login)]).ok())
+        .collect();
+    assert!(greedy.len() >= 5, "{}", greedy.len());
+    router.wait_for("has all 5 sessions that one login may have");
+
+    let (_two, there) = start(&air, &two, "wombat-2", "fleet");
+    let asked = "rect/wombat-2/@rect/connections?name=first";
+    answers(&program(&two, &there), asked, |answer| {
+        answer[0]["state"] == "connected"
+    });
+    let laptop = other_user(&one, &here);
+    // The greedy one tries again and again, so this may take a moment to be seen.
+    answers(&laptop, "rect/wombat-1/@rect/connections/count", |count| {
+        count["methods"]["tcp"]["connected"] == 6
+    });
+}
+
+#[test]
+fn without_logins_programs_leave_room_for_robots() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    // One of the four is kept for Bluetooth.
+    let few = ["--cfg", "transport/unicast/max_sessions:4"];
+    let (mut router, here) = simulated(&air, 1, &few);
+    router.up();
+    let greedy: Vec<_> = (0..8)
+        .filter_map(|_| client_with(&here, &[]).ok())
+        .collect();
+    assert_eq!(greedy.len(), 3);
+    router.wait_for("refused a connection from a program on this computer");
+    let two = Wombat::start(&air, &folder, 2, &file(&[ble("first", "wombat-1")]));
+    assert!(arrives(&client(&two.endpoint), &greedy[0], "demo/x"));
+}
