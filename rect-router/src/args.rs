@@ -9,10 +9,20 @@ pub fn parse() -> Args {
     Args::parse()
 }
 
+/// What the end of the program tells whoever started it.
+const EXIT_STATUS: &str = "\
+Exit status of the router:
+  0    after SIGTERM or SIGINT (Ctrl-C), once its links are closed, after 5 s at the latest
+  1    it could not start; the reason is on stderr
+  2    the flags are wrong
+  130, 143
+       a second SIGINT or SIGTERM ended it before its links were closed
+A command, such as `check`, exits with 0, with 1 if it failed or found something wrong, and with 2 if its flags are wrong.";
+
 /// RECT's router. Takes zenohd's flags and configuration files, and `ble/` endpoints.
 #[derive(Debug, Parser)]
 #[command(name = "rect-router", version = version::SHORT, long_version = version::long())]
-#[command(args_conflicts_with_subcommands = true)]
+#[command(args_conflicts_with_subcommands = true, after_long_help = EXIT_STATUS)]
 pub struct Args {
     /// Something else than being a router
     #[command(subcommand)]
@@ -56,7 +66,8 @@ pub struct Args {
     pub rest_http_port: Option<String>,
 
     /// Set a part of the configuration: KEY:VALUE, VALUE in JSON5; an empty KEY is the whole configuration; may be
-    /// repeated. E.g. `--cfg 'startup/subscribe:["demo/**"]'`
+    /// repeated. E.g. `--cfg 'startup/subscribe:["demo/**"]'`. An unknown KEY or a wrong VALUE is an error (zenohd warns and
+    /// starts without it)
     #[arg(long, value_name = "KEY:VALUE")]
     pub cfg: Vec<String>,
 

@@ -133,7 +133,7 @@ fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
     let opening = || ZRuntime::Application.block_in_place(open_runtime(config, limits));
     match panic::catch_unwind(AssertUnwindSafe(opening)) {
         Ok(opened) => opened.map_err(RouterError::Open),
-        Err(panic) => Err(RouterError::Panic(reason(panic))),
+        Err(panic) => Err(RouterError::Panic(with_advice(reason(panic)))),
     }
 }
 
@@ -145,6 +145,17 @@ async fn open_runtime(config: Config, limits: &SessionLimits) -> zenoh::Result<O
     let session = zenoh::session::init(dynamic).await?;
     runtime.start().await?;
     Ok(Opened { runtime, session })
+}
+
+/// Says where a plugin comes from, if its library is what is missing.
+fn with_advice(reason: String) -> String {
+    if !(reason.contains("libzenoh_plugin_") && reason.contains("not found")) {
+        return reason;
+    }
+    format!(
+        "{reason}. Name its folder by --plugin-search-dir; scripts/build-plugins builds Zenoh's REST plugin together with a \
+         router that loads it (config/README.md, \"Plugins\")"
+    )
 }
 
 fn reason(panic: Box<dyn Any + Send>) -> String {

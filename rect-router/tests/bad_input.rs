@@ -185,11 +185,13 @@ fn a_configuration_file_that_is_missing_empty_or_wrong_is_refused() {
 #[test]
 fn a_plugin_that_is_not_there_is_an_error_and_no_panic() {
     let args = [&QUIET[..], &["-P", "nosuch"]].concat();
-    assert_refused(
-        &args,
-        1,
-        "rect-router: can't start: Plugin load failure: Library file 'libzenoh_plugin_nosuch.so' not found",
-    );
+    let (code, said) = refused(&args);
+    let what = "rect-router: can't start: Plugin load failure: Library file 'libzenoh_plugin_nosuch.so' not found";
+    assert!(code == 1 && said.starts_with(what), "{code}: {said}");
+    // And what to do.
+    for advice in ["--plugin-search-dir", "scripts/build-plugins"] {
+        assert!(said.contains(advice), "{said}");
+    }
     let (code, said) = refused(&[&QUIET[..], &["-P", "nosuch:/nowhere/x.so"]].concat());
     assert_eq!(code, 1);
     assert!(

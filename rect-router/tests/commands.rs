@@ -242,6 +242,13 @@ fn there_are_manual_pages_and_completions() {
         page.contains("Write a robot") && page.contains("fleet"),
         "{page}"
     );
+    let page = fs::read_to_string(folder.path().join("rect-router.1")).expect("a page");
+    for told in [&page, &said(&rect_router(&["--help"]))] {
+        assert!(
+            told.contains("Exit status") && told.contains("143"),
+            "{told}"
+        );
+    }
     let completion = rect_router(&["completion", "bash"]);
     assert!(said(&completion).contains("--login-as"));
     let nowhere = rect_router(&["man", "/nowhere/at/all"]);
