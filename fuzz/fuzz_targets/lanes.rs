@@ -33,6 +33,7 @@ impl Ends {
     fn new() -> Self {
         let bounds = Bounds {
             bytes: QUEUE,
+            backlog: Duration::from_millis(200),
             droppable: Duration::from_millis(150),
         };
         let lanes = || Lanes::new(bounds, MTU, WINDOW, WINDOW);

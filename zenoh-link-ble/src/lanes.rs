@@ -8,6 +8,7 @@
 //!                                       Receiver's signals -> Scheduler (what was taken, which lane is full)
 //! ```
 pub mod ack_timer;
+pub mod backlog;
 pub mod check;
 pub mod credits;
 pub mod flight;
@@ -108,6 +109,11 @@ impl Lanes {
         self.out.push(lane, batch, now)
     }
 
+    /// Returns when to offer a batch again that [`Lanes::push`] did not take, even if nothing went out until then.
+    pub fn ask_again_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
+        self.out.ask_again_at(lane, batch, now)
+    }
+
     /// What to send now, until [`Lanes::on_sent`] says that it went.
     pub fn peek(&mut self) -> Option<(Next, &[u8])> {
         while let Some(signal) = self.into.signal() {
@@ -175,6 +181,11 @@ impl Lanes {
     /// What is on its way to the peer, and how much of it may be, in bytes.
     pub fn on_its_way(&self) -> (u16, u16) {
         self.out.on_its_way()
+    }
+
+    /// Bytes that may wait on a lane before it takes another message that must arrive.
+    pub fn backlog_limit_bytes(&self) -> usize {
+        self.out.backlog_limit_bytes()
     }
 
     /// Both sides of a lane.

@@ -34,10 +34,11 @@ pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
 /// In the place of a peer: anyone.
 const ANYONE: &str = "*";
 
-/// What may wait on a link when `queue=` and `droppable=` are left out. 16 MB are one message of the largest size that our
-/// configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
+/// What may wait on a link when `queue=`, `backlog=` and `droppable=` are left out. 16 MB are one message of the largest
+/// size that our configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
 pub const DEFAULT_BOUNDS: Bounds = Bounds {
     bytes: 16 << 20,
+    backlog: Duration::from_millis(1000),
     droppable: Duration::from_millis(100),
 };
 /// How long a closing side waits for the peer to take what was sent before, when `linger=` is left out.
@@ -46,7 +47,7 @@ pub const DEFAULT_LINGER: Duration = Duration::from_secs(5);
 /// How the batches of a link are queued. A plain peer has no queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Queueing {
-    /// `queue=`, in bytes, and `droppable=`, in milliseconds: what may wait on the link.
+    /// `queue=`, in bytes, `backlog=` and `droppable=`, in milliseconds: what may wait on the link.
     pub bounds: Bounds,
     /// `linger=`, in milliseconds: how long a closing side waits until the peer has taken what was sent before.
     pub linger: Duration,
@@ -99,7 +100,7 @@ pub struct ConnectLocator {
     pub secret: Option<PathBuf>,
     /// `mtu=`, in bytes.
     pub mtu: u16,
-    /// `queue=`, `droppable=`, `linger=`.
+    /// `queue=`, `backlog=`, `droppable=`, `linger=`.
     pub queueing: Queueing,
     /// `timeout=`, in milliseconds: for finding, connecting and the hello together.
     pub timeout: Duration,
@@ -124,7 +125,7 @@ pub struct ListenLocator {
     pub secret: Option<PathBuf>,
     /// `mtu=`, in bytes.
     pub mtu: u16,
-    /// `queue=`, `droppable=`, `linger=`.
+    /// `queue=`, `backlog=`, `droppable=`, `linger=`.
     pub queueing: Queueing,
     /// `max_links=`.
     pub max_links: usize,
@@ -132,7 +133,7 @@ pub struct ListenLocator {
     pub wait: bool,
 }
 
-const CONNECT_OPTIONS: [&str; 12] = [
+const CONNECT_OPTIONS: [&str; 13] = [
     "adapter",
     "fleet",
     "psm",
@@ -141,12 +142,13 @@ const CONNECT_OPTIONS: [&str; 12] = [
     "secret",
     "mtu",
     "queue",
+    "backlog",
     "droppable",
     "linger",
     "timeout",
     "plain",
 ];
-const LISTEN_OPTIONS: [&str; 11] = [
+const LISTEN_OPTIONS: [&str; 12] = [
     "name",
     "fleet",
     "psm",
@@ -154,6 +156,7 @@ const LISTEN_OPTIONS: [&str; 11] = [
     "secret",
     "mtu",
     "queue",
+    "backlog",
     "droppable",
     "linger",
     "max_links",

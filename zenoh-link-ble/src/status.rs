@@ -71,6 +71,8 @@ pub struct LanesStatus {
     pub on_its_way_bytes: u16,
     /// How much of that there may be, in bytes.
     pub on_its_way_limit_bytes: u16,
+    /// Bytes that may wait on a lane before it takes another message that must arrive.
+    pub backlog_limit_bytes: usize,
     /// The lanes that had something, the most urgent first.
     pub lanes: Vec<LaneStatus>,
 }
@@ -84,6 +86,8 @@ pub struct LaneStatus {
     pub sent: Count,
     /// Batches that wait.
     pub waiting: Count,
+    /// Bytes of them that count towards `backlog_limit_bytes`: those of messages that are not large.
+    pub backlog_bytes: u64,
     /// How long the oldest of them has waited, in milliseconds.
     pub oldest_ms: Option<f64>,
     /// Batches taken back because Zenoh gave their message up.
@@ -164,6 +168,7 @@ impl LanesStatus {
                 priority: priority.map_or_else(|_| lane.number().to_string(), |p| format!("{p:?}")),
                 sent: out.sent,
                 waiting: out.waiting,
+                backlog_bytes: out.backlog_bytes,
                 oldest_ms: out.oldest.map(milliseconds),
                 given_up: out.given_up_sdus,
                 is_stopped: out.is_stopped,
@@ -177,6 +182,7 @@ impl LanesStatus {
             round_trip_ms: lanes.path().round_trip().map(milliseconds),
             on_its_way_bytes,
             on_its_way_limit_bytes,
+            backlog_limit_bytes: lanes.backlog_limit_bytes(),
             lanes: used,
         };
         (status, sent, received)

@@ -144,14 +144,15 @@ impl Traffic {
         }
         loop {
             let room = self.room.notified();
-            {
-                let mut state = self.state.lock();
+            let ask_again_at = {
+                let (mut state, now) = (self.state.lock(), Instant::now().into_std());
                 state.check()?;
-                if state.lanes.push(lane, batch, Instant::now().into_std()) {
+                if state.lanes.push(lane, batch, now) {
                     break;
                 }
-            }
-            self.unless_over(room).await;
+                state.lanes.ask_again_at(lane, batch, now)
+            };
+            self.unless_over(until_room(room, ask_again_at)).await;
         }
         self.to_send.notify_one();
         Ok(())
@@ -409,6 +410,14 @@ impl Traffic {
         self.ending.happens(&in_words(&error));
         self.state.lock().end.get_or_insert(error);
         self.over.cancel();
+    }
+}
+
+/// Waits until something went out, or until then if nothing does.
+async fn until_room(room: impl Future<Output = ()>, ask_again_at: Option<std::time::Instant>) {
+    match ask_again_at {
+        Some(at) => drop(tokio::time::timeout_at(at.into(), room).await),
+        None => room.await,
     }
 }
 

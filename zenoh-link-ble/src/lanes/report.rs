@@ -40,6 +40,8 @@ pub struct OutLaneReport {
     pub waiting: Count,
     /// How long the oldest has waited.
     pub oldest: Option<Duration>,
+    /// Bytes that wait and count towards the lane's backlog.
+    pub backlog_bytes: u64,
     /// SDUs taken back because Zenoh gave their message up.
     pub given_up_sdus: u64,
     /// The peer takes nothing of it now.

@@ -7,6 +7,7 @@ use std::{
 
 use super::{
     ack_timer::AckTimer,
+    backlog::{self, Backlog, Counting},
     credits::{cost, Allowance, CreditError},
     flight::Flight,
     path::Path,
@@ -19,12 +20,16 @@ use super::{
 /// How much may wait on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
-    /// On all lanes together, in bytes. It must hold the bulk that programs send at once: what does not fit holds up the
-    /// program's connection to its router, and its urgent messages with it. A lane with less than [`OWN_BYTES`] does not
-    /// count it.
+    /// On all lanes together, in bytes. It must hold the large messages that programs send at once: what does not fit holds
+    /// up the program's connection to its router, and its urgent messages with it. A lane with less than [`OWN_BYTES`] does
+    /// not count it.
     pub bytes: usize,
-    /// A message that may be dropped is taken while what waits before it is sent within this time. It adds to the age of
-    /// a stream's frames; too little, and the radio waits for the next frame.
+    /// The time that the messages on a lane may take to be sent before the lane takes another one. Large messages do not
+    /// count (`backlog`), and neither does lane 0: Zenoh sends its declarations there, with its routing tables locked.
+    pub backlog: Duration,
+    /// A message that may be dropped is taken while what waits before it is sent within this time, or when nothing has
+    /// moved on its lane for a while (`backlog`). It adds to the age of a stream's frames; too little, and the radio waits
+    /// for the next frame.
     pub droppable: Duration,
 }
 
@@ -37,11 +42,21 @@ struct Waiting {
     sdu: Vec<u8>,
     piece: Piece,
     since: Instant,
+    /// It counts towards the lane's backlog.
+    counts: bool,
+}
+
+/// How much may wait on a lane before another message, in bytes.
+#[derive(Clone, Copy)]
+struct Limits {
+    droppable_bytes: usize,
+    backlog_bytes: usize,
 }
 
 struct OutLane {
     queue: VecDeque<Waiting>,
     bytes: usize,
+    backlog: Backlog,
     /// The peer holds enough of it.
     is_stopped: bool,
     allowed_rest: u16,
@@ -50,19 +65,44 @@ struct OutLane {
 }
 
 impl OutLane {
-    /// Whether a message may begin, of which that is the first piece.
-    fn may_begin(&self, piece: Piece, droppable: usize) -> bool {
-        match piece {
-            Piece::Whole { is_droppable } | Piece::First { is_droppable } => {
-                !is_droppable || self.bytes <= droppable
-            }
+    /// Returns whether the lane takes that piece, as far as what waits before it is concerned.
+    fn may_begin(&self, piece: Piece, limits: Limits, now: Instant) -> bool {
+        let has_room = match piece {
             Piece::Next => true,
-        }
+            Piece::Whole { is_droppable } | Piece::First { is_droppable } => match is_droppable {
+                true => self.bytes <= limits.droppable_bytes,
+                false => self.backlog.has_room(limits.backlog_bytes),
+            },
+        };
+        let is_overdue = || self.backlog.overdue_at(piece).is_some_and(|at| at <= now);
+        has_room || is_overdue()
     }
 
-    fn push(&mut self, waiting: Waiting) {
+    fn push(&mut self, mut waiting: Waiting, now: Instant) {
+        let cost = usize::from(waiting.cost());
+        let counting = self.backlog.on_taken(waiting.piece, cost, now);
+        waiting.counts = counting == Counting::Counts;
+        if counting == Counting::ExemptsMessage {
+            self.exempt_last_message();
+        }
         self.bytes += waiting.bytes();
         self.queue.push_back(waiting);
+    }
+
+    /// Stops counting the pieces that wait of the message whose pieces came last.
+    fn exempt_last_message(&mut self) {
+        for waiting in self.queue.iter_mut().rev() {
+            if matches!(waiting.piece, Piece::Whole { .. }) {
+                break;
+            }
+            if waiting.counts {
+                waiting.counts = false;
+                self.backlog.on_discounted(usize::from(waiting.cost()));
+            }
+            if matches!(waiting.piece, Piece::First { .. }) {
+                break;
+            }
+        }
     }
 
     /// Takes back what still waits of the message whose fragments came last.
@@ -72,6 +112,9 @@ impl OutLane {
                 break;
             }
             self.bytes -= last.bytes();
+            if last.counts {
+                self.backlog.on_discounted(usize::from(last.cost()));
+            }
             self.given_up += 1;
             let is_first = matches!(last.piece, Piece::First { .. });
             self.queue.pop_back();
@@ -152,6 +195,7 @@ impl Scheduler {
             lanes: std::array::from_fn(|number| OutLane {
                 queue: VecDeque::new(),
                 bytes: 0,
+                backlog: Backlog::default(),
                 is_stopped: false,
                 allowed_rest: step * number as u16,
                 sent: Count::default(),
@@ -177,21 +221,30 @@ impl Scheduler {
             return true;
         }
         let piece = Piece::of(batch);
-        let droppable = self.droppable_bytes();
+        let limits = self.limits(lane);
         let all: usize = self.lanes.iter().map(|out| out.bytes).sum();
         let most = self.bounds.bytes;
         let is_closing = !matches!(self.end, End::NotYet);
         let (out, size) = (self.lane(lane), Waiting::bytes_of(HEADER + batch.len()));
         let fits = out.bytes + size <= OWN_BYTES || all + size <= most;
-        let is_taken = !is_closing && fits && out.may_begin(piece, droppable);
+        let is_taken = !is_closing && fits && out.may_begin(piece, limits, now);
         if is_taken {
-            out.push(Waiting {
+            let waiting = Waiting {
                 sdu: Content::Batch(lane, batch).encode(),
                 piece,
                 since: now,
-            });
+                counts: false,
+            };
+            out.push(waiting, now);
         }
         is_taken
+    }
+
+    /// Returns when to offer a batch again that [`Scheduler::push`] did not take, even if nothing went out until then.
+    pub fn ask_again_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
+        // A `Lane` is always less than LANES.
+        let backlog = &self.lanes[lane.index()].backlog;
+        backlog.overdue_at(Piece::of(batch)).filter(|at| *at > now)
     }
 
     /// Sends a signal to the peer, before all batches.
@@ -247,6 +300,9 @@ impl Scheduler {
                 if let Some(batch) = out.queue.pop_front() {
                     out.sent.count(batch.sdu.len() - HEADER);
                     out.bytes -= batch.bytes();
+                    if batch.counts {
+                        out.backlog.on_sent(usize::from(batch.cost()), now);
+                    }
                     let (cost, allowance) = (batch.cost(), &mut self.allowance);
                     allowance.spend(cost);
                     self.flight.on_sent(lane, cost, allowance.sent(), now);
@@ -269,6 +325,7 @@ impl Scheduler {
         for out in &mut self.lanes {
             out.queue.clear();
             out.bytes = 0;
+            out.backlog = Backlog::default();
         }
         self.ack_timer.stop();
         self.end = End::closing(reason);
@@ -286,6 +343,7 @@ impl Scheduler {
                 bytes: out.bytes as u64,
             },
             oldest: oldest.map(|since| now.saturating_duration_since(since)),
+            backlog_bytes: out.backlog.bytes() as u64,
             given_up_sdus: out.given_up,
             is_stopped: out.is_stopped,
         }
@@ -294,6 +352,11 @@ impl Scheduler {
     /// What is on its way, and how much of it may be, in bytes.
     pub fn on_its_way(&self) -> (u16, u16) {
         (self.allowance.unacknowledged(), self.flight.limit())
+    }
+
+    /// Bytes that may wait on a lane before it takes another message that must arrive; large messages do not count.
+    pub fn backlog_limit_bytes(&self) -> usize {
+        backlog::limit_bytes(self.path.rate_bytes_per_s(), self.bounds.backlog)
     }
 
     /// What was measured of the way to the peer.
@@ -342,6 +405,16 @@ impl Scheduler {
         let in_time = |rate| rate * self.bounds.droppable.as_secs_f64();
         let rate = self.path.rate_bytes_per_s();
         rate.map_or(DROPPABLE_AT_FIRST, in_time) as usize
+    }
+
+    fn limits(&self, lane: Lane) -> Limits {
+        Limits {
+            droppable_bytes: self.droppable_bytes(),
+            backlog_bytes: match lane.number() {
+                0 => usize::MAX,
+                _ => self.backlog_limit_bytes(),
+            },
+        }
     }
 
     fn lane(&mut self, lane: Lane) -> &mut OutLane {

@@ -7,6 +7,7 @@ use rand_pcg::{
 };
 
 use super::{
+    backlog::BATCH_PATIENCE,
     check::Fault,
     credits::{cost, largest_batch, CreditError, MIN_WINDOW},
     piece::Piece,
@@ -21,6 +22,8 @@ const MTU: usize = 1000;
 const WINDOW: u16 = 12_000;
 const BOUNDS: Bounds = Bounds {
     bytes: 100_000,
+    // Never reached: what is tested with these bounds is the bound in bytes.
+    backlog: Duration::from_secs(600),
     droppable: Duration::from_millis(100),
 };
 
@@ -45,13 +48,13 @@ struct Pair {
 
 impl Pair {
     fn new() -> Self {
-        Self::with(MTU, WINDOW)
+        Self::with(BOUNDS, MTU, WINDOW)
     }
 
-    fn with(mtu: usize, window: u16) -> Self {
+    fn with(bounds: Bounds, mtu: usize, window: u16) -> Self {
         Self {
-            out: Lanes::new(BOUNDS, mtu, window, window),
-            into: Lanes::new(BOUNDS, mtu, window, window),
+            out: Lanes::new(bounds, mtu, window, window),
+            into: Lanes::new(bounds, mtu, window, window),
             now: Instant::now(),
         }
     }
@@ -193,7 +196,7 @@ fn a_lane_never_waits_for_an_acknowledgement_that_is_not_due() {
     for mtu in [usize::from(MIN_MTU), 145, 146, 200, MTU] {
         for window in [MIN_WINDOW, 1000, WINDOW] {
             let mtu = mtu.min(usize::from(largest_batch(window)));
-            let mut pair = Pair::with(mtu, window);
+            let mut pair = Pair::with(BOUNDS, mtu, window);
             for n in 0..200 {
                 assert!(pair.push(5, &vec![5; mtu]));
                 pair.settle();
@@ -307,6 +310,181 @@ fn a_droppable_message_is_begun_only_while_little_waits_and_then_taken_whole() {
         assert!(pair.take(5).is_some());
     }
     assert!(pair.push(5, &droppable(Kind::First, MTU)));
+}
+
+/// Bounds of a link on which half a second of messages may wait, and of large ones as much as in the other tests.
+const HALF_A_SECOND: Bounds = Bounds {
+    backlog: Duration::from_millis(500),
+    ..BOUNDS
+};
+
+/// A batch as Zenoh makes it of messages that must arrive.
+fn must_arrive(kind: Kind, size: usize) -> Vec<u8> {
+    let mut batch: Vec<u8> = match kind {
+        Kind::Whole => vec![0x25, 0x07],
+        Kind::First => vec![0xe6, 0x07, 0x02],
+        Kind::Next => vec![0x66, 0x08],
+    };
+    if !matches!(kind, Kind::Next) {
+        // As `PUSH`, with congestion control "block".
+        batch.extend_from_slice(&[0xbd, 0x00, 0x01, b'k', 0x21, 0x0d, 0x01, 0x00]);
+    }
+    batch.resize(size, 0);
+    batch
+}
+
+impl Pair {
+    /// Offers whole messages to a lane until it takes no more, and returns how many it took.
+    fn fill(&mut self, number: u8) -> usize {
+        std::iter::repeat_with(|| self.push(number, &must_arrive(Kind::Whole, MTU)))
+            .take_while(|is_taken| *is_taken)
+            .count()
+    }
+
+    /// Offers a message of several pieces, all of them at once, and returns whether the lane took its first piece.
+    fn push_message(&mut self, number: u8, pieces: usize) -> bool {
+        let is_taken = self.push(number, &must_arrive(Kind::First, MTU));
+        if is_taken {
+            for piece in 1..pieces {
+                let is_taken = self.push(number, &must_arrive(Kind::Next, MTU));
+                assert!(is_taken, "piece {piece} of a message that was begun");
+            }
+        }
+        is_taken
+    }
+
+    fn backlog(&self, number: u8) -> usize {
+        let (out, _) = self.out.lane_report(lane(number), self.now);
+        usize::try_from(out.backlog_bytes).expect("small")
+    }
+
+    /// Sends what waits at that rate, for that time, to a receiver that reads everything.
+    fn run(&mut self, bytes_per_s: f64, time: Duration) {
+        let end = self.now + time;
+        while self.now < end {
+            match self.step() {
+                Some(_) => {
+                    self.now += Duration::from_secs_f64(MTU as f64 / bytes_per_s);
+                    while (0..LANES as u8).any(|number| self.take(number).is_some()) {}
+                    while self.back().is_some() {}
+                }
+                None => self.now += Duration::from_millis(1),
+            }
+        }
+    }
+}
+
+#[test]
+fn the_batches_of_the_backlog_tests_are_what_zenoh_would_send() {
+    let is_droppable = false;
+    for (kind, piece) in [
+        (Kind::Whole, Piece::Whole { is_droppable }),
+        (Kind::First, Piece::First { is_droppable }),
+        (Kind::Next, Piece::Next),
+    ] {
+        assert_eq!(Piece::of(&must_arrive(kind, 100)), piece);
+    }
+}
+
+#[test]
+fn small_messages_wait_for_no_longer_than_the_backlog_allows() {
+    for bytes_per_s in [34_000.0, 100_000.0] {
+        let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
+        pair.fill(5);
+        // The lane is kept full, as by a program that floods it.
+        for _ in 0..3000 {
+            pair.run(bytes_per_s, Duration::from_millis(1));
+            pair.fill(5);
+        }
+        let wait_s = pair.backlog(5) as f64 / bytes_per_s;
+        assert!(
+            (0.4..0.6).contains(&wait_s),
+            "{bytes_per_s} B/s: {wait_s} s"
+        );
+        assert!(!pair.push(5, &must_arrive(Kind::First, MTU)));
+        // Other lanes have a backlog of their own.
+        assert!(pair.push(6, &must_arrive(Kind::Whole, MTU)));
+        pair.run(bytes_per_s, Duration::from_millis(100));
+        assert!(pair.push(5, &must_arrive(Kind::Whole, MTU)));
+    }
+}
+
+#[test]
+fn message_that_was_begun_is_taken_whole_and_large_one_does_not_delay_the_next() {
+    let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
+    // 50 kB: a small message, which the next one has to wait for.
+    assert!(pair.push_message(5, 50));
+    assert!(!pair.push_message(5, 2));
+    assert_eq!(pair.fill(5), 0);
+    pair.run(34_000.0, Duration::from_secs(2));
+    assert_eq!(pair.backlog(5), 0);
+    // 70 kB: once its size shows, it no longer counts.
+    assert!(pair.push_message(5, 70));
+    assert_eq!(pair.backlog(5), 0);
+    assert!(pair.waiting(5) > 70_000);
+    assert!(pair.push(5, &must_arrive(Kind::First, MTU)));
+    assert!(pair.backlog(5) > MTU);
+}
+
+#[test]
+fn bound_in_bytes_holds_for_large_messages() {
+    let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
+    assert!(pair.push_message(5, 70));
+    assert!(pair.push(5, &must_arrive(Kind::First, MTU)));
+    let taken = std::iter::repeat_with(|| pair.push(5, &must_arrive(Kind::Next, MTU)));
+    let taken = taken.take_while(|is_taken| *is_taken).count();
+    assert!(taken < 30, "{taken}");
+    assert!(pair.waiting(5) <= BOUNDS.bytes as u64);
+}
+
+#[test]
+fn backlog_of_a_message_that_zenoh_gave_up_is_given_back() {
+    let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
+    for pieces in [10, 70] {
+        assert!(pair.push(5, &must_arrive(Kind::Whole, MTU)));
+        assert!(pair.push_message(5, pieces));
+        assert!(pair.push(5, b""));
+        assert_eq!(pair.backlog(5), usize::from(cost(MTU)));
+        pair.run(34_000.0, Duration::from_secs(3));
+        assert_eq!(pair.backlog(5), 0);
+    }
+}
+
+#[test]
+fn lane_on_which_nothing_moves_takes_one_batch_every_two_seconds() {
+    for is_stopped in [true, false] {
+        let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
+        // Nothing of what counts leaves the lane: it is stopped, or all of it is behind a large message.
+        if is_stopped {
+            pair.out.out.on_stopped(lane(5), true);
+        } else {
+            assert!(pair.push_message(5, 70));
+        }
+        pair.fill(5);
+        let batch = must_arrive(Kind::Whole, MTU);
+        for _ in 0..5 {
+            let at = pair.out.ask_again_at(lane(5), &batch, pair.now);
+            let at = at.expect("there is a time to ask again");
+            assert_eq!(at - pair.now, BATCH_PATIENCE);
+            pair.now = at - Duration::from_millis(1);
+            assert!(!pair.push(5, &batch));
+            pair.now = at;
+            assert!(!pair.push(5, &must_arrive(Kind::First, MTU)));
+            assert!(pair.push(5, &batch));
+            assert!(!pair.push(5, &batch));
+        }
+        let first = must_arrive(Kind::First, MTU);
+        let at = pair.out.ask_again_at(lane(5), &first, pair.now);
+        pair.now = at.expect("there is a time to ask again");
+        assert!(pair.push(5, &first));
+    }
+}
+
+#[test]
+fn declarations_have_no_backlog() {
+    // Zenoh sends them on lane 0, and waits for room with its routing tables locked.
+    let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
+    assert!(pair.fill(0) > 80);
 }
 
 #[test]

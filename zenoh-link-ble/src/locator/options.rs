@@ -129,6 +129,11 @@ impl<'a> Options<'a> {
             "it is a number of bytes from 65536 to 67108864, for the whole link",
             |v| v.parse().ok().filter(|n| (1 << 16..=1 << 26).contains(n)),
         )?;
+        let backlog = self.milliseconds(
+            "backlog",
+            "it is a number of milliseconds from 50 to 600000",
+            50..=600_000,
+        )?;
         let droppable = self.milliseconds(
             "droppable",
             "it is a number of milliseconds from 20 to 10000",
@@ -142,6 +147,7 @@ impl<'a> Options<'a> {
         Ok(Queueing {
             bounds: Bounds {
                 bytes: bytes.unwrap_or(defaults.bounds.bytes),
+                backlog: backlog.unwrap_or(defaults.bounds.backlog),
                 droppable: droppable.unwrap_or(defaults.bounds.droppable),
             },
             linger: linger.unwrap_or(defaults.linger),

@@ -12,7 +12,7 @@ fn listen(text: &str) -> Result<ListenLocator, LocatorError> {
 #[test]
 fn an_address_with_every_option_is_read() {
     let read = connect(
-        "ble/DC:A6:32:01:02:03#adapter=hci1;psm=128;addr_type=random;sec=medium;mtu=500;timeout=3000;plain=true;queue=100000;droppable=50;linger=1000",
+        "ble/DC:A6:32:01:02:03#adapter=hci1;psm=128;addr_type=random;sec=medium;mtu=500;timeout=3000;plain=true;queue=100000;backlog=700;droppable=50;linger=1000",
     )
     .expect("valid");
     assert_eq!(read.target.to_string(), "DC:A6:32:01:02:03");
@@ -23,6 +23,7 @@ fn an_address_with_every_option_is_read() {
     assert_eq!(read.mtu, 500);
     assert_eq!(read.timeout, Duration::from_secs(3));
     assert_eq!(read.queueing.bounds.bytes, 100_000);
+    assert_eq!(read.queueing.bounds.backlog, Duration::from_millis(700));
     assert_eq!(read.queueing.bounds.droppable, Duration::from_millis(50));
     assert_eq!(read.queueing.linger, Duration::from_secs(1));
     assert_eq!(read.plain, Some(true));
@@ -60,6 +61,8 @@ fn both_sides_of_each_limit() {
         "mtu=8000",
         "queue=65536",
         "queue=67108864",
+        "backlog=50",
+        "backlog=600000",
         "droppable=20",
         "droppable=10000",
         "linger=0",
@@ -78,6 +81,8 @@ fn both_sides_of_each_limit() {
         "mtu=8001",
         "queue=65535",
         "queue=67108865",
+        "backlog=49",
+        "backlog=600001",
         "droppable=19",
         "droppable=10001",
         "linger=60001",
