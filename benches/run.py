@@ -23,6 +23,7 @@ BENCHES = {
     "middleware": "the library beside plain zenoh, gRPC and MQTT on TCP loopback: latency, messages/s, bytes",
     "urgent": "urgent messages beside something large on a slow link: lanes, a plain link, stock zenohd over TCP",
     "flood": "the next message of a priority after a flood of small ones on a slow link, with several bounds",
+    "declarations": "what one program with very many declarations does to two routers and the slow link between them",
     "urgent_vm": "the same two cases of it on a real kernel's Bluetooth stack in the VM, paced",
     "lanes_cost": "throughput and round trip of lanes beside a plain link, unpaced, in the VM",
     "plugin": "RECT in a stock zenohd beside rect-router: urgent messages, throughput, memory, threads",

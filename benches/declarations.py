@@ -1,0 +1,166 @@
+"""What one local stock program that declares very much does to two routers and the slow link between them."""
+
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+
+import zenoh
+from pairs import carried, room
+from robots import wait_until
+from room import wait_for_link
+from routers import own_kb
+from table import Table
+from zenoh import CongestionControl, Priority
+
+PDU = 27
+LIMIT_S = 180
+PERIOD_S = 0.5
+#: Keep-alives, and the message that is measured.
+SILENCE_BYTES = 400
+
+
+@dataclass
+class Case:
+    title: str
+    count: int
+    declare: Callable[[zenoh.Session, int], object]
+
+
+def queryable(session: zenoh.Session, number: int) -> object:
+    return session.declare_queryable(f"rect/wombat-1/service/{number:06}", lambda _: None)
+
+
+def subscriber(session: zenoh.Session, number: int) -> object:
+    return session.declare_subscriber(f"rect/wombat-2/topic/{number:06}", lambda _: None)
+
+
+def overlapping(session: zenoh.Session, number: int) -> object:
+    return session.declare_subscriber(f"rect/**/{number:06}/**", lambda _: None)
+
+
+def token(session: zenoh.Session, number: int) -> object:
+    return session.liveliness().declare_token(f"rect/wombat-1/token/{number:06}")
+
+
+CASES = [
+    Case("1000 queryables", 1_000, queryable),
+    Case("1000 subscribers", 1_000, subscriber),
+    Case("1000 subscribers to overlapping wildcards (`rect/**/<number>/**`)", 1_000, overlapping),
+    Case("10,000 queryables", 10_000, queryable),
+    Case("100,000 liveliness tokens", 100_000, token),
+]
+
+
+@dataclass
+class Outcome:
+    declared: int = 0
+    took_s: float = 0.0
+    worst_s: float = 0.0
+    carried_bytes: int = 0
+    grew_kb: list[int] = field(default_factory=list)
+
+
+def run() -> Table:
+    table = Table(
+        "What one program that declares very much does to two routers and a slow link",
+        [
+            "declarations",
+            "sent to the router within the limit",
+            "until the air is silent",
+            "an urgent message of another program: at most",
+            "bytes on the air",
+            "memory of the two routers",
+        ],
+    )
+    for case in CASES:
+        outcome = in_a_process(case)
+        table.add(
+            case.title,
+            outcome.declared,
+            f"{outcome.took_s:.0f} s" if outcome.took_s < LIMIT_S else f"over {LIMIT_S} s",
+            f"{outcome.worst_s:.1f} s",
+            f"{outcome.carried_bytes / 1000:.0f} kB",
+            " and ".join(f"+{kb / 1000:.1f} MB" for kb in outcome.grew_kb),
+        )
+        print(f"  {table.rows[-1]}", flush=True)
+    table.notes = [
+        f"The simulated air as in `urgent`, with link-layer packets of {PDU} bytes (34 kB/s). A stock eclipse-zenoh "
+        f"client of one robot declares as fast as it can, for {LIMIT_S} s at most; another one of the same robot "
+        "publishes urgent messages (`REAL_TIME`), the next when one has arrived. Memory: heap and stacks.",
+    ]
+    return table
+
+
+def in_a_process(case: Case) -> Outcome:
+    """Of its own, which ends without waiting for the routers to take every declaration back."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=work, args=(theirs, CASES.index(case)))
+    process.start()
+    theirs.close()
+    outcome = ours.recv()
+    process.join()
+    return outcome
+
+
+def work(pipe: Connection, number: int) -> None:
+    try:
+        pipe.send(outcome_of(CASES[number]))
+    finally:
+        os._exit(0)
+
+
+def outcome_of(case: Case) -> Outcome:
+    with room(PDU) as air:
+        one, two = air.add_robot("wombat-1"), air.add_robot("wombat-2")
+        wait_for_link(one, two)
+        declaring, urgent = one.session(), Urgent(one.session(), two.session())
+        outcome, is_over, kept = Outcome(), threading.Event(), []
+
+        def declare() -> None:
+            for number in range(case.count):
+                if is_over.is_set():
+                    break
+                kept.append(case.declare(declaring, number))
+            is_over.set()
+
+        memory_kb = [own_kb(robot.pid()) for robot in (one, two)]
+        before, started = carried(air), time.monotonic()
+        threading.Thread(target=declare, daemon=True).start()
+        while (elapsed := time.monotonic() - started) < LIMIT_S:
+            outcome.worst_s = max(outcome.worst_s, urgent.put(LIMIT_S))
+            latest = carried(air)
+            time.sleep(PERIOD_S)
+            if is_over.is_set() and carried(air) - latest < SILENCE_BYTES:
+                break
+        is_over.set()
+        outcome.declared, outcome.took_s = len(kept), elapsed
+        outcome.carried_bytes = carried(air) - before
+        outcome.grew_kb = [own_kb(robot.pid()) - kb for robot, kb in zip((one, two), memory_kb, strict=True)]
+        return outcome
+
+
+class Urgent:
+    """Urgent messages of another program, one after the other."""
+
+    def __init__(self, here: zenoh.Session, there: zenoh.Session) -> None:
+        self._arrived = threading.Event()
+        # A session that nobody has any more is closed.
+        self._sessions = here, there
+        key = "rect/wombat-1/stop"
+        self._subscriber = there.declare_subscriber(key, lambda _: self._arrived.set())
+        self._publisher = here.declare_publisher(
+            key, priority=Priority.REAL_TIME, congestion_control=CongestionControl.BLOCK, express=True
+        )
+        wait_until("a message gets through", 30, lambda: self.put(0.5) < 0.5)
+
+    def put(self, limit_s: float) -> float:
+        """Seconds that a message took; the limit if it did not arrive within that."""
+        self._arrived.clear()
+        started = time.monotonic()
+        self._publisher.put(b"stop")
+        return time.monotonic() - started if self._arrived.wait(limit_s) else limit_s
