@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/quick
 
-.PHONY: help demo test test-kernels check docs bench fuzz dist router
+.PHONY: help demo test test-kernels test-upstream check docs bench fuzz dist router
 
 help: ## This list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -20,6 +20,9 @@ test: ## Every test, the Bluetooth VM included
 test-kernels: ## The Bluetooth tests on the kernels of Debian 11, 12 and 13
 	@scripts/setup test
 	@scripts/test-vm 11 12 13
+
+test-upstream: ## Zenoh's own tests of its crate zenoh-transport, with our links in it (half an hour the first time)
+	@scripts/test-upstream
 
 check: ## Formatters and linters of every language
 	@scripts/setup test
