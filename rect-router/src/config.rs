@@ -16,7 +16,7 @@ use zenoh_link_slot::SLOT_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
-pub use self::login::{exposed_login_file, ExposedLogins};
+pub use self::login::{exposed_login_file, read_login_file, ExposedLogins};
 use self::login::{log_in_as, logins};
 pub use self::settings::{AutoConnect, Rule, Settings, MAX_AUTO_LINKS};
 pub use self::startable::{unstartable, MAX_SOCKET_PATH};
@@ -149,7 +149,7 @@ fn change<T: Clone>(
 pub fn log_in(config: &mut Config, user: Option<&str>) -> Result<(), ConfigError> {
     let logins = logins(config)?;
     if let Some(exposed) = exposed_login_file(config) {
-        tracing::warn!("{exposed}");
+        tracing::warn!("{exposed}; run: {}", exposed.remedy());
     }
     match user {
         Some(user) => log_in_as(config, user, logins),

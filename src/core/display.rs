@@ -61,9 +61,9 @@ pub fn json(json: &str) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// Whether a terminal would obey the character, or show something else than what is there because of it. The joiners
-/// U+200C and U+200D belong to ordinary text and stay.
-fn is_harmful(c: char) -> bool {
+/// Returns whether a terminal would obey the character, or show something else than what is there because of it. The joiners
+/// U+200C and U+200D belong to ordinary text and are allowed. Topics may not contain such a character.
+pub fn is_harmful(c: char) -> bool {
     c.is_control()
         || matches!(c,
             '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}' | '\u{200e}' | '\u{200f}'

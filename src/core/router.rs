@@ -116,7 +116,7 @@ impl Joining {
             (_, Some(reason)) => {
                 system_error(reason).unwrap_or_else(|| wording::on_one_line(reason))
             }
-            (_, None) => format!("no answer within {} s", self.timeout.as_secs_f64()),
+            (_, None) => format!("no answer within {}", wording::duration(self.timeout)),
         }
     }
 }

@@ -3,7 +3,10 @@ use std::{fmt, str::FromStr, sync::Arc};
 
 use zenoh_keyexpr::{canon::Canonize, keyexpr};
 
-use super::name::{Name, NameError};
+use super::{
+    display::is_harmful,
+    name::{Name, NameError},
+};
 
 /// The longest topic, in bytes: it goes over the air with every message that has no declared key.
 pub const MAX_BYTES: usize = 200;
@@ -165,21 +168,6 @@ fn checked(text: &str) -> Result<&keyexpr, TopicError> {
         }),
         None => Ok(key),
     }
-}
-
-/// Returns whether a terminal would obey the character, or would show something else than what is there because of it. The
-/// joiners U+200C and U+200D belong to ordinary text and are allowed.
-fn is_harmful(c: char) -> bool {
-    c.is_control()
-        || matches!(c,
-            '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}' | '\u{200e}' | '\u{200f}'
-            // Line and paragraph separator, and the bidirectional embeddings and overrides.
-            | '\u{2028}'..='\u{202e}'
-            // Invisible operators, and the bidirectional isolates.
-            | '\u{2060}'..='\u{206f}'
-            | '\u{feff}' | '\u{fff9}'..='\u{fffb}'
-            // Tags, which are invisible letters.
-            | '\u{e0000}'..='\u{e007f}')
 }
 
 impl FromStr for Topic {

@@ -27,7 +27,10 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     }
     match config::exposed_login_file(&config) {
         // The router starts all the same.
-        Some(exposed) => rect::outln!("{}: warning: {exposed}", args.config),
+        Some(exposed) => {
+            let remedy = exposed.remedy();
+            rect::outln!("{}: warning: {exposed}; run: {remedy}", args.config);
+        }
         None => rect::outln!("{}: nothing is wrong with it", args.config),
     }
     Ok(())

@@ -1,6 +1,5 @@
 //! Owns what the commands share that ask a running router: a session with it, and the robots' answers.
 use std::{
-    fs,
     net::{TcpStream, ToSocketAddrs},
     os::unix::net::UnixStream,
     time::Duration,
@@ -17,6 +16,7 @@ use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
 use super::{AskArgs, Failure, RouterArgs};
+use crate::config::read_login_file;
 
 /// How long to wait for answers: over a slow link, with several robots.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -36,7 +36,7 @@ pub(super) struct NoSession {
 
 /// A client of that router, logged in where there is a login file.
 pub(super) fn session(args: &RouterArgs) -> Result<Session, NoSession> {
-    let users = fs::read_to_string(&args.users).unwrap_or_default();
+    let users = read_login_file(&args.users).unwrap_or_default();
     let login = login::logins(&users).next();
     let opened = config(args, login).and_then(|config| zenoh::open(config).wait());
     opened.map_err(|error| no_session(args, login.map(|(user, _)| user), &error))

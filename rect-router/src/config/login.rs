@@ -1,7 +1,7 @@
 //! The login file: who may connect, and what this router says of itself when it dials.
 
 use std::{
-    fmt, fs,
+    fmt, fs, io,
     os::unix::fs::PermissionsExt,
     path::{Path, PathBuf},
 };
@@ -28,17 +28,20 @@ pub(super) fn logins(config: &Config) -> Result<Option<Logins>, ConfigError> {
     let Some(path) = login_file(config) else {
         return Ok(None);
     };
-    let text = regular_file::read_to_string(&path, MAX_BYTES).map_err(|source| {
-        ConfigError::LoginFile {
-            path: path.clone(),
-            source,
-        }
+    let text = read_login_file(&path).map_err(|source| ConfigError::LoginFile {
+        path: path.clone(),
+        source,
     })?;
     // Zenoh takes an empty file for no login at all, and would let everyone in.
     if text.trim().is_empty() {
         return Err(ConfigError::NoLogins { path });
     }
     Ok(Some(Logins { path, text }))
+}
+
+/// Reads a login file, unless it is too large or not a file.
+pub fn read_login_file(path: &Path) -> io::Result<String> {
+    regular_file::read_to_string(path, MAX_BYTES)
 }
 
 fn login_file(config: &Config) -> Option<PathBuf> {
@@ -68,13 +71,18 @@ impl ExposedLogins {
             may,
         })
     }
+
+    /// Returns the command that makes the file private.
+    pub fn remedy(&self) -> String {
+        format!("chmod o-rw {}", self.path.display())
+    }
 }
 
 impl fmt::Display for ExposedLogins {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "every user of this computer can {} the login file {path}; run: chmod o-rw {path}",
+            "every user of this computer can {} the login file {path}",
             self.may,
             path = self.path.display()
         )

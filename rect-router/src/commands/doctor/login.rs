@@ -1,18 +1,17 @@
 //! Owns what can be wrong with the login file of this computer.
-use std::{fs, io::ErrorKind, os::unix::fs::PermissionsExt, path::Path};
+use std::{io::ErrorKind, path::Path};
 
 use rect::core::login::logins;
 
 use super::Finding;
+use crate::config::{read_login_file, ExposedLogins};
 
 const ABOUT: &str = "login";
-/// Reading or writing by users who are neither the file's owner nor of its group.
-const OTHERS: u32 = 0o006;
 
 /// What is to report about the file. A missing one is nothing to report: a router may require no login.
 pub fn findings(file: &Path) -> Vec<Finding> {
     let path = file.display();
-    let text = match fs::read_to_string(file) {
+    let text = match read_login_file(file) {
         Ok(text) => text,
         Err(error) if error.kind() == ErrorKind::NotFound => return Vec::new(),
         Err(error) => {
@@ -28,14 +27,9 @@ pub fn findings(file: &Path) -> Vec<Finding> {
         }
     };
     let mut findings = Vec::new();
-    let mode = fs::metadata(file).map_or(0, |data| data.permissions().mode());
-    if mode & OTHERS != 0 {
-        let what = format!("every user of this computer can read or write the login file {path}");
-        findings.push(Finding::poor(
-            ABOUT,
-            what,
-            format!("`sudo chmod 640 {path}`"),
-        ));
+    if let Some(exposed) = ExposedLogins::find(file) {
+        let advice = format!("`sudo {}`", exposed.remedy());
+        findings.push(Finding::poor(ABOUT, exposed.to_string(), advice));
     }
     findings.push(match logins(&text).next() {
         Some((user, _)) => Finding::good(ABOUT, format!("programs log in as {user}, from {path}")),
@@ -50,6 +44,10 @@ pub fn findings(file: &Path) -> Vec<Finding> {
 
 #[cfg(test)]
 mod tests {
+    use std::{fs, os::unix::fs::PermissionsExt};
+
+    use nix::{sys::stat::Mode, unistd::mkfifo};
+
     use super::{super::Verdict, *};
 
     fn verdicts(text: &str, mode: u32) -> Vec<(Verdict, String)> {
@@ -88,5 +86,15 @@ mod tests {
         let found = verdicts("no login\n", 0o640);
         assert!(matches!(&found[..], [(Verdict::Wrong, _)]), "{found:?}");
         assert_eq!(findings(Path::new("/nowhere/users")), []);
+    }
+
+    #[test]
+    fn a_pipe_in_place_of_the_file_is_reported_at_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let pipe = folder.path().join("users");
+        mkfifo(&pipe, Mode::S_IRWXU).expect("a pipe");
+        let found = findings(&pipe);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(found[0].what.contains("not a regular file"), "{found:?}");
     }
 }
