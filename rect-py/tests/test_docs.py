@@ -49,6 +49,29 @@ def test_the_tutorial_does_what_it_says(endpoint: str, tmp_path: Path, monkeypat
     assert "nobody serves double at wombat-7; robots there:" in done.stdout
 
 
+def test_the_first_program_prints_what_the_simulated_robots_publish(tmp_path: Path) -> None:
+    text = (_REPOSITORY / "docs" / "python.md").read_text()
+    (block,) = re.findall(r"```python sim\n(.*?)```", text, re.DOTALL)
+    pipe = subprocess.PIPE
+    command = [program("RECT_ROUTER", "rect-router"), "sim", "--port", "0"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) as sim:
+        try:
+            line = Tool(sim).until("wombat-1  tcp/")
+            environment = {**os.environ, "RECT_ENDPOINT": line.split()[1], "PYTHONUNBUFFERED": "1"}
+            reader = subprocess.Popen(
+                [sys.executable, "-c", block], env=environment, stdout=pipe, stderr=pipe, text=True
+            )
+            with reader:
+                try:
+                    output = Tool(reader)
+                    output.until("wombat-1 {'degrees': ")
+                    output.until("wombat-2 {'degrees': ")
+                finally:
+                    reader.kill()
+        finally:
+            sim.terminate()
+
+
 class Example:
     """A running example."""
 
