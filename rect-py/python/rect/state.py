@@ -24,8 +24,8 @@ class Event:
     """Something has changed about who can be reached."""
 
     #: `peer_up`, `peer_down` (a robot of the fleet), `link_up`, `link_down` (of this robot's router; without a router,
-    #: of this program), `router_up`, `router_down` (of this program). `link_up` comes again, with the robot, if the link
-    #: turns out to lead to one later on.
+    #: of this program), `router_up`, `router_down` (of this program). `link_up` comes again, with the robot, if
+    #: the link turns out to lead to one later on.
     what: str
     #: Which robot, where that is known.
     robot: str | None = None
