@@ -238,10 +238,6 @@ _NO_SECONDS = "timeout is a number of seconds, not a str"
         (lambda robot: robot.serve("a\x7f", print), rect.InvalidTopicError, "the character U+007F in it"),
         (lambda robot: robot.publish("x", rect.Payload(b"", "a/b;" + "x" * 300)), rect.PayloadError, _TOO_LONG),
         (lambda robot: robot.send("a", "x", rect.Payload(b"", "ä" * 110)), rect.PayloadError, "is 220 bytes long"),
-        (
-            rect.PayloadError,
-            "202 bytes",
-        ),
         (lambda robot: robot.request("a", "x", rect.Payload(b"", "x" * 304)), rect.PayloadError, _TOO_LONG),
         (lambda robot: robot.transfer("a", "x", rect.Payload(b"", "x" * 304)), rect.PayloadError, _TOO_LONG),
         (lambda robot: robot.publish("x", rect.Payload(b"", _NUMBER)), TypeError, "an encoding is text, not a int"),
