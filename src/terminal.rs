@@ -1,4 +1,4 @@
-//! What both programs, `rect` and `rect-router`, print on a terminal: lines, colours and tables. Text that came from outside
+//! Terminal output of both programs, `rect` and `rect-router`: lines, colours and tables. Text that came from outside
 //! is made safe by [`core::display`](crate::core::display).
 //!
 //! Neither program prints by `println!`, which panics once nobody reads the other end of a pipe: [`outln!`](crate::outln)

@@ -14,7 +14,7 @@ use rect::{Error, Options, Robot};
 use serde_json::{json, Value};
 use zenoh::{Config, Session, Wait};
 
-/// What a refusal that is recognised may take, far below the timeout of the attempt.
+/// The limit for a recognised refusal, far below the timeout of the attempt.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
 fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {

@@ -9,7 +9,7 @@ pub fn parse() -> Args {
     Args::parse()
 }
 
-/// What the end of the program tells whoever started it.
+/// The exit statuses, for `--help`.
 const EXIT_STATUS: &str = "\
 Exit status of the router:
   0    after SIGTERM or SIGINT (Ctrl-C), once its links are closed, after 5 s at the latest

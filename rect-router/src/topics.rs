@@ -154,7 +154,7 @@ impl Answering {
             let Some(topic) = sample.key_expr().as_str().strip_prefix(&prefix) else {
                 continue;
             };
-            // One that publishes on several keys is none of one topic.
+            // A publisher of several keys has no single topic.
             if !topic.contains('*') {
                 let sources =
                     serde_json::from_slice(&sample.payload().to_bytes()).unwrap_or_default();
@@ -177,7 +177,7 @@ fn log(replied: zenoh::Result<()>) {
     }
 }
 
-/// What is asked for.
+/// The parameters of a query.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Question {
     measure: bool,

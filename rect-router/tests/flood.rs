@@ -76,7 +76,7 @@ impl Flood {
     }
 }
 
-/// What became of another program's messages beside a flood.
+/// Arrival of another program's messages during a flood.
 struct Outcome {
     /// How long each took that was published during the flood.
     during: Vec<Duration>,

@@ -1,4 +1,4 @@
-//! The log costs the router nothing, whoever reads it or does not: `cargo test -p rect-router --test logging`
+//! The log never blocks the router, even if nothing reads it: `cargo test -p rect-router --test logging`
 
 mod support;
 

@@ -1,4 +1,4 @@
-//! What a robot's router answers about its topics: `cargo test -p rect-router --test topics`
+//! The router's answers about its robot's topics: `cargo test -p rect-router --test topics`
 mod support;
 
 use std::{

@@ -7,7 +7,7 @@ use std::{borrow::Cow, fmt::Write as _};
 
 /// Takes the place of each character that is not shown.
 const REPLACEMENT: char = '\u{fffd}';
-/// What every line but the first of a paragraph begins with, so that none can be mistaken for a line of the program's own.
+/// Begins every line of a paragraph except the first, so that none can be mistaken for a line of the program's own.
 const INDENT: &str = "\n    ";
 
 /// Returns `text` as one line: each character that a terminal would obey, and each line break, becomes U+FFFD.

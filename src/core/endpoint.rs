@@ -1,6 +1,6 @@
 //! Reads the endpoint of a router as people write it.
 
-/// What is given for the protocol if there is none.
+/// The protocol of an endpoint that names none.
 const DEFAULT_PROTOCOL: &str = "tcp";
 
 /// The text is no endpoint. Write it as `tcp/127.0.0.1:7447`.

@@ -22,7 +22,7 @@ pub fn default_file(given: Option<String>) -> String {
     given.unwrap_or_else(|| DEFAULT_FILE.to_owned())
 }
 
-/// What a program logs in with at its router.
+/// The credentials of a program at its router.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Login {
     credentials: Option<(String, String)>,
@@ -48,7 +48,7 @@ enum Source {
 pub struct LoginRefused {
     /// Where the router is.
     pub endpoint: String,
-    /// What the router refused, and where the program's login is from.
+    /// The refusal, and the origin of the program's login.
     pub what: String,
 }
 
@@ -85,7 +85,7 @@ impl Login {
         Some((user, password))
     }
 
-    /// What to report if the router at `endpoint` refuses it.
+    /// Returns the error to report if the router at `endpoint` refuses it.
     pub fn refused_by(&self, endpoint: &str) -> LoginRefused {
         let user = self.credentials().map_or("", |(user, _)| user);
         let what = match &self.source {

@@ -13,7 +13,7 @@ use super::{
 /// access control forbids the question does not answer.
 pub const ROBOT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// What even an attempt at the end of the timeout may take, so that a timeout of 0 joins a router that is there.
+/// The minimum time for an attempt, even at the end of the timeout, so that a timeout of 0 joins a router that is there.
 const SHORTEST_ATTEMPT: Duration = Duration::from_millis(100);
 /// The pause after the first failed attempt; each further one is twice as long.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);

@@ -26,7 +26,7 @@ pub const MEASURE: &str = "measure";
 /// The parameter that selects one topic.
 pub const TOPIC: &str = "topic";
 
-/// What a router answers about the topics of its robot.
+/// A router's answer about the topics of its robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Topics {
     /// For how long messages have been counted, at most [`WINDOW`], in seconds; 0: not at all.
@@ -127,7 +127,7 @@ struct Counted {
     last: Option<Instant>,
 }
 
-/// What came within one part of the window.
+/// The messages within one part of the window.
 #[derive(Clone, Copy, Debug, Default)]
 struct Slot {
     number: u128,
@@ -326,7 +326,7 @@ mod tests {
         BTreeMap::new()
     }
 
-    /// A counter that has counted a message of 24 bytes each 100 ms for so many milliseconds.
+    /// A counter that has counted a message of 24 bytes every 100 ms for that time.
     fn counted(ms: u32) -> (Counter, Instant) {
         let start = Instant::now();
         let mut counter = Counter::new(start);

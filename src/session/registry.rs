@@ -183,7 +183,7 @@ impl Robot {
     }
 }
 
-/// What was asked for, for the error that nobody answers.
+/// The subject of a question, for the error when nobody answers.
 fn of_registry(question: &str) -> String {
     if question == CONFIG {
         "changes of connections (the router's access control has to allow them, and its settings have to name a connections file)"

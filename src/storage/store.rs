@@ -169,7 +169,7 @@ impl Store {
     /// The transfer has ended with this fault. Keeps what is there if the transfer can go on later, and nothing else.
     ///
     /// # Errors
-    /// What is there can't be kept; it is removed.
+    /// Removes a part that cannot be kept.
     pub fn interrupt(self, held: &Ranges, fault: &Fault) -> io::Result<()> {
         let is_of_use = match fault {
             // Nothing of it is right, or never will be.

@@ -17,7 +17,7 @@ pub enum Colours {
     Never,
 }
 
-/// What a text means, from which its colour follows.
+/// The meaning of a text, which determines its colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// As it should be: green.
@@ -28,7 +28,7 @@ pub enum Style {
     Wrong,
     /// A heading: bold.
     Heading,
-    /// What the eye looks for, such as a topic: cyan.
+    /// A name to find at a glance, such as a topic: cyan.
     Name,
     /// Beside the point, such as a time: dim.
     Faint,

@@ -24,7 +24,7 @@ const SHORTEST_TURN: Duration = Duration::from_secs(1);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Place(u64);
 
-/// What becomes of a new channel.
+/// The decision about a new channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Admission {
     /// It has a place.

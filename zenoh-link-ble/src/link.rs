@@ -153,7 +153,7 @@ impl LinkBle {
         }
     }
 
-    /// Waits until it has ended. A plain link shows its end only to whoever reads.
+    /// Waits until it has ended. A plain link shows its end only to a reader.
     pub(crate) async fn ended(&self) {
         match &self.batches {
             Batches::Lanes { traffic, .. } => traffic.ended().await,

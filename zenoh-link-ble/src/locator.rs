@@ -34,7 +34,7 @@ pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
 /// In the place of a peer: anyone.
 const ANYONE: &str = "*";
 
-/// What may wait on a link when `queue=`, `backlog=` and `droppable=` are left out. 16 MB are one message of the largest
+/// The limits of what waits on a link when `queue=`, `backlog=` and `droppable=` are left out. 16 MB are one message of the largest
 /// size that our configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
 pub const DEFAULT_BOUNDS: Bounds = Bounds {
     bytes: 16 << 20,

@@ -1,7 +1,7 @@
 //! Limits the links that this process accepts, before Zenoh sees them.
 //!
-//! Zenoh has one number for unfinished handshakes (`accept_pending`) and one for sessions (`max_sessions`), whichever link
-//! they use and whoever opens them. One peer can take all of either, and every other peer is then refused. Links that are
+//! Zenoh has one number for unfinished handshakes (`accept_pending`) and one for sessions (`max_sessions`), for all
+//! links and peers together. One peer can take all of either, and every other peer is then refused. Links that are
 //! accepted here pass a gate first: a full set of handshakes evicts the oldest one of the source that has the most, and
 //! sessions are limited in total and for each source. Links of `ble` and `slot` do not pass the gate, so what the gate
 //! does not give away stays free for them.
@@ -119,7 +119,7 @@ impl Gate {
         None
     }
 
-    /// Takes a place, and evicts whoever has to go for it.
+    /// Takes a place, and evicts another handshake if necessary.
     fn place(self: &Arc<Self>, source: &Source) -> Result<(Place, CancellationToken), Refusal> {
         let mut state = self.state.lock();
         let Admitted { id, evicted } = state.places.admit(source)?;
@@ -170,7 +170,7 @@ impl Drop for Place {
     }
 }
 
-/// What was refused since the last line in the log.
+/// The refusals since the last line in the log.
 #[derive(Default)]
 struct RefusalLog {
     last: Option<Instant>,

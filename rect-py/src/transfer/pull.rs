@@ -109,7 +109,7 @@ impl Inbox {
         (PyBytes::new(py, &answer.encode()), known)
     }
 
-    /// What to ask, or how many seconds to wait (`None`: until something comes).
+    /// Returns the next question, or how many seconds to wait (`None`: until something comes).
     fn poll(&self) -> (Option<Question>, Option<f64>) {
         match lock(&self.0).poll(Instant::now()) {
             inbox::Step::Ask(question) => (Some(Question(question)), None),
@@ -157,13 +157,13 @@ impl Inbox {
 
 #[pymethods]
 impl Question {
-    /// Whom to ask.
+    /// The robot to ask.
     #[getter]
     fn robot(&self) -> &str {
         self.0.from.as_str()
     }
 
-    /// What goes after that robot's `@rect/`.
+    /// The key, without that robot's `@rect/`.
     #[getter]
     fn key(&self) -> String {
         transfer::source(self.0.id)
@@ -175,7 +175,7 @@ impl Question {
         self.0.timeout.as_secs_f64()
     }
 
-    /// What to send.
+    /// The query's payload.
     #[getter]
     fn payload<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, &Request::Confirm.encode())

@@ -30,7 +30,7 @@ const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 pub(super) struct NoSession {
     /// Why.
     pub what: String,
-    /// What to do.
+    /// How to mend it.
     pub advice: &'static str,
 }
 

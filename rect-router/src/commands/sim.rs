@@ -29,7 +29,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(30);
 /// Longer commands are not aligned with the others.
 const COMMAND_WIDTH: usize = 30;
 
-/// What interrupted the start.
+/// The reason why the start was interrupted.
 enum Interrupted {
     /// Ctrl-C, SIGTERM, or the terminal was closed.
     BySignal,

@@ -14,7 +14,7 @@ use crate::regular_file;
 
 /// The largest login file that is read, in bytes: some ten thousand users.
 const MAX_BYTES: u64 = 1 << 20;
-/// What everybody else on the computer may do with a file: read, write.
+/// Permission bits of users who neither own the file nor belong to its group.
 const OTHERS_READ: u32 = 0o004;
 const OTHERS_WRITE: u32 = 0o002;
 

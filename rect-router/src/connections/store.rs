@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 use super::file::MAX_BYTES;
 use crate::regular_file;
 
-/// What a new text is written into begins with this, the file's own name and a dash.
+/// The name of the temporary file for a new text begins with this, the file's own name and a dash.
 const NEW: &str = ".new-";
 /// How many characters follow, chosen at random.
 const RANDOM: usize = 6;

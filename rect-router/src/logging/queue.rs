@@ -1,4 +1,4 @@
-//! Owns the way of the log's lines to whoever reads them: a bounded queue and the thread that writes. A reader that is slow,
+//! Carries the log's lines to their reader: a bounded queue and the thread that writes. A reader that is slow,
 //! has stopped or is gone costs lines, never time.
 
 use std::{

@@ -21,7 +21,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// How long a link to a router waits for the name of its robot before it is published without one.
 const NAMING: Duration = Duration::from_secs(1);
 
-/// What may have to be published.
+/// A document that may have to be published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// A link, or a connection that is wanted, comes or goes.

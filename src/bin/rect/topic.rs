@@ -51,7 +51,7 @@ enum TopicCommand {
         /// The topic, <robot>/<topic>: wombat-2/arm/angle
         #[arg(value_parser = of_robot)]
         topic: OfRobot,
-        /// End after so many lines
+        /// End after this number of lines
         #[arg(long)]
         count: Option<u64>,
         /// A line of JSON each time
@@ -183,7 +183,7 @@ async fn measure(
     ask(robot, whose, topic, true).await
 }
 
-/// What the routers answer, by the robots' names.
+/// Returns the routers' answers by robot name.
 async fn ask(
     robot: &Robot,
     whose: Option<&Name>,

@@ -410,7 +410,7 @@ impl Sender {
         potentials
     }
 
-    /// What all get that listen to a group's key or are to listen there: the least of them counts.
+    /// The least rate among the receivers that listen to a group's key or are to listen there.
     fn rate_of(&self, group: Group) -> Option<f64> {
         let now = self.polled;
         let leaves_within = LEAVES_WITHIN.max(self.options.feedback * 3);

@@ -132,7 +132,7 @@ pub struct World {
     pub rates: Vec<(Duration, Group, f64)>,
     pub feedback_bytes: usize,
     pub encoded: usize,
-    /// What somebody else reports twice a second, who knows the newest frame of each group.
+    /// The feedback that a forger who knows the newest frame of each group sends twice a second.
     pub forge: Forge,
     newest: [Option<Attachment>; 2],
 }

@@ -386,7 +386,7 @@ fn a_sensors_value_takes_six_to_eight_bytes_more_and_goes_at_once() {
     assert_eq!(sender.notice(start).feedback_ms, 0);
 }
 
-/// What a forger reports, in the robot's own name, of a stream that it subscribes to.
+/// Feedback of a forger, in the robot's own name, about a stream that it subscribes to.
 fn reported(newest: [Option<Attachment>; 2], group: Group, pace: u32) -> Option<Feedback> {
     let newest = newest[group.index()]?;
     Some(Feedback {

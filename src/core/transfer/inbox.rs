@@ -86,7 +86,7 @@ pub enum Decision {
     Answer(Answer),
 }
 
-/// What to do next.
+/// The next action.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     /// Ask this sender, and report what comes of it: [`Inbox::on_confirmed`], then [`Inbox::on_silence`].
@@ -106,7 +106,7 @@ pub struct Question {
     pub timeout: Duration,
 }
 
-/// What a confirmation brings about.
+/// The result of a confirmation.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Confirmed {
     /// Begin to receive. Then [`Inbox::on_held`] and [`Inbox::on_ended`].
@@ -127,7 +127,7 @@ impl Inbox {
         }
     }
 
-    /// Handles an offer in whoever's name. Call [`Self::poll`] afterwards.
+    /// Handles an offer, whose claimed sender is not verified yet. Call [`Self::poll`] afterwards.
     pub fn on_offer(&mut self, now: Instant, bytes: &[u8]) -> Decision {
         let refused = |refusal| Decision::Answer(Answer::Refused(refusal));
         let offer = match Offer::decode(bytes) {

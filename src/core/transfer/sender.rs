@@ -75,7 +75,7 @@ pub enum Step {
     Over(Outcome),
 }
 
-/// What a request is answered with.
+/// The response to a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Response {
     /// These bytes of the source.

@@ -51,7 +51,7 @@ struct State {
     ended: Option<Ended<Result<Received, Error>>>,
 }
 
-/// What happens to the inbox.
+/// An event for the inbox.
 pub(super) enum Event {
     Offer(Query),
     /// The robot that an offer names replied.

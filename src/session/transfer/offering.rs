@@ -183,7 +183,7 @@ impl Transfer {
     }
 }
 
-/// What a transfer answers requests with.
+/// The content with which a transfer answers requests.
 struct Served {
     source: Source,
     key: String,

@@ -51,7 +51,7 @@ pub enum Counting {
     Exempt,
 }
 
-/// What waits on a lane and counts towards its limit.
+/// The bytes that wait on a lane and count towards its limit.
 #[derive(Debug, Default)]
 pub struct Backlog {
     bytes: usize,

@@ -242,7 +242,7 @@ pub async fn with_a_secret_nothing_may_come_before_the_proof(world: World) {
     assert!(b.no_more_incoming());
 }
 
-/// It could not prove anything, and whoever advertises may be anybody.
+/// It could not prove anything, and anybody can send an advertisement.
 pub async fn a_plain_listener_is_not_dialled_with_a_secret(world: World) {
     let file = File::with(OURS);
     let listener = world.b.listen(None, OPTIONS).await.expect("listens");

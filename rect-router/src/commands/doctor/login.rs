@@ -8,7 +8,7 @@ use crate::config::{read_login_file, ExposedLogins};
 
 const ABOUT: &str = "login";
 
-/// What is to report about the file. A missing one is nothing to report: a router may require no login.
+/// Examines the login file. A missing file is not reported: a router may require no login.
 pub fn findings(file: &Path) -> Vec<Finding> {
     let path = file.display();
     let text = match read_login_file(file) {

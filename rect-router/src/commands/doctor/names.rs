@@ -3,7 +3,7 @@ use serde_json::Value;
 
 use super::Finding;
 
-/// What the robots' `status` documents tell of others with their names.
+/// Reports robots that share a name, from the `status` documents.
 pub fn findings(statuses: &[(String, Value)]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (robot, status) in statuses {

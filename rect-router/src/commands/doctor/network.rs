@@ -190,7 +190,7 @@ fn clocks(session: &Session) -> Vec<Finding> {
     findings
 }
 
-/// What robots answer. No answer is not an error of its own.
+/// Returns the robots' replies. The lack of a reply is no error.
 fn replies(session: &Session, selector: &str) -> Vec<(String, Value)> {
     let mut replies = answers(session, selector).unwrap_or_default();
     for (robot, _) in &mut replies {

@@ -48,7 +48,7 @@ impl Program {
         })
     }
 
-    /// Whether so many other robots are there.
+    /// Returns whether that many other robots are present.
     pub fn has_peers(&self, count: usize) -> bool {
         let tokens = self
             .session

@@ -134,7 +134,7 @@ pub fn stop(mut robots: Vec<Robot>) {
     }
 }
 
-/// The port so many after the first, or any free one if that is taken or the first is 0.
+/// Returns the port at that offset from the first, or any free one if that is taken or the first is 0.
 fn free_port(first: u16, after: u16) -> Result<u16, Failure> {
     let wanted = if first == 0 {
         0

@@ -21,7 +21,7 @@ struct Namesake {
     is_gone: bool,
 }
 
-/// What has changed.
+/// A change among the routers with this robot's name.
 #[derive(Debug, PartialEq, Eq)]
 pub enum News {
     /// Another one has this robot's name.
