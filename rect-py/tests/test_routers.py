@@ -128,7 +128,7 @@ def test_rust_hears_what_python_says_byte_for_byte(routers: Routers) -> None:
         until_heard(robot, "to/wombat-2/note")
         robot.publish("arm/angle", {"degrees": 1.0}, codec="zstd")
         robot.send("wombat-2", "note", "psst", urgency="urgent")
-        told = [json.loads(tool.line()) for _ in range(2)]
+        told = [json.loads(tool.until("{")) for _ in range(2)]
     said = {one["topic"]: one for one in told}
     assert said["arm/angle"]["value"] == {"degrees": 1.0}
     assert said["note"]["value"] == "psst"
