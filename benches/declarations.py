@@ -66,7 +66,7 @@ class Outcome:
 
 def run() -> Table:
     table = Table(
-        "What one program that declares very much does to two routers and a slow link",
+        "Effect of one program's many declarations on two routers and a slow link",
         [
             "declarations",
             "sent to the router within the limit",

@@ -24,10 +24,6 @@ use rect::{
 };
 use zenoh_link::ble::radio::sim::Condition;
 
-/// Names the router of commands and programs that name none.
-const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
-const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
-
 /// Why a command came to nothing, in words.
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -120,7 +116,7 @@ pub struct ConnectionsArgs {
 }
 
 fn default_login_file() -> PathBuf {
-    login::default_file(std::env::var(login::FILE_VARIABLE).ok()).into()
+    login::default_file(env::var(login::FILE_VARIABLE).ok()).into()
 }
 
 /// How to reach the router.
@@ -239,10 +235,7 @@ fn program() -> &'static str {
 
 /// The router of commands that name none.
 fn default_router() -> String {
-    let named = env::var(ROUTER_VARIABLE).ok();
-    named
-        .filter(|named| !named.is_empty())
-        .unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
+    endpoint::default_router(env::var(endpoint::ROUTER_VARIABLE).ok())
 }
 
 fn name(text: &str) -> Result<Name, NameError> {

@@ -1,4 +1,10 @@
-//! Reads the endpoint of a router as people write it.
+//! Reads the endpoint of a router as people write it, and knows the one of programs that name none.
+
+/// The environment variable that names the router of programs that name none.
+pub const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
+
+/// Where a robot's router serves its programs unless told otherwise.
+pub const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
 
 /// The protocol of an endpoint that names none.
 const DEFAULT_PROTOCOL: &str = "tcp";
@@ -7,6 +13,12 @@ const DEFAULT_PROTOCOL: &str = "tcp";
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not an endpoint: write <protocol>/<address>, such as tcp/127.0.0.1:7447")]
 pub struct EndpointError(String);
+
+/// Returns the router of programs that name none: `given`, the value of [`ROUTER_VARIABLE`], else [`DEFAULT_ROUTER`].
+pub fn default_router(given: Option<String>) -> String {
+    let given = given.filter(|given| !given.is_empty());
+    given.unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
+}
 
 /// Returns the endpoint that `text` means. A host and a port without a protocol, `127.0.0.1:7447`, are those of TCP.
 ///

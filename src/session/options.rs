@@ -11,6 +11,7 @@ use zenoh::{Config, Session};
 use super::{opening, robot::Robot};
 use crate::{
     core::{
+        endpoint,
         key::Place,
         login::{self, Login},
         name::Name,
@@ -20,10 +21,6 @@ use crate::{
     error::Error,
 };
 
-/// Where a robot's router serves its programs unless told otherwise.
-const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
-/// Where another router is named for all programs that do not name one.
-const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
 const DEFAULT_FLEET: &str = "rect";
 
 /// How to join, where `connect("wombat-1")` does not do.
@@ -84,10 +81,7 @@ impl Options {
 
     /// The router of programs that name none: what the environment's `RECT_ENDPOINT` says, else `tcp/127.0.0.1:7447`.
     pub fn default_router() -> String {
-        let given = std::env::var(ROUTER_VARIABLE).ok();
-        given
-            .filter(|given| !given.is_empty())
-            .unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
+        endpoint::default_router(std::env::var(endpoint::ROUTER_VARIABLE).ok())
     }
 
     /// Returns the login file of programs that name none: the environment's `RECT_LOGIN`, else `/etc/rect/users`.

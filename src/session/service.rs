@@ -49,7 +49,7 @@ pub struct Request {
     query: Query,
     me: Name,
     key: String,
-    /// Who asks, as the program says of itself; `None`: a stock program, which does not say. Zenoh does not verify it: do not
+    /// The robot that the request names as its sender; `None` from a stock program. Zenoh does not verify it: do not
     /// let permissions depend on it.
     pub from: Option<Name>,
     /// What is asked.

@@ -330,7 +330,7 @@ class Robot:
     def _on_done(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         error = None if task.cancelled() else task.exception()
-        # `sys.exit` has ended the loop: whoever runs that has it already.
+        # `sys.exit` has ended the loop, and asyncio raises it where the loop runs.
         if isinstance(error, Exception):
             _LOG.error("a task of %r failed", self, exc_info=error)
 

@@ -531,8 +531,8 @@ fn a_peer_that_ignores_its_credits_is_found_out_within_the_window() {
     assert_eq!(rogue.sends(batch), found);
 }
 
-/// What it has acknowledged counts no more, whether the peer has read that or not. Lanes that are not read have a bound of
-/// their own.
+/// Batches that the receiver has acknowledged no longer count, even if the peer has not read the acknowledgement. Lanes that
+/// are not read have a bound of their own.
 #[test]
 fn an_overrun_is_not_noticed_by_a_receiver_that_has_acknowledged() {
     let mut rogue = Rogue::new();

@@ -13,12 +13,13 @@ use nix::{
     sys::signal::{kill, Signal},
     unistd::Pid,
 };
+use rect::core::endpoint;
 use serde_json::json;
 use zenoh::Session;
 use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
 
 use super::{Air, Failure, SimArgs};
-use crate::commands::{client, RouterArgs, DEFAULT_ROUTER};
+use crate::commands::{client, RouterArgs};
 
 /// The shipped configuration of simulated robots.
 const CONFIGURATION: &str = include_str!("../../../../config/simulation.json5");
@@ -84,7 +85,7 @@ impl Robot {
 
     /// Whether programs that name no router reach this one.
     pub fn has_default_endpoint(&self) -> bool {
-        self.endpoint == DEFAULT_ROUTER
+        self.endpoint == endpoint::DEFAULT_ROUTER
     }
 
     /// The end of its log.
