@@ -1,53 +1,55 @@
-# The two commands are `make demo` and `make test`; `make help` lists all.
+# `make demo` and `make test` are the most important commands; `make help` lists all.
 SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/quick
 
 .PHONY: help demo test test-kernels test-upstream check docs bench fuzz dist router
 
-help: ## This list
+help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
-demo: ## Two simulated Wombats talk over Bluetooth Low Energy (about half a minute after the build)
+demo: ## Show two simulated Wombats on Bluetooth Low Energy (half a minute after the build)
 	@scripts/setup demo
 	@cargo build --profile quick -p rect -p rect-router
 	@PATH="$(bin):$$PATH" .venv/bin/python examples/demo/two_wombats.py
 
-test: ## Every test, the Bluetooth VM included
+test: ## Run all tests, including those in the Bluetooth VM
 	@scripts/setup test
 	@scripts/test
 
-test-kernels: ## The Bluetooth tests on the kernels of Debian 11, 12 and 13
+test-kernels: ## Run the Bluetooth tests on the kernels of Debian 11, 12 and 13
 	@scripts/setup test
 	@scripts/test-vm 11 12 13
 
-test-upstream: ## Zenoh's own tests of its crate zenoh-transport, with our links in it (half an hour the first time)
+test-upstream: ## Run the tests of Zenoh's crate zenoh-transport with our links (half an hour the first time)
 	@scripts/test-upstream
 
-check: ## Formatters and linters of every language
+check: ## Check the format, lints and vocabulary of all languages
 	@scripts/setup test
+	.venv/bin/python scripts/check-words --self-test && .venv/bin/python scripts/check-words
+	.venv/bin/python scripts/api-table --check
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets -- -D warnings
 	cargo clippy -p rect --no-default-features --lib -- -D warnings
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
 
-docs: ## The API's pages for Rust, Python and C++, into target/doc, target/docs and rect-cpp/build/doxygen
+docs: ## Write the API documentation of Rust, Python and C++ to target/doc, target/docs and rect-cpp/build/doxygen
 	@scripts/setup python
 	@scripts/setup test
 	cargo doc --no-deps -p rect
 	@scripts/docs-python
 	mkdir -p rect-cpp/build/doxygen && cd rect-cpp && doxygen -q Doxyfile
 
-bench: ## Comparisons, into benches/results/ (an hour; BENCH="goodput idle" for some of them)
+bench: ## Run the benchmarks, into benches/results/ (an hour; BENCH="goodput idle" selects some)
 	@scripts/setup bench
 	@scripts/bench $(BENCH)
 
-fuzz: ## The fuzz targets, SECONDS_EACH=300 (needs the nightly toolchain and cargo-fuzz)
+fuzz: ## Run the fuzz targets for SECONDS_EACH=300 each (needs the nightly toolchain and cargo-fuzz)
 	@scripts/fuzz $(or $(SECONDS_EACH),300)
 
-dist: ## What is published, into dist/: packages, wheels, archives for amd64 and arm64 (an hour)
+dist: ## Build packages, wheels and archives for amd64 and arm64 into dist/ (an hour)
 	@scripts/dist
 
-router: ## Just the router and the rect tool, in release form
+router: ## Build only the router and the rect tool, with the release profile
 	cargo build --release -p rect -p rect-router

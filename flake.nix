@@ -69,7 +69,7 @@
         {
           inherit rect librect;
 
-          # What rect-cpp/tests/installed does: a program of somebody else's, by find_package and by pkg-config.
+          # Builds a separate project with find_package and with pkg-config, like rect-cpp/tests/installed.
           consumer = pkgs.stdenv.mkDerivation {
             name = "rect-consumer";
             src = ./rect-cpp/tests/consumer;
@@ -83,7 +83,7 @@
               for program in consumer consumer_static consumer_c by_pkg_config; do
                 ./$program | tee -a $out
               done
-              [ "$(sort -u $out)" = '${rect.version}: said' ]
+              [ "$(sort -u $out)" = '${rect.version}: published' ]
             '';
           };
 

@@ -1,4 +1,4 @@
-"""Small JSON messages: size and time of JSON, CBOR, MessagePack, zstd, and zstd with a dictionary."""
+"""Measures size and time of small messages as JSON, CBOR, MessagePack, zstd, and zstd with a dictionary."""
 
 import json
 import os
@@ -38,13 +38,13 @@ def run() -> Table:
         )
     table.notes = [
         f"Means over {MESSAGES} messages of each kind ({len(recordings['weather'][1])} of `weather`), the best of ten "
-        "rounds by turns, one thread. The dictionary has at most 16 kB and was trained on other recordings: of two "
+        "alternating rounds, one thread. The dictionary has at most 16 kB and was trained on other recordings: of two "
         "other robots on other days, or, of `weather`, of other years.",
-        "`joint`, `motion` and `status` are made up so as to look recorded (`telemetry.py`); `weather` is "
-        "seattle-weather.csv of vega_datasets. Wanted of the dictionary: 0.30 of JSON, 20 us to encode, 10 us to "
-        "decode. A frame that names its dictionary and its length takes 11 bytes before anything is in it.",
+        "`joint`, `motion` and `status` are generated to resemble recordings (`telemetry.py`); `weather` is "
+        "seattle-weather.csv of vega_datasets. Target for the dictionary: 0.30 of JSON, 20 us to encode, 10 us to "
+        "decode. The header of a frame that names its dictionary and its length takes 11 bytes.",
         "JSON, CBOR and MessagePack start from and end in a tree of values (`serde_json::Value`); zstd starts from and "
-        "ends in JSON text, whose time comes on top. `zstd` says so in the encoding, in 5 bytes that are not counted "
-        "here; what zstd does not make smaller goes as it is.",
+        "ends in JSON text, whose time has to be added. `;zstd` in the encoding takes 5 bytes that are not counted "
+        "here. Messages that zstd does not make smaller are sent uncompressed.",
     ]
     return table

@@ -1,10 +1,10 @@
-//! What the bench `codecs` runs: size and time of small JSON messages in each format, as lines of JSON.
+//! Measures size and time of small messages in each format for the bench `codecs`, and prints lines of JSON.
 //!
-//!     codecs KIND TRAINING_FILE MEASURED_FILE [KIND ...]     (files: one JSON message a line)
+//!     codecs KIND TRAINING_FILE MEASURED_FILE [KIND ...]     (files: one JSON message per line)
 use std::{error::Error, hint::black_box, sync::Arc, time::Instant};
 
 use rect::core::{
-    codec::{self, dictionary::Packed, Codec, Limits},
+    codec::{self, dictionary::DictionaryCodec, Codec, Limits},
     dictionary::Dictionary,
     encoding::Encoding,
     payload::{Cbor, Json, Payload, ToPayload},
@@ -16,23 +16,23 @@ const DICTIONARY_BYTES: usize = 16 << 10;
 
 type Failure = Box<dyn Error>;
 
-/// One way to send the messages: what goes in is prepared, so that only the way itself is timed.
-trait Way {
+/// One format of the messages. The values are prepared, so that only encoding and decoding are timed.
+trait MessageFormat {
     fn encode(&self, n: usize) -> Result<Vec<u8>, Failure>;
     fn decode(&self, bytes: &[u8]) -> Result<(), Failure>;
 }
 
-/// All of them, by name.
-type Ways = Vec<(String, Box<dyn Way>)>;
+/// All formats with their names.
+type MessageFormats = Vec<(String, Box<dyn MessageFormat>)>;
 
-/// From and to a tree of values.
+/// Converts from and to a tree of values.
 struct Tree {
     values: Arc<Vec<Value>>,
     encode: fn(&Value) -> Result<Vec<u8>, Failure>,
     decode: fn(&[u8]) -> Result<Value, Failure>,
 }
 
-impl Way for Tree {
+impl MessageFormat for Tree {
     fn encode(&self, n: usize) -> Result<Vec<u8>, Failure> {
         (self.encode)(&self.values[n])
     }
@@ -43,20 +43,20 @@ impl Way for Tree {
     }
 }
 
-/// From and to JSON text.
+/// Converts from and to JSON text.
 struct Text {
     payloads: Arc<Vec<Payload>>,
     codec: Arc<dyn Codec>,
 }
 
-impl Way for Text {
+impl MessageFormat for Text {
     fn encode(&self, n: usize) -> Result<Vec<u8>, Failure> {
         Ok(self.codec.encode(&self.payloads[n])?.bytes.into())
     }
 
     fn decode(&self, bytes: &[u8]) -> Result<(), Failure> {
-        // What did not get smaller went as it is, and begins as JSON does.
-        let payload = Payload::new(bytes.to_vec(), Encoding::JSON.packed("zstd"));
+        // A message that did not get smaller is unchanged JSON.
+        let payload = Payload::new(bytes.to_vec(), Encoding::JSON.with_suffix("zstd"));
         if !bytes.starts_with(b"{") {
             black_box(self.codec.decode(&payload, &Limits::default())?);
         }
@@ -64,20 +64,20 @@ impl Way for Text {
     }
 }
 
-fn ways(train: &[&str], measure: &[&str]) -> Result<Ways, Failure> {
+fn formats(train: &[&str], measure: &[&str]) -> Result<MessageFormats, Failure> {
     let values = measure.iter().map(|line| serde_json::from_str(line));
     let values: Arc<Vec<Value>> = Arc::new(values.collect::<Result<_, _>>()?);
     let text = |line: &&str| Payload::new(line.to_string(), Encoding::JSON);
     let payloads: Arc<Vec<Payload>> = Arc::new(measure.iter().map(text).collect());
-    let mut ways = Ways::new();
+    let mut formats = MessageFormats::new();
     let mut tree = |name: &str, encode, decode| {
         let values = values.clone();
-        let way = Tree {
+        let format = Tree {
             values,
             encode,
             decode,
         };
-        ways.push((name.to_owned(), Box::new(way)));
+        formats.push((name.to_owned(), Box::new(format)));
     };
     tree(
         "JSON",
@@ -102,13 +102,13 @@ fn ways(train: &[&str], measure: &[&str]) -> Result<Ways, Failure> {
             codec::parse(&format!("zstd:{level}"))?,
         ));
     }
-    let packed: Arc<dyn Codec> = Arc::new(Packed::new(dictionary));
-    codecs.push(("zstd, dictionary".to_owned(), packed));
+    let with_dictionary: Arc<dyn Codec> = Arc::new(DictionaryCodec::new(dictionary));
+    codecs.push(("zstd, dictionary".to_owned(), with_dictionary));
     for (name, codec) in codecs {
         let payloads = payloads.clone();
-        ways.push((name, Box::new(Text { payloads, codec })));
+        formats.push((name, Box::new(Text { payloads, codec })));
     }
-    Ok(ways)
+    Ok(formats)
 }
 
 struct Measured {
@@ -117,17 +117,17 @@ struct Measured {
     decode_us: f64,
 }
 
-fn measure(way: &dyn Way, messages: usize) -> Result<Measured, Failure> {
+fn measure(format: &dyn MessageFormat, messages: usize) -> Result<Measured, Failure> {
     let per_message = |start: Instant| start.elapsed().as_secs_f64() * 1e6 / messages as f64;
     let mut encoded = Vec::with_capacity(messages);
     let start = Instant::now();
     for n in 0..messages {
-        encoded.push(way.encode(n)?);
+        encoded.push(format.encode(n)?);
     }
     let encode_us = per_message(start);
     let start = Instant::now();
     for bytes in &encoded {
-        way.decode(bytes)?;
+        format.decode(bytes)?;
     }
     Ok(Measured {
         bytes: encoded.iter().map(Vec::len).sum(),
@@ -143,12 +143,12 @@ fn main() -> Result<(), Failure> {
         let lines = std::fs::read_to_string(&three[2])?;
         let (train, lines): (Vec<&str>, Vec<&str>) =
             (train.lines().collect(), lines.lines().collect());
-        let ways = ways(&train, &lines)?;
+        let formats = formats(&train, &lines)?;
         let json_bytes: usize = lines.iter().map(|line| line.len()).sum();
-        let mut best: Vec<Option<Measured>> = ways.iter().map(|_| None).collect();
+        let mut best: Vec<Option<Measured>> = formats.iter().map(|_| None).collect();
         for _ in 0..ROUNDS {
-            for ((_, way), best) in ways.iter().zip(&mut best) {
-                let mut now = measure(&**way, lines.len())?;
+            for ((_, format), best) in formats.iter().zip(&mut best) {
+                let mut now = measure(&**format, lines.len())?;
                 if let Some(before) = best {
                     now.encode_us = now.encode_us.min(before.encode_us);
                     now.decode_us = now.decode_us.min(before.decode_us);
@@ -156,7 +156,7 @@ fn main() -> Result<(), Failure> {
                 *best = Some(now);
             }
         }
-        for ((format, _), best) in ways.iter().zip(best.into_iter().flatten()) {
+        for ((format, _), best) in formats.iter().zip(best.into_iter().flatten()) {
             let bytes = best.bytes as f64 / lines.len() as f64;
             let ratio = best.bytes as f64 / json_bytes as f64;
             let (encode_us, decode_us) = (best.encode_us, best.decode_us);

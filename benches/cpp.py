@@ -1,4 +1,4 @@
-"""The C++ library beside the Rust library; Catch2's micro-benchmarks, allocations, the size of a static program."""
+"""Compares the C++ library with the Rust library; micro-benchmarks, allocations, the size of a static program."""
 
 import json
 import os
@@ -11,18 +11,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from comparison import IS_STEADY, alternate, ratio
 from table import Table
-from turns import IS_STEADY, by_turns, ratio
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-#: As many in steady time: in which order threads get the one processor is another thing in each run.
+#: The same number in steady time, because the order in which threads get the only processor differs in each run.
 ROUNDS = 30
 SAMPLES = os.environ.get("RECT_BENCH_SAMPLES", "10" if IS_STEADY else "100")
 
 
 @contextmanager
 def prepared() -> Iterator[dict[str, str]]:
-    """Builds what is measured."""
+    """Builds the programs that are measured."""
     with tempfile.TemporaryDirectory() as folder:
         yield {"RECT_CPP_BUILT": str(build(Path(folder)))}
 
@@ -35,11 +35,11 @@ def run() -> Table:
         with prepared() as environment:
             measure(table, Path(environment["RECT_CPP_BUILT"]))
             size = hello(Path(environment["RECT_CPP_BUILT"]))
-            table.add("a stripped static program that says hello", f"{size / 1e6:.1f} MB", "", "")
+            table.add("a stripped static program that prints hello", f"{size / 1e6:.1f} MB", "", "")
     table.notes = [
-        f"The first two: medians of {ROUNDS} runs each, by turns; the ratio is the median of the runs' own, its middle "
-        "half in brackets. 58 bytes of JSON, from the call that publishes to the callback's first line; a callback on "
-        "a thread of its own in both. Wanted: at most 5 % more time.",
+        f"The first two: medians of {ROUNDS} alternating runs each; the ratio is the median of the runs' ratios, "
+        "with the range of the middle half in brackets. 58 bytes of JSON, from the call that publishes to the first "
+        "line of the callback, which has a thread of its own in both. Target: at most 5 % more time.",
     ]
     return table
 
@@ -47,29 +47,29 @@ def run() -> Table:
 def measure(table: Table, built: Path) -> None:
     compare(table, [built / "benches" / "rect_rounds"], [os.environ["RECT_ROUNDS"]])
     command = [built / "benches" / "rect_bench", "--reporter", "xml", "--benchmark-samples", SAMPLES]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    for bench in xml.fromstring(said[said.index("<?xml") :]).iter("BenchmarkResults"):
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    for bench in xml.fromstring(output[output.index("<?xml") :]).iter("BenchmarkResults"):
         mean, deviation = (float(bench.find(part).attrib["value"]) for part in ("mean", "standardDeviation"))
         table.add(bench.attrib["name"], f"{mean / 1000:,.2f} us (sd {deviation / 1000:,.2f})", "", "")
-    # On a stream of its own, since the report is XML.
+    # In a separate run, because the report is XML.
     counted = subprocess.run([*command[:1], "a message"], capture_output=True, text=True, check=True).stdout
-    found = re.search(r"said and heard: ([\d.]+)", counted)
+    found = re.search(r"published and received: ([\d.]+)", counted)
     assert found is not None
-    table.add("heap allocations for a message, said and heard", found[1], "", "")
+    table.add("heap allocations for a message, published and received", found[1], "", "")
 
 
 def compare(table: Table, ours: list, theirs: list) -> None:
-    rows = {"p50_us": "published and called back, p50, us", "messages_per_s": "messages/s"}
-    both = by_turns(ROUNDS, lambda: figures(ours), lambda: figures(theirs))
+    rows = {"p50_us": "publish to callback, p50, us", "messages_per_s": "messages/s"}
+    both = alternate(ROUNDS, lambda: figures(ours), lambda: figures(theirs))
     for key, what in rows.items():
         found = [[run[key] for run in runs] for runs in both]
         table.add(what, *(f"{statistics.median(rounds):,.0f}" for rounds in found), ratio(*found))
 
 
 def figures(command: list) -> dict[str, float]:
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    # Catch2 says something, too.
-    [line] = (line for line in said.splitlines() if line.startswith("{"))
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    # Catch2 prints lines, too.
+    [line] = (line for line in output.splitlines() if line.startswith("{"))
     return json.loads(line)
 
 

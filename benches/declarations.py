@@ -1,4 +1,5 @@
-"""What one local stock program that declares very much does to two routers and the slow link between them."""
+"""Measures the effect of a local stock program with very many declarations on two routers and the slow link between
+them."""
 
 import multiprocessing
 import os
@@ -19,7 +20,7 @@ from zenoh import CongestionControl, Priority
 PDU = 27
 LIMIT_S = 180
 PERIOD_S = 0.5
-#: Keep-alives, and the message that is measured.
+#: The bytes of keep-alives and of the message that is measured.
 SILENCE_BYTES = 400
 
 
@@ -70,8 +71,8 @@ def run() -> Table:
         [
             "declarations",
             "sent to the router within the limit",
-            "until the air is silent",
-            "an urgent message of another program: at most",
+            "time until the air is silent",
+            "latency of another program's urgent messages, max",
             "bytes on the air",
             "memory of the two routers",
         ],
@@ -89,14 +90,14 @@ def run() -> Table:
         print(f"  {table.rows[-1]}", flush=True)
     table.notes = [
         f"The simulated air as in `urgent`, with link-layer packets of {PDU} bytes (34 kB/s). A stock eclipse-zenoh "
-        f"client of one robot declares as fast as it can, for {LIMIT_S} s at most; another one of the same robot "
-        "publishes urgent messages (`REAL_TIME`), the next when one has arrived. Memory: heap and stacks.",
+        f"client of one robot declares as fast as it can, for {LIMIT_S} s at most. Another client of the same robot "
+        "publishes urgent messages (`REAL_TIME`), each when the previous one has arrived. Memory: heap and stacks.",
     ]
     return table
 
 
 def in_a_process(case: Case) -> Outcome:
-    """Of its own, which ends without waiting for the routers to take every declaration back."""
+    """Runs a case in a separate process, which exits without waiting for the routers to undeclare everything."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=work, args=(theirs, CASES.index(case)))
@@ -119,14 +120,14 @@ def outcome_of(case: Case) -> Outcome:
         one, two = air.add_robot("wombat-1"), air.add_robot("wombat-2")
         wait_for_link(one, two)
         declaring, urgent = one.session(), Urgent(one.session(), two.session())
-        outcome, is_over, kept = Outcome(), threading.Event(), []
+        outcome, is_finished, kept = Outcome(), threading.Event(), []
 
         def declare() -> None:
             for number in range(case.count):
-                if is_over.is_set():
+                if is_finished.is_set():
                     break
                 kept.append(case.declare(declaring, number))
-            is_over.set()
+            is_finished.set()
 
         memory_kb = [own_kb(robot.pid()) for robot in (one, two)]
         before, started = carried(air), time.monotonic()
@@ -135,9 +136,9 @@ def outcome_of(case: Case) -> Outcome:
             outcome.worst_s = max(outcome.worst_s, urgent.put(LIMIT_S))
             latest = carried(air)
             time.sleep(PERIOD_S)
-            if is_over.is_set() and carried(air) - latest < SILENCE_BYTES:
+            if is_finished.is_set() and carried(air) - latest < SILENCE_BYTES:
                 break
-        is_over.set()
+        is_finished.set()
         outcome.declared, outcome.took_s = len(kept), elapsed
         outcome.carried_bytes = carried(air) - before
         outcome.grew_kb = [own_kb(robot.pid()) - kb for robot, kb in zip((one, two), memory_kb, strict=True)]
@@ -145,21 +146,21 @@ def outcome_of(case: Case) -> Outcome:
 
 
 class Urgent:
-    """Urgent messages of another program, one after the other."""
+    """Publishes urgent messages of another program, one after the other."""
 
     def __init__(self, here: zenoh.Session, there: zenoh.Session) -> None:
         self._arrived = threading.Event()
-        # A session that nobody has any more is closed.
+        # The sessions would be closed if they were garbage-collected.
         self._sessions = here, there
         key = "rect/wombat-1/stop"
         self._subscriber = there.declare_subscriber(key, lambda _: self._arrived.set())
         self._publisher = here.declare_publisher(
             key, priority=Priority.REAL_TIME, congestion_control=CongestionControl.BLOCK, express=True
         )
-        wait_until("a message gets through", 30, lambda: self.put(0.5) < 0.5)
+        wait_until("a message arrives", 30, lambda: self.put(0.5) < 0.5)
 
     def put(self, limit_s: float) -> float:
-        """Seconds that a message took; the limit if it did not arrive within that."""
+        """Publishes a message, and returns the seconds until it arrived, at most `limit_s`."""
         self._arrived.clear()
         started = time.monotonic()
         self._publisher.put(b"stop")

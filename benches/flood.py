@@ -1,5 +1,5 @@
-"""A flood of messages over a slow link: how long the next message of the same priority takes, and urgent ones of the
-program that floods, with the default of `backlog=` and with other settings."""
+"""Measures how a flood of messages over a slow link delays the next message of the same priority, and urgent messages
+of the flooding program, with the default of `backlog=` and with other settings."""
 
 import multiprocessing
 import os
@@ -24,10 +24,10 @@ FLOOD_S = 8
 LIMIT_S = 60
 PERIOD_S = 0.1
 SILENCE_BYTES_PER_S = 500
-#: As good as none: what the link did before it had the option.
+#: Practically no limit: the behaviour of the link before it had the option.
 WITHOUT = "backlog=600000"
-#: A client that waits for its router for longer gives it up, and loses messages: by default after 5 s.
-PATIENCE = {"transport__link__tx__queue__congestion_control__block__wait_before_close": 60_000_000}
+#: By default a client that waits for its router for more than 5 s closes the link and loses messages.
+LONG_WAIT = {"transport__link__tx__queue__congestion_control__block__wait_before_close": 60_000_000}
 
 
 @dataclass
@@ -36,15 +36,15 @@ class Case:
     message_bytes: int = 128
     programs: int = 1
     options: str = ""
-    """Of both `ble/` locators."""
+    """Options of both `ble/` locators."""
     listener: str = "tcp"
-    """Where the programs that flood are."""
+    """The listener that the flooding programs connect to."""
     is_urgent_too: bool = False
-    """The first program that floods sends urgent messages, too, over the same connection."""
+    """Whether the first flooding program sends urgent messages, too, over the same session."""
 
 
 CASES = [
-    Case("128 bytes, without the bound", options=WITHOUT),
+    Case("128 bytes, without the limit", options=WITHOUT),
     Case("128 bytes"),
     Case("128 bytes, three programs", programs=3),
     Case("8 kB", 8_000),
@@ -52,13 +52,11 @@ CASES = [
     Case("60 kB", 60_000),
     Case("128 bytes, `backlog=500`", options="backlog=500"),
     Case("128 bytes, `backlog=2000`", options="backlog=2000"),
-    Case("one connection for flood and urgent messages, without the bound", options=WITHOUT, is_urgent_too=True),
-    Case("one connection, TCP", is_urgent_too=True),
-    Case("one connection, TCP, `#so_rcvbuf=65536`", listener="small tcp", is_urgent_too=True),
-    Case(
-        "one connection, TCP, `#so_rcvbuf=65536`, client `#so_sndbuf=65536`", listener="small both", is_urgent_too=True
-    ),
-    Case("one connection, Unix socket", listener="unix", is_urgent_too=True),
+    Case("one session for flood and urgent messages, without the limit", options=WITHOUT, is_urgent_too=True),
+    Case("one session, TCP", is_urgent_too=True),
+    Case("one session, TCP, `#so_rcvbuf=65536`", listener="small tcp", is_urgent_too=True),
+    Case("one session, TCP, `#so_rcvbuf=65536`, client `#so_sndbuf=65536`", listener="small both", is_urgent_too=True),
+    Case("one session, Unix socket", listener="unix", is_urgent_too=True),
 ]
 
 
@@ -74,14 +72,14 @@ class Outcome:
 
 def run() -> Table:
     table = Table(
-        "A flood of messages over a slow link, and the next message of its priority",
+        "A flood of messages over a slow link, and the next message of the same priority",
         [
             "flood",
             "next message of another program: during, max",
             "right after",
-            "urgent messages of the program that floods",
+            "urgent messages of the flooding program",
             "bytes on the air after its subscriber has left",
-            "most memory of the routers",
+            "peak memory of the routers",
         ],
     )
     for case in CASES:
@@ -102,16 +100,16 @@ def run() -> Table:
         print(f"  {table.rows[-1]}", flush=True)
     table.notes = [
         f"The simulated air as in `urgent`, with link-layer packets of {PDU} bytes (34 kB/s). Stock eclipse-zenoh "
-        f"clients put for {FLOOD_S} s with congestion control `BLOCK` and `wait_before_close` of 60 s; another "
-        "one of the same robot puts 8 bytes of the same priority, the next when one has arrived. Urgent: 8 bytes every "
-        "0.1 s, `REAL_TIME`. The subscriber to the flood leaves when it is over; the bytes are counted from then on "
-        "for 10 s, or until the air is silent.",
+        f"clients put for {FLOOD_S} s with congestion control `BLOCK` and `wait_before_close` of 60 s. Another "
+        "client of the same robot puts 8 bytes of the same priority, each when the previous one has arrived. Urgent: "
+        "8 bytes every 0.1 s, `REAL_TIME`. The subscriber to the flood leaves when it ends; the bytes are counted from "
+        "then on for 10 s, or until the air is silent.",
     ]
     return table
 
 
 def in_a_process(case: Case) -> Outcome:
-    """Of its own: its clients may wait for routers that are gone."""
+    """Runs a case in a separate process, whose clients may still be waiting for routers that were stopped."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=work, args=(theirs, case))
@@ -137,7 +135,7 @@ def outcome_of(case: Case) -> Outcome:
         one = air.add_robot("wombat-1", arguments=tuple(listeners))
         two = air.add_robot("wombat-2", f"#{case.options}" if case.options else "")
         if case.options:
-            # It accepts the link, with the options of its listener.
+            # This router accepts the link, so its listener needs the options, too.
             one.stop()
             one.start([], ble_options=f";{case.options}")
         wait_for_link(one, two)
@@ -154,7 +152,7 @@ def outcome_of(case: Case) -> Outcome:
 
 def measure(case: Case, outcome: Outcome, one: Robot, two: Robot, endpoint: str, on_air: Callable[[], int]) -> None:
     there, other = two.session(), one.session()
-    flooding = [open_client(endpoint, **PATIENCE) for _ in range(case.programs)]
+    flooding = [open_client(endpoint, **LONG_WAIT) for _ in range(case.programs)]
     flooded = there.declare_subscriber("rect/wombat-1/flood", lambda _: None)
     latest = Latest(there, other)
     urgent = there.declare_subscriber(
@@ -204,7 +202,7 @@ def age_s(payload: bytes) -> float:
 
 
 def carried_until_silence(on_air: Callable[[], int]) -> int:
-    """Bytes that the link still carries, until it carries next to nothing for a second, or for 10 s."""
+    """Returns the bytes that the link carries until it has carried almost nothing for a second, for at most 10 s."""
     first = latest = on_air()
     for _ in range(10):
         time.sleep(1)
@@ -215,16 +213,16 @@ def carried_until_silence(on_air: Callable[[], int]) -> int:
 
 
 class Latest:
-    """Another program's messages of the same priority, one after the other."""
+    """Publishes another program's messages of the same priority, one after the other."""
 
     def __init__(self, there: zenoh.Session, other: zenoh.Session) -> None:
         self._arrived = threading.Event()
         self._subscriber = there.declare_subscriber("rect/wombat-1/other", lambda _: self._arrived.set())
         self._publisher = other.declare_publisher("rect/wombat-1/other", congestion_control=CongestionControl.BLOCK)
-        wait_until("a message gets through", 30, lambda: self.put(0.5) is not None)
+        wait_until("a message arrives", 30, lambda: self.put(0.5) is not None)
 
     def put(self, limit_s: float) -> float | None:
-        """Seconds that a message took, if it arrived within the limit."""
+        """Publishes a message, and returns the seconds until it arrived, or None if it did not within the limit."""
         self._arrived.clear()
         started = time.monotonic()
         self._publisher.put(bytes(8))

@@ -1,8 +1,8 @@
-"""Goodput over a real kernel's Bluetooth stack whose radio is paced: a raw channel beside Zenoh over two routers.
+"""Compares the goodput of Zenoh over two routers with a raw channel, on a real kernel's Bluetooth stack with paced
+radios.
 
-The pace is that of a Pi 3B (34 kB/s, packets of 27 bytes) and of a radio with long packets (100 kB/s), see README.md.
-Unpaced, the emulated CPU is what is measured; it is shown without a target.
-"""
+The paces are those of a Pi 3B (34 kB/s, packets of 27 bytes) and of a radio with long packets (100 kB/s), see
+README.md. Without a pace, the emulated processor is the limit; that row has no target."""
 
 import itertools
 import json
@@ -24,13 +24,13 @@ PAYLOAD_BYTES = [100, 1000, 4000, 16_000, 100_000]
 ROUNDS = 3
 SECONDS = 5
 UNPACED_BYTES = 1_000_000
-WANTED = 0.97
+TARGET = 0.97
 
 
 def run() -> Table:
     figures = figures_of("goodput", 1500)
     table = Table(
-        "Goodput on a real kernel's Bluetooth stack: Zenoh put over two routers beside a raw L2CAP channel",
+        "Goodput on a real kernel's Bluetooth stack: Zenoh put over two routers compared with a raw L2CAP channel",
         ["pace", "raw, best SDU", *(f"put {size} B" for size in PAYLOAD_BYTES)],
     )
     for pace, rows in itertools.groupby(figures, key=lambda figure: figure["pace"]):
@@ -39,14 +39,14 @@ def run() -> Table:
         raw = statistics.median(kb for _, kb in best)
         cells = []
         for size in PAYLOAD_BYTES:
-            # Each put beside the raw channel of its own round: the machine may be busier in another.
+            # Each put is compared with the raw channel of the same round: the machine may be busier in another round.
             pairs = [(one["put"][str(size)], kb) for one, (_, kb) in zip(rounds, best, strict=True)]
             rate = statistics.median(put for put, _ in pairs)
             cells.append(f"{rate:.1f} ({statistics.median(put / kb for put, kb in pairs):.3f})")
         table.add(f"{pace / 1000:.0f} kB/s" if pace else "none", f"{raw:.1f} at {best[0][0]} B", *cells)
     table.notes = [
-        f"kB/s of payload, in brackets its ratio to raw; medians of {ROUNDS} rounds, in each all of them one after the "
-        f"other. Wanted: {WANTED} or better from 4000 B on, where there is a pace.",
+        f"kB/s of payload, in brackets its ratio to raw; medians of {ROUNDS} rounds, each of which measures all of "
+        f"them in turn. Target: {TARGET} or better from 4000 B on, with a pace.",
         "Stock eclipse-zenoh clients at both ends, congestion control Block, from the first put to the last arrival.",
         CLOCK,
     ]
@@ -66,12 +66,12 @@ def in_guest() -> None:
 
 
 def raw_rate(total: int, sdu_bytes: int) -> float:
-    """kB/s of a bare SEQPACKET channel."""
+    """Measures the kB/s of a bare SEQPACKET channel."""
     return bare_channel("flood", "hci0", "hci1", str(total), str(sdu_bytes))["kb_per_s"]
 
 
 def put_rates(total: int, folder: Path) -> dict[int, float]:
-    """kB/s of payloads put by one stock client and received by another, through a router at each."""
+    """Measures the kB/s of payloads of each size from one stock client to another, each with its own router."""
     one = Robot("wombat-1", "hci0", folder / "1.log").start([])
     two = Robot("wombat-2", "hci1", folder / "2.log").start(["ble/wombat-1"])
     try:
@@ -85,7 +85,7 @@ def put_rates(total: int, folder: Path) -> dict[int, float]:
 
 def put_rate(here: zenoh.Session, there: zenoh.Session, size: int, total: int) -> float:
     key = f"rect/wombat-1/bench/{size}"
-    # No more than 4000: there a message's own cost counts, not how many there are.
+    # At most 4000, because for small messages the cost of each message matters, not their total.
     count = min(max(total // size, 1), 4000)
     arrived = threading.Semaphore(0)
     started = threading.Event()
@@ -98,7 +98,7 @@ def put_rate(here: zenoh.Session, there: zenoh.Session, size: int, total: int) -
 
     subscriber = there.declare_subscriber(key, on_sample)
     publisher = here.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
-    wait_until("a message gets through", 30, lambda: publisher.put(b"?") or started.is_set())
+    wait_until("a message arrives", 30, lambda: publisher.put(b"?") or started.is_set())
     payload = bytes(size)
     start = time.monotonic()
     for _ in range(count):

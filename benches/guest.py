@@ -1,21 +1,22 @@
-"""A bench's part that runs in the VM with a real kernel's Bluetooth stack: `in_guest` of its module."""
+"""Runs the part of a bench that needs the VM with a real kernel's Bluetooth stack: `in_guest` of its module."""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
 
-from turns import STEADY_PROCESSOR
+from comparison import STEADY_PROCESSOR
 
-#: Whose time it is.
+#: The components that share the VM's processor, for the captions.
 CLOCK = f"The guest, with both routers, their programs and the emulated controllers: {STEADY_PROCESSOR}."
-# How many of the host's seconds one of the guest's may take.
+# The largest number of the host's seconds that one of the guest's may take.
 SLOWER = 4
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def figures_of(bench: str, limit_s: int, controllers: int = 2) -> list[dict]:
-    """The JSON lines that `in_guest` prints within so many of the guest's seconds; its other lines are shown."""
+    """Returns the JSON lines that `in_guest` prints within a time limit in the guest's seconds. Prints its other
+    lines."""
     command = ["tests/vm/run", "--steady", "--timeout", str(SLOWER * limit_s), "--controllers", str(controllers), "--"]
     command += [sys.executable, "benches/run.py", "--guest", bench]
     guest = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
@@ -31,6 +32,6 @@ def figures_of(bench: str, limit_s: int, controllers: int = 2) -> list[dict]:
 
 
 def set_pace(adapters: list[str], bytes_per_s: int) -> None:
-    """In the guest."""
+    """Sets the pace of the adapters' radios, in the guest."""
     for adapter in adapters:
         subprocess.run(["room", "pace", adapter, str(bytes_per_s)], check=True)

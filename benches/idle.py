@@ -1,4 +1,4 @@
-"""What a router takes when it has nothing to do: memory, threads, the program's size."""
+"""Measures an idle router: memory, threads, the size of the program."""
 
 import os
 import shutil
@@ -15,8 +15,8 @@ ROUNDS = 5
 
 def run() -> Table:
     table = Table(
-        "An idle router: rect-router beside stock zenohd 1.10.2",
-        ["program", "memory of its own", "resident memory (RSS)", "threads", "size", "size, stripped"],
+        "An idle router: rect-router compared with stock zenohd 1.10.2",
+        ["program", "private memory", "resident memory (RSS)", "threads", "size", "size, stripped"],
     )
     own_kb: dict[str, list[int]] = {program: [] for program in PROGRAMS}
     resident_kb: dict[str, list[int]] = {program: [] for program in PROGRAMS}
@@ -32,9 +32,9 @@ def run() -> Table:
         memory = [f"{statistics.median(kb[program]) / 1000:.1f} MB" for kb in (own_kb, resident_kb)]
         table.add(program, *memory, threads[program], megabytes(path), megabytes(path, strip=True))
     table.notes = [
-        f"Once it listens on TCP, medians of {ROUNDS} starts, by turns. Of its own: heap, stacks, changed data "
-        "(anonymous memory). Wanted: at most 1 MB above stock. Resident beside that is program text, which the system "
-        "drops and reads again as it likes. rect-router is built with LTO over everything in one codegen unit and "
+        f"After it listens on TCP; medians of {ROUNDS} alternating starts. Private memory: heap, stacks, changed data "
+        "(anonymous memory). Target: at most 1 MB above stock. The rest of the resident memory is program text, which "
+        "the system may drop and read again. rect-router is built with LTO over everything in one codegen unit and "
         "stripped (profile `release`)."
     ]
     return table

@@ -1,6 +1,6 @@
-"""What lanes cost where the link is not the limit: a plain link beside them on a real kernel's stack without a pace.
+"""Measures the cost of lanes compared with a plain link, on a real kernel's stack without a pace.
 
-There the emulated processor is the limit, and whatever a router does shows in full.
+There the emulated processor is the limit, so all work of a router is visible.
 """
 
 import json
@@ -9,18 +9,18 @@ import tempfile
 from pathlib import Path
 
 import zenoh
+from comparison import ratio
 from goodput import put_rate
 from guest import CLOCK, figures_of, set_pace
 from robots import Robot, RobotError, wait_until
 from round_trip import ask
 from table import Table
-from turns import ratio
 
 ROUNDS = 7
 BULK_BYTES, PUT_BYTES = 500_000, [1000, 100_000]
 ASKED = 80
 PAYLOAD = bytes(64)
-# The name of the dialled robot, the adapters, the options of the dial.
+# The name of the dialled robot, the adapters, the options for dialling.
 LINKS = {"lanes": ("wombat-1", "hci0", "hci1", ""), "plain": ("wombat-3", "hci2", "hci3", "#plain=true")}
 
 
@@ -28,22 +28,22 @@ def run() -> Table:
     figures = figures_of("lanes_cost", 1200, controllers=4)
     rounds = [one for one in figures if one["plain"]]
     if not rounds:
-        raise SystemExit("lanes_cost: the plain link lost messages in every round: there is nothing to compare with")
+        raise SystemExit("lanes_cost: the plain link lost messages in every round, so there is nothing to compare with")
     table = Table(
-        "What lanes cost on a link that is not the limit: beside a plain link, on a real kernel's stack without a pace",
-        ["what", *LINKS, "lanes to plain", "wanted"],
+        "The cost of lanes compared with a plain link, on a real kernel's stack without a pace",
+        ["what", *LINKS, "lanes to plain", "target"],
     )
     for what in rounds[0]["lanes"]:
         lanes, plain = ([one[link][what] for one in rounds] for link in LINKS)
-        unit, wanted = ("ms", "at most 1.10") if what.startswith("round trip") else ("kB/s", "at least 0.85")
+        unit, target = ("ms", "at most 1.10") if what.startswith("round trip") else ("kB/s", "at least 0.85")
         cells = (f"{statistics.median(values):.1f} {unit}" for values in (lanes, plain))
-        table.add(what, *cells, ratio(lanes, plain), wanted)
+        table.add(what, *cells, ratio(lanes, plain), target)
     table.notes = [
-        f"Medians of {ROUNDS} rounds by turns; the ratio is the median of the rounds' own, its middle half in "
-        f"brackets. Throughput: stock clients, from the first put to the last arrival. Round trip: {ASKED} queries "
-        f"of {len(PAYLOAD)} bytes each.",
+        f"Medians of {ROUNDS} alternating rounds; the ratio is the median of the rounds' ratios, with the range of "
+        "the middle half in brackets. Throughput: stock clients, from the first put to the last arrival. Round trip: "
+        f"{ASKED} queries of {len(PAYLOAD)} bytes each.",
         f"In {len(figures) - len(rounds)} of {len(figures)} rounds the plain link lost messages (the kernel drops what "
-        "a router does not read in time); they are left out. Lanes lost none.",
+        "a router does not read in time); these rounds are left out. Lanes lost none.",
         CLOCK,
     ]
     return table
@@ -55,7 +55,7 @@ def in_guest() -> None:
         robots = {link: linked(link, Path(folder)) for link in LINKS}
         for n in range(ROUNDS):
             print(f"  round {n + 1} of {ROUNDS}", flush=True)
-            # By turns in going first.
+            # They alternate in going first.
             order = list(LINKS) if n % 2 else list(reversed(LINKS))
             figures = {link: measured_or_lost(link, *robots[link]) for link in order}
             print(json.dumps(figures), flush=True)
@@ -72,7 +72,7 @@ def linked(link: str, folder: Path) -> tuple[Robot, Robot]:
 
 
 def measured_or_lost(link: str, one: Robot, two: Robot) -> dict[str, float] | None:
-    """None: a plain link loses messages now and then, which is what lanes are for."""
+    """Returns None if messages were lost, as happens on a plain link, but not on lanes."""
     try:
         return measured(one, two)
     except RobotError as error:

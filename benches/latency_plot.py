@@ -1,4 +1,4 @@
-"""The ages of urgent messages as a plot: a panel for each link and case, a line for each peer."""
+"""Plots the ages of urgent messages: a panel for each link and case, a line for each peer."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ COLOURS = ["tab:blue", "tab:orange", "tab:green"]
 
 
 def plot(rows: list[tuple]) -> None:
-    """`rows`: link, case, peer, outcome. A line ends below 1 where messages were lost."""
+    """Writes the plot of `rows` (link, case, peer, outcome). A line ends below 1 if messages were lost."""
     rows = [row for row in rows if row[3].sent]
     links, cases, peers = (list(dict.fromkeys(row[n] for row in rows)) for n in range(3))
     size = (3 * len(cases), 2.8 * len(links))
@@ -24,7 +24,7 @@ def plot(rows: list[tuple]) -> None:
         panel = panels[links.index(link)][cases.index(case)]
         ages_ms = sorted(age * 1000 for age in outcome.ages_s)
         shares = [(n + 1) / outcome.sent for n in range(len(ages_ms))]
-        # Few enough points for a small file, the first and the last among them.
+        # The file stays small with few points, which include the first and the last one.
         shown = [*range(0, len(ages_ms), max(1, len(ages_ms) // POINTS)), len(ages_ms) - 1] if ages_ms else []
         panel.step(
             [ages_ms[n] for n in shown],

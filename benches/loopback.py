@@ -1,13 +1,13 @@
-"""rect-router beside the published zenohd, on TCP loopback: one program's messages to another through one router."""
+"""Compares rect-router with the published zenohd on TCP loopback: messages between two programs through one router."""
 
 import os
 import statistics
 from contextlib import ExitStack
 
+from comparison import alternate, ratio
 from peers import figures_of
 from routers import PROGRAMS, Router
 from table import Table
-from turns import by_turns, ratio
 
 ROUNDS = 15
 SECONDS = 1.5
@@ -17,7 +17,7 @@ PING_BYTES = 64
 
 def run() -> Table:
     table = Table(
-        "TCP loopback through one router: rect-router beside stock zenohd 1.10.2",
+        "TCP loopback through one router: rect-router compared with stock zenohd 1.10.2",
         ["what", *PROGRAMS, "rect-router to stock"],
     )
     with ExitStack() as stack:
@@ -26,15 +26,16 @@ def run() -> Table:
             compare(table, routers, f"throughput, {size} B", "messages_per_s", "throughput", size)
         compare(table, routers, f"round trip, {PING_BYTES} B, p50", "p50_us", "ping", PING_BYTES)
     table.notes = [
-        f"Medians of {ROUNDS} rounds of {SECONDS} s each, by turns; the ratio is the median of the rounds' own, its "
-        "middle half in brackets. Throughput in messages/s, round trip in microseconds. Wanted: within 2 %.",
+        f"Medians of {ROUNDS} alternating rounds of {SECONDS} s each; the ratio is the median of the rounds' ratios, "
+        "with the range of the middle half in brackets. Throughput in messages/s, round trip in microseconds. Target: "
+        "within 2 %.",
     ]
     return table
 
 
 def compare(table: Table, routers: list[Router], what: str, figure: str, mode: str, size: int) -> None:
     ours, stock = (lambda router=router: load(mode, router, size)[figure] for router in routers)
-    found = by_turns(ROUNDS, ours, stock)
+    found = alternate(ROUNDS, ours, stock)
     table.add(what, *(f"{statistics.median(rounds):,.0f}" for rounds in found), ratio(*found, digits=3))
     print(f"  {what}: {ratio(*found, digits=3)}", flush=True)
 

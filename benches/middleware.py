@@ -1,4 +1,4 @@
-"""The library beside plain zenoh, gRPC and MQTT at the same jobs, on TCP loopback: latency, messages/s, bytes."""
+"""Compares the library with plain zenoh, gRPC and MQTT on TCP loopback: latency, messages/s, bytes."""
 
 import os
 import statistics
@@ -7,22 +7,22 @@ from collections import defaultdict
 from contextlib import ExitStack
 from dataclasses import dataclass
 
+from comparison import ratio, rounds
 from peers import figures_of
 from robots import free_port, is_listening, wait_until
 from routers import Router
 from table import Table
 from traffic import percentile
-from turns import ratio, rounds
 
 SIZES = [64, 1024]
 ROUNDS = rounds(16)
 SECONDS = 0.5
-WANTED = 1.1
+TARGET = 1.1
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """Two programs that talk by one middleware, with or without one between them."""
+    """Two programs that use one middleware, with or without a router or broker between them."""
 
     name: str
     middleware: str
@@ -42,7 +42,7 @@ PAIRINGS = [
 
 
 class Program:
-    """`middleware` at work, until the end."""
+    """The running program `middleware`."""
 
     def __init__(self, *arguments: str) -> None:
         self._process = subprocess.Popen([os.environ["RECT_MIDDLEWARE"], *arguments])
@@ -56,14 +56,14 @@ class Program:
 
 
 class Pair:
-    """A pairing whose one program runs; the other one is run to measure."""
+    """A pairing whose serving program is running; the other program is run for each measurement."""
 
     def __init__(self, pairing: Pairing, stack: ExitStack) -> None:
         self.pairing = pairing
         if pairing.over == "rumqttd":
             self._where = [listening(stack, "broker"), "--router"]
         elif pairing.over:
-            # Each its own: the keys are the same ones, and a request goes to all that serve it.
+            # Each pairing has its own router, because all use the same keys, and a request goes to every service.
             router = stack.enter_context(Router(pairing.over))
             self._where = [router.endpoint.removeprefix("tcp/"), "--router"]
         else:
@@ -78,7 +78,7 @@ class Pair:
 
 
 class Measured:
-    """What each pairing did, round by round."""
+    """The figures of each pairing, round by round."""
 
     def __init__(self) -> None:
         self.times_us: dict[tuple[str, str], list[list[float]]] = defaultdict(list)
@@ -97,7 +97,7 @@ class Measured:
 
     def row(self, pairing: Pairing) -> list[str]:
         cells = []
-        # There and back by publishing is two messages.
+        # A round trip by publishing takes two messages.
         for job, share in (("publish", 0.5), ("request", 1.0)):
             ours, others = (self.times_us[name, job] for name in (pairing.name, pairing.beside))
             every = [time * share for times in ours for time in times]
@@ -113,7 +113,7 @@ def run() -> Table:
     latency, rate = ["p50", "p99", "to zenoh"], ["messages/s", "to zenoh"]
     columns = [f"publish {latency[0]}", *latency[1:], f"request {latency[0]}", *latency[1:], *rate]
     table = Table(
-        "The same jobs on TCP loopback: RECT beside plain zenoh, gRPC and MQTT",
+        "RECT compared with plain zenoh, gRPC and MQTT on TCP loopback",
         ["payload, what", *columns, "bytes per message", "bytes per request"],
     )
     with ExitStack() as stack:
@@ -123,7 +123,7 @@ def run() -> Table:
             for pair in pairs:
                 measured.bytes[pair.pairing.name] = pair.measure("bytes", size)
             for n in range(ROUNDS):
-                # By turns in going first: whoever does may find a cooler or a hotter machine.
+                # They alternate in going first, because the first one may find a cooler or a hotter machine.
                 turned = pairs[n % len(pairs) :] + pairs[: n % len(pairs)]
                 measured.round(turned[::-1] if n % 2 else turned, size)
                 print(f"  {size} B: round {n + 1} of {ROUNDS}", flush=True)
@@ -137,7 +137,7 @@ def run() -> Table:
 
 
 def listening(stack: ExitStack, *arguments: str) -> str:
-    """The address of a program that listens."""
+    """Starts the program, and yields the address that it listens on."""
     port = free_port()
     address = f"127.0.0.1:{port}"
     stack.enter_context(Program(*arguments, address))
@@ -151,17 +151,17 @@ def ratio_to(ours: list[float], others: list[float]) -> str:
 
 def notes() -> list[str]:
     return [
-        f"Two processes, {ROUNDS} rounds of {SECONDS} s for each figure, by turns; all samples of all rounds together, "
-        "messages/s: the median. To zenoh: the median of the rounds' own ratios, of the p50s and of the messages/s, to "
-        "plain zenoh, direct or over zenohd; its middle half in brackets. Wanted of RECT at 64 B: at most "
-        f"{WANTED:.2f} of zenoh's latency.",
-        "Publish: half the time of a message there and one back, both published. Request: until the answer is there. "
-        "Messages/s: one way, as fast as it goes with nothing lost, counted where they arrive. Bytes: of the TCP "
-        "streams, both directions added, on the connection of the one who publishes or asks, 200 messages 5 ms apart. "
-        "The p99s are mostly of whatever else the machine does.",
-        "All: Rust, tokio's default runtime, messages taken by an async `recv`, TCP_NODELAY. RECT: its defaults; for "
-        "messages/s its subscriber holds the sender up (`WhenFull::Wait`), by default the newest message wins. zenoh: "
-        "congestion control Block as RECT's. gRPC: tonic; what is published goes over one stream. MQTT: 3.1.1, QoS 1 "
-        "both ways (rumqttc to rumqttd, which acknowledge every message); a request is a message there and one back, "
-        "one at a time. rumqttd leaves TCP_NODELAY off; here it is set.",
+        f"Two processes, {ROUNDS} rounds of {SECONDS} s for each figure, alternating. Latencies: all samples of all "
+        "rounds; messages/s: the median. To zenoh: the median of the rounds' ratios, of the p50s and of the "
+        "messages/s, to plain zenoh, direct or over zenohd, with the range of the middle half in brackets. Target "
+        f"for RECT at 64 B: at most {TARGET:.2f} of zenoh's latency.",
+        "Publish: half the round trip of a message and its echo, both published. Request: until the reply arrives. "
+        "Messages/s: one way, as fast as possible without loss, counted by the receiver. Bytes: in the TCP "
+        "streams, both directions added, on the connection of the program that publishes or requests, 200 messages "
+        "5 ms apart. The p99s mostly show other work of the machine.",
+        "All: Rust, tokio's default runtime, messages taken by an async call, TCP_NODELAY. RECT: its defaults; for "
+        "messages/s its subscriber blocks the sender (`WhenFull::Block`), while the default drops the oldest message. "
+        "zenoh: congestion control Block, as for RECT. gRPC: tonic; published messages share one stream. MQTT: 3.1.1, "
+        "QoS 1 in both directions (rumqttc and rumqttd acknowledge every message); a request is a message and its "
+        "answer, one at a time. rumqttd does not set TCP_NODELAY; here it is set.",
     ]

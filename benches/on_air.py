@@ -1,4 +1,4 @@
-"""What a message costs on the air, and what a link costs to come up, counted by the simulated air."""
+"""Counts the bytes of a message and of establishing a link on the simulated air."""
 
 import statistics
 import threading
@@ -11,12 +11,12 @@ from table import Table
 
 SAMPLES = 200
 KEY = "rect/wombat-1/arm/angle"
-WANTED = 12
+TARGET = 12
 LINK_UPS = 5
 
 
 def run() -> Table:
-    table = Table("Bytes on the air", ["what", "SDUs", "SDU bytes", "over the payload", "wanted"])
+    table = Table("Bytes on the air", ["what", "SDUs", "SDU bytes", "over the payload", "target"])
     with Room("room") as room:
         one = room.add_robot("wombat-1")
         before = sent(room)
@@ -26,13 +26,13 @@ def run() -> Table:
             link_up = settled(room, before)
             for size in (8, 100):
                 row(table, room, here, there, size)
-        table.add("a link comes up, both ways", f"{link_up[0]}", f"{link_up[1]}", "", "")
+        table.add("establishing a link, both directions", f"{link_up[0]}", f"{link_up[1]}", "", "")
         times = [link_up_s(two) for _ in range(LINK_UPS)]
     table.notes = [
-        f"A sample: the mean of {SAMPLES}, one at a time, from a stock Python client's declared publisher to a stock "
-        "subscriber, `config/simulation.json5`. Below this L2CAP adds 6 bytes to an SDU of up to 245 bytes, the link "
-        "layer 10 to each of its packets (1M PHY).",
-        "A link comes up: hello, Zenoh's handshake, and what the routers tell each other about themselves.",
+        f"A message: the mean of {SAMPLES}, one at a time, from a stock Python client's declared publisher to a stock "
+        "subscriber, `config/simulation.json5`. L2CAP adds 6 bytes to an SDU of up to 245 bytes, and the link "
+        "layer 10 bytes to each of its packets (1M PHY).",
+        "Establishing a link: hello, Zenoh's handshake, and the routers' information about each other.",
         f"From the start of a router (process included) to its link: {statistics.median(times):.2f} s, "
         f"the median of {LINK_UPS} ({min(times):.2f} to {max(times):.2f}).",
     ]
@@ -43,7 +43,7 @@ def row(table: Table, room: Room, here: zenoh.Session, there: zenoh.Session, siz
     arrived = threading.Semaphore(0)
     subscriber = there.declare_subscriber(KEY, lambda _: arrived.release())
     publisher = here.declare_publisher(KEY)
-    wait_until("a message gets through", 20, lambda: publisher.put(b"?") or arrived.acquire(timeout=0.1))
+    wait_until("a message arrives", 20, lambda: publisher.put(b"?") or arrived.acquire(timeout=0.1))
     settled(room, (0, 0))
     while arrived.acquire(blocking=False):
         pass
@@ -51,23 +51,23 @@ def row(table: Table, room: Room, here: zenoh.Session, there: zenoh.Session, siz
     for _ in range(SAMPLES):
         publisher.put(bytes(size))
         if not arrived.acquire(timeout=10):
-            raise SystemExit("on_air: a sample was lost")
+            raise SystemExit("on_air: a message was lost")
     after = sent(room, "sim-wombat-1")
     sdus, in_bytes = (after[0] - before[0]) / SAMPLES, (after[1] - before[1]) / SAMPLES
     over = in_bytes - size
-    table.add(f"a sample of {size} B", f"{sdus:.2f}", f"{in_bytes:.1f}", f"{over:.1f}", f"at most {WANTED}")
+    table.add(f"a message of {size} B", f"{sdus:.2f}", f"{in_bytes:.1f}", f"{over:.1f}", f"at most {TARGET}")
     publisher.undeclare()
     subscriber.undeclare()
 
 
 def sent(room: Room, adapter: str | None = None) -> tuple[int, int]:
-    """SDUs and their bytes so far: an adapter's, or all."""
+    """Returns the number of SDUs and their bytes so far, of one adapter or of all."""
     stats = [a["stats"] for a in room.status()["adapters"] if adapter in (None, a["name"])]
     return sum(s["sdus"] for s in stats), sum(s["sdu_bytes"] for s in stats)
 
 
 def settled(room: Room, before: tuple[int, int]) -> tuple[int, int]:
-    """What was sent since, once nothing more comes for a while: keep-alives are further apart than this."""
+    """Returns the traffic since `before`, after a pause that is shorter than the interval of keep-alives."""
     last, since = sent(room), time.monotonic()
     while time.monotonic() - since < 0.5:
         now = sent(room)

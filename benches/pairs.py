@@ -1,4 +1,4 @@
-"""Two routers with one slow link between them: what the benches of a slow link compare."""
+"""Provides two routers with one slow link between them, for the benches of slow links."""
 
 import re
 import tempfile
@@ -20,27 +20,28 @@ INTERVAL_MS = 30
 @dataclass
 class Pair:
     near: Callable[[], zenoh.Session]
-    """A new program at one router, whose messages cross the link ..."""
+    """Opens a client of one router, whose messages cross the link."""
     far: Callable[[], zenoh.Session]
-    """... to one at the other."""
+    """Opens a client of the other router."""
     far_socket: str
-    """Where one more program reaches the other: a local socket, which takes little that is not read."""
+    """A local socket of the other router, for one more program; it buffers little that is not read."""
     carried: Callable[[], int]
-    """Bytes that the link carried so far, both ways."""
+    """Returns the bytes that the link carried so far, in both directions."""
     links: Callable[[], int]
-    """How often the link was made."""
+    """Returns how often the link was established."""
     complaints: Callable[[], list[str]]
-    """What the routers warned of."""
+    """Returns the warnings and errors of the routers."""
     pids: list[int]
 
     def memory_mb(self, field: str) -> list[float]:
-        """VmRSS or VmHWM of each router."""
+        """Returns VmRSS or VmHWM of each router, in MB."""
         return [status(pid, field) / 1000 for pid in self.pids]
 
 
 @contextmanager
 def pair(peer: str, pdu: int, raw_bytes_per_s: float, *settings: str) -> Iterator[Pair]:
-    """One of `PEERS`, or `plugin`, lanes with stock zenohds that have ours; `settings` as `--cfg` takes them."""
+    """Runs one of `PEERS`, or `plugin` (lanes in stock zenohds with our plugin), with `settings` in the form of
+    `--cfg`."""
     arguments = tuple(part for setting in settings for part in ("--cfg", setting))
     with tempfile.TemporaryDirectory() as folder:
         if peer == "stock over TCP":
@@ -62,7 +63,7 @@ def ble_pair(
 ) -> Iterator[Pair]:
     socket = f"unixsock-stream/{folder}/far.sock"
     with room(pdu) as air:
-        # The second dials the first, and is given the first's messages.
+        # The second robot dials the first one, and receives its messages.
         one = air.add_robot("wombat-1", arguments=arguments, kind=kind)
         two = air.add_robot("wombat-2", dial_options, ("-l", socket, *arguments), kind)
         wait_for_link(one, two)
@@ -78,12 +79,12 @@ def ble_pair(
 
 
 def carried(air: Room) -> int:
-    """Bytes that all links in a room carried so far."""
+    """Returns the bytes that all links in a room carried so far."""
     return sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"])
 
 
 def ble_pair_endpoints(air: Room) -> tuple[str, str]:
-    """Two linked routers in a room, and where programs reach each."""
+    """Starts two linked routers in a room, and returns the endpoints for their programs."""
     one = air.add_robot("wombat-1")
     two = air.add_robot("wombat-2")
     wait_for_link(one, two)
@@ -111,6 +112,6 @@ def tcp_pair(bytes_per_s: float, folder: Path, arguments: tuple[str, ...]) -> It
 
 
 def complaints(log: str) -> list[str]:
-    """What it says, without when and where."""
+    """Returns the warnings and errors of a log, without time and module."""
     lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in log.splitlines()]
     return [re.sub(r"^.*?\w: ", "", line)[:100] for line in lines if " WARN " in line or "ERROR " in line]

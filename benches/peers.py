@@ -1,4 +1,4 @@
-"""The bare programs that the routers are compared with."""
+"""Runs the bare programs that the routers are compared with."""
 
 import json
 import os
@@ -8,7 +8,7 @@ from robots import RobotError
 
 
 def figures_of(command: list[str], environment: dict[str, str] | None = None) -> dict:
-    """What a program measured: the JSON it prints."""
+    """Runs a program, and returns the figures that it prints as JSON."""
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     if done.returncode != 0:
         raise RobotError(f"{' '.join(command)}: {done.stderr}")
@@ -16,7 +16,7 @@ def figures_of(command: list[str], environment: dict[str, str] | None = None) ->
 
 
 def bare_channel(mode: str, near: str, far: str, *arguments: str, environment: dict[str, str] | None = None) -> dict:
-    """`ping` or `flood` over a bare channel from one adapter to another."""
+    """Runs `ping` or `flood` over a bare channel from one adapter to another."""
     program = os.environ["RECT_CHANNEL"]
     server = subprocess.Popen([program, "serve", far], env=environment, stdout=subprocess.PIPE, text=True)
     try:

@@ -1,4 +1,4 @@
-"""What it costs to have RECT in a stock zenohd: the plugin beside rect-router and beside a zenohd without it."""
+"""Measures the cost of RECT in a stock zenohd: the plugin compared with rect-router and with a zenohd without it."""
 
 import math
 import os
@@ -21,7 +21,7 @@ ROUNDS = 5
 
 def run() -> Table:
     table = Table(
-        "RECT in a stock zenohd (plugin) beside rect-router",
+        "RECT in a stock zenohd (plugin) compared with rect-router",
         ["what", *HOSTS, "plugin to rect-router", "zenohd without it"],
     )
     raw = {rate: raw_bytes_per_s(pdu) for rate, pdu in RATES.items()}
@@ -39,7 +39,7 @@ def run() -> Table:
                 cells = map(milliseconds, ages)
                 table.add(f"{what}: urgent, p{place * 100:.0f}", *cells, ratio(ages), "")
     rows: tuple[tuple[str, Callable[[Router], int], int], ...] = (
-        ("memory of its own, idle", lambda router: router.own_kb(), 1000),
+        ("private memory, idle", lambda router: router.own_kb(), 1000),
         ("resident memory (RSS), idle", lambda router: router.status("VmRSS"), 1000),
         ("threads, idle", lambda router: router.status("Threads"), 1),
     )
@@ -48,10 +48,10 @@ def run() -> Table:
         cells = [f"{one:.1f} MB" if unit > 1 else f"{one:.0f}" for one in figures]
         table.add(what, *cells[:2], ratio(figures[:2]), cells[2])
     table.notes = [
-        "The simulated air as in `urgent.md`; both hosts at the same time, each on an air of its own. Urgent: 16 bytes "
-        "every 50 ms from the session that sends the rest. Wanted: within 2x. Idle: named `wombat-1`, an empty list of "
-        f"connections, no Bluetooth listener, after one client has asked something; medians of {ROUNDS} starts. "
-        "Memory of its own: anonymous, without program text."
+        "The simulated air as in `urgent.md`; both hosts run at the same time, each on a separate air. Urgent: 16 "
+        "bytes every 50 ms from the session that sends the rest. Target: within 2x. Idle: named `wombat-1`, an empty "
+        f"list of connections, no Bluetooth listener, after one query by a client; medians of {ROUNDS} starts. Private "
+        "memory: anonymous memory, without program text."
     ]
     return table
 

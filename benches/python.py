@@ -1,4 +1,5 @@
-"""The Python package beside plain eclipse-zenoh: two programs, linked directly over TCP, do the same job by turns."""
+"""Compares the Python package with plain eclipse-zenoh: two programs, linked directly over TCP, do the same
+alternately."""
 
 import json
 import os
@@ -14,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import rect
 import zenoh
+from comparison import IS_STEADY, alternate, ratio, rounds
 from table import Table
-from turns import IS_STEADY, by_turns, ratio, rounds
 
 ROUNDS = rounds(15)
 PINGS = 300
 FRAMES = 100
-#: The issue wants 10 million; `RECT_BENCH_MESSAGES` sets it.
+#: The number of messages for the memory figure: 10 million, or `RECT_BENCH_MESSAGES`.
 MESSAGES = int(os.environ.get("RECT_BENCH_MESSAGES", 20_000 if IS_STEADY else 10_000_000))
 READING = {"robot": "wombat-1", "angle_deg": 12.5, "volt": 7.2, "ok": True}
 WAIT_S = 30
@@ -28,7 +29,9 @@ Call = Callable[[], object]
 
 
 def run() -> Table:
-    table = Table("The Python package beside plain eclipse-zenoh 1.10.2", ["what", "rect", "zenoh", "rect to zenoh"])
+    table = Table(
+        "The Python package compared with plain eclipse-zenoh 1.10.2", ["what", "rect", "zenoh", "rect to zenoh"]
+    )
     size = len(json.dumps(READING, separators=(",", ":")))
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with rect.connect("wombat-1", listen=[endpoint]) as robot, other(endpoint):
@@ -36,7 +39,7 @@ def run() -> Table:
             time.sleep(0.05)
         pings = [Pings(rect_ping(robot)), Pings(plain_ping(robot.zenoh))]
         compare(table, f"publish to callback and back, {size} B of JSON, p50, us", *pings)
-        compare(table, f"request and answer, {size} B of JSON, p50, us", rect_ask(robot), plain_ask(robot.zenoh))
+        compare(table, f"request and reply, {size} B of JSON, p50, us", rect_ask(robot), plain_ask(robot.zenoh))
         frame = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
         compare(table, "640x480 frames, raw, frames/s", rect_frames(robot, frame), plain_frames(robot.zenoh, frame))
     imported = [import_s("rect"), import_s("zenoh")]
@@ -44,36 +47,36 @@ def run() -> Table:
     begin, end = memory_mb()
     table.add(f"memory of a subscriber after {MESSAGES:,} messages, MB", f"{end:.1f} ({begin:.1f} before)", "", "")
     table.notes = [
-        f"Medians of {ROUNDS} rounds of {PINGS} pings or {FRAMES} frames each, by turns; the ratio is the median of "
-        "the rounds' own, its middle half in brackets. Plain programs use `json` for the same values. Wanted: latency "
-        "at most 1.15, import under 0.3 s, memory flat.",
+        f"Medians of {ROUNDS} alternating rounds of {PINGS} pings or {FRAMES} frames each; the ratio is the median of "
+        "the rounds' ratios, with the range of the middle half in brackets. Plain programs use `json` for the same "
+        "values. Target: latency at most 1.15, import under 0.3 s, constant memory.",
     ]
     return table
 
 
 def compare(table: Table, what: str, ours: Callable[[], float], stock: Callable[[], float]) -> None:
-    found = by_turns(ROUNDS, ours, stock)
+    found = alternate(ROUNDS, ours, stock)
     medians = [f"{statistics.median(rounds):,.0f}" for rounds in found]
     table.add(what, *medians, ratio(*found))
     print(f"  {what}: {medians[0]} and {medians[1]}, {ratio(*found)}", flush=True)
 
 
 class Pings:
-    """Rounds of something that is said and comes back."""
+    """Measures round trips of a message and its echo."""
 
     def __init__(self, begin: Callable[[Call], Call]) -> None:
         self._back = threading.Event()
-        self._say = begin(self._back.set)
-        # Until both directions are there.
+        self._ping = begin(self._back.set)
+        # The subscriptions of both directions take a moment.
         while not self._back.wait(0.2):
-            self._say()
+            self._ping()
 
     def __call__(self) -> float:
         took = []
         for _ in range(PINGS):
             self._back.clear()
             started = time.perf_counter()
-            self._say()
+            self._ping()
             assert self._back.wait(WAIT_S)
             took.append(time.perf_counter() - started)
         return statistics.median(took) * 1e6
@@ -159,7 +162,7 @@ def import_s(module: str) -> float:
 
 
 def memory_mb() -> tuple[float, float]:
-    """Of a program that hears so many messages: after the first hundredth of them, and after all."""
+    """Returns the memory of a program that receives `MESSAGES`: after the first hundredth of them, and after all."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with rect.connect("wombat-1", listen=[endpoint]) as robot:
         command = [sys.executable, __file__, "count", endpoint, str(MESSAGES)]
@@ -178,12 +181,12 @@ def memory_mb() -> tuple[float, float]:
 
 
 def other(endpoint: str) -> subprocess.Popen[bytes]:
-    """Ends with its input, which ends with the `with`."""
+    """Starts the other program, which ends when its input is closed, at the end of the `with` block."""
     return subprocess.Popen([sys.executable, __file__, "echo", endpoint], stdin=subprocess.PIPE)
 
 
 def echo(endpoint: str) -> None:
-    """The other program: echoes both ways until its input ends."""
+    """Runs the other program, which echoes messages of both kinds until its input ends."""
     with rect.connect("wombat-2", endpoints=[endpoint]) as robot:
         session = robot.zenoh
         robot.subscribe("wombat-1/ping", lambda message: robot.publish("pong", message.value))
@@ -195,8 +198,8 @@ def echo(endpoint: str) -> None:
 
         def on_query(query: zenoh.Query) -> None:
             with query:
-                said = json.loads(query.payload.to_bytes())
-                query.reply("plain/echo", json.dumps(said, separators=(",", ":")))
+                value = json.loads(query.payload.to_bytes())
+                query.reply("plain/echo", json.dumps(value, separators=(",", ":")))
 
         kept = [session.declare_subscriber("plain/ping", on_ping), session.declare_queryable("plain/echo", on_query)]
         counts = {"rect": 0, "plain": 0}
@@ -211,18 +214,18 @@ def echo(endpoint: str) -> None:
             if counts["plain"] % FRAMES == 0:
                 session.put("plain/counted", b"1")
 
-        robot.subscribe("wombat-1/frame", on_frame, when_full="wait")
+        robot.subscribe("wombat-1/frame", on_frame, when_full="block")
         kept.append(session.declare_subscriber("plain/frame", on_plain_frame))
         sys.stdin.read()
         del kept
 
 
 def count(endpoint: str, messages: int) -> None:
-    """Hears so many messages, and says what memory it took."""
+    """Receives `messages` messages, and prints the memory after a hundredth of them and at the end."""
     with rect.connect("wombat-2", endpoints=[endpoint]) as robot:
-        heard = robot.subscribe("wombat-1/count", when_full="wait")
+        received = robot.subscribe("wombat-1/count", when_full="block")
         print("ready", flush=True)
-        for n, _ in enumerate(heard):
+        for n, _ in enumerate(received):
             if n in (messages // 100, messages):
                 print(rss_mb(), flush=True)
             if n == messages:

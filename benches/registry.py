@@ -1,4 +1,4 @@
-"""How quickly the registry answers, and how soon a fleet's registries agree after a change."""
+"""Measures how quickly the registry answers, and how soon a fleet's registries agree after a change."""
 
 import json
 import statistics
@@ -17,12 +17,12 @@ CONNECTIONS = [5, 500]
 ASKED = 200
 ROUTERS = 20
 ROUNDS = 5
-WANTED_S = 2
+TARGET_S = 2
 
 
 def run() -> Table:
     table = Table(
-        "The registry: time to an answer, and until a fleet's registries agree", ["what", "p50", "p99 or max"]
+        "The registry: time to an answer, and time until a fleet's registries agree", ["what", "p50", "p99 or max"]
     )
     for count in CONNECTIONS:
         for what in ("connections/count", "connections"):
@@ -31,24 +31,24 @@ def run() -> Table:
             table.add(f"`{what}` of a robot with {count} connections", *places)
     times = agreed()
     table.add(
-        f"{ROUTERS} routers: a connection comes or goes, both ends say so",
+        f"{ROUTERS} routers: until both ends report a new or removed connection",
         f"{statistics.median(times):.2f} s",
         f"{max(times):.2f} s",
     )
     table.notes = [
-        f"Time to an answer: a stock client on the robot's own router, {ASKED} times; the connections are wanted and "
-        "lead to ports where nobody listens, so that the router dials all the while.",
+        f"Time to an answer: a stock client on the robot's own router, {ASKED} times. The named connections "
+        "lead to ports that nothing listens on, so the router keeps dialling.",
         f"{ROUTERS} routers of one machine, each with a named connection to the first; {ROUNDS} times the last one's "
-        "is taken out of its file and put back, the time is from the change of the file to when the first one's "
-        f"registry shows it. Wanted: within {WANTED_S} s.",
+        "connection is removed from its file and added again. The time is from the change of the file until the "
+        f"registry of the first router shows it. Target: within {TARGET_S} s.",
     ]
     return table
 
 
 def asked(count: int, what: str) -> list[float]:
-    # Ports from 1 on, where nobody listens.
-    wanted = [connection(f"c{n}", n + 1) for n in range(count)]
-    with tempfile.TemporaryDirectory() as folder, robot("wombat-1", Path(folder), wanted, count) as router:
+    # The ports from 1 on, which nothing listens on.
+    named = [connection(f"c{n}", n + 1) for n in range(count)]
+    with tempfile.TemporaryDirectory() as folder, robot("wombat-1", Path(folder), named, count) as router:
         router.wait_for_answer("rect/wombat-1/@rect/connections/count")
         with open_client(router.endpoint) as session:
             querier = session.declare_querier(f"rect/wombat-1/@rect/{what}", timeout=5)
@@ -56,7 +56,7 @@ def asked(count: int, what: str) -> list[float]:
             for _ in range(ASKED):
                 started = time.monotonic()
                 answers = [reply for reply in querier.get() if reply.ok]
-                assert len(answers) == 1, "one answer to each question"
+                assert len(answers) == 1, "each question gets one answer"
                 times.append(time.monotonic() - started)
     return times
 
@@ -74,9 +74,9 @@ def agreed() -> list[float]:
         wait_until("all are connected", 60, lambda: ends(session, "robot-1") == everyone)
         last = f"robot-{ROUTERS}"
         for _ in range(ROUNDS):
-            for wanted in ([], [to_first]):
-                write(folder / f"{last}.json", wanted)
-                is_there = bool(wanted)
+            for named in ([], [to_first]):
+                write(folder / f"{last}.json", named)
+                is_there = bool(named)
                 took = wait_until(
                     "both ends agree", 20, lambda there=is_there: (last in ends(session, "robot-1")) == there
                 )
@@ -85,18 +85,18 @@ def agreed() -> list[float]:
 
 
 def ends(session: zenoh.Session, name: str) -> set[str]:
-    """Whom that robot's registry shows as connected."""
+    """Returns the robots that a robot's registry shows as connected."""
     for reply in session.get(f"rect/{name}/@rect/peers?state=connected", timeout=5):
         if reply.ok is not None:
             return {peer["robot"] for peer in json.loads(reply.ok.payload.to_bytes())} - {None}
     return set()
 
 
-def robot(name: str, folder: Path, wanted: list[dict], most: int = 32) -> Router:
+def robot(name: str, folder: Path, named: list[dict], limit: int = 32) -> Router:
     path = folder / f"{name}.json"
-    write(path, wanted)
-    settings = {"robot": name, "connections": str(path), "max_connections": max(most, 1)}
-    # As in config/robot.json5: try again soon.
+    write(path, named)
+    settings = {"robot": name, "connections": str(path), "max_connections": max(limit, 1)}
+    # The router retries soon, as with config/robot.json5.
     retry = "connect/retry:{period_init_ms:200,period_max_ms:1000,period_increase_factor:2}"
     return Router("rect-router", *rect_settings(settings), "--cfg", retry, "--cfg", "connect/exit_on_failure:false")
 
@@ -105,7 +105,7 @@ def connection(name: str, port: int) -> dict:
     return {"name": name, "method": "tcp", "address": "127.0.0.1", "port": port}
 
 
-def write(path: Path, wanted: list[dict]) -> None:
+def write(path: Path, named: list[dict]) -> None:
     new = path.with_suffix(".new")
-    new.write_text(json.dumps({"connections": wanted}))
+    new.write_text(json.dumps({"connections": named}))
     new.rename(path)

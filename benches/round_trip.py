@@ -1,4 +1,4 @@
-"""A 20-byte question and answer over the simulated air: a bare channel beside a Zenoh query through two routers."""
+"""Compares the round trip of 20 bytes over the simulated air: a bare channel, and a Zenoh query through two routers."""
 
 import statistics
 import time
@@ -13,12 +13,12 @@ COUNT = 150
 ROUNDS = 5
 PAYLOAD = bytes(20)
 KEY = "rect/wombat-2/bench"
-WANTED = 1.3
+TARGET = 1.3
 
 
 def run() -> Table:
     table = Table(
-        "Round trip of 20 bytes on the simulated air: a Zenoh query through two routers beside a bare channel",
+        "Round trip of 20 bytes on the simulated air: a Zenoh query through two routers compared with a bare channel",
         ["connection interval", "bare p50", "bare p99", "query p50", "query p99", "ratio of p50"],
     )
     for interval in INTERVALS_MS:
@@ -44,7 +44,7 @@ def run() -> Table:
             f"{statistics.median(ratios):.2f}",
         )
     table.notes = [
-        f"{ROUNDS} rounds of {COUNT} each, by turns, on the same air (condition room). Wanted: a ratio of {WANTED} or "
+        f"{ROUNDS} alternating rounds of {COUNT} each on the same air (condition room). Target: a ratio of {TARGET} or "
         "less. The query goes from a stock Python client over TCP to its router, over the air to the other, over TCP "
         "to a Python queryable, and back."
     ]
@@ -56,12 +56,12 @@ def ping(room: Room) -> dict[str, float]:
 
 
 def ask(querier: zenoh.Querier, payload: bytes, count: int) -> list[float]:
-    """Milliseconds from a query to its answer, for so many that were answered."""
+    """Measures the milliseconds from a query to its answer, until `count` queries were answered."""
     times = []
     while len(times) < count:
         started = time.perf_counter()
         answers = [reply for reply in querier.get(payload=payload) if reply.ok is not None]
-        if answers:  # none at the very first, while the service becomes known
+        if answers:  # The first queries get none, until the service is known.
             times.append((time.perf_counter() - started) * 1000)
     return times
 

@@ -1,4 +1,4 @@
-"""The two routers that are compared, with nothing but a local TCP listener."""
+"""Runs the two routers that are compared, each with only a local TCP listener."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ PROGRAMS = {"rect-router": "RECT_ROUTER", "stock zenohd": "STOCK_ZENOHD"}
 
 
 class Router:
-    """One of `PROGRAMS`, running; what it warns of goes to `log`."""
+    """One of `PROGRAMS`, running. Its warnings go to `log`."""
 
     def __init__(self, program: str, *arguments: str, log: Path = Path(os.devnull)) -> None:
         self.path = Path(os.environ[PROGRAMS[program]])
@@ -37,19 +37,19 @@ class Router:
         return own_kb(self.pid)
 
     def wait_for_answer(self, selector: str) -> None:
-        """Until a client of it gets one."""
+        """Waits until a client of this router gets an answer to `selector`."""
         with open_client(self.endpoint) as session:
             wait_until(f"{selector} is answered", 20, lambda: any(r.ok for r in session.get(selector, timeout=1)))
 
 
 def status(pid: int, field: str) -> int:
-    """A number of /proc/<pid>/status: VmRSS (kB), VmHWM (kB, the most it ever was), Threads."""
+    """Returns a number of /proc/<pid>/status: VmRSS (kB), VmHWM (kB, the peak so far), Threads."""
     text = Path(f"/proc/{pid}/status").read_text()
     return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(f"{field}:"))
 
 
 def own_kb(pid: int) -> int:
-    """Memory that nobody else can have while it runs: heap, stacks, changed data. Of what is resident beside that, the
-    system drops program text when it needs the room, and reads it from the file again."""
+    """Returns the private memory of a process in kB: heap, stacks, changed data. The rest of the resident memory is
+    program text, which the system may drop and read from the file again."""
     text = Path(f"/proc/{pid}/smaps_rollup").read_text()
     return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith(("Anonymous:", "Swap:")))

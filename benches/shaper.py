@@ -1,10 +1,9 @@
-"""A TCP hop that carries so many bytes per second each way, for programs that are to be compared on the same rate.
+"""A TCP hop with a limited rate in each direction, for comparing programs at the same rate.
 
-What it holds itself is little, so that a message waits where the compared programs put it: 1000 bytes "on the air", and
-in each of its socket buffers what 8 kB allow for (twice that by the kernel's count, its own bookkeeping included).
-Segments are as on an Ethernet, not the loopback's 64 kB, which would blow up the senders' buffers. The programs' own
-sockets are as they make them.
-"""
+It stores little itself, so that messages wait in the compared programs: 1000 bytes "on the air", and in each of its
+socket buffers the equivalent of 8 kB (twice that as the kernel counts, including its bookkeeping). Segments have the
+size of Ethernet's instead of the loopback's 64 kB, which would enlarge the senders' buffers. The sockets of the
+programs are not changed."""
 
 import socket
 import threading
@@ -15,12 +14,12 @@ from robots import RobotError
 CHUNK_BYTES = 1000
 BUFFER_BYTES = 8192
 SEGMENT_BYTES = 1448
-# What a sleep that took too long may make up for.
+# The delay that a sleep of too long may catch up.
 SLACK_S = 0.005
 
 
 class Shaper:
-    """Listens on `port`, and joins what connects there with 127.0.0.1:`target`."""
+    """Listens on `port`, and forwards connections to 127.0.0.1:`target`."""
 
     def __init__(self, bytes_per_s: float, target: int) -> None:
         self._bytes_per_s = bytes_per_s
@@ -43,13 +42,13 @@ class Shaper:
         while True:
             try:
                 one, _ = self._listener.accept()
-            except OSError:  # the listener was closed
+            except OSError:  # The listener was closed.
                 return
             other = small_socket()
             try:
                 other.connect(("127.0.0.1", self._target))
             except OSError as error:
-                raise RobotError(f"nothing listens behind the shaper: {error}") from error
+                raise RobotError(f"no program listens behind the shaper: {error}") from error
             self.connections += 1
             for source, sink in ((one, other), (other, one)):
                 source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -64,7 +63,7 @@ class Shaper:
                 sink.sendall(chunk)
                 self.carried += len(chunk)
         except OSError:
-            pass  # one of the two is gone
+            pass  # One of the two sides was closed.
         for end in (source, sink):
             end.close()
 

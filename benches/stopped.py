@@ -1,10 +1,10 @@
-"""A program that is stopped while a lot is sent to it, and what else the link carries meanwhile.
+"""Measures the other traffic of a link while a program is stopped to which a lot is sent.
 
-When it goes on, a stock client finds that it has not heard its router for longer than the router's lease, and connects
-again: the message that is half on its way to it then is lost, whatever the link between the routers.
+When the program continues, the stock client detects that it has received nothing from its router for longer than the
+router's lease, and connects again. The message that was being delivered is lost then, whatever the link between the
+routers.
 
-usage: stopped.py LOCATOR KEY    # the program: prints a line for every message
-"""
+usage: stopped.py LOCATOR KEY    # runs the program, which prints a line for every message"""
 
 import signal
 import subprocess
@@ -20,24 +20,24 @@ from traffic import PERIOD_S, STRAGGLERS_S, Load, Sender, Stall
 from zenoh import CongestionControl, Priority
 
 STOPPED_S = 60
-# Before the other bulk starts: what the other router takes for the stopped program until that is full, a message first.
+# Sent before the other bulk starts: the bytes that the other router accepts for the stopped program until it is full.
 FILLING_BYTES = 1_200_000
 MESSAGES, MESSAGE_BYTES = 8, 1_000_000
 OTHER_BYTES = 500_000
-# What a router may grow by: all that was sent, twice.
+# The limit for the growth of a router: twice the bytes that were sent.
 MEMORY_MB = 2 * MESSAGES
-# Longer than it is stopped, or the router takes the program for dead and forgets it.
+# Longer than the program is stopped; otherwise the router would close its session.
 LEASE_MS = 120_000
 KEY = "rect/wombat-1/log"
 
 
 def stopped(here: zenoh.Session, there: zenoh.Session, pair: Pair, bytes_per_s: float) -> Load:
-    """The rate is that of the other bulk, of another priority, while the program is stopped."""
+    """Stops a program, and returns the rate of the other bulk, of another priority, meanwhile."""
     before, links = pair.memory_mb("VmRSS"), pair.links()
     other = Sender(here, there, "rect/wombat-1/bulk/0", Priority.DATA_LOW)
     with Program(pair.far_socket) as program:
         publisher = here.declare_publisher(KEY, congestion_control=CongestionControl.BLOCK)
-        wait_until("a message gets through", 30, lambda: publisher.put(b"?") or program.sizes)
+        wait_until("a message arrives", 30, lambda: publisher.put(b"?") or program.sizes)
         program.process.send_signal(signal.SIGSTOP)
         started = time.monotonic()
         threading.Thread(target=put_all, args=(publisher,), daemon=True).start()
@@ -52,7 +52,7 @@ def stopped(here: zenoh.Session, there: zenoh.Session, pair: Pair, bytes_per_s: 
         wait_or_end(time.monotonic() + STRAGGLERS_S, lambda: bool(other.arrived))
         whole = program.whole()
     arrived = other.arrived[0][0] if other.arrived else float("inf")
-    peak = [most - least for most, least in zip(pair.memory_mb("VmHWM"), before, strict=True)]
+    peak = [after - start for after, start in zip(pair.memory_mb("VmHWM"), before, strict=True)]
     load = Load(OTHER_BYTES / (arrived - asked) / 1000)
     load.remarks = [
         f"{whole} of {MESSAGES} MB reached the stopped program",
@@ -80,7 +80,7 @@ def wait_or_end(until: float, is_done) -> None:
 
 
 class Program:
-    """The program, seen from outside."""
+    """The process of the program that is stopped."""
 
     def __init__(self, locator: str) -> None:
         self.sizes: list[int] = []
@@ -97,7 +97,7 @@ class Program:
         self.process.wait()
 
     def whole(self) -> int:
-        """How many of the large messages arrived."""
+        """Returns how many of the large messages arrived."""
         return self.sizes.count(MESSAGE_BYTES)
 
     def _read(self) -> None:

@@ -1,4 +1,4 @@
-"""A camera over a slow link: photographs, panned over, adaptive and fixed; urgent messages of the same program."""
+"""Measures a camera over a slow link, adaptive and fixed, and concurrent urgent messages of the same program."""
 
 import io
 import json
@@ -19,18 +19,18 @@ from traffic import percentile
 RATES = {"34 kB/s": 27, "100 kB/s": 251}
 SIZES = {"320x240": (320, 240), "640x480": (640, 480)}
 SENDERS = {
-    "adaptive, JPEG": {"codec": None, "photographs": "jpeg"},
-    "adaptive, WebP": {"codec": None, "photographs": "webp"},
-    "fixed, JPEG 75": {"codec": "jpeg:75", "photographs": "jpeg"},
-    "fixed, JPEG 30": {"codec": "jpeg:30", "photographs": "jpeg"},
+    "adaptive, JPEG": {"codec": None, "lossy_format": "jpeg"},
+    "adaptive, WebP": {"codec": None, "lossy_format": "webp"},
+    "fixed, JPEG 75": {"codec": "jpeg:75", "lossy_format": "jpeg"},
+    "fixed, JPEG 30": {"codec": "jpeg:30", "lossy_format": "jpeg"},
 }
 PHOTOGRAPHS = ["coffee.png", "chelsea.png", "rocket.jpg", "astronaut.png"]
 SECONDS = 40
-# Frames of before are the beginning: it is told apart.
+# Earlier frames belong to the beginning and are not counted.
 SETTLED_S = 5
-# Pictures that are looked at of each run.
-LOOKED_AT = 60
-WANTED = {"frames": 5, "age_ms": 600, "urgent_ms": 100}
+# The number of pictures of each run whose quality is measured.
+EXAMINED = 60
+TARGET = {"frames": 5, "age_ms": 600, "urgent_ms": 100}
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Outcome:
     frames_per_s: float
     kb_per_s: float
     ages_ms: list[float]
-    told_wrong_ms: float
+    age_error_ms: float
     skipped: int
     ssim: float
     level: str
@@ -50,7 +50,7 @@ class Outcome:
 
 def run() -> Table:
     table = Table(
-        "A camera over a slow link, newest frame wins",
+        "A camera over a slow link; old frames are dropped",
         [
             "link",
             "picture",
@@ -78,13 +78,13 @@ def run() -> Table:
     table.notes = [
         f"The simulated air (condition desk, interval {INTERVAL_MS} ms; link-layer packets of 27 and of 251 bytes), "
         "`config/simulation.json5`. A camera of 15 Hz pans over photographs of scikit-image (`coffee`, `chelsea`, "
-        "`rocket`, `astronaut`, tiled), 3 and 2 pixels a frame. Camera and watcher are in one process, each at its "
-        "router, so that one clock tells the ages; encoding counts as age. Of the first "
-        f"{SETTLED_S} s no frame counts. SSIM: luma, windows of 8x8, of {LOOKED_AT} frames at the camera's size "
+        "`rocket`, `astronaut`, tiled) by 3 and 2 pixels per frame. Camera and watcher are in one process, each with "
+        "its own router, so that one clock measures the ages, which include the encoding. The frames of the first "
+        f"{SETTLED_S} s do not count. SSIM: luma, windows of 8x8, of {EXAMINED} frames at the camera's size "
         "(smaller ones enlarged, bicubic). Urgent: a number as JSON every 50 ms from the camera's program. "
-        "Changes: of an adaptive stream's step, from its beginning.",
-        f"Wanted of adaptive ones: {WANTED['frames']} frames/s, age p99 below {WANTED['age_ms']} ms, urgent p99 below "
-        f"{WANTED['urgent_ms']} ms, none of them lost.",
+        "Changes: how often an adaptive stream changed its step.",
+        f"Target for adaptive streams: {TARGET['frames']} frames/s, age p99 below {TARGET['age_ms']} ms, urgent p99 "
+        f"below {TARGET['urgent_ms']} ms, no urgent message lost.",
     ]
     return table
 
@@ -114,29 +114,33 @@ def measured(pdu: int, size: str, sender: str) -> Outcome:
         return outcome_of(json.loads(done.stdout), panorama, SIZES[size], folder / "frames")
 
 
-def outcome_of(said: dict, panorama: numpy.ndarray, size: tuple[int, int], frames: Path) -> Outcome:
-    settled = [frame for frame in said["seen"] if frame["at_s"] >= SETTLED_S]
+def outcome_of(report: dict, panorama: numpy.ndarray, size: tuple[int, int], frames: Path) -> Outcome:
+    settled = [frame for frame in report["received_frames"] if frame["at_s"] >= SETTLED_S]
     if not settled:
         raise RobotError("no frame arrived")
     span_s = SECONDS - SETTLED_S
-    looked_at = settled[:: max(1, len(settled) // LOOKED_AT)]
+    examined = settled[:: max(1, len(settled) // EXAMINED)]
     likeness = [
-        ssim(view(panorama, size, frame["index"]), read(frames / str(frame["index"]), size)) for frame in looked_at
+        ssim(view(panorama, size, frame["index"]), read(frames / str(frame["index"]), size)) for frame in examined
     ]
-    wrong = [abs(frame["age_ms"] - said["encode_ms"] - frame["told_ms"]) for frame in settled if frame["told_ms"]]
-    group = said["status"]["groups"][0]
+    wrong = [
+        abs(frame["age_ms"] - report["encode_ms"] - frame["reported_age_ms"])
+        for frame in settled
+        if frame["reported_age_ms"]
+    ]
+    group = report["status"]["groups"][0]
     return Outcome(
         frames_per_s=len(settled) / span_s,
         kb_per_s=sum(frame["bytes"] for frame in settled) / span_s / 1000,
         ages_ms=[frame["age_ms"] for frame in settled],
-        told_wrong_ms=percentile(wrong, 0.5),
+        age_error_ms=percentile(wrong, 0.5),
         skipped=sum(frame["skipped"] for frame in settled),
         ssim=float(numpy.mean(likeness)),
-        level=level_text(group["level"]),
+        level=level_text(group["step"]),
         changes=group["changes"],
-        urgent_sent=said["urgent_sent"],
-        urgent_ms=said["urgent_ms"],
-        encode_ms=said["encode_ms"],
+        urgent_sent=report["urgent_sent"],
+        urgent_ms=report["urgent_ms"],
+        encode_ms=report["encode_ms"],
     )
 
 
@@ -145,11 +149,11 @@ def cells(outcome: Outcome, size: str, sender: str) -> list[str]:
     urgent_p99 = percentile(outcome.urgent_ms, 0.99)
     faults = []
     if sender.startswith("adaptive"):
-        if outcome.frames_per_s < WANTED["frames"]:
+        if outcome.frames_per_s < TARGET["frames"]:
             faults.append("few frames")
-        if age_p99 > WANTED["age_ms"]:
+        if age_p99 > TARGET["age_ms"]:
             faults.append("old frames")
-    if urgent_p99 > WANTED["urgent_ms"]:
+    if urgent_p99 > TARGET["urgent_ms"]:
         faults.append("urgent late")
     if len(outcome.urgent_ms) < outcome.urgent_sent:
         faults.append("urgent lost")
@@ -178,8 +182,8 @@ def level_text(level: dict | None) -> str:
 
 
 def panorama_of(width: int, height: int) -> numpy.ndarray:
-    """Photographs beside each other, half as large again as the camera's view."""
-    # Its photographs alone are installed, without what else it needs.
+    """Returns photographs side by side, 1.5 times as large as the camera's view."""
+    # Only the photographs of the package are used; its dependencies are not installed.
     folder = Path(find_spec("skimage").origin).parent / "data"
     tiles = []
     for name in PHOTOGRAPHS:
@@ -190,7 +194,7 @@ def panorama_of(width: int, height: int) -> numpy.ndarray:
 
 
 def view(panorama: numpy.ndarray, size: tuple[int, int], index: int) -> numpy.ndarray:
-    """As `examples/stream_load.rs` has it."""
+    """Returns the camera's view of a frame, as `examples/stream_load.rs` calculates it."""
     (width, height), (high, wide) = size, panorama.shape[:2]
     left, top = to_and_fro(index * 3, wide - width), to_and_fro(index * 2, high - height)
     return panorama[top : top + height, left : left + width]
@@ -206,7 +210,7 @@ def read(file: Path, size: tuple[int, int]) -> numpy.ndarray:
 
 
 def ssim(one: numpy.ndarray, other: numpy.ndarray) -> float:
-    """Structural similarity (Wang et al. 2004) of the luma, means over all windows of 8x8."""
+    """Returns the structural similarity (Wang et al. 2004) of the luma, the mean over all windows of 8x8."""
     x, y = (numpy.asarray(Image.fromarray(part).convert("L"), dtype=float) for part in (one, other))
     mean_x, mean_y = windows(x), windows(y)
     spread_x, spread_y = windows(x * x) - mean_x**2, windows(y * y) - mean_y**2

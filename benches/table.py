@@ -1,16 +1,16 @@
-"""A bench's outcome: a table for people, as text and as Markdown."""
+"""Formats the result of a bench as a table, in plain text and in Markdown."""
 
 import datetime
 import os
 import platform
 from dataclasses import dataclass, field
 
-from turns import IS_STEADY, STEADY_PROCESSOR
+from comparison import IS_STEADY, STEADY_PROCESSOR
 
 
 @dataclass
 class Table:
-    """Rows of cells under columns, and what the reader must know about them."""
+    """A table with notes for the reader."""
 
     title: str
     columns: list[str]

@@ -1,4 +1,4 @@
-"""Telemetry as JSON lines: three kinds that look as a robot records them, and one that a weather station recorded."""
+"""Provides telemetry as JSON lines: three generated kinds that resemble a robot's, and one from a weather station."""
 
 import csv
 import importlib.util
@@ -14,7 +14,7 @@ Row = dict[str, object]
 
 
 class Drift:
-    """A value that wanders, and stays where it belongs."""
+    """A value that drifts at random around its middle."""
 
     def __init__(self, noise: random.Random, middle: float, range_: float, digits: int) -> None:
         self.noise, self.middle, self.range, self.digits = noise, middle, range_, digits
@@ -98,10 +98,11 @@ def status(robot: str, noise: random.Random, start_ms: int) -> Callable[[int], R
 
 
 def weather() -> list[str]:
-    """Four years of days in Seattle, from vega_datasets: a file of it, since the package itself wants pandas."""
+    """Returns four years of days in Seattle from a file of vega_datasets; importing the package would require
+    pandas."""
     package = importlib.util.find_spec("vega_datasets")
     if package is None or package.origin is None:
-        raise SystemExit("codecs: vega_datasets is missing: scripts/setup bench")
+        raise SystemExit("codecs: vega_datasets is missing; run scripts/setup bench")
     with open(Path(package.origin).parent / "_data" / "seattle-weather.csv", newline="") as file:
         words = ("date", "weather")
         return [
@@ -115,7 +116,8 @@ def compact(row: Row) -> str:
 
 
 def recordings(count: int) -> dict[str, tuple[list[str], list[str]]]:
-    """Of each kind, messages to train on and others to measure: of another robot and another run, or of other years."""
+    """Returns for each kind the messages for training and those to measure, from another robot and run or other
+    years."""
     kinds = {"joint": joint, "motion": motion, "status": status}
 
     def run(kind: str, number: int, day: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""What stock clients send over a slow link: urgent messages all along, and something large beside them."""
+"""Sends the traffic of stock clients over a slow link: continuous urgent messages, and large messages or frames."""
 
 import contextlib
 import statistics
@@ -17,16 +17,16 @@ URGENT = "<dd"
 URGENT_BYTES = struct.calcsize(URGENT)
 FRAME_BYTES = 20_000
 FRAMES_PER_S = 20
-# A link that carries less than this share of its rate for so long has nothing of the bulk left to carry.
+# A link that carries less than this share of its rate for this time has nothing of the bulk left to carry.
 STALLED_SHARE = 0.2
 STALLED_S = 10
-# How long what is still on its way may take after the end.
+# The time after the end within which messages in flight still count.
 STRAGGLERS_S = 5
 
 
 @dataclass
 class Load:
-    """What became of the large part."""
+    """The result of the large messages or frames."""
 
     kb_per_s: float
     faults: list[str] = field(default_factory=list)
@@ -34,7 +34,7 @@ class Load:
 
 
 class Urgent:
-    """16 bytes every 50 ms, with Zenoh's priority for them; their ages on arrival."""
+    """Publishes 16 urgent bytes every 50 ms, and records their ages on arrival."""
 
     def __init__(self, here: zenoh.Session, there: zenoh.Session) -> None:
         self.ages_s: list[float] = []
@@ -62,7 +62,7 @@ class Urgent:
         self.ages_s.append(time.monotonic() - struct.unpack(URGENT, payload)[0])
 
     def _send(self) -> None:
-        # A message's age counts from when it was due: one that a blocked put held up is late too.
+        # The age of a message counts from the time when it was due, so that delays of a blocked put are included.
         due = time.monotonic()
         while not self._ended.is_set():
             self.sent += 1
@@ -72,7 +72,7 @@ class Urgent:
 
 
 class Arrival:
-    """A subscriber; a single byte says that the way is open, everything else is passed on."""
+    """A subscriber that passes on all payloads except single bytes, which only show that messages arrive."""
 
     def __init__(self, there: zenoh.Session, key: str, on_payload: Callable[[bytes], None]) -> None:
         self._is_open = threading.Event()
@@ -80,7 +80,7 @@ class Arrival:
         self._subscriber = there.declare_subscriber(key, self._on_sample)
 
     def wait_for_first(self, publisher: zenoh.Publisher) -> None:
-        wait_until("a message gets through", 30, lambda: publisher.put(b"?") or self._is_open.is_set())
+        wait_until("a message arrives", 30, lambda: publisher.put(b"?") or self._is_open.is_set())
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()
@@ -91,7 +91,7 @@ class Arrival:
 
 
 def bulk(here: zenoh.Session, there: zenoh.Session, sizes: list[int], stall: Callable[[], bool]) -> Load:
-    """One sender for each of `sizes`, all at once; from the first put to the last arrival."""
+    """Sends a message of each of `sizes` at the same time, and measures from the first put to the last arrival."""
     senders = [Sender(here, there, f"rect/wombat-1/bulk/{n}") for n in range(len(sizes))]
     started = time.monotonic()
     for sender, size in zip(senders, sizes, strict=True):
@@ -108,7 +108,7 @@ def bulk(here: zenoh.Session, there: zenoh.Session, sizes: list[int], stall: Cal
 
 
 class Sender:
-    """A program's thread that puts something large."""
+    """Publishes large messages in a thread."""
 
     def __init__(self, here: zenoh.Session, there: zenoh.Session, key: str, priority: Priority = Priority.DATA) -> None:
         self.arrived: list[tuple[float, int]] = []
@@ -120,13 +120,13 @@ class Sender:
         threading.Thread(target=self._put, args=(bytes(size),), daemon=True).start()
 
     def _put(self, payload: bytes) -> None:
-        # What failed shows in what arrives.
+        # Failures show as messages that do not arrive.
         with contextlib.suppress(zenoh.ZError):
             self._publisher.put(payload)
 
 
 def camera(here: zenoh.Session, there: zenoh.Session, seconds: float) -> Load:
-    """Frames that may be dropped, more than the link carries; the rate is from the first arrival to the last."""
+    """Sends more droppable frames than the link carries, and measures the rate from the first arrival to the last."""
     arrived: list[float] = []
     ages_s: list[float] = []
 
@@ -156,11 +156,11 @@ def camera(here: zenoh.Session, there: zenoh.Session, seconds: float) -> Load:
 
 
 class Stall:
-    """Whether a link that has something to carry does not."""
+    """Detects that a link has stopped carrying the bulk."""
 
     def __init__(self, carried: Callable[[], int], bytes_per_s: float) -> None:
         self._carried = carried
-        self._least = bytes_per_s * STALLED_SHARE * STALLED_S
+        self._expected = bytes_per_s * STALLED_SHARE * STALLED_S
         self._since = time.monotonic()
         self._before = carried()
 
@@ -168,10 +168,10 @@ class Stall:
         if time.monotonic() - self._since < STALLED_S:
             return False
         before, self._before, self._since = self._before, self._carried(), time.monotonic()
-        return self._before - before < self._least
+        return self._before - before < self._expected
 
 
 def percentile(values: list[float], share: float) -> float:
     if not values:
-        raise RobotError("there is nothing to take a percentile of")
+        raise RobotError("no values were measured")
     return sorted(values)[min(len(values) - 1, int(len(values) * share))]

@@ -1,7 +1,8 @@
-"""Urgent messages of a program that sends something large too, over a slow link: lanes, a plain link, stock over TCP.
+"""Measures urgent messages of a program that also sends large ones over a slow link: lanes, a plain link, stock over
+TCP.
 
-The peers of a case run at the same time, each on an air or a shaper of its own: a busy machine is busy for all of them.
-"""
+The peers of a case run at the same time, each with a separate air or shaper, so that the machine's load affects all of
+them."""
 
 import math
 import multiprocessing
@@ -21,7 +22,7 @@ from stopped import stopped
 from table import Table
 from traffic import Load, Stall, Urgent, bulk, camera, percentile
 
-# What the link layer's packets carry, and about how much that is. 27 bytes: a Raspberry Pi 3B.
+# The payload of the link layer's packets for each approximate rate. 27 bytes: a Raspberry Pi 3B.
 RATES = {"34 kB/s": 27, "100 kB/s": 251}
 RAW_BYTES, RAW_SDUS = 300_000, [1000, 2000, 4000]
 MTU_BYTES = 736
@@ -29,7 +30,7 @@ MB = 1_000_000
 CAMERA_S = 30
 IDLE_S = 60
 IDLE_BYTES_PER_S = 2
-# Zenoh's own: a byte in each direction every quarter of the lease of 10 s.
+# Zenoh sends a byte in each direction every quarter of the lease of 10 s.
 KEEP_ALIVE_BYTES_PER_S = 2 / 2.5
 LEASE = "transport/link/tx/lease:2000"
 LIMIT_S = 600
@@ -39,7 +40,7 @@ LARGE, FRAMES = 0.95, 0.70
 @dataclass
 class Case:
     title: str
-    wanted: float | None
+    target: float | None
     load: Callable[[zenoh.Session, zenoh.Session, Pair, float], Load]
     settings: list[str] = field(default_factory=list)
     is_urgent: bool = True
@@ -47,13 +48,13 @@ class Case:
 
 @dataclass
 class Outcome:
-    """What one peer made of a case."""
+    """The result of one peer in a case."""
 
     load: Load
     sent: int = 0
     ages_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
-    """What the routers warned of."""
+    """The warnings and errors of the routers."""
 
 
 def bulks(*sizes: int) -> Callable[[zenoh.Session, zenoh.Session, Pair, float], Load]:
@@ -67,7 +68,7 @@ def idle(here: zenoh.Session, there: zenoh.Session, link: Pair, rate: float) -> 
     per_s = (link.carried() - before) / (time.monotonic() - started)
     beyond = (per_s - KEEP_ALIVE_BYTES_PER_S) / 2
     faults = [f"over {IDLE_BYTES_PER_S} B/s"] if beyond > IDLE_BYTES_PER_S else []
-    return Load(0.0, faults, [f"{beyond:.1f} B/s each way beyond Zenoh's keep-alive"])
+    return Load(0.0, faults, [f"{beyond:.1f} B/s in each direction in addition to Zenoh's keep-alive"])
 
 
 CASES = {
@@ -93,7 +94,7 @@ def run() -> Table:
 
 
 def raw_bytes_per_s(pdu: int) -> float:
-    """Of a bare channel at its best SDU size."""
+    """Measures the rate of a bare channel at its best SDU size."""
     with room(pdu) as air:
         floods = [
             bare_channel("flood", "sim-bare-1", "sim-bare-2", str(RAW_BYTES), str(sdu), environment=air.environment())
@@ -113,18 +114,18 @@ def outcomes_of(name: str, raw: dict[str, float]) -> dict[tuple[str, str, str], 
 
 
 def outcome_of(name: str, rate: str, peer: str, raw: float) -> Outcome:
-    """In a process of its own, so that no Python program waits for another's interpreter."""
+    """Runs a case in a separate process, so that the Python programs do not share an interpreter."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=work, args=(theirs, name, RATES[rate], peer, raw))
     process.start()
     theirs.close()
     try:
-        return ours.recv() if ours.poll(LIMIT_S) else Outcome(Load(0.0, [f"not within {LIMIT_S} s"]))
+        return ours.recv() if ours.poll(LIMIT_S) else Outcome(Load(0.0, [f"not finished within {LIMIT_S} s"]))
     except EOFError:
         return Outcome(Load(0.0, ["the bench's program ended"]))
     finally:
-        # With all that it started.
+        # The process group includes all programs that it started.
         os.killpg(process.pid, signal.SIGKILL) if process.is_alive() else None
         process.join()
 
@@ -133,10 +134,10 @@ def work(pipe: Connection, name: str, pdu: int, peer: str, raw: float) -> None:
     os.setsid()
     try:
         outcome = measured(CASES[name], pdu, peer, raw)
-    except Exception as error:  # whatever a peer does, the others' figures are wanted
+    except Exception as error:  # A failure of one peer must not affect the figures of the others.
         outcome = Outcome(Load(0.0, [f"failed: {error}"]))
     pipe.send(outcome)
-    # Clients may still wait for routers that are gone.
+    # Clients may still be waiting for routers that were stopped.
     os._exit(0)
 
 
@@ -157,7 +158,7 @@ def measured(case: Case, pdu: int, peer: str, raw: float) -> Outcome:
 
 def table_of(outcomes: dict[tuple[str, str, str], Outcome], raw: dict[str, float]) -> Table:
     table = Table(
-        "Urgent messages beside something large, from the same session, over a slow link",
+        "Urgent messages during large transfers from the same session, over a slow link",
         ["link", "case", "peer", "large kB/s (of raw)", "urgent arrived", "p50", "p99", "limit", "outcome"],
     )
     for (name, rate, peer), outcome in outcomes.items():
@@ -165,10 +166,10 @@ def table_of(outcomes: dict[tuple[str, str, str], Outcome], raw: dict[str, float
         limit_s = MTU_BYTES / raw[rate] + INTERVAL_MS / 1000 + 0.010
         share = load.kb_per_s * 1000 / raw[rate]
         faults, cells = list(load.faults), ["", "", "", ""]
-        if case.wanted and share < case.wanted and not load.faults:
+        if case.target and share < case.target and not load.faults:
             faults.append("slow")
         if case.is_urgent and outcome.ages_s:
-            # Of all that were sent: one that never arrived is later than any.
+            # Percentiles of all messages that were sent: a lost one counts as infinitely late.
             ages_s = outcome.ages_s + [math.inf] * (outcome.sent - len(outcome.ages_s))
             p50, p99 = (percentile(ages_s, part) for part in (0.5, 0.99))
             cells = [
@@ -181,20 +182,20 @@ def table_of(outcomes: dict[tuple[str, str, str], Outcome], raw: dict[str, float
                 faults.append("urgent lost")
             if limit_s < p99 < math.inf:
                 faults.append("urgent late")
-        large = f"{load.kb_per_s:.1f} ({share:.2f})" if case.wanted else ""
+        large = f"{load.kb_per_s:.1f} ({share:.2f})" if case.target else ""
         complaint = [f"`{outcome.complaints[0]}`"] if faults and outcome.complaints else []
-        says = "; ".join([", ".join(faults) or "ok", *load.remarks, *complaint])
-        table.add(f"{rate} ({raw[rate] / 1000:.1f} raw)", case.title, peer, large, *cells, says)
+        remarks = "; ".join([", ".join(faults) or "ok", *load.remarks, *complaint])
+        table.add(f"{rate} ({raw[rate] / 1000:.1f} raw)", case.title, peer, large, *cells, remarks)
     table.notes = [
         "The simulated air (condition desk, interval 30 ms; link-layer packets of 27 and of 251 bytes), "
         "`config/simulation.json5`; stock zenohd 1.10.2 with its defaults over TCP shaped to the raw rate, without a "
         "connection interval. Raw: a bare channel at its best SDU size in the same run. Stock eclipse-zenoh clients; "
-        "urgent: 16 bytes every 50 ms, `REAL_TIME`, from the session that sends the rest, age counted from when each "
-        "was due.",
-        f"Wanted: no urgent message lost, p99 within the limit (airtime of an MTU of {MTU_BYTES} bytes, a connection "
+        "urgent: 16 bytes every 50 ms, `REAL_TIME`, from the session that sends the rest; ages count from the time "
+        "when each was due.",
+        f"Target: no urgent message lost, p99 within the limit (airtime of an MTU of {MTU_BYTES} bytes, a connection "
         f"interval, 10 ms); large: {LARGE} of raw, whole frames {FRAMES} and none older than 1 s. Stopped subscriber: "
-        "the rate is that of 500 kB of another priority sent meanwhile; the client that was stopped connects to its "
-        "router again by itself (lease), so that one of the 8 MB may be lost on the last metre.",
+        "the rate is that of 500 kB of another priority sent meanwhile. The client that was stopped connects to its "
+        "router again (lease), so that one of the 8 MB may be lost between the router and the client.",
         "Plot: `urgent.svg`.",
     ]
     return table

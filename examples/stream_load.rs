@@ -1,10 +1,11 @@
-//! What `benches/stream.py` runs: a camera at one router, who watches at the other, and urgent messages from the camera's
-//! program all the while. Both are in this process, so that one clock tells the ages.
+//! Generates the load of `benches/stream.py`: a camera at one router, a program that watches it at the other, and urgent messages
+//! from the camera's program at the same time. All run in one process, so that a single clock measures the ages.
 //!
 //!     stream_load '{"near": "tcp/...", "far": "tcp/...", "panorama": "file", "panorama_size": [1280, 960],
-//!                   "size": [640, 480], "codec": null, "photographs": "jpeg", "seconds": 30, "frames": "folder"}'
+//!                   "size": [640, 480], "codec": null, "lossy_format": "jpeg", "seconds": 30, "frames": "folder"}'
 //!
-//! `panorama` is raw RGB; the camera pans over it, 15 times a second. `codec`: that of a fixed stream; null: adaptive.
+//! `panorama` is a file of raw RGB pixels, over which the camera pans, at 15 frames per second. `codec` is the codec of a fixed
+//! stream; null selects an adaptive stream.
 use std::{
     error::Error,
     fs,
@@ -21,15 +22,15 @@ use rect::{
     core::{
         codec,
         picture::{Format, Picture},
-        stream::picture::Photographs,
+        stream::picture::LossyFormat,
     },
     Options, Robot, Stream, StreamOptions, ToPayload,
 };
 use serde::{Deserialize, Serialize};
 
 const FRAMES_PER_S: u32 = 15;
-const URGENT_EVERY: Duration = Duration::from_millis(50);
-const STRAGGLERS: Duration = Duration::from_secs(2);
+const URGENT_INTERVAL: Duration = Duration::from_millis(50);
+const DRAIN_TIME: Duration = Duration::from_secs(2);
 
 #[derive(Deserialize)]
 struct Task {
@@ -39,19 +40,19 @@ struct Task {
     panorama_size: [u32; 2],
     size: [u32; 2],
     codec: Option<String>,
-    photographs: String,
+    lossy_format: String,
     seconds: u64,
     frames: PathBuf,
 }
 
 #[derive(Serialize)]
-struct Seen {
+struct ReceivedFrame {
     number: u32,
-    /// Which of the camera's.
+    /// The camera's index of the frame.
     index: u32,
     at_s: f64,
     age_ms: f64,
-    told_ms: Option<f64>,
+    reported_age_ms: Option<f64>,
     skipped: u32,
     bytes: usize,
     encoding: String,
@@ -60,7 +61,7 @@ struct Seen {
 #[derive(Serialize)]
 struct Outcome {
     sent: usize,
-    seen: Vec<Seen>,
+    received_frames: Vec<ReceivedFrame>,
     urgent_sent: u32,
     urgent_ms: Vec<f64>,
     status: rect::core::stream::status::Status,
@@ -69,8 +70,10 @@ struct Outcome {
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn Error>> {
-    let given = std::env::args().nth(1).ok_or("the task is missing")?;
-    let task: Task = serde_json::from_str(&given)?;
+    let argument = std::env::args()
+        .nth(1)
+        .ok_or("the argument with the task is missing")?;
+    let task: Task = serde_json::from_str(&argument)?;
     let outcome = run(task).await?;
     println!("{}", serde_json::to_string(&outcome)?);
     Ok(())
@@ -78,17 +81,17 @@ async fn main() -> Result<(), Box<dyn Error>> {
 
 async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     let (near, far) = (
-        joined("wombat-1", &task.near).await?,
-        joined("wombat-2", &task.far).await?,
+        connect("wombat-1", &task.near).await?,
+        connect("wombat-2", &task.far).await?,
     );
     let begun = Instant::now();
     let urgent_ms: Arc<Mutex<Vec<f64>>> = Arc::default();
-    let heard = urgent_ms.clone();
+    let ages_ms = urgent_ms.clone();
     let _urgent = far
         .on_message("wombat-1/stop", move |message| {
             if let Ok(due_s) = message.payload.value::<f64>() {
                 let age_s = begun.elapsed().as_secs_f64() - due_s;
-                heard.lock().expect("not poisoned").push(age_s * 1000.0);
+                ages_ms.lock().expect("not poisoned").push(age_s * 1000.0);
             }
         })
         .await?;
@@ -96,15 +99,15 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     let options = match &task.codec {
         Some(_) => StreamOptions::fixed(f64::from(FRAMES_PER_S)),
         None => StreamOptions {
-            photographs: match task.photographs.as_str() {
-                "webp" => Photographs::Webp,
-                _ => Photographs::Jpeg,
+            lossy_format: match task.lossy_format.as_str() {
+                "webp" => LossyFormat::Webp,
+                _ => LossyFormat::Jpeg,
             },
             ..StreamOptions::default()
         },
     };
     let stream = Arc::new(near.stream("camera", options).await?);
-    // Discovery is not what is measured.
+    // Waits until the receiver was discovered, which is not measured.
     while stream.send(vec![0u8; 1])? == 0 {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -120,10 +123,10 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
         camera(&task, &camera_stream, &camera_ended).map_err(|error| error.to_string())
     });
     let mut received = Vec::new();
-    let whole = Duration::from_secs(seconds);
-    while started.elapsed() < whole {
-        let left = whole.saturating_sub(started.elapsed());
-        if let Ok(Some(frame)) = tokio::time::timeout(left, watch.recv()).await {
+    let duration = Duration::from_secs(seconds);
+    while started.elapsed() < duration {
+        let remaining = duration.saturating_sub(started.elapsed());
+        if let Ok(Some(frame)) = tokio::time::timeout(remaining, watch.next()).await {
             received.push((Instant::now(), frame));
         }
     }
@@ -131,11 +134,11 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     ended.store(true, Ordering::Relaxed);
     let (sent, encode_ms) = camera.join().map_err(|_| "the camera panicked")??;
     let urgent_sent = urgent.await?;
-    tokio::time::sleep(STRAGGLERS).await;
+    tokio::time::sleep(DRAIN_TIME).await;
 
-    let mut seen = Vec::new();
+    let mut received_frames = Vec::new();
     for (at, frame) in received {
-        // The first was the one byte of discovery.
+        // The first frame was the byte sent for discovery.
         let Some(&(index, sent_at)) = (frame.number as usize)
             .checked_sub(1)
             .and_then(|n| sent.get(n))
@@ -143,12 +146,12 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
             continue;
         };
         fs::write(frames.join(index.to_string()), &frame.payload.bytes)?;
-        seen.push(Seen {
+        received_frames.push(ReceivedFrame {
             number: frame.number,
             index,
             at_s: at.duration_since(started).as_secs_f64(),
             age_ms: at.duration_since(sent_at).as_secs_f64() * 1000.0,
-            told_ms: frame.age.map(|age| age.as_secs_f64() * 1000.0),
+            reported_age_ms: frame.age.map(|age| age.as_secs_f64() * 1000.0),
             skipped: frame.skipped,
             bytes: frame.payload.bytes.len(),
             encoding: frame.payload.encoding.to_string(),
@@ -157,7 +160,7 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     let urgent_ms = urgent_ms.lock().expect("not poisoned").clone();
     Ok(Outcome {
         sent: sent.len(),
-        seen,
+        received_frames,
         urgent_sent,
         urgent_ms,
         status,
@@ -165,7 +168,7 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     })
 }
 
-async fn joined(name: &str, router: &str) -> Result<Robot, rect::Error> {
+async fn connect(name: &str, router: &str) -> Result<Robot, rect::Error> {
     Options::new(name)?
         .login_file("/none")
         .router(router)
@@ -174,7 +177,7 @@ async fn joined(name: &str, router: &str) -> Result<Robot, rect::Error> {
 }
 
 async fn send_urgent(robot: Robot, begun: Instant, ended: Arc<AtomicBool>) -> u32 {
-    let mut ticks = tokio::time::interval(URGENT_EVERY);
+    let mut ticks = tokio::time::interval(URGENT_INTERVAL);
     let mut sent = 0;
     while !ended.load(Ordering::Relaxed) {
         let due = ticks.tick().await.into_std();
@@ -188,11 +191,12 @@ async fn send_urgent(robot: Robot, begun: Instant, ended: Arc<AtomicBool>) -> u3
 
 type Sent = Vec<(u32, Instant)>;
 
-/// Each frame that went, by its index, and when it was taken; and the mean time of encoding, in milliseconds.
+/// Sends frames until `ended` is set. Returns the index and time of each frame that was sent, and the mean time for encoding a
+/// frame, in milliseconds.
 fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64), Box<dyn Error>> {
     let panorama = fs::read(&task.panorama)?;
     let codec = task.codec.as_deref().map(codec::parse).transpose()?;
-    let (started, mut sent, mut spent) = (Instant::now(), Vec::new(), Duration::ZERO);
+    let (started, mut sent, mut encoding_time) = (Instant::now(), Vec::new(), Duration::ZERO);
     for index in 0.. {
         let due = started + Duration::from_secs(1) * index / FRAMES_PER_S;
         thread::sleep(due.saturating_duration_since(Instant::now()));
@@ -201,33 +205,37 @@ fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64
         }
         let picture = view(&panorama, task, index)?;
         let taken = Instant::now();
-        let went = match &codec {
+        let groups = match &codec {
             Some(codec) => stream.send_with(1, |_| Ok(codec.encode(&picture.to_payload()?)?))?,
             None => stream.send_picture(&picture)?,
         };
-        if went > 0 {
-            spent += taken.elapsed();
+        if groups > 0 {
+            encoding_time += taken.elapsed();
             sent.push((index, taken));
         }
     }
-    let mean_ms = spent.as_secs_f64() * 1000.0 / sent.len().max(1) as f64;
+    let mean_ms = encoding_time.as_secs_f64() * 1000.0 / sent.len().max(1) as f64;
     Ok((sent, mean_ms))
 }
 
-/// The camera goes to and fro over the panorama, three pixels a frame sidewards, and two up or down.
+/// Returns the picture at the camera's position, which moves back and forth over the panorama: 3 pixels per frame horizontally
+/// and 2 vertically.
 fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Picture, Box<dyn Error>> {
     let [wide, high] = task.panorama_size;
     let [width, height] = task.size;
-    let to_and_fro = |step: u32, room: u32| match room {
+    let back_and_forth = |step: u32, room: u32| match room {
         0 => 0,
         room => room.abs_diff(index * step % (room * 2)),
     };
-    let (left, top) = (to_and_fro(3, wide - width), to_and_fro(2, high - height));
+    let (left, top) = (
+        back_and_forth(3, wide - width),
+        back_and_forth(2, high - height),
+    );
     let mut pixels = Vec::with_capacity((width * height * 3) as usize);
     for row in top..top + height {
-        let from = ((row * wide + left) * 3) as usize;
-        let part = panorama.get(from..from + (width * 3) as usize);
-        pixels.extend_from_slice(part.ok_or("the panorama is smaller than it says")?);
+        let start = ((row * wide + left) * 3) as usize;
+        let part = panorama.get(start..start + (width * 3) as usize);
+        pixels.extend_from_slice(part.ok_or("the panorama is smaller than panorama_size")?);
     }
     Ok(Picture::new(width, height, Format::Rgb8, pixels)?)
 }

@@ -1,4 +1,4 @@
-//! Gives the shared library the name by which programs find it, whatever its file is called here.
+//! Sets the soname of the shared library, by which programs find it: its file has another name in cargo's target folder.
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     let major = std::env::var("CARGO_PKG_VERSION_MAJOR").unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Hands the compiler's version to the program: zenohd accepts a plugin only from the same one.
+//! Passes the compiler's version to the program, because zenohd accepts a plugin only from the same compiler.
 fn main() {
     let rustc = rustc_version::version_meta().map_or_else(
         |_| "an unknown rustc".to_owned(),

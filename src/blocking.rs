@@ -1,5 +1,7 @@
-//! The same in blocking form, for programs without `async`: every call waits until it is done. Not for use inside of an async
-//! runtime, which these calls would hold up; there is [`crate::Robot`] for that.
+//! The blocking form of the API, for programs without `async`: every call blocks the calling thread until it is complete.
+//!
+//! The calls panic when they are made from an asynchronous runtime, whose thread they would block. Use [`crate::Robot`]
+//! there.
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -7,9 +9,9 @@
 //! let robot = rect::blocking::connect("wombat-1")?;
 //! robot.publish("arm/angle", rect::Json(12.5))?;
 //! for message in robot.subscribe("wombat-2/**")? {
-//!     println!("{} says {:?}", message.from, message.payload);
+//!     println!("{}: {:?}", message.sender, message.payload);
 //! }
-//! let answer = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
+//! let reply = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
 //! # Ok::<(), rect::Error>(())
 //! ```
 mod runtime;
@@ -22,80 +24,102 @@ use std::{sync::Arc, time::Duration};
 pub use self::{runtime::Runtime, stream::Frames, subscription::Subscription, transfer::Transfers};
 use crate::{
     session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
-    Receiving, Reply, Service, ToPayload, Topic, Urgency,
+    QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
 };
 
-/// A program of a robot, joined with the others; see [`crate::Robot`].
+/// A handle of a program's session, through which it communicates as one robot of the fleet; the blocking form of
+/// [`crate::Robot`].
+///
+/// Clones are cheap and share the session.
 #[derive(Clone, Debug)]
 pub struct Robot {
     robot: session::Robot,
     runtime: Arc<Runtime>,
 }
 
-/// The messages of a pattern, one after another: an iterator that waits for the next. It ends when the session is closed.
+/// Receives the messages that match a pattern; created by [`Robot::subscribe`].
+///
+/// The iterator blocks until the next message, and ends when the session is closed. Dropping it ends the subscription.
 #[derive(Debug)]
 pub struct Messages {
     subscriber: session::Subscriber,
     runtime: Arc<Runtime>,
 }
 
-/// The answers to one request; an iterator that waits for the next.
+/// Receives the replies to one request; created by [`Robot::request_all`].
+///
+/// The iterator blocks until the next reply, and ends when all services have replied. Dropping it cancels the request.
 #[derive(Debug)]
 pub struct Replies {
     replies: session::Replies,
     runtime: Arc<Runtime>,
 }
 
-/// What changes about who can be reached; an iterator that waits for the next.
+/// Receives events of robots, links and the router; created by [`Robot::events`].
+///
+/// The iterator blocks until the next event, and ends when the session is closed.
 #[derive(Debug)]
 pub struct Events {
     events: session::Events,
     runtime: Arc<Runtime>,
 }
 
-/// Joins as a program of that robot, at the router of this computer.
+/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
+///
+/// ```no_run
+/// let robot = rect::blocking::connect("wombat-1")?;
+/// robot.publish("greeting", "hello")?;
+/// # Ok::<(), rect::Error>(())
+/// ```
 ///
 /// # Errors
-/// As [`crate::connect`].
+/// Returns the same errors as [`crate::connect`].
 pub fn connect(robot: &str) -> Result<Robot, Error> {
-    Robot::join(Options::new(robot)?)
+    Robot::connect(Options::new(robot)?)
 }
 
 impl Robot {
-    /// Joins as the options say.
+    /// Opens a session with `options`.
+    ///
+    /// ```no_run
+    /// use rect::{blocking::Robot, Options};
+    ///
+    /// let robot = Robot::connect(Options::new("wombat-1")?.router("tcp/192.168.0.7:7447"))?;
+    /// # Ok::<(), rect::Error>(())
+    /// ```
     ///
     /// # Errors
-    /// As [`Options::connect`].
-    pub fn join(options: Options) -> Result<Self, Error> {
+    /// Returns the same errors as [`Options::connect`].
+    pub fn connect(options: Options) -> Result<Self, Error> {
         let runtime = Runtime::start().map_err(no_thread)?;
         let robot = runtime.wait(options.connect())?;
         let runtime = Arc::new(runtime);
         Ok(Self { robot, runtime })
     }
 
-    /// The async form of the same robot.
+    /// Returns the asynchronous handle of the same session.
     pub fn asynchronous(&self) -> &session::Robot {
         &self.robot
     }
 
-    /// This robot's name.
+    /// Returns the name of this robot.
     pub fn name(&self) -> &Name {
         self.robot.name()
     }
 
-    /// The same robot, speaking with that urgency.
+    /// Returns a handle that publishes, sends and requests with `urgency`.
     #[must_use]
-    pub fn with(&self, urgency: Urgency) -> Self {
+    pub fn with_urgency(&self, urgency: Urgency) -> Self {
         Self {
-            robot: self.robot.with(urgency),
+            robot: self.robot.with_urgency(urgency),
             runtime: self.runtime.clone(),
         }
     }
 
-    /// Says it to all.
+    /// Publishes `value` on `topic` to every subscriber. Blocks while the queue of the link is full.
     ///
     /// # Errors
-    /// As [`crate::Robot::publish`].
+    /// Returns the same errors as [`crate::Robot::publish`].
     pub fn publish<T: TryInto<Topic>>(&self, topic: T, value: impl ToPayload) -> Result<(), Error>
     where
         Error: From<T::Error>,
@@ -103,57 +127,69 @@ impl Robot {
         self.runtime.complete(self.robot.publish(topic, value))
     }
 
-    /// Says it to one robot alone.
+    /// Sends `value` on `topic` to one robot only. Does not check whether the robot is reachable.
     ///
     /// # Errors
-    /// As [`crate::Robot::send`].
+    /// Returns the same errors as [`crate::Robot::send`].
     pub fn send<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
-        to: N,
+        robot: N,
         topic: T,
         value: impl ToPayload,
     ) -> Result<(), Error>
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        self.runtime.complete(self.robot.send(to, topic, value))
+        self.runtime.complete(self.robot.send(robot, topic, value))
     }
 
-    /// The messages of a pattern.
+    /// Subscribes to the messages that match `pattern`, which is `<robot>/<topic>` with wildcards.
+    ///
+    /// ```no_run
+    /// # fn subscribe(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// for message in robot.subscribe("*/arm/angle")? {
+    ///     let angle: f64 = message.payload.value()?;
+    ///     println!("{}: {angle}", message.sender);
+    /// }
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// As [`crate::Robot::subscribe`].
+    /// Returns the same errors as [`crate::Robot::subscribe`].
     pub fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Messages, Error>
     where
         Error: From<P::Error>,
     {
-        self.subscribe_with(pattern, Receiving::default())
+        self.subscribe_with(pattern, QueueOptions::default())
     }
 
-    /// The same, with a say in how messages wait.
+    /// Subscribes to the messages that match `pattern`, with other settings of the receive queue.
     ///
     /// # Errors
-    /// As [`crate::Robot::subscribe`].
+    /// Returns the same errors as [`crate::Robot::subscribe`].
     pub fn subscribe_with<P: TryInto<Pattern>>(
         &self,
         pattern: P,
-        receiving: Receiving,
+        queue: QueueOptions,
     ) -> Result<Messages, Error>
     where
         Error: From<P::Error>,
     {
-        let subscribed = self.robot.subscribe_with(pattern, receiving);
+        let subscribed = self.robot.subscribe_with(pattern, queue);
         Ok(Messages {
             subscriber: self.runtime.wait(subscribed)?,
             runtime: self.runtime.clone(),
         })
     }
 
-    /// Calls `callback` for each message of a pattern, one after another on a thread of its own, until what this returns is
-    /// dropped. It may wait, and use the robot; one that panics is reported, and called again for the next message.
+    /// Calls `callback` for each message that matches `pattern`, one at a time on a separate thread, until the returned
+    /// subscription is dropped.
+    ///
+    /// The callback may block and use the robot. If it panics, the panic is logged and the callback is called again for the
+    /// next message.
     ///
     /// # Errors
-    /// As [`crate::Robot::on_message`].
+    /// Returns the same errors as [`crate::Robot::on_message`].
     pub fn on_message<P: TryInto<Pattern>>(
         &self,
         pattern: P,
@@ -162,32 +198,32 @@ impl Robot {
     where
         Error: From<P::Error>,
     {
-        self.on_message_with(pattern, Receiving::default(), callback)
+        self.on_message_with(pattern, QueueOptions::default(), callback)
     }
 
-    /// The same, with a say in how messages wait.
+    /// Calls `callback` for each message that matches `pattern`, with other settings of the receive queue.
     ///
     /// # Errors
-    /// As [`on_message`](Self::on_message).
+    /// Returns the same errors as [`on_message`](Self::on_message).
     pub fn on_message_with<P: TryInto<Pattern>>(
         &self,
         pattern: P,
-        receiving: Receiving,
+        queue: QueueOptions,
         callback: impl FnMut(Message) + Send + 'static,
     ) -> Result<Subscription, Error>
     where
         Error: From<P::Error>,
     {
-        let subscribed = self.robot.subscribe_with(pattern, receiving);
+        let subscribed = self.robot.subscribe_with(pattern, queue);
         let subscriber = self.runtime.wait(subscribed)?;
         Subscription::start(self.runtime.clone(), subscriber, callback)
     }
 
-    /// The next message of `robot` about `topic`.
+    /// Blocks until the next message of `robot` on `topic`, at most for `timeout`.
     ///
     /// # Errors
-    /// As [`crate::Robot::listen`].
-    pub fn listen<N: TryInto<Name>>(
+    /// Returns the same errors as [`crate::Robot::wait_for_message`].
+    pub fn wait_for_message<N: TryInto<Name>>(
         &self,
         robot: N,
         topic: &str,
@@ -196,13 +232,14 @@ impl Robot {
     where
         Error: From<N::Error>,
     {
-        self.runtime.wait(self.robot.listen(robot, topic, timeout))
+        self.runtime
+            .wait(self.robot.wait_for_message(robot, topic, timeout))
     }
 
-    /// Asks a service of `robot`, and waits for its first answer.
+    /// Sends a request to the service `topic` of `robot`, and blocks until its first reply, at most for `timeout`.
     ///
     /// # Errors
-    /// As [`crate::Robot::request`].
+    /// Returns the same errors as [`crate::Robot::request`].
     pub fn request<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -217,10 +254,11 @@ impl Robot {
         self.runtime.wait(asked)
     }
 
-    /// Asks a service of all robots that have it.
+    /// Sends a request to the service `topic` of all robots that provide it. Replies arrive until all services have replied
+    /// or `timeout` has expired.
     ///
     /// # Errors
-    /// As [`crate::Robot::request_all`].
+    /// Returns the same errors as [`crate::Robot::request_all`].
     pub fn request_all<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -237,11 +275,22 @@ impl Robot {
         })
     }
 
-    /// Serves `topic` by a function, one request after another on a thread for such work, until what this returns is
-    /// dropped. An error that it returns arrives as [`Error::Service`].
+    /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned service is
+    /// dropped. An error arrives at the requester as [`Error::Service`].
+    ///
+    /// `answer` is called on threads for blocking work, for up to 16 requests concurrently.
+    ///
+    /// ```no_run
+    /// # fn serve(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// let _service = robot.serve("double", |request| {
+    ///     let number: f64 = request.payload.value().map_err(|error| error.to_string())?;
+    ///     Ok::<_, String>(rect::Json(number * 2.0))
+    /// })?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// As [`crate::Robot::serve`].
+    /// Returns the same errors as [`crate::Robot::serve`].
     pub fn serve<T, F, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
     where
         T: TryInto<Topic>,
@@ -261,42 +310,43 @@ impl Robot {
         self.runtime.wait(served)
     }
 
-    /// The other robots of the fleet that are there now, by name.
+    /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
     ///
     /// # Errors
-    /// As [`crate::Robot::peers`].
+    /// Returns the same errors as [`crate::Robot::peers`].
     pub fn peers(&self) -> Result<Vec<Name>, Error> {
         self.runtime.wait(self.robot.peers())
     }
 
-    /// The connections of this robot's router.
+    /// Returns the connections of this robot's router.
     ///
     /// # Errors
-    /// As [`crate::Robot::connections`].
+    /// Returns the same errors as [`crate::Robot::connections`].
     pub fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.runtime.wait(self.robot.connections())
     }
 
-    /// Gives this robot's router a connection, instead of the one of that name if it has one.
+    /// Adds a named connection to this robot's router, replacing the one of the same name.
     ///
     /// # Errors
-    /// As [`crate::Robot::add_connection`].
+    /// Returns the same errors as [`crate::Robot::add_connection`].
     pub fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
         self.runtime.wait(self.robot.add_connection(connection))
     }
 
-    /// Takes a connection from this robot's router.
+    /// Removes a named connection from this robot's router and closes its link.
     ///
     /// # Errors
-    /// As [`crate::Robot::remove_connection`].
+    /// Returns the same errors as [`crate::Robot::remove_connection`].
     pub fn remove_connection(&self, name: &str) -> Result<(), Error> {
         self.runtime.wait(self.robot.remove_connection(name))
     }
 
-    /// What changes about who can be reached.
+    /// Subscribes to events: robots that become reachable or unreachable, links that come up or go down, and the loss and
+    /// return of the router.
     ///
     /// # Errors
-    /// As [`crate::Robot::events`].
+    /// Returns the same errors as [`crate::Robot::events`].
     pub fn events(&self) -> Result<Events, Error> {
         Ok(Events {
             events: self.runtime.wait(self.robot.events())?,
@@ -304,28 +354,28 @@ impl Robot {
         })
     }
 
-    /// What this program has said and heard.
+    /// Returns the numbers of messages and bytes that this program has sent and received.
     pub fn counters(&self) -> Counters {
         self.robot.counters()
     }
 
-    /// Ends the session now.
+    /// Closes the session and everything that belongs to it, even if other clones of this handle exist.
     ///
     /// # Errors
-    /// As [`crate::Robot::close`].
+    /// Returns the same errors as [`crate::Robot::close`].
     pub fn close(&self) -> Result<(), Error> {
         self.runtime.wait(self.robot.close())
     }
 }
 
 impl Messages {
-    /// The next message; `None`: there was none within that time, or the session was closed.
-    pub fn next_within(&mut self, timeout: Duration) -> Option<Message> {
-        let next = async { tokio::time::timeout(timeout, self.subscriber.recv()).await };
+    /// Blocks until the next message; returns `None` if none arrives within `timeout`, or if the session is closed.
+    pub fn next_timeout(&mut self, timeout: Duration) -> Option<Message> {
+        let next = async { tokio::time::timeout(timeout, self.subscriber.next()).await };
         self.runtime.wait(next).ok().flatten()
     }
 
-    /// How many were dropped because the program did not take them in time.
+    /// Returns the number of messages that were dropped because the queue was full.
     pub fn dropped(&self) -> u64 {
         self.subscriber.dropped()
     }
@@ -335,7 +385,7 @@ impl Iterator for Messages {
     type Item = Message;
 
     fn next(&mut self) -> Option<Message> {
-        self.runtime.wait(self.subscriber.recv())
+        self.runtime.wait(self.subscriber.next())
     }
 }
 
@@ -357,7 +407,7 @@ impl Iterator for Events {
 
 fn no_thread(error: std::io::Error) -> Error {
     Error::Zenoh {
-        what: "no thread can be started",
+        operation: "cannot start a thread",
         reason: error.to_string(),
     }
 }

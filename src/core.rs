@@ -1,4 +1,4 @@
-//! The lower storey: everything that decides, without I/O. What is here is the same in every language.
+//! Contains the protocol logic, without I/O. Every language uses this implementation.
 pub mod array;
 pub mod attachment;
 pub mod codec;
@@ -9,6 +9,7 @@ pub mod display;
 pub mod encoding;
 pub mod endpoint;
 pub mod gaps;
+pub mod humanize;
 pub mod key;
 pub mod login;
 pub mod message;
@@ -24,4 +25,3 @@ pub mod topic;
 pub mod topics;
 pub mod transfer;
 pub mod urgency;
-pub mod wording;

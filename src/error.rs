@@ -1,126 +1,140 @@
-//! Owns what can go wrong in a session, with what to do about it.
+//! Defines [`Error`], the error type of sessions. Each variant documents what the program or its user can do about it.
 use std::{path::PathBuf, time::Duration};
 
 use crate::core::{
     codec::CodecError,
+    humanize,
     login::LoginRefused,
     name::{Name, NameError},
     payload::{Payload, PayloadError},
     router::WrongRobot,
     topic::{Topic, TopicError},
     transfer::{Fault, OfferError, Refusal},
-    wording,
 };
 
-/// Something did not work. Each text says what to do.
+/// An error of a session, of a codec, or of the arguments of a call.
+///
+/// The `Display` text names the robot, topic or endpoint involved, and suggests what to do.
+///
+/// ```no_run
+/// # use std::time::Duration;
+/// # async fn ask(robot: rect::Robot) -> Result<(), rect::Error> {
+/// match robot.request("wombat-2", "battery", "", Duration::from_secs(1)).await {
+///     Ok(reply) => println!("{:?}", reply.payload),
+///     Err(rect::Error::NoService { available, .. }) => println!("reachable robots: {available}"),
+///     Err(error) => return Err(error),
+/// }
+/// # Ok(()) }
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The name of a robot or fleet. Choose another.
+    /// The name of a robot or fleet is invalid. Choose another name.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// A topic or pattern. Write it as the text says.
+    /// A topic or pattern is invalid. The text describes the expected form.
     #[error(transparent)]
     Topic(#[from] TopicError),
-    /// A value that can't be sent or read as asked for.
+    /// A value cannot be sent, or a payload cannot be read as the requested type.
     #[error(transparent)]
     Payload(#[from] PayloadError),
-    /// A codec that does not fit, or a payload that is damaged.
+    /// A codec does not support the payload, or an encoded payload is damaged.
     #[error(transparent)]
     Codec(#[from] CodecError),
-    /// No router. Start one, or name another.
+    /// No router answers at the endpoint. Start one, or select another one with [`Options::router`](crate::Options::router).
     #[error(
-        "no router answers at {endpoint}: {reason}. `rect-router -l tcp/127.0.0.1:7447` starts one here; \
-         another one is named by the option `router`, or by RECT_ENDPOINT"
+        "no router answers at {endpoint}: {reason}. Start one on this computer with `rect-router -l tcp/127.0.0.1:7447`, \
+         or select another one with the option `router` or the environment variable RECT_ENDPOINT"
     )]
     NoRouter {
-        /// Where it was looked for.
+        /// The endpoint that was tried, such as `tcp/127.0.0.1:7447`.
         endpoint: String,
-        /// What Zenoh says.
+        /// The reason that Zenoh reports.
         reason: String,
     },
-    /// The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    /// The router requires a login, and the program's login is missing or wrong. Select the team's login file.
     #[error(transparent)]
     LoginRefused(#[from] LoginRefused),
-    /// The router serves another robot than the program joins as. Join under the router's name, or at the right router.
+    /// The router belongs to another robot. Connect under the router's name, or to the right router.
     #[error(transparent)]
     WrongRobot(#[from] WrongRobot),
-    /// A locator, or something else in the options, that Zenoh does not take.
-    #[error("the option {what} can't be {value:?}: {reason}")]
+    /// Zenoh rejects a locator or another value of the options.
+    #[error("the option {option} cannot be {value:?}: {reason}")]
     Option {
-        /// Which.
-        what: &'static str,
-        /// What was given.
+        /// The name of the option.
+        option: &'static str,
+        /// The rejected value.
         value: String,
-        /// What Zenoh says.
+        /// The reason that Zenoh reports.
         reason: String,
     },
-    /// Nobody has that service. Is the robot there, and does its program run?
-    #[error("nobody serves {topic} at {robot}; robots there: {there}")]
+    /// No program provides the service. Is the robot reachable, and is its program running?
+    #[error("no program serves {topic} at {robot}; reachable robots: {available}")]
     NoService {
-        /// Who was asked; `*` for anyone.
+        /// The robot that was asked; `*` if all robots were asked.
         robot: String,
-        /// For what.
+        /// The topic of the service.
         topic: String,
-        /// Who is there.
-        there: String,
+        /// The names of the reachable robots, separated by commas; `none` if there is none.
+        available: String,
     },
-    /// It took too long. Ask again, allow more time, or look at the link (`rect connections`).
-    #[error("no {what} within {}", wording::duration(*.after))]
+    /// The timeout expired. Try again, allow more time, or check the link (`rect connections`).
+    #[error("no {expected} within {}", humanize::duration(*.timeout))]
     TimedOut {
-        /// What was waited for.
-        what: String,
-        /// For how long.
-        after: Duration,
+        /// The item that the call waited for, as a noun phrase.
+        expected: String,
+        /// How long it waited.
+        timeout: Duration,
     },
-    /// The service answered with an error.
-    #[error("{} answers with an error: {}", .robot.as_ref().map_or("the service", Name::as_str), said(.payload))]
+    /// The service replied with an error.
+    #[error("{} replied with an error: {}", .robot.as_ref().map_or("the service", Name::as_str), beginning(.payload))]
     Service {
-        /// Who answered; `None`: a stock program, which does not say.
+        /// The robot that replied; `None` if the service is a stock Zenoh program, whose replies do not name one.
         robot: Option<Name>,
-        /// The error, as the service made it.
+        /// The error, as the service returned it.
         payload: Payload,
     },
-    /// Zenoh refuses.
-    #[error("{what}: {reason}")]
+    /// A Zenoh operation failed, often because the session is closed.
+    #[error("{operation}: {reason}")]
     Zenoh {
-        /// What was wanted.
-        what: &'static str,
-        /// What Zenoh says.
+        /// The operation that failed, such as "cannot declare the publisher".
+        operation: &'static str,
+        /// The reason that Zenoh reports.
         reason: String,
     },
-    /// A transfer is not taken there. Who is to receive it says what it takes (`receive_transfers`).
-    #[error("{robot} does not take the transfer {topic}: {refusal}")]
+    /// The receiver refused the transfer. The receiver sets what it accepts in its call of
+    /// [`receive_transfers`](crate::Robot::receive_transfers).
+    #[error("{robot} refused the transfer {topic}: {refusal}")]
     TransferRefused {
-        /// Who was to receive it.
+        /// The receiver.
         robot: Name,
-        /// About what.
+        /// The topic of the transfer.
         topic: Topic,
-        /// Why.
+        /// The reason for the refusal.
         #[source]
         refusal: Refusal,
     },
-    /// A transfer began and ended before all was there. The reason says whether to send it again.
-    #[error("the transfer {topic} with {robot} did not get there: {fault}")]
+    /// A transfer ended before it was complete. The fault states whether sending it again can help.
+    #[error("the transfer {topic} with {robot} failed: {fault}")]
     TransferFailed {
-        /// Who is at the other end.
+        /// The robot at the other end.
         robot: Name,
-        /// About what.
+        /// The topic of the transfer.
         topic: Topic,
-        /// Why.
+        /// The reason for the failure.
         #[source]
         fault: Fault,
     },
-    /// A file or folder of a transfer can't be used.
+    /// A file or folder of a transfer cannot be used.
     #[error("{}: {reason}", .path.display())]
     File {
-        /// Which.
+        /// The path of the file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         #[source]
         reason: std::io::Error,
     },
-    /// The name of what is transferred. Choose another.
+    /// The file name of a transfer is invalid. Choose another name.
     #[error(transparent)]
     Offer(#[from] OfferError),
     /// The session was closed.
@@ -128,8 +142,8 @@ pub enum Error {
     Closed,
 }
 
-/// The beginning of an error's text.
-fn said(payload: &Payload) -> String {
+/// Returns the first 500 characters of a service's error.
+fn beginning(payload: &Payload) -> String {
     let text = String::from_utf8_lossy(&payload.bytes);
     text.chars().take(500).collect()
 }
@@ -141,10 +155,11 @@ impl From<std::convert::Infallible> for Error {
 }
 
 impl Error {
-    pub(crate) fn zenoh(what: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
+    /// Returns a function that converts an error of Zenoh; `operation` is the failed operation: "cannot ...".
+    pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
         move |error| Self::Zenoh {
-            what,
-            reason: wording::with_causes(error.as_ref()),
+            operation,
+            reason: humanize::with_causes(error.as_ref()),
         }
     }
 }

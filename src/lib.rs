@@ -1,9 +1,18 @@
-//! RECT, the Robot Extensible Communication Toolkit: robots that exchange messages, streams and files over TCP, UDP and
-//! Bluetooth Low Energy, on Zenoh.
+//! RECT, the Robot Extensible Communication Toolkit: robots exchange messages, streams and files over TCP, UDP and
+//! Bluetooth Low Energy, on top of Zenoh.
 //!
-//! Two storeys. [`core`] decides: names, keys, encodings, codecs, and the state machines of what takes more than one
-//! message; it is given the time and the bytes, and does no I/O. Above it are the sessions on zenoh (feature `session`).
-//! [`storage`] is beside them: the files of transfers.
+//! ```no_run
+//! # #[cfg(feature = "session")]
+//! # async fn example() -> Result<(), rect::Error> {
+//! let robot = rect::connect("wombat-1").await?;
+//! robot.publish("arm/angle", "12.5").await?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The library has two layers. [`core`] contains all decisions: names, keys, encodings, codecs, and the state machines
+//! of streams and transfers. It is given the time and the bytes, and does no I/O. The sessions with Zenoh (feature
+//! `session`) are built on it. [`storage`] reads and writes the files of transfers.
 pub mod core;
 pub mod storage;
 

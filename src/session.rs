@@ -1,10 +1,10 @@
-//! The upper storey: sessions on zenoh. They move what the [core](crate::core) says, and decide nothing.
+//! Implements sessions on Zenoh: robots, subscribers, services, streams and transfers. The protocol's decisions are made in
+//! the [core](crate::core); this module connects them to Zenoh and to the program.
+mod connect;
 mod decoder;
-mod inbox;
-mod lanes;
-mod opening;
 mod options;
 mod publication;
+mod receive_queue;
 mod registry;
 mod request;
 mod robot;
@@ -13,6 +13,7 @@ mod state;
 mod stream;
 mod subscriber;
 mod transfer;
+mod urgency_sessions;
 
 pub use options::Options;
 pub use request::{Replies, Reply};
@@ -20,8 +21,8 @@ pub use robot::{connect, Robot};
 pub use service::{Request, Requests, Service};
 pub use state::Events;
 pub use stream::{Frame, Stream, Watch};
-pub(crate) use subscriber::called;
-pub use subscriber::{Receiving, Subscriber, Subscription};
+pub(crate) use subscriber::call;
+pub use subscriber::{QueueOptions, Subscriber, Subscription};
 pub use transfer::{
-    Incoming, Keep, ReceiveTransfers, Received, Transfer, TransferSource, Transfers,
+    Destination, IncomingTransfer, ReceiveOptions, Received, Transfer, TransferSource, Transfers,
 };

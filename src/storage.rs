@@ -1,5 +1,5 @@
-//! Owns the files of transfers: what is sent ([`Source`]), and what is kept of what comes ([`Store`]). The one place that
-//! touches the disk; nothing of Zenoh, so that every language's sessions use the same.
+//! Reads and writes the files of transfers: what is sent ([`Source`]), and what is received ([`Store`]). This is the
+//! only module with disk I/O. It does not depend on Zenoh, so that the sessions of every language use it.
 mod source;
 mod store;
 
@@ -15,10 +15,10 @@ use sha2::{Digest, Sha256};
 
 use crate::core::transfer::Checksum;
 
-/// How much is read at once.
+/// The size of the read buffer, in bytes.
 const BUFFER_BYTES: usize = 256 * 1024;
 
-/// SHA-256 of a whole file, in little memory.
+/// Computes the SHA-256 of a whole file, in little memory.
 fn checksum(file: &mut File) -> io::Result<(Checksum, u64)> {
     let (mut hash, mut size) = (Sha256::new(), 0);
     let mut buffer = vec![0; BUFFER_BYTES];

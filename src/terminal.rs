@@ -1,8 +1,8 @@
-//! Terminal output of both programs, `rect` and `rect-router`: lines, colours and tables. Text that came from outside
-//! is made safe by [`core::display`](crate::core::display).
+//! Prints lines, colours and tables for the programs `rect` and `rect-router`. [`core::display`](crate::core::display)
+//! replaces control characters in text from other robots.
 //!
-//! Neither program prints by `println!`, which panics once nobody reads the other end of a pipe: [`outln!`](crate::outln)
-//! and [`errln!`](crate::errln) take its place.
+//! The programs use [`outln!`](crate::outln) and [`errln!`](crate::errln) instead of `println!` and `eprintln!`, which panic
+//! if the reading end of a pipe is closed.
 mod connections;
 mod output;
 mod style;
@@ -15,9 +15,9 @@ pub use style::{
 };
 pub use table::{wrap, Cell, Table};
 
-/// The width of the terminal in columns; `None` if the standard output is not a terminal.
+/// Returns the width of the terminal in columns, or `None` if the standard output is not a terminal.
 pub fn width() -> Option<usize> {
     let (terminal_size::Width(columns), _) = terminal_size::terminal_size_of(std::io::stdout())?;
-    // A terminal that does not know its size reports 0.
+    // A terminal of unknown size reports 0.
     (columns > 0).then_some(usize::from(columns))
 }

@@ -1,4 +1,5 @@
-//! What the blocking form has of its own, and streams and transfers in it, between two programs: `cargo test -p rect --test blocking`
+//! Tests the iterators and callbacks of the blocking API, with streams and transfers between two programs:
+//! `cargo test -p rect --test blocking`
 mod pair;
 
 use std::{
@@ -6,29 +7,29 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{free_endpoint, PATIENCE};
-use rect::{blocking::Robot, storage::Content, Options, ReceiveTransfers, StreamOptions};
+use pair::{free_endpoint, TIMEOUT};
+use rect::{blocking::Robot, storage::Content, Options, ReceiveOptions, StreamOptions};
 
-/// Between two tries.
-const MOMENT: Duration = Duration::from_millis(50);
+/// Interval between two attempts.
+const RETRY_INTERVAL: Duration = Duration::from_millis(50);
 
 fn two() -> [Robot; 2] {
-    let there = free_endpoint();
+    let endpoint = free_endpoint();
     let options = |name| Options::new(name).expect("a name").login_file("/none");
-    let a = Robot::join(options("a").listen(&there)).expect("joined");
-    let b = Robot::join(options("b").endpoint(&there)).expect("joined");
+    let a = Robot::connect(options("a").listen(&endpoint)).expect("connected");
+    let b = Robot::connect(options("b").endpoint(&endpoint)).expect("connected");
     [a, b]
 }
 
 #[test]
-fn a_stream_is_sent_and_its_frames_are_an_iterator() {
+fn frames_iterator_yields_frames_until_close() {
     let [a, b] = two();
     let mut frames = b.watch("a", "distance").expect("watched");
     let stream = a
         .stream("distance", StreamOptions::sensor())
         .expect("declared");
     let sending = std::thread::spawn(move || {
-        // Until the other side has left.
+        // Sends until the session is closed.
         for value in (0u8..=255).cycle() {
             if stream.send([value]).is_err() {
                 return;
@@ -36,7 +37,7 @@ fn a_stream_is_sent_and_its_frames_are_an_iterator() {
             std::thread::sleep(std::time::Duration::from_millis(2));
         }
     });
-    let first = frames.next_within(PATIENCE).expect("in time");
+    let first = frames.next_timeout(TIMEOUT).expect("in time");
     let next = frames.next().expect("open");
     assert!(next.number > first.number, "{first:?} {next:?}");
     a.close().expect("closed");
@@ -45,49 +46,50 @@ fn a_stream_is_sent_and_its_frames_are_an_iterator() {
     assert_eq!(
         frames.by_ref().take(2).count() / 2,
         0,
-        "it ends with the session"
+        "the iterator ends with the session"
     );
 }
 
 #[test]
-fn a_transfer_is_sent_and_what_comes_is_an_iterator() {
+fn transfers_iterator_yields_received_transfers_until_close() {
     let [a, b] = two();
-    let options = ReceiveTransfers::in_memory(1 << 20);
+    let options = ReceiveOptions::in_memory(1 << 20);
     let mut received = b.receive_transfers("a/**", options).expect("declared");
-    let sent = a.transfer("b", "map", vec![7; 100_000]).expect("named");
-    sent.patience(PATIENCE).wait().expect("taken");
-    let got = received.next().expect("open").expect("whole");
+    let sent = a
+        .transfer("b", "map", vec![7; 100_000])
+        .expect("valid arguments");
+    sent.timeout(TIMEOUT).wait().expect("sent");
+    let got = received.next().expect("open").expect("complete");
     assert_eq!(got.content, Content::Bytes(vec![7; 100_000].into()));
-    let refused = a.transfer("b", "map", vec![7; 2 << 20]).expect("named");
-    let error = refused.patience(PATIENCE).wait().expect_err("too large");
+    let refused = a
+        .transfer("b", "map", vec![7; 2 << 20])
+        .expect("valid arguments");
+    let error = refused.timeout(TIMEOUT).wait().expect_err("too large");
     assert!(error.to_string().contains("1048576"), "{error}");
     b.close().expect("closed");
-    assert!(received.next_within(PATIENCE).is_none());
+    assert!(received.next_timeout(TIMEOUT).is_none());
 }
 
 #[test]
-fn a_callback_may_wait_for_the_robot_and_drop_the_last_of_it() {
+fn callback_may_use_and_drop_the_last_robot_handle() {
     let [a, b] = two();
     let (mut last, (dropped, was_dropped)) = (Some(b.clone()), mpsc::channel());
-    let (go, goes) = mpsc::channel::<()>();
-    let subscription = b.on_message("a/bye", move |_| {
-        let _ = goes.recv();
+    let (go, proceed) = mpsc::channel::<()>();
+    let subscription = b.on_message("a/goodbye", move |_| {
+        let _ = proceed.recv();
         if let Some(last) = last.take() {
-            last.publish("bye", "").expect("said");
+            last.publish("goodbye", "").expect("published");
             drop(last);
             let _ = dropped.send(());
         }
     });
     let subscription = subscription.expect("subscribed");
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     drop(b);
     drop(go);
-    while was_dropped.recv_timeout(MOMENT).is_err() {
-        assert!(
-            Instant::now() < deadline,
-            "the callback did not get past it"
-        );
-        a.publish("bye", "").expect("said");
+    while was_dropped.recv_timeout(RETRY_INTERVAL).is_err() {
+        assert!(Instant::now() < deadline, "the callback did not finish");
+        a.publish("goodbye", "").expect("published");
     }
     drop(subscription);
 }

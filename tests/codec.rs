@@ -1,10 +1,10 @@
-//! What a sender packs arrives as it was; directly linked over TCP in one process.
+//! Tests codecs and dictionaries between two robots, linked directly over TCP in one process:
 //! `cargo test -p rect --test codec`
 mod pair;
 
 use std::{sync::Arc, time::Duration};
 
-use pair::{pair, PATIENCE};
+use pair::{pair, TIMEOUT};
 use rect::{
     core::{
         array::Array,
@@ -23,33 +23,33 @@ fn reading(n: u32) -> Value {
     })
 }
 
-/// Says it until the other has heard it.
-async fn heard(robot: &Robot, subscriber: &Subscriber, payload: &Payload) -> Message {
-    let said = async {
+/// Publishes `payload` until `subscriber` receives a message.
+async fn delivered(robot: &Robot, subscriber: &Subscriber, payload: &Payload) -> Message {
+    let delivery = async {
         loop {
-            robot.publish("x", payload).await.expect("said");
+            robot.publish("x", payload).await.expect("published");
             let soon = Duration::from_millis(20);
-            if let Ok(message) = tokio::time::timeout(soon, subscriber.recv()).await {
+            if let Ok(message) = tokio::time::timeout(soon, subscriber.next()).await {
                 break message.expect("open");
             }
         }
     };
-    tokio::time::timeout(PATIENCE, said)
+    tokio::time::timeout(TIMEOUT, delivery)
         .await
-        .expect("heard in time")
+        .expect("received in time")
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_packed_arrives_as_it_was() {
+async fn encoded_payloads_are_decoded_by_the_receiver() {
     let (a, b) = pair("a", "b").await;
-    let heard_at_b = b.subscribe("a/x").await.expect("subscribed");
+    let subscriber = b.subscribe("a/x").await.expect("subscribed");
     let all = Payload::new(
         json!((0..50).map(reading).collect::<Vec<_>>()).to_string(),
         Encoding::JSON,
     );
-    let packed = a.encoded(parse("zstd:9").expect("a codec"));
-    let message = heard(&packed, &heard_at_b, &all).await;
-    assert_eq!((message.payload, message.flaw), (all.clone(), None));
+    let encoded = a.with_codec(parse("zstd:9").expect("a codec"));
+    let message = delivered(&encoded, &subscriber, &all).await;
+    assert_eq!((message.payload, message.problem), (all.clone(), None));
     let (sent, received) = (a.counters(), b.counters());
     let each = sent.sent_bytes / sent.sent;
     assert!(
@@ -60,25 +60,27 @@ async fn what_is_packed_arrives_as_it_was() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dictionary_is_fetched_from_who_made_it() {
+async fn receiver_fetches_an_unknown_dictionary_from_the_sender() {
     let (a, b) = pair("a", "b").await;
     let samples: Vec<String> = (0..2000).map(|n| reading(n).to_string()).collect();
     let dictionary = Arc::new(Dictionary::train(&samples, 4096).expect("trained"));
-    let packed = a.packed_with(dictionary).expect("shared");
-    let heard_at_b = b.subscribe("a/x").await.expect("subscribed");
+    let encoded = a.with_dictionary(dictionary).expect("shared");
+    let subscriber = b.subscribe("a/x").await.expect("subscribed");
     let new = reading(5000);
     let payload = Payload::new(new.to_string(), Encoding::JSON);
-    let said = async {
+    let delivery = async {
         loop {
-            packed.publish("x", &payload).await.expect("said");
+            encoded.publish("x", &payload).await.expect("published");
             let soon = Duration::from_millis(200);
-            if let Ok(message) = tokio::time::timeout(soon, heard_at_b.recv()).await {
+            if let Ok(message) = tokio::time::timeout(soon, subscriber.next()).await {
                 break message.expect("open");
             }
         }
     };
-    let message = tokio::time::timeout(PATIENCE, said).await.expect("heard");
-    assert_eq!(message.flaw, None);
+    let message = tokio::time::timeout(TIMEOUT, delivery)
+        .await
+        .expect("received");
+    assert_eq!(message.problem, None);
     assert_eq!(message.payload.value::<Value>().expect("JSON"), new);
     let sent = a.counters();
     assert!(
@@ -88,9 +90,9 @@ async fn a_dictionary_is_fetched_from_who_made_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pictures_and_arrays_arrive_as_such() {
+async fn pictures_and_arrays_can_be_read_by_the_receiver() {
     let (a, b) = pair("a", "b").await;
-    let heard_at_b = b.subscribe("a/x").await.expect("subscribed");
+    let subscriber = b.subscribe("a/x").await.expect("subscribed");
     let pixels: Vec<u8> = (0..64 * 48 * 3u32).map(|n| (n / 64) as u8).collect();
     let picture = Picture::new(64, 48, Format::Rgb8, pixels).expect("a picture");
     let raw = rect::ToPayload::to_payload(&picture).expect("a payload");
@@ -98,7 +100,7 @@ async fn pictures_and_arrays_arrive_as_such() {
         .expect("a codec")
         .encode(&raw)
         .expect("encoded");
-    let message = heard(&a, &heard_at_b, &jpeg).await;
+    let message = delivered(&a, &subscriber, &jpeg).await;
     assert_eq!(
         message.payload.encoding,
         Encoding::JPEG,
@@ -111,38 +113,38 @@ async fn pictures_and_arrays_arrive_as_such() {
     assert_eq!((shown.width(), shown.height()), (64, 48));
     let array = Array::of(&[2, 3], &[1.0f32, 2.0, 3.0, 4.0, 5.0, 6.0]).expect("an array");
     let raw = rect::ToPayload::to_payload(&array).expect("a payload");
-    let message = heard(&a, &heard_at_b, &raw).await;
+    let message = delivered(&a, &subscriber, &raw).await;
     let array = message.payload.array(&Limits::default()).expect("an array");
     assert_eq!(array.shape(), [2, 3]);
     assert_eq!(array.numbers::<f32>().expect("of that kind")[5], 6.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_unpacked_arrives_as_it_came_with_the_reason() {
+async fn undecodable_payload_is_delivered_unchanged_with_the_error() {
     let (a, b) = pair("a", "b").await;
-    let heard_at_b = b.subscribe("a/x").await.expect("subscribed");
-    let damaged = Payload::new("no zstd", Encoding::JSON.packed("zstd"));
-    let message = heard(&a, &heard_at_b, &damaged).await;
+    let subscriber = b.subscribe("a/x").await.expect("subscribed");
+    let damaged = Payload::new("no zstd", Encoding::JSON.with_suffix("zstd"));
+    let message = delivered(&a, &subscriber, &damaged).await;
     assert_eq!(message.payload, damaged);
     assert!(
-        matches!(message.flaw, Some(CodecError::Damaged { .. })),
+        matches!(message.problem, Some(CodecError::Damaged { .. })),
         "{:?}",
-        message.flaw
+        message.problem
     );
     let unknown = Payload::new(
         "\u{1}",
         Encoding::new("application/x-of-tomorrow;packed-somehow"),
     );
-    let message = heard(&a, &heard_at_b, &unknown).await;
+    let message = delivered(&a, &subscriber, &unknown).await;
     assert_eq!(
-        (message.payload, message.flaw),
+        (message.payload, message.problem),
         (unknown, None),
-        "unknown ones are the program's"
+        "unknown encodings are left to the program"
     );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn requests_and_answers_are_unpacked_too() {
+async fn requests_and_replies_are_decoded() {
     let (a, b) = pair("a", "b").await;
     let _service = a
         .serve("echo", |request| async move {
@@ -151,28 +153,28 @@ async fn requests_and_answers_are_unpacked_too() {
         })
         .await
         .expect("served");
-    let packed = b.encoded(parse("zstd").expect("a codec"));
+    let encoded = b.with_codec(parse("zstd").expect("a codec"));
     let asked = async {
         loop {
-            match packed.request("a", "echo", reading(1), PATIENCE).await {
+            match encoded.request("a", "echo", reading(1), TIMEOUT).await {
                 Err(rect::Error::NoService { .. }) => {}
                 answer => break answer,
             }
         }
     };
-    let reply = asked.await.expect("answered");
+    let reply = asked.await.expect("a reply");
     assert_eq!(reply.payload.value::<Value>().expect("JSON"), reading(1));
-    let damaged = Payload::new("no zstd", Encoding::JSON.packed("zstd"));
+    let damaged = Payload::new("no zstd", Encoding::JSON.with_suffix("zstd"));
     let error = b
-        .request("a", "echo", damaged, PATIENCE)
+        .request("a", "echo", damaged, TIMEOUT)
         .await
         .expect_err("damaged");
     assert!(error.to_string().contains("zstd"), "{error}");
 }
 
-/// Another dictionary with the same id, which takes some ten thousand tries.
+/// Returns another dictionary with the same id, found by trying some ten thousand suffixes.
 fn with_the_same_id(dictionary: &Dictionary) -> Dictionary {
-    // The magic number and the id are not part of it.
+    // The checksum does not include the magic number and the id.
     let mut begun = crc32fast::Hasher::new();
     begun.update(&dictionary.as_bytes()[8..]);
     let is_same = |suffix: &u32| {
@@ -186,7 +188,7 @@ fn with_the_same_id(dictionary: &Dictionary) -> Dictionary {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dictionary_of_one_robot_is_not_used_for_anothers_messages() {
+async fn dictionary_of_one_robot_does_not_decode_messages_of_another() {
     let endpoint = pair::free_endpoint();
     let b = pair::listening("b", &endpoint).await;
     let honest = pair::dialling("honest", &endpoint).await;
@@ -195,15 +197,15 @@ async fn a_dictionary_of_one_robot_is_not_used_for_anothers_messages() {
     let dictionary = Dictionary::train(&samples, 4096).expect("trained");
     let same_id = with_the_same_id(&dictionary);
     assert_eq!(same_id.id(), dictionary.id());
-    let heard_at_b = b.subscribe("*/x").await.expect("subscribed");
+    let subscriber = b.subscribe("*/x").await.expect("subscribed");
     let payload = Payload::new(reading(5000).to_string(), Encoding::JSON);
     for (robot, dictionary) in [(other, same_id), (honest, dictionary)] {
-        let packed = robot.packed_with(Arc::new(dictionary)).expect("shared");
-        let mut message = heard(&packed, &heard_at_b, &payload).await;
-        while message.from != *robot.name() || message.flaw.is_some() {
-            assert_eq!(message.flaw, None, "{}", message.from);
-            message = heard(&packed, &heard_at_b, &payload).await;
+        let encoded = robot.with_dictionary(Arc::new(dictionary)).expect("shared");
+        let mut message = delivered(&encoded, &subscriber, &payload).await;
+        while message.sender != *robot.name() || message.problem.is_some() {
+            assert_eq!(message.problem, None, "{}", message.sender);
+            message = delivered(&encoded, &subscriber, &payload).await;
         }
-        assert_eq!(message.payload, payload, "{}", message.from);
+        assert_eq!(message.payload, payload, "{}", message.sender);
     }
 }

@@ -1,9 +1,10 @@
-//! What must be equal in every language, as vectors in `tests/conformance/*.json`: Rust's turn.
+//! Checks the test vectors in `tests/conformance/*.json`, which every language must pass.
 //!
 //!     cargo test --no-default-features --test conformance
-//!     RECT_UPDATE_VECTORS=1 cargo test --no-default-features --test conformance    # writes them anew; look at the diff
+//!     RECT_UPDATE_VECTORS=1 cargo test --no-default-features --test conformance    # rewrites the vectors; review the diff
 //!
-//! Each file has `cases` of an `in` and an `out`, and says in `about` what makes the one of the other. Bytes are in hex.
+//! Each file has `cases`, each with an input `in` and the expected output `out`, and an `about` that describes their
+//! relation. Bytes are in hexadecimal.
 use std::{path::PathBuf, sync::Arc};
 
 use rect::core::{
@@ -11,7 +12,7 @@ use rect::core::{
     codec::{self, CodecError, Limits},
     dictionary::{Dictionaries, Dictionary},
     encoding::Encoding,
-    key::Place,
+    key::KeySpace,
     name::Name,
     payload::{Payload, PayloadError},
     topic::{Pattern, Topic},
@@ -21,7 +22,7 @@ use serde_json::{json, Value};
 #[path = "conformance/seeds.rs"]
 mod seeds;
 
-/// Those of every file.
+/// The limits that all vectors assume.
 const LIMITS: Limits = Limits {
     max_bytes: 65_536,
     max_pixels: 4096,
@@ -49,15 +50,15 @@ fn check(file: &str, about: &str, seeds: Vec<Value>, out: impl Fn(&Value) -> Val
     let cases = vectors["cases"].as_array().expect("cases");
     assert!(!cases.is_empty());
     for case in cases {
-        let (input, wanted, found) = (&case["in"], &case["out"], out(&case["in"]));
+        let (input, expected, found) = (&case["in"], &case["out"], out(&case["in"]));
         assert!(
-            is_near(wanted, &found),
-            "{file}: {input}\n{wanted}\n{found}"
+            is_near(expected, &found),
+            "{file}: {input}\n{expected}\n{found}"
         );
     }
 }
 
-/// The same JSON without characters that an editor does not show as they are.
+/// Escapes the characters of a JSON text that an editor does not display.
 fn escaped(json: &str) -> String {
     let is_shown = |c: char| !matches!(c, '\u{7f}'..='\u{9f}' | '\u{200b}'..='\u{206f}' | '\u{feff}' | '\u{e0000}'..='\u{e007f}');
     let mut text = String::with_capacity(json.len());
@@ -76,16 +77,16 @@ fn escaped(json: &str) -> String {
     text
 }
 
-/// Equal; pixels may be off by `off`, since decoders of pictures with loss round differently.
-fn is_near(wanted: &Value, found: &Value) -> bool {
-    let (Some(off), Some(pixels)) = (wanted["off"].as_u64(), wanted["pixels"].as_str()) else {
-        return wanted == found;
+/// Compares two values. Pixels may be off by `off`, because decoders of lossy pictures round differently.
+fn is_near(expected: &Value, found: &Value) -> bool {
+    let (Some(off), Some(pixels)) = (expected["off"].as_u64(), expected["pixels"].as_str()) else {
+        return expected == found;
     };
     let found_pixels = bytes(&found["pixels"]);
-    let wanted_pixels = bytes(&pixels.into());
-    let mut pairs = wanted_pixels.iter().zip(&found_pixels);
-    wanted_pixels.len() == found_pixels.len()
-        && ["width", "height", "format"].map(|key| &wanted[key])
+    let expected_pixels = bytes(&pixels.into());
+    let mut pairs = expected_pixels.iter().zip(&found_pixels);
+    expected_pixels.len() == found_pixels.len()
+        && ["width", "height", "format"].map(|key| &expected[key])
             == ["width", "height", "format"].map(|key| &found[key])
         && pairs.all(|(a, b)| u64::from(a.abs_diff(*b)) <= off)
 }
@@ -128,7 +129,7 @@ fn kind(error: &CodecError) -> Value {
 fn payload_kind(error: &PayloadError) -> Value {
     match error {
         PayloadError::Codec(error) => kind(error),
-        PayloadError::Other { .. } => json!({"error": "other"}),
+        PayloadError::Mismatch { .. } => json!({"error": "other"}),
         PayloadError::Read { .. } => json!({"error": "read"}),
         PayloadError::Write { .. } => json!({"error": "write"}),
         PayloadError::Encoding(_) => json!({"error": "encoding"}),
@@ -136,24 +137,24 @@ fn payload_kind(error: &PayloadError) -> Value {
 }
 
 #[test]
-fn names_are_told_from_what_is_none() {
-    let about = "Whether `in` may be the name of a robot or a fleet.";
+fn names_are_validated() {
+    let about = "Whether `in` is a valid name of a robot or a fleet.";
     check("names", about, seeds::names(), |input| {
         Name::new(text(input)).is_ok().into()
     });
 }
 
 #[test]
-fn topics_are_told_from_what_is_none() {
-    let about = "Whether `in` may be the topic of a message.";
+fn topics_are_validated() {
+    let about = "Whether `in` is a valid topic of a message.";
     check("topics", about, seeds::topics(), |input| {
         Topic::new(text(input)).is_ok().into()
     });
 }
 
 #[test]
-fn patterns_mean_the_same() {
-    let about = "The robot (null: any) and the topic of the pattern `in`, in canonical form; null: it is none.";
+fn patterns_are_parsed() {
+    let about = "The robot (null for any) and the topic of the pattern `in`, in canonical form; null if `in` is not a valid pattern.";
     check("patterns", about, seeds::patterns(), |input| {
         let Ok(pattern) = Pattern::new(text(input)) else {
             return Value::Null;
@@ -163,39 +164,50 @@ fn patterns_mean_the_same() {
 }
 
 #[test]
-fn keys_are_made_and_read_alike() {
-    let about = "`do` for the place `fleet`, `robot`: the key or keys of `publication`, `message` (to), `service` (of; null: all), \
-        `own` (of, rest) and `subscriptions` (pattern); what an `address` (key) says, null: nothing to this robot.";
+fn keys_are_built_and_parsed() {
+    let about = "The keys of the robot `robot` of the fleet `fleet`. `do` selects the function: the key or keys of `publication`, \
+        `message` (to `recipient`), `service` (of; null for all robots), `own` (of, rest) and `subscriptions` (pattern); or the \
+        parts of an `address` (key), null if it is not the key of a message to this robot.";
     check("keys", about, seeds::keys(), |input| {
-        let name = |value: &Value| value.as_str().map(|name| Name::new(name).expect("a name"));
-        let named = |key: &str| name(&input[key]).expect("a name");
-        let place = Place {
+        let name = |value: &Value| {
+            value
+                .as_str()
+                .map(|name| Name::new(name).expect("valid name"))
+        };
+        let named = |key: &str| name(&input[key]).expect("valid name");
+        let keys = KeySpace {
             fleet: named("fleet"),
             robot: named("robot"),
         };
-        let topic = || Topic::new(text(&input["topic"])).expect("a topic");
+        let topic = || Topic::new(text(&input["topic"])).expect("valid topic");
         let of = name(&input["of"]);
         match text(&input["do"]) {
-            "publication" => place.publication(&topic()).into(),
-            "message" => place.message(&named("to"), &topic()).into(),
-            "service" => place.service(of.as_ref(), &topic()).into(),
-            "own" => place.own(of.as_ref(), text(&input["rest"])).into(),
+            "publication" => keys.publication(&topic()).into(),
+            "message" => keys.message(&named("recipient"), &topic()).into(),
+            "service" => keys.service(of.as_ref(), &topic()).into(),
+            "own" => keys.own(of.as_ref(), text(&input["rest"])).into(),
             "subscriptions" => {
-                let pattern = Pattern::new(text(&input["pattern"])).expect("a pattern");
-                json!(place.subscriptions(&pattern))
+                let pattern = Pattern::new(text(&input["pattern"])).expect("valid pattern");
+                json!(keys.subscriptions(&pattern))
             }
-            _ => place.address(text(&input["key"])).map_or(Value::Null, |address| {
-                let to = address.to.as_ref().map(Name::as_str);
-                json!({"from": address.from.as_str(), "to": to, "topic": address.topic.as_str()})
-            }),
+            _ => keys
+                .address(text(&input["key"]))
+                .map_or(Value::Null, |address| {
+                    let recipient = address.recipient.as_ref().map(Name::as_str);
+                    json!({
+                        "sender": address.sender.as_str(),
+                        "recipient": recipient,
+                        "topic": address.topic.as_str(),
+                    })
+                }),
         }
     });
 }
 
 #[test]
-fn attachments_are_read_alike_and_written_back() {
-    let about = "What the attachment `in` says; `at_ms` since 1970, or the `low` 16 bits of that; null: it is not RECT's. \
-        What is read is written as it was.";
+fn attachments_round_trip() {
+    let about = "The content of the attachment `in`: `at_ms` since 1970, or the `low` 16 bits of that; null if it is not an attachment of \
+        RECT. Encoding the content yields the same bytes.";
     check("attachments", about, seeds::attachments(), |input| {
         let Some(attachment) = Attachment::decode(&bytes(input)) else {
             return Value::Null;
@@ -214,11 +226,11 @@ fn attachments_are_read_alike_and_written_back() {
 }
 
 #[test]
-fn encodings_have_the_same_parts() {
-    let about = "The parts of the encoding `in`; `below`: the encoding of what is packed by zstd, null: it is not packed so.";
+fn encodings_are_split() {
+    let about = "The parts of the encoding `in`; `below` is the encoding after decompression with zstd, null if it is not compressed.";
     check("encodings", about, seeds::encodings(), |input| {
         let encoding = Encoding::new(text(input).to_owned());
-        let below = encoding.unpacked("zstd");
+        let below = encoding.without_suffix("zstd");
         json!({
             "media_type": encoding.media_type(),
             "schema": encoding.schema(),
@@ -228,46 +240,46 @@ fn encodings_have_the_same_parts() {
 }
 
 #[test]
-fn codecs_have_the_same_names() {
-    let about = "The whole name of the codec that the spec `in` means, or the kind of error.";
+fn codecs_are_parsed() {
+    let about = "The full name of the codec with the specification `in`, or the kind of error.";
     check("codecs", about, seeds::codecs(), |input| {
         codec::parse(text(input)).map_or_else(|error| kind(&error), |codec| codec.name().into())
     });
 }
 
 #[test]
-fn dictionaries_have_the_same_id() {
-    let about = "The id of the zstd dictionary `in`, 32768 + crc32(all after its first 8 bytes) % 32768; null: it is none.";
+fn dictionaries_have_their_id() {
+    let about = "The id of the zstd dictionary `in`, 32768 + crc32(all after its first 8 bytes) % 32768; null if `in` is not a dictionary.";
     check("dictionaries", about, seeds::dictionaries(), |input| {
         Dictionary::new(bytes(input)).map_or(Value::Null, |dictionary| dictionary.id().into())
     });
 }
 
 #[test]
-fn packings_are_undone_alike() {
-    let about = "What the payload `in` is without its packings, where `dictionary`, if any, is known; or the kind of error. \
-        At most 65536 bytes may come out.";
-    check("packings", about, seeds::packings(), |input| {
-        let known = match &input["dictionary"] {
+fn compressed_payloads_are_decoded() {
+    let about = "The payload `in` after decompression with the `dictionary`, if there is one; or the kind of error. The limit is \
+        65536 bytes.";
+    check("compressed", about, seeds::compressed(), |input| {
+        let dictionaries = match &input["dictionary"] {
             Value::Null => Dictionaries::default(),
-            known => Dictionaries::of(Arc::new(
-                Dictionary::new(bytes(known)).expect("a dictionary"),
+            dictionary => Dictionaries::of(Arc::new(
+                Dictionary::new(bytes(dictionary)).expect("a dictionary"),
             )),
         };
-        match codec::decode(&payload(input), &LIMITS, &known) {
+        match codec::decode(&payload(input), &LIMITS, &dictionaries) {
             Err(error) => kind(&error),
-            Ok(undone) => {
-                json!({"encoding": undone.encoding.as_str(), "bytes": hex(&undone.bytes)})
+            Ok(decoded) => {
+                json!({"encoding": decoded.encoding.as_str(), "bytes": hex(&decoded.bytes)})
             }
         }
     });
 }
 
 #[test]
-fn pictures_are_read_alike() {
+fn pictures_are_decoded() {
     let about =
-        "The picture in the payload `in`, its pixels off by at most `off`; or the kind of error. \
-        It may have at most 4096 pixels and 65536 bytes.";
+        "The picture in the payload `in`, whose pixels may be off by at most `off`; or the kind of error. The limits are \
+        4096 pixels and 65536 bytes.";
     check(
         "pictures",
         about,
@@ -286,9 +298,9 @@ fn pictures_are_read_alike() {
 }
 
 #[test]
-fn arrays_are_read_alike() {
-    let about = "The array in the payload `in`, raw or quantised, its numbers little endian; or the kind of error. \
-        It may have at most 65536 bytes.";
+fn arrays_are_decoded() {
+    let about = "The array in the payload `in`, raw or quantised, with little-endian numbers; or the kind of error. The limit is \
+        65536 bytes.";
     check("arrays", about, seeds::arrays(), |input| {
         match payload(input).array(&LIMITS) {
             Err(error) => payload_kind(&error),

@@ -1,5 +1,5 @@
-//! Joining a router: logins, the robot that it serves, and the time that it may take. The router is a stock one, in this
-//! process: `cargo test -p rect --test joining`
+//! Tests connecting to a router: logins, the robot of the router, and the timeout. The router is a stock one in this process:
+//! `cargo test -p rect --test joining`
 mod pair;
 
 use std::{
@@ -9,12 +9,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{free_endpoint, PATIENCE};
+use pair::{free_endpoint, TIMEOUT};
 use rect::{Error, Options, Robot};
 use serde_json::{json, Value};
 use zenoh::{Config, Session, Wait};
 
-/// The limit for a recognised refusal, far below the timeout of the attempt.
+/// Upper limit for a recognised refusal, far below the timeout of the attempt.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
 fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {
@@ -31,7 +31,7 @@ fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {
     zenoh::open(config).wait().expect("a router")
 }
 
-/// A router that asks for a login, and its login file.
+/// Starts a router that requires a login; returns it with its endpoint and its login file.
 fn router_with_logins(folder: &Path) -> (Session, String, String) {
     let (endpoint, file) = (free_endpoint(), folder.join("users"));
     std::fs::write(&file, "fleet:secret\n").expect("written");
@@ -42,26 +42,26 @@ fn router_with_logins(folder: &Path) -> (Session, String, String) {
 
 fn options(robot: &str, endpoint: &str) -> Options {
     let options = Options::new(robot).expect("a name").login_file("/none");
-    options.router(endpoint).patience(PATIENCE)
+    options.router(endpoint).timeout(TIMEOUT)
 }
 
 async fn refused(options: Options) -> Error {
     let began = Instant::now();
-    let refused = options.connect().await.expect_err("not joined");
+    let refused = options.connect().await.expect_err("not connected");
     assert!(began.elapsed() < AT_ONCE, "{:?}", began.elapsed());
     refused
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_missing_or_wrong_login_is_reported_at_once_with_what_to_do() {
+async fn missing_or_wrong_login_fails_at_once_with_advice() {
     let folder = tempfile::tempdir().expect("a folder");
     let (_router, endpoint, file) = router_with_logins(folder.path());
     let missing = options("wombat-1", &endpoint);
     let wrong = options("wombat-1", &endpoint).login("fleet", "guessed");
-    for (options, said) in [
+    for (options, expected) in [
         (
             missing,
-            "asks for a login, and the login file /none can't be read: No such file",
+            "requires a login, but the login file /none cannot be read: No such file",
         ),
         (
             wrong,
@@ -71,32 +71,40 @@ async fn a_missing_or_wrong_login_is_reported_at_once_with_what_to_do() {
         let error = refused(options).await;
         assert!(matches!(error, Error::LoginRefused(_)), "{error:?}");
         let text = error.to_string();
-        assert!(text.contains(said) && text.contains("RECT_LOGIN"), "{text}");
+        assert!(
+            text.contains(expected) && text.contains("RECT_LOGIN"),
+            "{text}"
+        );
         assert!(text.contains(&endpoint), "{text}");
     }
     let right = options("wombat-1", &endpoint).login_file(&file).connect();
-    right.await.expect("joined").close().await.expect("closed");
+    right
+        .await
+        .expect("connected")
+        .close()
+        .await
+        .expect("closed");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_without_logins_is_joined_with_one() {
+async fn connects_with_a_login_to_a_router_without_logins() {
     let endpoint = free_endpoint();
     let _router = router(&endpoint, &[]);
     let robot = options("wombat-1", &endpoint).login("fleet", "secret");
-    let robot = robot.connect().await.expect("joined");
-    // Over a connection of its own, which is opened like the first.
+    let robot = robot.connect().await.expect("connected");
+    // Urgent messages use a separate connection, which is opened like the first one.
     robot.urgent().publish("x", "now").await.expect("published");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_router_of_another_robot_is_reported() {
+async fn router_of_another_robot_is_rejected() {
     let endpoint = free_endpoint();
     let router = router(&endpoint, &[]);
     let join = |robot: &str| options(robot, &endpoint).connect();
-    // A router of no robot accepts all names.
+    // A router without a robot accepts all names.
     join("wombat-7")
         .await
-        .expect("joined")
+        .expect("connected")
         .close()
         .await
         .expect("closed");
@@ -118,28 +126,28 @@ async fn the_router_of_another_robot_is_reported() {
         .expect("a name");
     let text = refused(lions).await.to_string();
     assert!(text.contains("wombat-1 of the fleet lions"), "{text}");
-    join("wombat-1").await.expect("joined");
+    join("wombat-1").await.expect("connected");
     let on_purpose = options("wombat-7", &endpoint).allow_name_mismatch();
-    let robot: Robot = on_purpose.connect().await.expect("joined");
+    let robot: Robot = on_purpose.connect().await.expect("connected");
     robot.publish("x", "now").await.expect("published");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_timeout_holds_where_nothing_listens_and_where_nothing_answers() {
+async fn connect_times_out_without_listener_and_without_reply() {
     let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
     let at = silent.local_addr().expect("an address");
     let silent = std::thread::spawn(move || {
         let (mut stream, _) = silent.accept().expect("a connection");
-        // Takes what comes until the other end hangs up.
+        // Reads until the other end closes the connection.
         let _ = stream.read_to_end(&mut Vec::new());
     });
-    for (endpoint, said) in [
+    for (endpoint, expected) in [
         (free_endpoint(), "Connection refused"),
         (format!("tcp/{at}"), "no answer within 1 s"),
     ] {
         let began = Instant::now();
         let timeout = Duration::from_secs(1);
-        let joined = options("wombat-1", &endpoint).patience(timeout).connect();
+        let joined = options("wombat-1", &endpoint).timeout(timeout).connect();
         let error = joined.await.expect_err("no router");
         let took = began.elapsed();
         assert!(
@@ -147,17 +155,17 @@ async fn the_timeout_holds_where_nothing_listens_and_where_nothing_answers() {
             "{took:?}"
         );
         assert!(matches!(error, Error::NoRouter { .. }), "{error:?}");
-        assert!(error.to_string().contains(said), "{error}");
+        assert!(error.to_string().contains(expected), "{error}");
     }
     silent.join().expect("it ends");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_starts_a_little_later_is_waited_for() {
+async fn connect_waits_for_a_router_that_starts_later() {
     let endpoint = free_endpoint();
     let joining = tokio::spawn(options("wombat-1", &endpoint).connect());
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert!(!joining.is_finished());
     let _router = router(&endpoint, &[]);
-    joining.await.expect("no panic").expect("joined");
+    joining.await.expect("no panic").expect("connected");
 }

@@ -1,4 +1,4 @@
-//! Requests and services between two robots' programs, directly linked over TCP in one process.
+//! Tests requests and services between two robots, linked directly over TCP in one process:
 //! `cargo test -p rect --test request`
 mod pair;
 
@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{dialling, pair, PATIENCE};
+use pair::{dialling, pair, TIMEOUT};
 use rect::{Error, Json, Robot, Service};
 use zenoh::Wait;
 
@@ -22,11 +22,11 @@ async fn doubling(robot: &Robot) -> Service {
     served.await.expect("served")
 }
 
-/// Asks until the service is known here.
+/// Sends a request until the service is discovered.
 async fn asked(robot: &Robot, of: &str, topic: &str, value: f64) -> Result<rect::Reply, Error> {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
-        match robot.request(of, topic, Json(value), PATIENCE).await {
+        match robot.request(of, topic, Json(value), TIMEOUT).await {
             Err(Error::NoService { .. }) if Instant::now() < deadline => {}
             answer => return answer,
         }
@@ -34,52 +34,52 @@ async fn asked(robot: &Robot, of: &str, topic: &str, value: f64) -> Result<rect:
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_service_answers_who_asks_and_says_who_it_is() {
+async fn request_returns_the_reply_and_its_sender() {
     let (a, b) = pair("a", "b").await;
     let _service = doubling(&a).await;
-    let reply = asked(&b, "a", "double", 21.0).await.expect("answered");
-    assert_eq!(reply.from, "a");
+    let reply = asked(&b, "a", "double", 21.0).await.expect("a reply");
+    assert_eq!(reply.sender, "a");
     assert_eq!(reply.payload.value::<f64>().expect("a number"), 42.0);
-    // Its own robot's programs can ask, too.
-    let own = asked(&a, "a", "double", 1.0).await.expect("answered");
+    // Programs of the same robot can use the service, too.
+    let own = asked(&a, "a", "double", 1.0).await.expect("a reply");
     assert_eq!(own.payload.value::<f64>().expect("a number"), 2.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_error_arrives_as_an_error() {
+async fn error_of_a_service_is_returned_to_the_requester() {
     let (a, b) = pair("a", "b").await;
     let _service = doubling(&a).await;
     asked(&b, "a", "double", 1.0).await.expect("known by now");
-    let error = b.request("a", "double", "no number", PATIENCE).await;
-    let error = error.expect_err("text is no number");
+    let error = b.request("a", "double", "no number", TIMEOUT).await;
+    let error = error.expect_err("text is not a number");
     let Error::Service { robot, payload } = &error else {
         panic!("{error}");
     };
-    assert_eq!(robot.as_ref().expect("named"), &"a");
+    assert_eq!(robot.as_ref().expect("a name"), &"a");
     assert!(
         payload.text().expect("text").contains("text/plain"),
         "{error}"
     );
     assert!(
-        error.to_string().starts_with("a answers with an error"),
+        error.to_string().starts_with("a replied with an error"),
         "{error}"
     );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_nobody_serves_is_said_with_who_is_there() {
+async fn missing_service_error_lists_reachable_robots() {
     let (a, b) = pair("a", "b").await;
     let error = b
-        .request("a", "nothing", "", PATIENCE)
+        .request("a", "nothing", "", TIMEOUT)
         .await
-        .expect_err("nobody");
+        .expect_err("no service");
     assert!(matches!(error, Error::NoService { .. }), "{error}");
-    assert!(error.to_string().contains("robots there: a"), "{error}");
+    assert!(error.to_string().contains("reachable robots: a"), "{error}");
     drop(a);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_service_knows_who_asks_and_how_long_an_answer_is_of_use() {
+async fn request_carries_sender_and_deadline() {
     let (a, b) = pair("a", "b").await;
     let requests = a.requests("slow").await.expect("served");
     let asking = tokio::spawn({
@@ -91,9 +91,9 @@ async fn a_service_knows_who_asks_and_how_long_an_answer_is_of_use() {
         }
     });
     let first = requests.next().await.expect("asked");
-    assert_eq!(first.from.as_ref().expect("known"), &"b");
-    assert!(first.remaining() > PATIENCE / 2, "{:?}", first.remaining());
-    first.reply("yes").expect("answered");
+    assert_eq!(first.sender.as_ref().expect("known"), &"b");
+    assert!(first.remaining() > TIMEOUT / 2, "{:?}", first.remaining());
+    first.reply("yes").expect("a reply");
     drop(first);
     let second = requests.next().await.expect("asked");
     assert!(second.remaining() <= Duration::from_millis(300));
@@ -103,7 +103,7 @@ async fn a_service_knows_who_asks_and_how_long_an_answer_is_of_use() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn all_that_serve_answer_and_each_may_answer_more_than_once() {
+async fn request_all_collects_several_replies_of_every_service() {
     let endpoint = pair::free_endpoint();
     let a = pair::listening("a", &endpoint).await;
     let b = dialling("b", &endpoint).await;
@@ -116,29 +116,29 @@ async fn all_that_serve_answer_and_each_may_answer_more_than_once() {
         });
         services.push(served.await.expect("served"));
     }
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
-        let mut replies = a.request_all("count", "", PATIENCE).await.expect("asked");
-        let mut heard = Vec::new();
+        let mut replies = a.request_all("count", "", TIMEOUT).await.expect("asked");
+        let mut received = Vec::new();
         while let Some(reply) = replies.next().await {
             let reply = reply.expect("no error");
-            heard.push(format!(
+            received.push(format!(
                 "{} {}",
-                reply.from,
+                reply.sender,
                 reply.payload.text().expect("text")
             ));
         }
-        heard.sort();
-        if heard == ["a one", "a two", "b one", "b two"] {
+        received.sort();
+        if received == ["a one", "a two", "b one", "b two"] {
             break;
         }
-        assert!(Instant::now() < deadline, "{heard:?}");
+        assert!(Instant::now() < deadline, "{received:?}");
     }
     drop(c);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_request_that_is_dropped_is_over_at_once() {
+async fn dropped_request_is_cancelled_at_once() {
     let (a, b) = pair("a", "b").await;
     let requests = a.requests("never").await.expect("served");
     let taken = Arc::new(AtomicBool::new(false));
@@ -154,19 +154,22 @@ async fn a_request_that_is_dropped_is_over_at_once() {
     });
     let began = Instant::now();
     while !taken.load(Ordering::Acquire) {
-        let patience = Duration::from_millis(100);
+        let duration = Duration::from_millis(100);
         let asked = b.request("a", "never", "", Duration::from_secs(3600));
-        let _ = tokio::time::timeout(patience, asked).await;
-        assert!(began.elapsed() < PATIENCE);
+        let _ = tokio::time::timeout(duration, asked).await;
+        assert!(began.elapsed() < TIMEOUT);
     }
     let closing = Instant::now();
     b.close().await.expect("closed");
-    assert!(closing.elapsed() < PATIENCE, "nothing waits for an hour");
+    assert!(
+        closing.elapsed() < TIMEOUT,
+        "close does not wait for the request"
+    );
     serving.abort();
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_error_is_of_the_robot_that_was_asked_whatever_name_it_has() {
+async fn error_reply_is_attributed_to_the_robot_that_was_asked() {
     let (a, b) = pair("a", "b").await;
     let service = a.zenoh().declare_queryable("rect/a/arm");
     let service = service.callback(|query| {

@@ -1,23 +1,23 @@
-//! Who can be reached, counters, and the blocking form; directly linked over TCP in one process.
+//! Tests events, counters and the blocking API between two robots, linked directly over TCP in one process:
 //! `cargo test -p rect --test state`
 mod pair;
 
 use std::{sync::mpsc, thread, time::Duration};
 
-use pair::{dialling, free_endpoint, listening, pair, PATIENCE};
+use pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use rect::{blocking, Event, Events, Json, Options};
 use tokio::time::timeout;
 
-async fn until(events: &Events, mut wanted: impl FnMut(&Event) -> bool) {
-    let found = async { while !wanted(&events.next().await.expect("open")) {} };
-    timeout(PATIENCE, found).await.expect("told in time");
+async fn until(events: &Events, mut is_expected: impl FnMut(&Event) -> bool) {
+    let found = async { while !is_expected(&events.next().await.expect("open")) {} };
+    timeout(TIMEOUT, found).await.expect("event in time");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn robots_and_links_that_come_and_go_are_told() {
+async fn events_report_peers_and_links_that_come_up_and_go_down() {
     let endpoint = free_endpoint();
     let a = listening("a", &endpoint).await;
-    let events = a.events().await.expect("told");
+    let events = a.events().await.expect("subscribed");
     let b = dialling("b", &endpoint).await;
     let (mut link, mut peer) = (false, false);
     until(&events, |event| {
@@ -38,23 +38,23 @@ async fn robots_and_links_that_come_and_go_are_told() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_is_there_already_is_told_first_and_callbacks_are_called() {
+async fn event_callback_first_reports_robots_that_are_already_reachable() {
     let (a, _b) = pair("a", "b").await;
-    let (told, heard) = mpsc::channel();
-    let subscription = a.on_state(move |event| {
-        let _ = told.send(event);
+    let (sender, received) = mpsc::channel();
+    let subscription = a.on_event(move |event| {
+        let _ = sender.send(event);
     });
-    let _subscription = subscription.await.expect("told");
-    let first = heard.recv_timeout(PATIENCE).expect("in time");
+    let _subscription = subscription.await.expect("subscribed");
+    let first = received.recv_timeout(TIMEOUT).expect("in time");
     assert!(matches!(first, Event::PeerUp { robot } if robot == "b"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_said_and_heard_is_counted() {
+async fn counters_count_sent_and_received_messages() {
     let (a, b) = pair("a", "b").await;
-    let heard = b.subscribe("a/x").await.expect("subscribed");
-    while heard.try_recv().is_none() {
-        a.publish("x", "12345").await.expect("said");
+    let messages = b.subscribe("a/x").await.expect("subscribed");
+    while messages.try_next().is_none() {
+        a.publish("x", "12345").await.expect("published");
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     let (sent, received) = (a.counters(), b.counters());
@@ -65,16 +65,16 @@ async fn what_is_said_and_heard_is_counted() {
 }
 
 #[test]
-fn the_blocking_form_does_the_same_without_async() {
+fn blocking_api_publishes_requests_and_reports_events() {
     let endpoint = free_endpoint();
-    let joined = |options: Options| blocking::Robot::join(options.login_file("/none"));
-    let a = joined(Options::new("a").expect("a name").listen(&endpoint)).expect("joined");
-    let b = joined(Options::new("b").expect("a name").endpoint(&endpoint)).expect("joined");
-    let events = b.events().expect("told");
-    let there = events
+    let connect = |options: Options| blocking::Robot::connect(options.login_file("/none"));
+    let a = connect(Options::new("a").expect("a name").listen(&endpoint)).expect("connected");
+    let b = connect(Options::new("b").expect("a name").endpoint(&endpoint)).expect("connected");
+    let events = b.events().expect("subscribed");
+    let is_reported = events
         .into_iter()
         .any(|event| matches!(event, Event::PeerUp { robot } if robot == "a"));
-    assert!(there);
+    assert!(is_reported);
     assert_eq!(b.peers().expect("asked")[0], "a");
 
     let service = a.serve("double", |request| match request.payload.value::<f64>() {
@@ -84,14 +84,14 @@ fn the_blocking_form_does_the_same_without_async() {
     });
     let _service = service.expect("served");
     let ask = |value: f64| loop {
-        match b.request("a", "double", Json(value), PATIENCE) {
+        match b.request("a", "double", Json(value), TIMEOUT) {
             Err(rect::Error::NoService { .. }) => thread::sleep(Duration::from_millis(5)),
             answer => break answer,
         }
     };
     assert_eq!(
         ask(4.0)
-            .expect("answered")
+            .expect("a reply")
             .payload
             .value::<f64>()
             .expect("a number"),
@@ -99,22 +99,22 @@ fn the_blocking_form_does_the_same_without_async() {
     );
     let panicked = ask(-1.0).expect_err("a panic is an error").to_string();
     assert!(panicked.contains("panicked"), "{panicked}");
-    assert!(ask(1.0).is_ok(), "it goes on");
+    assert!(ask(1.0).is_ok(), "the service continues");
 
     let mut messages = b.subscribe("a/beat").expect("subscribed");
     let (stop, stopped) = mpsc::channel::<()>();
-    let saying = thread::spawn({
+    let publishing = thread::spawn({
         let a = a.clone();
         move || {
             while stopped.recv_timeout(Duration::from_millis(5)).is_err() {
-                a.publish("beat", Json(1)).expect("said");
+                a.publish("beat", Json(1)).expect("published");
             }
         }
     });
     assert_eq!(messages.next().expect("open").topic.as_str(), "beat");
-    assert!(b.listen("a", "beat", PATIENCE).is_ok());
+    assert!(b.wait_for_message("a", "beat", TIMEOUT).is_ok());
     stop.send(()).expect("it waits");
-    saying.join().expect("no panic");
+    publishing.join().expect("no panic");
     b.close().expect("closed");
     assert!(b.publish("x", "").is_err(), "closed");
 }

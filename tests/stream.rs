@@ -1,4 +1,5 @@
-//! Streams between programs linked over TCP: `cargo test -p rect --no-default-features --features session --test stream`
+//! Tests streams between two robots, linked directly over TCP in one process:
+//! `cargo test -p rect --no-default-features --features session --test stream`
 mod pair;
 
 use std::{
@@ -9,15 +10,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{pair, PATIENCE};
+use pair::{pair, TIMEOUT};
 use rect::{
-    core::stream::ladder::{Coding, Level, PICTURES},
+    core::stream::ladder::{Coding, Step, PICTURES},
     Encoding, Frame, Payload, Stream, StreamOptions, Watch,
 };
 
 const PIXELS: usize = 160 * 120;
 
-/// A camera at 20 Hz, whose frames take what photographs do, about; until it is dropped.
+/// A camera at 20 Hz whose frames have about the size of photographs. Dropping it stops the camera.
 struct Camera {
     encoded: Arc<AtomicUsize>,
     stream: Arc<Stream>,
@@ -31,9 +32,9 @@ fn camera(stream: Stream) -> Camera {
         let mut ticks = tokio::time::interval(Duration::from_millis(50));
         loop {
             ticks.tick().await;
-            let sent = sends.send_with(PIXELS, |level| {
+            let sent = sends.send_with(PIXELS, |step| {
                 count.fetch_add(1, Ordering::Relaxed);
-                Ok(picture(level.expect("adaptive")))
+                Ok(picture(step.expect("adaptive")))
             });
             sent.expect("sent");
         }
@@ -51,25 +52,25 @@ impl Drop for Camera {
     }
 }
 
-fn picture(level: Level) -> Payload {
-    let (share, encoding) = match level.coding {
+fn picture(step: Step) -> Payload {
+    let (share, encoding) = match step.coding {
         Coding::Lossless => (1.5, Encoding::PNG),
         Coding::Lossy(quality) => (f64::from(quality) / 300.0, Encoding::JPEG),
     };
-    let area = (f64::from(level.quarters) / 4.0).powi(2);
+    let area = (f64::from(step.quarters) / 4.0).powi(2);
     Payload::new(vec![7; (PIXELS as f64 * share * area) as usize], encoding)
 }
 
 async fn next(watch: &Watch) -> Frame {
-    let frame = tokio::time::timeout(PATIENCE, watch.recv()).await;
+    let frame = tokio::time::timeout(TIMEOUT, watch.next()).await;
     frame.expect("a frame in time").expect("the session lives")
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_sensors_values_come_as_they_are_with_number_and_age() {
+async fn sensor_frames_arrive_unchanged_with_number_and_age() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
     let watch = two
-        .watch_with("wombat-1", "distance", rect::Receiving::default())
+        .watch_with("wombat-1", "distance", rect::QueueOptions::default())
         .await
         .expect("watched");
     let stream = one
@@ -78,7 +79,7 @@ async fn a_sensors_values_come_as_they_are_with_number_and_age() {
         .expect("a stream");
     let begun = Instant::now();
     while stream.send([0u8; 2]).expect("sent") == 0 {
-        assert!(begun.elapsed() < PATIENCE, "nobody listens");
+        assert!(begun.elapsed() < TIMEOUT, "no receiver");
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     let first = next(&watch).await;
@@ -91,14 +92,14 @@ async fn a_sensors_values_come_as_they_are_with_number_and_age() {
             (first.number + u32::from(n), 0)
         );
         assert!(
-            frame.age.expect("told") < Duration::from_secs(1),
+            frame.age.expect("known") < Duration::from_secs(1),
             "{frame:?}"
         );
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_adaptive_stream_is_lossless_where_there_is_room_and_says_why() {
+async fn adaptive_stream_becomes_lossless_on_a_fast_link_and_reports_the_reason() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
     let stream = one
         .stream("camera", StreamOptions::default())
@@ -106,30 +107,30 @@ async fn an_adaptive_stream_is_lossless_where_there_is_room_and_says_why() {
         .expect("a stream");
     let camera = camera(stream);
     tokio::time::sleep(Duration::from_millis(300)).await;
-    assert_eq!(camera.encoded.load(Ordering::Relaxed), 0, "nobody listens");
+    assert_eq!(camera.encoded.load(Ordering::Relaxed), 0, "no receiver");
     let watch = two.watch("wombat-1", "camera").await.expect("watched");
     let begun = Instant::now();
     let mut last = next(&watch).await;
     while last.payload.encoding != Encoding::PNG {
-        assert!(begun.elapsed() < PATIENCE, "{:?}", camera.stream.status());
+        assert!(begun.elapsed() < TIMEOUT, "{:?}", camera.stream.status());
         let frame = next(&watch).await;
         assert!(frame.number > last.number, "{frame:?} after {last:?}");
         assert!(
-            frame.age.expect("told") < Duration::from_secs(1),
+            frame.age.expect("known") < Duration::from_secs(1),
             "{frame:?}"
         );
         last = frame;
     }
     assert!(watch.round_trip().is_some());
     let status = camera.stream.status();
-    assert_eq!(status.groups[0].level, Some(PICTURES[0]));
-    let why = status.groups[0].last_change.as_deref().expect("a reason");
+    assert_eq!(status.groups[0].step, Some(PICTURES[0]));
+    let reason = status.groups[0].last_change.as_deref().expect("a reason");
     assert!(
-        why.contains("to lossless: ") && why.contains("kB/s get through"),
-        "{why}"
+        reason.contains("to lossless: ") && reason.contains("the capacity is "),
+        "{reason}"
     );
     assert_eq!(status.receivers[0].robot, "wombat-2");
-    // Without anyone, nothing is encoded any more.
+    // Without receivers, no more frames are encoded.
     drop(watch);
     let begun = Instant::now();
     loop {
@@ -138,12 +139,12 @@ async fn an_adaptive_stream_is_lossless_where_there_is_room_and_says_why() {
         if camera.encoded.load(Ordering::Relaxed) == before {
             break;
         }
-        assert!(begun.elapsed() < PATIENCE, "it goes on");
+        assert!(begun.elapsed() < TIMEOUT, "it continues");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_program_that_is_slow_to_take_gets_the_newest_and_how_many_it_did_not_see() {
+async fn slow_reader_gets_the_newest_frame_and_the_number_of_skipped_ones() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
     let watch = two.watch("wombat-1", "camera").await.expect("watched");
     let camera = camera(
@@ -160,7 +161,7 @@ async fn a_program_that_is_slow_to_take_gets_the_newest_and_how_many_it_did_not_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn stock_programs_see_the_frames_and_their_frames_are_seen() {
+async fn streams_interoperate_with_stock_zenoh_programs() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
     let camera = camera(
         one.stream("camera", StreamOptions::default())
@@ -172,7 +173,7 @@ async fn stock_programs_see_the_frames_and_their_frames_are_seen() {
         .declare_subscriber("rect/*/camera")
         .await
         .expect("subscribed");
-    let sample = tokio::time::timeout(PATIENCE, stock.recv_async())
+    let sample = tokio::time::timeout(TIMEOUT, stock.recv_async())
         .await
         .expect("in time")
         .expect("a frame");
@@ -188,10 +189,10 @@ async fn stock_programs_see_the_frames_and_their_frames_are_seen() {
             .await
             .expect("put");
         tokio::time::sleep(Duration::from_millis(50)).await;
-        if let Some(frame) = watch.try_recv() {
+        if let Some(frame) = watch.try_next() {
             break frame;
         }
-        assert!(begun.elapsed() < PATIENCE, "no frame");
+        assert!(begun.elapsed() < TIMEOUT, "no frame");
     };
     assert_eq!(
         (frame.payload.bytes.as_ref(), frame.age),

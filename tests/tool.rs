@@ -1,4 +1,4 @@
-//! The `rect` command beside a program of the library: `cargo test -p rect --test tool`
+//! Tests the `rect` command together with a program that uses the library: `cargo test -p rect --test tool`
 mod pair;
 
 use std::{
@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{free_endpoint, PATIENCE};
+use pair::{free_endpoint, TIMEOUT};
 use rect::{blocking, Options};
 use serde_json::Value;
 
@@ -19,18 +19,18 @@ fn rect(arguments: &[&str]) -> Command {
 }
 
 fn ran(arguments: &[&str]) -> Output {
-    rect(arguments).output().expect("it runs")
+    rect(arguments).output().expect("started")
 }
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// A robot that the tool can join at.
+/// Starts a robot to which the command can connect; returns it with its endpoint.
 fn robot(name: &str) -> (blocking::Robot, String) {
     let endpoint = free_endpoint();
     let options = Options::new(name).expect("a name").login_file("/none");
-    let robot = blocking::Robot::join(options.listen(&endpoint)).expect("joined");
+    let robot = blocking::Robot::connect(options.listen(&endpoint)).expect("connected");
     (robot, endpoint)
 }
 
@@ -44,9 +44,9 @@ impl Drop for Killed {
 }
 
 #[test]
-fn what_is_published_or_sent_arrives() {
+fn pub_and_send_deliver_messages() {
     let (a, endpoint) = robot("a");
-    let mut heard = a.subscribe("b/**").expect("subscribed");
+    let mut messages = a.subscribe("b/**").expect("subscribed");
     let join = ["--as", "b", "--router", &endpoint];
     let json = ran(&[
         &["pub", "arm/angle", "12.5", "--urgency", "urgent"],
@@ -54,26 +54,26 @@ fn what_is_published_or_sent_arrives() {
     ]
     .concat());
     assert!(json.status.success(), "{}", text(&json.stderr));
-    let message = heard.next_within(PATIENCE).expect("heard");
+    let message = messages.next_timeout(TIMEOUT).expect("received");
     assert_eq!(
-        (message.from.as_str(), message.topic.as_str()),
+        (message.sender.as_str(), message.topic.as_str()),
         ("b", "arm/angle")
     );
     assert_eq!(message.payload.value::<f64>().expect("JSON"), 12.5);
     assert_eq!(message.urgency, rect::Urgency::Urgent);
-    let packed = ran(&[
+    let encoded = ran(&[
         &["send", "a", "note", "hello there", "--codec", "zstd:5"],
         &join[..],
     ]
     .concat());
-    assert!(packed.status.success(), "{}", text(&packed.stderr));
-    let message = heard.next_within(PATIENCE).expect("heard");
+    assert!(encoded.status.success(), "{}", text(&encoded.stderr));
+    let message = messages.next_timeout(TIMEOUT).expect("received");
     assert_eq!(message.payload.text().expect("text"), "hello there");
-    assert_eq!(message.to.expect("to one"), "a");
+    assert_eq!(message.recipient.expect("to one"), "a");
 }
 
 #[test]
-fn what_robots_say_is_shown_as_text_or_json() {
+fn sub_prints_messages_as_text_or_json() {
     let (a, endpoint) = robot("a");
     for (json, expected) in [(false, r#"a/x: {"n":1}"#), (true, r#""value":{"n":1}"#)] {
         let mut arguments = vec![
@@ -84,12 +84,13 @@ fn what_robots_say_is_shown_as_text_or_json() {
             rect(&arguments)
                 .stdout(Stdio::piped())
                 .spawn()
-                .expect("it runs"),
+                .expect("started"),
         );
         let began = Instant::now();
         while child.0.try_wait().expect("our child").is_none() {
-            assert!(began.elapsed() < PATIENCE, "it ends after one");
-            a.publish("x", serde_json::json!({"n": 1})).expect("said");
+            assert!(began.elapsed() < TIMEOUT, "ends after one message");
+            a.publish("x", serde_json::json!({"n": 1}))
+                .expect("published");
             std::thread::sleep(Duration::from_millis(10));
         }
         let mut line = String::new();
@@ -100,7 +101,7 @@ fn what_robots_say_is_shown_as_text_or_json() {
 }
 
 #[test]
-fn a_service_made_of_a_program_answers_and_its_failure_is_an_error() {
+fn serve_replies_with_program_output_or_failure() {
     let (a, endpoint) = robot("a");
     let join = ["--as", "b", "--router", &endpoint];
     let serving = [&["serve", "upper"], &join[..], &["--", "tr", "a-z", "A-Z"]].concat();
@@ -108,7 +109,7 @@ fn a_service_made_of_a_program_answers_and_its_failure_is_an_error() {
         rect(&serving)
             .stderr(Stdio::null())
             .spawn()
-            .expect("it runs"),
+            .expect("started"),
     );
     let failing = [
         &["serve", "fail"],
@@ -120,28 +121,28 @@ fn a_service_made_of_a_program_answers_and_its_failure_is_an_error() {
         rect(&failing)
             .stderr(Stdio::null())
             .spawn()
-            .expect("it runs"),
+            .expect("started"),
     );
     let asked = |topic: &str| {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         loop {
-            match a.request("b", topic, "hello", PATIENCE) {
+            match a.request("b", topic, "hello", TIMEOUT) {
                 Err(rect::Error::NoService { .. }) if Instant::now() < deadline => {}
                 answer => break answer,
             }
         }
     };
-    let reply = asked("upper").expect("answered");
+    let reply = asked("upper").expect("a reply");
     assert_eq!(reply.payload.text().expect("text"), "HELLO");
     let error = asked("fail").expect_err("it fails").to_string();
     assert!(
-        error.contains("no arm") && error.contains("b answers"),
+        error.contains("no arm") && error.contains("b replied"),
         "{error}"
     );
 }
 
 #[test]
-fn a_request_shows_the_answer_or_why_there_is_none() {
+fn request_prints_the_reply_or_the_error() {
     let (a, endpoint) = robot("a");
     let _service = a
         .serve("double", |request| match request.payload.value::<f64>() {
@@ -153,26 +154,26 @@ fn a_request_shows_the_answer_or_why_there_is_none() {
     let answer = ran(&[&["request", "a", "double", "21", "--json"], &join[..]].concat());
     let answer: Value = serde_json::from_slice(&answer.stdout).expect("JSON");
     assert_eq!(
-        (&answer["from"], &answer["value"]),
+        (&answer["sender"], &answer["value"]),
         (&"a".into(), &42.0.into())
     );
     let wrong = ran(&[&["request", "a", "double", "x"], &join[..]].concat());
     assert_eq!(wrong.status.code(), Some(1));
     assert!(
-        text(&wrong.stderr).contains("a answers with an error"),
+        text(&wrong.stderr).contains("a replied with an error"),
         "{}",
         text(&wrong.stderr)
     );
-    let nobody = ran(&[&["request", "a", "nothing"], &join[..]].concat());
+    let missing = ran(&[&["request", "a", "nothing"], &join[..]].concat());
     assert!(
-        text(&nobody.stderr).contains("nobody serves nothing at a"),
+        text(&missing.stderr).contains("no program serves nothing at a"),
         "{}",
-        text(&nobody.stderr)
+        text(&missing.stderr)
     );
 }
 
 #[test]
-fn a_file_is_sent_and_taken() {
+fn transfer_sends_and_receives_files() {
     let (a, endpoint) = robot("a");
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("map.bin");
@@ -187,34 +188,43 @@ fn a_file_is_sent_and_taken() {
         "b",
         "--router",
         &endpoint,
-        "--patience",
+        "--timeout",
         "1s",
     ]);
-    assert_eq!(refused.status.code(), Some(1), "nobody takes files there");
+    assert_eq!(refused.status.code(), Some(1), "no program receives files");
     assert!(
         text(&refused.stderr).contains("rect: "),
         "{}",
         text(&refused.stderr)
     );
-    let taken = folder.path().join("taken").display().to_string();
-    let taking = [
-        "transfer", "receive", "--folder", &taken, "--as", "b", "--router", &endpoint,
+    let destination = folder.path().join("received").display().to_string();
+    let receiving = [
+        "transfer",
+        "receive",
+        "--folder",
+        &destination,
+        "--as",
+        "b",
+        "--router",
+        &endpoint,
     ];
-    let _taking = Killed(
-        rect(&taking)
+    let _receiving = Killed(
+        rect(&receiving)
             .stdout(Stdio::null())
             .spawn()
-            .expect("it runs"),
+            .expect("started"),
     );
-    let sent = a.transfer("b", "files", vec![9u8; 200_000]).expect("named");
-    let sent = sent.named("nine.bin").patience(PATIENCE);
-    sent.wait().expect("taken");
-    let there = std::fs::read(folder.path().join("taken/a/nine.bin")).expect("there");
-    assert_eq!(there, vec![9u8; 200_000]);
+    let sent = a
+        .transfer("b", "files", vec![9u8; 200_000])
+        .expect("valid arguments");
+    let sent = sent.name("nine.bin").timeout(TIMEOUT);
+    sent.wait().expect("sent");
+    let content = std::fs::read(folder.path().join("received/a/nine.bin")).expect("present");
+    assert_eq!(content, vec![9u8; 200_000]);
 }
 
 #[test]
-fn a_stream_of_pictures_is_watched() {
+fn stream_send_publishes_pictures() {
     let (a, endpoint) = robot("a");
     let folder = tempfile::tempdir().expect("a folder");
     let pixels: Vec<u8> = (0..64 * 48 * 3u32).map(|n| n as u8).collect();
@@ -237,10 +247,10 @@ fn a_stream_of_pictures_is_watched() {
         rect(&sending)
             .stderr(Stdio::null())
             .spawn()
-            .expect("it runs"),
+            .expect("started"),
     );
     let mut watch = a.watch("b", "camera").expect("watched");
-    let frame = watch.next_within(PATIENCE).expect("in time");
+    let frame = watch.next_timeout(TIMEOUT).expect("in time");
     let shown = frame
         .payload
         .picture(&Default::default())
@@ -258,7 +268,7 @@ fn a_stream_of_pictures_is_watched() {
 }
 
 #[test]
-fn a_dictionary_is_trained_from_a_recording() {
+fn dictionary_is_trained_from_a_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("telemetry.jsonl");
     let mut file = std::fs::File::create(&recording).expect("made");
@@ -277,11 +287,11 @@ fn a_dictionary_is_trained_from_a_recording() {
         "--size",
         "2048",
     ]);
-    let said = text(&trained.stdout);
+    let output_text = text(&trained.stdout);
     assert!(trained.status.success(), "{}", text(&trained.stderr));
     assert!(
-        said.contains("of 1600 messages") && said.contains("400 messages that it has not seen"),
-        "{said}"
+        output_text.contains("with 1600 messages") && output_text.contains("400 other messages"),
+        "{output_text}"
     );
     rect::core::dictionary::Dictionary::read(&output).expect("a dictionary");
     let nothing = ran(&["dictionary", "train", "/none.jsonl", "-o", "/none"]);
@@ -292,38 +302,38 @@ fn a_dictionary_is_trained_from_a_recording() {
     );
 }
 
-/// The exit status of a program whose reader has gone.
+/// The exit status of a program whose reader has exited.
 const CLOSED_PIPE: i32 = 141;
 
 #[test]
-fn a_reader_that_has_gone_ends_a_command_quietly() {
+fn closed_pipe_ends_a_command_without_a_message() {
     let (a, endpoint) = robot("a");
     for json in [false, true] {
         let mut arguments = vec!["sub", "a/**", "--as", "b", "--router", &endpoint];
         arguments.extend(json.then_some("--json"));
         let mut command = rect(&arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = Killed(command.spawn().expect("it runs"));
+        let mut child = Killed(command.spawn().expect("started"));
         drop(child.0.stdout.take());
         let began = Instant::now();
         let status = loop {
             if let Some(status) = child.0.try_wait().expect("our child") {
                 break status;
             }
-            assert!(began.elapsed() < PATIENCE, "it goes on without a reader");
+            assert!(began.elapsed() < TIMEOUT, "runs without a reader");
             a.publish("x", "1").expect("published");
             std::thread::sleep(Duration::from_millis(10));
         };
-        let mut said = String::new();
+        let mut message = String::new();
         let mut stderr = child.0.stderr.take().expect("piped");
-        stderr.read_to_string(&mut said).expect("text");
-        assert_eq!(status.code(), Some(CLOSED_PIPE), "{said}");
-        assert!(!said.contains("panicked"), "{said}");
+        stderr.read_to_string(&mut message).expect("text");
+        assert_eq!(status.code(), Some(CLOSED_PIPE), "{message}");
+        assert!(!message.contains("panicked"), "{message}");
     }
 }
 
 #[test]
-fn output_that_cannot_be_written_is_an_error_and_no_panic() {
+fn unwritable_output_is_an_error_and_no_panic() {
     let (_a, endpoint) = robot("a");
     let full = || std::fs::File::create("/dev/full").expect("linux");
     for arguments in [
@@ -332,25 +342,25 @@ fn output_that_cannot_be_written_is_an_error_and_no_panic() {
         &["peers", "--json", "--as", "b", "--router", &endpoint],
     ] {
         let mut command = rect(arguments);
-        let output = command.stdout(full()).output().expect("it runs");
-        let said = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
+        let output = command.stdout(full()).output().expect("started");
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {message}");
         assert!(
-            said.contains("cannot write") && !said.contains("panicked"),
-            "{said}"
+            message.contains("cannot write") && !message.contains("panicked"),
+            "{message}"
         );
     }
-    // Nor is a message for which there is no room on stderr.
+    // The same applies to an error message that cannot be written to stderr.
     let mut command = rect(&["pub", "x", "1", "--router", "tcp/127.0.0.1:1"]);
-    let status = command.stderr(full()).status().expect("it runs");
+    let status = command.stderr(full()).status().expect("started");
     assert_eq!(status.code(), Some(1));
 }
 
-/// A topic that writes a second line and controls the terminal.
+/// A topic with a line break and control sequences for the terminal.
 const HOSTILE: &str = "a\x1b]0;pwned\x07\x1b[2Jb\nfake/c: 12.5";
 
 #[test]
-fn what_others_send_cannot_control_the_terminal() {
+fn control_characters_from_other_robots_are_replaced() {
     let (a, endpoint) = robot("a");
     let mut config = zenoh::Config::default();
     let settings = [
@@ -362,7 +372,7 @@ fn what_others_send_cannot_control_the_terminal() {
     }
     let stock = zenoh::Wait::wait(zenoh::open(config)).expect("a session");
     let mut command = rect(&["sub", "*/**", "--as", "b", "--router", &endpoint]);
-    let mut child = Killed(command.stdout(Stdio::piped()).spawn().expect("it runs"));
+    let mut child = Killed(command.stdout(Stdio::piped()).spawn().expect("started"));
     let mut lines = BufReader::new(child.0.stdout.take().expect("piped")).lines();
     let (stop, stopped) = mpsc::channel::<()>();
     let publishing = std::thread::spawn(move || {
@@ -376,14 +386,14 @@ fn what_others_send_cannot_control_the_terminal() {
         }
     });
     let mut shown = Vec::new();
-    // The second one comes after a whole round.
+    // The second occurrence ends one complete round.
     while shown
         .iter()
         .filter(|line: &&String| line.contains("c/end"))
         .count()
         < 2
     {
-        shown.push(lines.next().expect("it goes on").expect("text"));
+        shown.push(lines.next().expect("it continues").expect("text"));
     }
     drop(stop);
     publishing.join().expect("it ends");
@@ -393,17 +403,17 @@ fn what_others_send_cannot_control_the_terminal() {
     }
     let _failing = a.serve("fail", |_| Err::<String, _>(format!("{HOSTILE}\u{202e}")));
     let failed = ran(&["request", "a", "fail", "--as", "b", "--router", &endpoint]);
-    let said = text(&failed.stderr);
-    assert!(said.contains("a answers with an error"), "{said}");
-    assert!(!said.contains(['\x1b', '\u{202e}']), "{said:?}");
+    let message = text(&failed.stderr);
+    assert!(message.contains("a replied with an error"), "{message}");
+    assert!(!message.contains(['\x1b', '\u{202e}']), "{message:?}");
     assert!(
-        !said.lines().any(|line| line.starts_with("fake/")),
-        "{said:?}"
+        !message.lines().any(|line| line.starts_with("fake/")),
+        "{message:?}"
     );
 }
 
 #[test]
-fn listening_to_a_robot_that_is_not_there_is_hinted_at() {
+fn sub_prints_a_hint_if_the_robot_is_unreachable() {
     let (a, endpoint) = robot("a");
     for (pattern, hinted) in [("wombat-9/**", true), ("a/**", false), ("*/**", false)] {
         let arguments = [
@@ -414,25 +424,25 @@ fn listening_to_a_robot_that_is_not_there_is_hinted_at() {
                 .stderr(Stdio::piped())
                 .stdout(Stdio::null())
                 .spawn()
-                .expect("it runs"),
+                .expect("started"),
         );
         let mut lines = BufReader::new(child.0.stderr.take().expect("piped")).lines();
-        let listening = lines.next().expect("a line").expect("text");
+        let first = lines.next().expect("a line").expect("text");
         assert!(
-            listening.contains(&format!("listening to {pattern}")),
-            "{listening}"
+            first.contains(&format!("subscribed to {pattern}")),
+            "{first}"
         );
         if hinted {
             let hint = lines.next().expect("a line").expect("text");
             assert!(
-                hint.contains("no robot wombat-9") && hint.contains("a, b"),
+                hint.contains("robot wombat-9 is not reachable") && hint.contains("a, b"),
                 "{hint}"
             );
             continue;
         }
         let began = Instant::now();
         while child.0.try_wait().expect("our child").is_none() {
-            assert!(began.elapsed() < PATIENCE, "it ends after one");
+            assert!(began.elapsed() < TIMEOUT, "ends after one message");
             a.publish("x", "1").expect("published");
             std::thread::sleep(Duration::from_millis(10));
         }
@@ -442,7 +452,7 @@ fn listening_to_a_robot_that_is_not_there_is_hinted_at() {
 }
 
 #[test]
-fn colours_are_for_terminals_or_on_demand() {
+fn output_is_coloured_on_terminals_or_on_demand() {
     let (a, endpoint) = robot("a");
     let shown = |more: &[&str]| {
         let mut arguments = vec!["peers", "--as", "b", "--router", &endpoint];
@@ -450,7 +460,7 @@ fn colours_are_for_terminals_or_on_demand() {
         let output = rect(&arguments)
             .env_remove("CLICOLOR_FORCE")
             .output()
-            .expect("it runs");
+            .expect("started");
         text(&output.stdout)
     };
     let _stay = a;
@@ -460,21 +470,21 @@ fn colours_are_for_terminals_or_on_demand() {
 }
 
 #[test]
-fn an_address_without_a_protocol_is_one_of_tcp() {
+fn router_address_without_protocol_defaults_to_tcp() {
     let (_a, endpoint) = robot("a");
     let address = endpoint.strip_prefix("tcp/").expect("tcp");
-    let there = ran(&["peers", "--as", "b", "--router", address]);
-    assert!(there.status.success(), "{}", text(&there.stderr));
+    let reached = ran(&["peers", "--as", "b", "--router", address]);
+    assert!(reached.status.success(), "{}", text(&reached.stderr));
     let wrong = ran(&["peers", "--as", "b", "--router", "localhost"]);
-    let said = text(&wrong.stderr);
+    let message = text(&wrong.stderr);
     assert!(
-        said.contains("tcp/127.0.0.1:7447") && !said.contains("Json5"),
-        "{said}"
+        message.contains("tcp/127.0.0.1:7447") && !message.contains("Json5"),
+        "{message}"
     );
 }
 
 #[test]
-fn mistakes_are_answered_with_what_to_do() {
+fn usage_errors_suggest_a_solution() {
     for (arguments, named) in [
         (&["pub", "a/*", "1"][..], "wildcard"),
         (&["sub", "angle"], "<robot>/<topic>"),
@@ -493,9 +503,12 @@ fn mistakes_are_answered_with_what_to_do() {
         }
         let failed = ran(&all);
         assert!(!failed.status.success());
-        let said = text(&failed.stderr);
-        assert!(said.contains(named), "{arguments:?}: {said}");
-        assert!(!said.contains(".rs:"), "no source lines for people: {said}");
+        let message = text(&failed.stderr);
+        assert!(message.contains(named), "{arguments:?}: {message}");
+        assert!(
+            !message.contains(".rs:"),
+            "no source lines in messages: {message}"
+        );
     }
     let help = text(&ran(&["--help"]).stdout);
     assert!(help.contains("rect sub '*/arm/*'"), "{help}");

@@ -1,4 +1,5 @@
-//! Transfers between two programs, linked over TCP in one process: cut, restarted, refused, lied to.
+//! Tests transfers between two robots, linked over TCP in one process, with link losses, restarts, refusals and invalid
+//! replies:
 //! `cargo test -p rect --test transfer`
 mod pair;
 mod wire;
@@ -14,14 +15,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{dialling, free_endpoint, listening, pair, PATIENCE};
+use pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use rect::{
     core::{
         encoding::Encoding,
         transfer::{offer::FileName, Answer, Checksum, Fault, Offer, Refusal, Request},
     },
     storage::Content,
-    Error, ReceiveTransfers, Robot, Topic,
+    Error, ReceiveOptions, Robot, Topic,
 };
 use tokio::{
     sync::{Mutex as Turn, MutexGuard},
@@ -32,13 +33,13 @@ use zenoh::Wait;
 
 const MB: usize = 1_000_000;
 
-/// One at a time: they measure time and memory.
+/// Makes the tests run one at a time, since they measure time and memory.
 async fn turn() -> MutexGuard<'static, ()> {
     static TURN: Turn<()> = Turn::const_new(());
     TURN.lock().await
 }
 
-/// Bytes that repeat nowhere.
+/// Returns incompressible bytes.
 fn noise(length: usize) -> Vec<u8> {
     let mut state = 0x9E37_79B9_7F4A_7C15u64;
     let mut bytes = Vec::with_capacity(length + 8);
@@ -52,56 +53,61 @@ fn noise(length: usize) -> Vec<u8> {
     bytes
 }
 
-/// What the sender knows to be held.
+/// The progress that is reported to the sender, in bytes.
 #[derive(Clone, Default)]
-struct Held(Arc<AtomicU64>);
+struct ReportedBytes(Arc<AtomicU64>);
 
-impl Held {
+impl ReportedBytes {
     async fn reaches(&self, bytes: u64) {
-        let there = async {
+        let reached = async {
             while self.0.load(Ordering::SeqCst) < bytes {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        timeout(PATIENCE, there).await.expect("in time");
+        timeout(TIMEOUT, reached).await.expect("in time");
     }
 
     fn watch(&self) -> impl FnMut(rect::core::transfer::Progress) + Send + 'static {
-        let held = self.0.clone();
-        move |progress| held.store(progress.held_bytes, Ordering::SeqCst)
+        let reported = self.0.clone();
+        move |progress| reported.store(progress.received_bytes, Ordering::SeqCst)
     }
 }
 
-/// Two robots' programs, and what is between them.
+/// Two robots and the wire between them.
 struct Wired {
     a: Robot,
     b: Robot,
     wire: Wire,
-    /// Where `b` listens.
-    there: String,
+    /// The endpoint at which `b` listens.
+    endpoint: String,
 }
 
 async fn wired(bytes_per_s: f64) -> Wired {
-    let there = free_endpoint();
-    let b = listening("b", &there).await;
-    let wire = Wire::to(&there, bytes_per_s);
+    let endpoint = free_endpoint();
+    let b = listening("b", &endpoint).await;
+    let wire = Wire::to(&endpoint, bytes_per_s);
     let a = dialling("a", &wire.endpoint).await;
-    Wired { a, b, wire, there }
+    Wired {
+        a,
+        b,
+        wire,
+        endpoint,
+    }
 }
 
-fn in_folder(folder: &tempfile::TempDir) -> ReceiveTransfers {
-    ReceiveTransfers::in_folder(folder.path(), 1 << 30)
+fn in_folder(folder: &tempfile::TempDir) -> ReceiveOptions {
+    ReceiveOptions::in_folder(folder.path(), 1 << 30)
 }
 
 fn file_of(received: &rect::Received) -> Vec<u8> {
     match &received.content {
-        Content::File(path) => fs::read(path).expect("kept"),
+        Content::File(path) => fs::read(path).expect("stored"),
         Content::Bytes(bytes) => bytes.to_vec(),
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn five_megabytes_arrive_though_the_link_is_cut_three_times() {
+async fn transfer_completes_after_three_link_losses() {
     let _turn = turn().await;
     let (bytes, folder) = (noise(5 * MB), tempfile::tempdir().expect("a folder"));
     let Wired { a, b, wire, .. } = wired(2e6).await;
@@ -109,78 +115,83 @@ async fn five_megabytes_arrive_though_the_link_is_cut_three_times() {
         .receive_transfers("a/maps/*", in_folder(&folder))
         .await
         .expect("declared");
-    let held = Held::default();
+    let reported = ReportedBytes::default();
     let sent = a
         .transfer("b", "maps/x", bytes.clone())
-        .expect("named")
-        .named("x.bin")
-        .on_progress(held.watch());
+        .expect("valid arguments")
+        .name("x.bin")
+        .on_progress(reported.watch());
     let sent = tokio::spawn(sent.into_future());
     for part in 1..4u64 {
-        held.reaches(part * 5 * MB as u64 / 4).await;
+        reported.reaches(part * 5 * MB as u64 / 4).await;
         wire.cut(Duration::from_millis(300)).await;
     }
-    timeout(PATIENCE, sent)
+    timeout(TIMEOUT, sent)
         .await
         .expect("in time")
         .expect("no panic")
         .expect("sent");
-    let got = received.next().await.expect("open").expect("whole");
+    let got = received.next().await.expect("open").expect("complete");
     assert!(file_of(&got) == bytes, "the same bytes");
     assert_eq!(got.content, Content::File(folder.path().join("a/x.bin")));
-    let twice = wire.carried() as i64 - bytes.len() as i64;
-    println!("{twice} bytes more than there are went over the wire");
-    // 1 % for headers, and at most what is on its way three times.
-    assert!(twice < 1_500_000, "{twice}");
+    let overhead = wire.carried() as i64 - bytes.len() as i64;
+    println!("{overhead} bytes of overhead on the wire");
+    // 1 % for headers, and at most the bytes in flight at each of three losses.
+    assert!(overhead < 1_500_000, "{overhead}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn it_goes_on_after_either_side_was_restarted() {
+async fn transfer_resumes_after_restart_of_sender_or_receiver() {
     let _turn = turn().await;
     let (bytes, folder) = (noise(4 * MB), tempfile::tempdir().expect("a folder"));
-    let Wired { a, b, wire, there } = wired(2e6).await;
+    let Wired {
+        a,
+        b,
+        wire,
+        endpoint,
+    } = wired(2e6).await;
     let received = b
         .receive_transfers("*/**", in_folder(&folder))
         .await
         .expect("declared");
-    let held = Held::default();
+    let reported = ReportedBytes::default();
     let send = |robot: &Robot| {
         let sent = robot
             .transfer("b", "x", bytes.clone())
-            .expect("named")
-            .on_progress(held.watch());
+            .expect("valid arguments")
+            .on_progress(reported.watch());
         tokio::spawn(sent.into_future())
     };
     let sent = send(&a);
-    held.reaches(MB as u64).await;
-    // The sender.
+    reported.reaches(MB as u64).await;
+    // Restarts the sender.
     sent.abort();
     a.close().await.expect("closed");
     let a = dialling("a", &wire.endpoint).await;
     let sent = send(&a);
-    held.reaches(2 * MB as u64).await;
-    // The receiver.
+    reported.reaches(2 * MB as u64).await;
+    // Restarts the receiver.
     drop(received);
-    // In the midst of a transfer Zenoh's close may take longer than it waits for itself; a restart does not ask.
+    // During a transfer, closing may exceed Zenoh's own timeout, which does not matter for a restart.
     if let Err(error) = b.close().await {
         println!("{error}");
     }
     drop(b);
-    let b = listening("b", &there).await;
+    let b = listening("b", &endpoint).await;
     let received = b
         .receive_transfers("*/**", in_folder(&folder))
         .await
         .expect("declared");
-    timeout(PATIENCE, sent)
+    timeout(TIMEOUT, sent)
         .await
         .expect("in time")
         .expect("no panic")
         .expect("sent");
-    let got = received.next().await.expect("open").expect("whole");
+    let got = received.next().await.expect("open").expect("complete");
     assert!(file_of(&got) == bytes, "the same bytes");
-    let twice = wire.carried() as i64 - bytes.len() as i64;
-    println!("{twice} bytes more than there are went over the wire");
-    assert!(twice < 1_000_000, "{twice}");
+    let overhead = wire.carried() as i64 - bytes.len() as i64;
+    println!("{overhead} bytes of overhead on the wire");
+    assert!(overhead < 1_000_000, "{overhead}");
 }
 
 fn memory_kb(what: &str) -> u64 {
@@ -188,7 +199,7 @@ fn memory_kb(what: &str) -> u64 {
     let line = status
         .lines()
         .find(|line| line.starts_with(what))
-        .expect("there");
+        .expect("present");
     line.split_whitespace()
         .nth(1)
         .and_then(|kb| kb.parse().ok())
@@ -196,7 +207,7 @@ fn memory_kb(what: &str) -> u64 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_large_file_is_fast_and_takes_no_memory() {
+async fn large_file_transfer_is_fast_and_uses_little_memory() {
     let _turn = turn().await;
     let size = 300 * MB;
     let (folder, here) = (
@@ -210,35 +221,35 @@ async fn a_large_file_is_fast_and_takes_no_memory() {
         .receive_transfers("a/**", in_folder(&folder))
         .await
         .expect("declared");
-    // The most that it was begins anew.
+    // Resets the peak memory usage.
     fs::write("/proc/self/clear_refs", "5").expect("linux");
     let (before, start) = (memory_kb("VmRSS:"), Instant::now());
     a.transfer("b", "large", &path)
-        .expect("named")
+        .expect("valid arguments")
         .await
         .expect("sent");
     let took = start.elapsed();
     let more = memory_kb("VmHWM:").saturating_sub(before);
     let rate = size as f64 / took.as_secs_f64() / 1e6;
-    println!("{size} bytes in {took:?}, {rate:.0} MB/s with both checksums, at most {more} kB of memory more");
-    let got = received.next().await.expect("open").expect("whole");
+    println!("{size} bytes in {took:?}, {rate:.0} MB/s with both checksums, at most {more} kB of additional memory");
+    let got = received.next().await.expect("open").expect("complete");
     assert_eq!(got.size_bytes, size as u64);
     assert!(more < 60_000, "{more} kB");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_and_little_arrive_in_memory_and_as_what_they_are() {
+async fn empty_and_small_transfers_are_received_in_memory_with_their_encoding() {
     let _turn = turn().await;
     let (a, b) = pair("a", "b").await;
     let received = b
-        .receive_transfers("*/**", ReceiveTransfers::in_memory(100))
+        .receive_transfers("*/**", ReceiveOptions::in_memory(100))
         .await
         .expect("declared");
     a.transfer("b", "nothing", vec![])
-        .expect("named")
+        .expect("valid arguments")
         .await
         .expect("sent");
-    let got = received.next().await.expect("open").expect("whole");
+    let got = received.next().await.expect("open").expect("complete");
     assert_eq!(got.content, Content::Bytes(Default::default()));
     let sent = a
         .transfer(
@@ -246,35 +257,39 @@ async fn nothing_and_little_arrive_in_memory_and_as_what_they_are() {
             "little",
             rect::ToPayload::to_payload("hä?").expect("text"),
         )
-        .expect("named");
+        .expect("valid arguments");
     sent.await.expect("sent");
-    let got = received.next().await.expect("open").expect("whole");
+    let got = received.next().await.expect("open").expect("complete");
     assert_eq!(
-        (got.encoding.clone(), got.from.as_str(), got.topic.as_str()),
+        (
+            got.encoding.clone(),
+            got.sender.as_str(),
+            got.topic.as_str()
+        ),
         (Encoding::TEXT, "a", "little")
     );
     assert_eq!(file_of(&got), "hä?".as_bytes());
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_sent_twice_by_the_programs_wish_comes_twice_and_two_at_once_both_come() {
+async fn repeated_and_concurrent_transfers_are_all_received() {
     let _turn = turn().await;
     let (a, b) = pair("a", "b").await;
     let received = b
-        .receive_transfers("*/**", ReceiveTransfers::in_memory(1 << 20))
+        .receive_transfers("*/**", ReceiveOptions::in_memory(1 << 20))
         .await
         .expect("declared");
     let bytes = noise(1 << 20);
     let send = |topic| {
         tokio::spawn(
             a.transfer("b", topic, bytes.clone())
-                .expect("named")
+                .expect("valid arguments")
                 .into_future(),
         )
     };
     let both = [send("one"), send("two")];
     for sent in both {
-        timeout(PATIENCE, sent)
+        timeout(TIMEOUT, sent)
             .await
             .expect("in time")
             .expect("no panic")
@@ -282,54 +297,63 @@ async fn what_is_sent_twice_by_the_programs_wish_comes_twice_and_two_at_once_bot
     }
     send("one").await.expect("no panic").expect("sent");
     for _ in 0..3 {
-        let got = timeout(PATIENCE, received.next())
+        let got = timeout(TIMEOUT, received.next())
             .await
             .expect("in time")
             .expect("open")
-            .expect("whole");
+            .expect("complete");
         assert!(file_of(&got) == bytes);
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_consent_nothing_is_taken() {
+async fn transfers_that_are_not_accepted_are_refused() {
     let _turn = turn().await;
     let (a, b) = pair("a", "b").await;
     let brief = Duration::from_secs(2);
-    let nobody = a
+    let unanswered = a
         .transfer("b", "maps/x", vec![1])
-        .expect("named")
-        .patience(brief)
+        .expect("valid arguments")
+        .timeout(brief)
         .await;
-    assert!(matches!(nobody, Err(Error::TimedOut { .. })), "{nobody:?}");
+    assert!(
+        matches!(unanswered, Err(Error::TimedOut { .. })),
+        "{unanswered:?}"
+    );
     let _received = b
-        .receive_transfers("a/maps/*", ReceiveTransfers::in_memory(10))
+        .receive_transfers("a/maps/*", ReceiveOptions::in_memory(10))
         .await
         .expect("declared");
-    let other = a.transfer("b", "logs/x", vec![1]).expect("named").await;
-    let not_wanted = |refusal: &Refusal| *refusal == Refusal::NotWanted;
+    let other = a
+        .transfer("b", "logs/x", vec![1])
+        .expect("valid arguments")
+        .await;
+    let not_accepted = |refusal: &Refusal| *refusal == Refusal::NotAccepted;
     assert!(
-        matches!(&other, Err(Error::TransferRefused { refusal, .. }) if not_wanted(refusal)),
+        matches!(&other, Err(Error::TransferRefused { refusal, .. }) if not_accepted(refusal)),
         "{other:?}"
     );
-    let large = a.transfer("b", "maps/x", vec![1; 11]).expect("named").await;
+    let large = a
+        .transfer("b", "maps/x", vec![1; 11])
+        .expect("valid arguments")
+        .await;
     let text = large.expect_err("refused").to_string();
     assert!(text.contains("larger than the 10 bytes"), "{text}");
     let name = a
         .transfer("b", "maps/x", vec![1])
-        .expect("named")
-        .named("../x")
+        .expect("valid arguments")
+        .name("../x")
         .await;
     assert!(matches!(name, Err(Error::Offer(_))), "{name:?}");
     let none = a
         .transfer("b", "maps/x", Path::new("/none"))
-        .expect("named")
+        .expect("valid arguments")
         .await;
     assert!(matches!(none, Err(Error::File { .. })), "{none:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_file_that_changes_meanwhile_is_an_error_that_says_so() {
+async fn file_changed_during_transfer_fails_at_both_ends() {
     let _turn = turn().await;
     let here = tempfile::tempdir().expect("a folder");
     let path = here.path().join("log");
@@ -338,25 +362,25 @@ async fn a_file_that_changes_meanwhile_is_an_error_that_says_so() {
         a, b, wire: _wire, ..
     } = wired(1e6).await;
     let received = b
-        .receive_transfers("*/**", ReceiveTransfers::in_memory(1 << 30))
+        .receive_transfers("*/**", ReceiveOptions::in_memory(1 << 30))
         .await
         .expect("declared");
-    let held = Held::default();
+    let reported = ReportedBytes::default();
     let sent = a
         .transfer("b", "log", &path)
-        .expect("named")
-        .on_progress(held.watch());
+        .expect("valid arguments")
+        .on_progress(reported.watch());
     let sent = tokio::spawn(sent.into_future());
-    held.reaches(MB as u64 / 2).await;
+    reported.reaches(MB as u64 / 2).await;
     fs::write(&path, noise(2 * MB)).expect("written");
-    let error = timeout(PATIENCE, sent)
+    let error = timeout(TIMEOUT, sent)
         .await
         .expect("in time")
         .expect("no panic")
         .expect_err("changed")
         .to_string();
     assert!(error.contains("changed"), "{error}");
-    let got = timeout(PATIENCE, received.next())
+    let got = timeout(TIMEOUT, received.next())
         .await
         .expect("in time")
         .expect("open");
@@ -365,7 +389,7 @@ async fn a_file_that_changes_meanwhile_is_an_error_that_says_so() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_can_not_be_kept_is_an_error_on_both_sides() {
+async fn storage_error_of_the_receiver_fails_at_both_ends() {
     let _turn = turn().await;
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("a"), "a file where a folder is to be").expect("written");
@@ -374,27 +398,30 @@ async fn what_can_not_be_kept_is_an_error_on_both_sides() {
         .receive_transfers("*/**", in_folder(&folder))
         .await
         .expect("declared");
-    let sent = a.transfer("b", "x", vec![1]).expect("named").await;
-    let not_kept = |fault: &Fault| matches!(fault, Fault::NotKept(_));
+    let sent = a
+        .transfer("b", "x", vec![1])
+        .expect("valid arguments")
+        .await;
+    let not_stored = |fault: &Fault| matches!(fault, Fault::NotStored(_));
     assert!(
-        matches!(&sent, Err(Error::TransferFailed { fault, .. }) if not_kept(fault)),
+        matches!(&sent, Err(Error::TransferFailed { fault, .. }) if not_stored(fault)),
         "{sent:?}"
     );
     assert!(received.next().await.expect("open").is_err());
 }
 
-/// A sender that answers requests with whatever it likes.
+/// Sends a transfer whose requests are answered by `lie`, and returns the fault at the receiver.
 async fn lied_to(
     size_bytes: u64,
     lie: impl Fn(u32) -> Result<Vec<u8>, Vec<u8>> + Send + Sync + 'static,
 ) -> Fault {
     let (a, b) = pair("a", "b").await;
     let received = b
-        .receive_transfers("*/**", ReceiveTransfers::in_memory(1 << 20))
+        .receive_transfers("*/**", ReceiveOptions::in_memory(1 << 20))
         .await
         .expect("declared");
     let offer = Offer {
-        from: "a".parse().expect("a name"),
+        sender: "a".parse().expect("a name"),
         topic: Topic::new("x").expect("a topic"),
         name: FileName::default(),
         encoding: Encoding::BYTES,
@@ -444,7 +471,7 @@ async fn lied_to(
         Some(Answer::Refused(_))
     ));
     ask(offer.encode()).await;
-    let got = timeout(PATIENCE, received.next())
+    let got = timeout(TIMEOUT, received.next())
         .await
         .expect("in time")
         .expect("open");
@@ -455,7 +482,7 @@ async fn lied_to(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_sender_that_lies_gets_nowhere() {
+async fn invalid_replies_of_a_sender_fail_the_transfer() {
     let _turn = turn().await;
     let short = lied_to(5000, |length| Ok(vec![0; length as usize - 1])).await;
     assert!(matches!(short, Fault::Protocol(_)), "{short:?}");
@@ -468,45 +495,46 @@ async fn a_sender_that_lies_gets_nowhere() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn progress_is_told_on_both_sides_and_closing_ends_the_waiting() {
+async fn progress_is_reported_at_both_ends_and_close_ends_next() {
     let _turn = turn().await;
     let (a, b) = pair("a", "b").await;
     let seen = Arc::new(Mutex::new(Vec::new()));
-    let told = seen.clone();
-    let options = ReceiveTransfers::in_memory(1 << 30).on_progress(move |about, progress| {
-        told.lock()
-            .expect("whole")
+    let reports = seen.clone();
+    let options = ReceiveOptions::in_memory(1 << 30).on_progress(move |about, progress| {
+        reports
+            .lock()
+            .expect("not poisoned")
             .push((about.name.clone(), progress))
     });
     let received = b
         .receive_transfers("*/**", options)
         .await
         .expect("declared");
-    let held = Held::default();
+    let reported = ReportedBytes::default();
     let sent = a
         .transfer("b", "x", noise(MB))
-        .expect("named")
-        .named("x")
-        .on_progress(held.watch());
+        .expect("valid arguments")
+        .name("x")
+        .on_progress(reported.watch());
     sent.await.expect("sent");
-    assert_eq!(held.0.load(Ordering::SeqCst), MB as u64);
-    let seen = seen.lock().expect("whole").clone();
+    assert_eq!(reported.0.load(Ordering::SeqCst), MB as u64);
+    let seen = seen.lock().expect("not poisoned").clone();
     assert!(seen
         .iter()
         .all(|(name, progress)| name == "x" && progress.size_bytes == MB as u64));
     assert_eq!(seen.last().expect("some").1.fraction(), 1.0);
     assert!(received.next().await.expect("open").is_ok());
     b.close().await.expect("closed");
-    assert!(timeout(PATIENCE, received.next())
+    assert!(timeout(TIMEOUT, received.next())
         .await
         .expect("in time")
         .is_none());
 }
 
-/// An offer of these bytes in that robot's name.
+/// Returns an offer of `bytes` in the name of the robot `from`.
 fn offer_of(from: &str, bytes: &[u8]) -> Offer {
     Offer {
-        from: from.parse().expect("a name"),
+        sender: from.parse().expect("a name"),
         topic: Topic::new("maps/x").expect("a topic"),
         name: FileName::new("map.bin").expect("a file's name"),
         encoding: Encoding::BYTES,
@@ -516,7 +544,7 @@ fn offer_of(from: &str, bytes: &[u8]) -> Offer {
     }
 }
 
-/// What `b` answers to an offer that `by` sends, once `b` can be reached.
+/// Sends an offer from `by` until `b` is reachable, and returns the answer of `b`.
 async fn offered(by: &Robot, offer: &Offer) -> Answer {
     let answered = async {
         loop {
@@ -528,25 +556,25 @@ async fn offered(by: &Robot, offer: &Offer) -> Answer {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    timeout(PATIENCE, answered).await.expect("in time")
+    timeout(TIMEOUT, answered).await.expect("in time")
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_offer_in_another_robots_name_touches_nothing() {
+async fn forged_offer_does_not_change_stored_files() {
     let _turn = turn().await;
     let folder = tempfile::tempdir().expect("a folder");
-    let there = free_endpoint();
-    let b = listening("b", &there).await;
-    let honest = dialling("honest", &there).await;
-    let forger = dialling("forger", &there).await;
+    let endpoint = free_endpoint();
+    let b = listening("b", &endpoint).await;
+    let honest = dialling("honest", &endpoint).await;
+    let forger = dialling("forger", &endpoint).await;
     let received = b
         .receive_transfers("*/**", in_folder(&folder))
         .await
         .expect("declared");
     honest
         .transfer("b", "maps/x", noise(1000))
-        .expect("named")
-        .named("map.bin")
+        .expect("valid arguments")
+        .name("map.bin")
         .await
         .expect("sent");
     assert!(received.next().await.expect("open").is_ok());
@@ -559,95 +587,97 @@ async fn an_offer_in_another_robots_name_touches_nothing() {
     ] {
         offered(&forger, &offer_of(from, bytes)).await;
     }
-    // Whatever those began has ended when a transfer that began later has.
+    // Actions that the forged offers caused have ended when a later transfer has ended.
     for _ in 0..3 {
         honest
             .transfer("b", "maps/y", noise(10))
-            .expect("named")
+            .expect("valid arguments")
             .await
             .expect("sent");
-        let got = received.next().await.expect("open").expect("whole");
+        let got = received.next().await.expect("open").expect("complete");
         assert_eq!((got.topic.as_str(), got.name.as_str()), ("maps/y", ""));
     }
-    assert_eq!(fs::read(&file).expect("there"), noise(1000));
-    let senders: Vec<_> = fs::read_dir(folder.path()).expect("there").collect();
+    assert_eq!(fs::read(&file).expect("present"), noise(1000));
+    let senders: Vec<_> = fs::read_dir(folder.path()).expect("present").collect();
     assert_eq!(senders.len(), 1, "{senders:?}");
-    for file in fs::read_dir(folder.path().join("honest")).expect("there") {
+    for file in fs::read_dir(folder.path().join("honest")).expect("present") {
         let name = file.expect("read").file_name();
         assert!(!name.to_string_lossy().ends_with(".part"), "{name:?}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn senders_that_never_answer_take_no_place_from_one_that_does() {
+async fn unconfirmed_offers_do_not_block_an_honest_sender() {
     let _turn = turn().await;
     let folder = tempfile::tempdir().expect("a folder");
-    let there = free_endpoint();
-    let b = listening("b", &there).await;
-    let honest = dialling("honest", &there).await;
-    let forger = dialling("forger", &there).await;
+    let endpoint = free_endpoint();
+    let b = listening("b", &endpoint).await;
+    let honest = dialling("honest", &endpoint).await;
+    let forger = dialling("forger", &endpoint).await;
     let received = b
         .receive_transfers("*/**", in_folder(&folder))
         .await
         .expect("declared");
-    // It is asked, and keeps each question until its time is over.
+    // The forger keeps each query without replying until its timeout expires.
     let kept = Mutex::new(Vec::new());
     let silent = forger
         .zenoh()
         .declare_queryable("rect/forger/@rect/transfer/*");
-    let silent = silent.callback(move |query| kept.lock().expect("whole").push(query));
+    let silent = silent.callback(move |query| kept.lock().expect("not poisoned").push(query));
     let _silent = silent.wait().expect("declared");
     for n in 0..20u8 {
         offered(&forger, &offer_of("forger", &[n; 100])).await;
         offered(&forger, &offer_of("nobody", &[n; 100])).await;
     }
     let start = Instant::now();
-    let sent = honest.transfer("b", "maps/x", noise(1000)).expect("named");
-    timeout(PATIENCE, sent.into_future())
+    let sent = honest
+        .transfer("b", "maps/x", noise(1000))
+        .expect("valid arguments");
+    timeout(TIMEOUT, sent.into_future())
         .await
         .expect("in time")
         .expect("sent");
     let took = start.elapsed();
-    println!("an honest transfer among 40 offers that nobody confirms took {took:?}");
+    println!("an honest transfer among 40 unconfirmed offers took {took:?}");
     assert!(took < Duration::from_secs(5), "{took:?}");
-    let got = received.next().await.expect("open").expect("whole");
-    assert_eq!(got.from.as_str(), "honest");
-    let senders = fs::read_dir(folder.path()).expect("there").count();
-    assert_eq!(senders, 1, "the others have left nothing");
+    let got = received.next().await.expect("open").expect("complete");
+    assert_eq!(got.sender.as_str(), "honest");
+    let senders = fs::read_dir(folder.path()).expect("present").count();
+    assert_eq!(senders, 1, "the other offers leave no files");
 }
 
-/// How a transfer ends at a sender whose receiver is gone as soon as its program knows the end.
-async fn told_before_the_receiver_is_gone(folder: &Path) -> Result<(), Error> {
+/// Returns the outcome at the sender if the receiver disappears as soon as its program has received the transfer.
+async fn outcome_before_the_receiver_exits(folder: &Path) -> Result<(), Error> {
     let Wired { a, b, wire, .. } = wired(5e3).await;
-    let options = ReceiveTransfers::in_folder(folder, 1 << 20);
+    let options = ReceiveOptions::in_folder(folder, 1 << 20);
     let received = b
         .receive_transfers("*/**", options)
         .await
         .expect("declared");
-    let sent = a.transfer("b", "x", noise(100)).expect("named");
-    let sent = sent.patience(Duration::from_secs(8)).into_future();
+    let sent = a.transfer("b", "x", noise(100)).expect("valid arguments");
+    let sent = sent.timeout(Duration::from_secs(8)).into_future();
     let sent = tokio::spawn(sent);
-    let _ended = timeout(PATIENCE, received.next()).await.expect("in time");
+    let _ended = timeout(TIMEOUT, received.next()).await.expect("in time");
     tokio::select! {
-        () = wire.cut(PATIENCE) => panic!("it waits for a receiver that is gone"),
+        () = wire.cut(TIMEOUT) => panic!("the sender waits for a receiver that has exited"),
         sent = sent => sent.expect("no panic"),
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_sender_knows_the_end_before_the_receivers_program_does() {
+async fn sender_gets_the_outcome_before_the_receiving_program() {
     let _turn = turn().await;
     let folder = tempfile::tempdir().expect("a folder");
-    let done = told_before_the_receiver_is_gone(folder.path()).await;
+    let done = outcome_before_the_receiver_exits(folder.path()).await;
     assert!(done.is_ok(), "{done:?}");
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("a"), "a file where a folder is to be").expect("written");
-    let failed = told_before_the_receiver_is_gone(folder.path()).await;
+    let failed = outcome_before_the_receiver_exits(folder.path()).await;
     assert!(
         matches!(
             &failed,
             Err(Error::TransferFailed {
-                fault: Fault::NotKept(_),
+                fault: Fault::NotStored(_),
                 ..
             })
         ),

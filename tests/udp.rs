@@ -1,4 +1,4 @@
-//! Over UDP what is lost is lost, and counted (R4): two programs with a wire between them that loses datagrams.
+//! Tests that messages lost over UDP are counted and not retransmitted (R4), with a relay that drops datagrams:
 //! `cargo test -p rect --test udp`
 mod pair;
 
@@ -12,14 +12,14 @@ use std::{
     time::Duration,
 };
 
-use pair::{dialling, listening, PATIENCE};
-use rect::Receiving;
+use pair::{dialling, listening, TIMEOUT};
+use rect::QueueOptions;
 use tokio::time::timeout;
 
-/// Forwards datagrams between whoever speaks to it and `to`; once `lossy`, every fifth towards the dialler is lost.
-fn wire(to: SocketAddr, lossy: Arc<AtomicBool>) -> SocketAddr {
+/// Relays datagrams between the dialler and `to`. While `lossy` is set, every fifth datagram to the dialler is dropped.
+fn relay(to: SocketAddr, lossy: Arc<AtomicBool>) -> SocketAddr {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
-    let address = socket.local_addr().expect("bound");
+    let relay_address = socket.local_addr().expect("bound");
     thread::spawn(move || {
         let (mut buffer, mut dialler, mut count) = ([0; 65536], None, 0u32);
         while let Ok((length, from)) = socket.recv_from(&mut buffer) {
@@ -38,46 +38,46 @@ fn wire(to: SocketAddr, lossy: Arc<AtomicBool>) -> SocketAddr {
             }
         }
     });
-    address
+    relay_address
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn over_udp_lost_is_lost_and_counted() {
+async fn lost_datagrams_are_counted_and_not_retransmitted() {
     let free = UdpSocket::bind("127.0.0.1:0").expect("a free port");
-    let there = free.local_addr().expect("bound");
+    let address = free.local_addr().expect("bound");
     drop(free);
     let lossy = Arc::new(AtomicBool::new(false));
-    let between = wire(there, lossy.clone());
-    let a = listening("a", &format!("udp/{there}")).await;
-    let b = dialling("b", &format!("udp/{between}")).await;
-    let enough = Receiving {
+    let relay_address = relay(address, lossy.clone());
+    let a = listening("a", &format!("udp/{address}")).await;
+    let b = dialling("b", &format!("udp/{relay_address}")).await;
+    let queue = QueueOptions {
         capacity: 1000,
-        ..Receiving::default()
+        ..QueueOptions::default()
     };
-    let heard = b.subscribe_with("a/n", enough).await.expect("subscribed");
+    let messages = b.subscribe_with("a/n", queue).await.expect("subscribed");
     let first = async {
         loop {
-            a.publish("n", "").await.expect("said");
+            a.publish("n", "").await.expect("published");
             tokio::time::sleep(Duration::from_millis(5)).await;
-            if let Some(message) = heard.try_recv() {
+            if let Some(message) = messages.try_next() {
                 break message.sequence.expect("numbered");
             }
         }
     };
-    let first = timeout(PATIENCE, first).await.expect("linked in time");
+    let first = timeout(TIMEOUT, first).await.expect("linked in time");
     lossy.store(true, Ordering::Release);
     for _ in 0..300 {
-        a.urgent().publish("n", "").await.expect("said");
-        a.publish("n", "").await.expect("said");
+        a.urgent().publish("n", "").await.expect("published");
+        a.publish("n", "").await.expect("published");
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
     lossy.store(false, Ordering::Release);
-    a.publish("n", "the end").await.expect("said");
+    a.publish("n", "the end").await.expect("published");
     let mut numbers = vec![first];
     let mut urgent = 0;
     let (mut missed, mut late) = (0, 0);
     loop {
-        let message = timeout(PATIENCE, heard.recv())
+        let message = timeout(TIMEOUT, messages.next())
             .await
             .expect("in time")
             .expect("open");
@@ -92,25 +92,25 @@ async fn over_udp_lost_is_lost_and_counted() {
             break;
         }
     }
-    let (robot, tally) = heard.tallies()[0].clone();
+    let (robot, counts) = messages.counts_by_sender()[0].clone();
     let last = *numbers.last().expect("some");
     println!(
-        "heard {} and {urgent} urgent, missed {missed}, late {late}",
+        "received {} and {urgent} urgent, missed {missed}, late {late}",
         numbers.len()
     );
     assert_eq!(robot, "a");
     assert!(
         missed > 50,
-        "a fifth of 600 was lost, in datagrams of one or more: {missed}"
+        "a fifth of the datagrams, each with one or more of 600 messages, was dropped: {missed}"
     );
     assert_eq!(
-        tally.missed,
+        counts.missed,
         u64::from(missed - late),
-        "what came late was not lost"
+        "late messages are not missed"
     );
     assert!(
         numbers.is_sorted_by(|one, next| one < next),
-        "none twice, none repaired"
+        "no duplicates, no retransmissions"
     );
     assert!(numbers.len() < (last - first + 1) as usize);
     assert_eq!(b.counters().missed, u64::from(missed));

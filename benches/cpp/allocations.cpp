@@ -1,4 +1,4 @@
-// The program's own malloc and the like come before libc's, for libraries too; these count and go on to libc's.
+// Replaces malloc, calloc and realloc, also for libraries: counts the calls, and forwards them to libc.
 #include "allocations.hpp"
 
 #include <atomic>

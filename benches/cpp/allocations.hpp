@@ -1,10 +1,10 @@
-// Counts what is allocated on the heap in the whole process, the library's included.
+// Counts the heap allocations of the whole process, including those of libraries.
 #ifndef RECT_BENCHES_ALLOCATIONS_HPP
 #define RECT_BENCHES_ALLOCATIONS_HPP
 
 #include <cstdint>
 
-// How many allocations there were so far.
+// Returns the number of allocations so far.
 std::uint64_t allocations() noexcept;
 
 #endif

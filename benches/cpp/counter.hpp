@@ -1,4 +1,4 @@
-// Something that is counted on one thread and waited for on another.
+// A counter that one thread increments and another one waits for.
 #ifndef RECT_BENCHES_COUNTER_HPP
 #define RECT_BENCHES_COUNTER_HPP
 
@@ -8,26 +8,26 @@
 #include <mutex>
 #include <optional>
 
-// Counts, and wakes who waits once there are as many as wanted: what more it did would be in the library's figures.
+// Counts, and wakes the waiting thread at the expected count. It does nothing else, because its time is in the figures.
 class Counter {
     using Clock = std::chrono::steady_clock;
 
 public:
     void add() {
-        if (count_.fetch_add(1) + 1 == wanted_) {
+        if (count_.fetch_add(1) + 1 == expected_) {
             const auto now = Clock::now();
             const std::lock_guard<std::mutex> lock(mutex_);
             reached_at_ = now;
             reached_.notify_one();
         }
     }
-    // So many more, from now on.
-    void want(long more) {
+    // Expects `more` counts from now on.
+    void expect_more(long more) {
         const std::lock_guard<std::mutex> lock(mutex_);
         reached_at_.reset();
-        wanted_ = count_ + more;
+        expected_ = count_ + more;
     }
-    // When they were there, if that was in time.
+    // Waits for the expected count, and returns the time at which it was reached, or nothing after `time`.
     std::optional<Clock::time_point> wait(std::chrono::milliseconds time) {
         std::unique_lock<std::mutex> lock(mutex_);
         reached_.wait_for(lock, time, [&] { return reached_at_.has_value(); });
@@ -36,7 +36,7 @@ public:
 
 private:
     std::atomic<long> count_{0};
-    std::atomic<long> wanted_{0};
+    std::atomic<long> expected_{0};
     std::mutex mutex_;
     std::condition_variable reached_;
     std::optional<Clock::time_point> reached_at_;

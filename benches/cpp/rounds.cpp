@@ -1,4 +1,4 @@
-// What the C++ library takes to call back with a message, and how many it carries: `../rounds.rs`, in C++.
+// Measures the latency from publishing to a callback, and the messages per second, as `../rounds.rs` does for Rust.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -21,32 +21,32 @@ double us(Clock::duration time) { return std::chrono::duration<double, std::micr
 
 TEST_CASE("rounds") {
     Pair pair;
-    Counter heard;
+    Counter received;
     const auto subscription = must(pair.two.subscribe(
-        "wombat-1/n", [&](const rect::MessageView&) { heard.add(); }, {1 << 16, rect::WhenFull::wait}));
-    heard.want(1);
+        "wombat-1/n", [&](const rect::MessageView&) { received.add(); }, {1 << 16, rect::WhenFull::block}));
+    received.expect_more(1);
     until([&] {
         must(pair.one.publish("n", text));
-        return heard.wait(patience).has_value();
+        return received.wait(retry_interval).has_value();
     });
 
     std::vector<double> took;
     for (int n = 0; n < rounds; ++n) {
-        heard.want(1);
+        received.expect_more(1);
         const auto began = Clock::now();
         must(pair.one.publish("n", text));
-        const auto heard_at = heard.wait(deadline);
-        REQUIRE(heard_at);
-        took.push_back(us(*heard_at - began));
+        const auto reached_at = received.wait(deadline);
+        REQUIRE(reached_at);
+        took.push_back(us(*reached_at - began));
     }
     std::sort(took.begin(), took.end());
-    heard.want(messages);
+    received.expect_more(messages);
     const auto began = Clock::now();
     for (int n = 0; n < messages; ++n) {
         must(pair.one.publish("n", text));
     }
-    const auto heard_at = heard.wait(deadline);
-    REQUIRE(heard_at);
-    const double per_s = messages / us(*heard_at - began) * 1e6;
+    const auto reached_at = received.wait(deadline);
+    REQUIRE(reached_at);
+    const double per_s = messages / us(*reached_at - began) * 1e6;
     std::printf("{\"p50_us\": %f, \"messages_per_s\": %f}\n", took[rounds / 2], per_s);
 }

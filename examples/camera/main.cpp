@@ -1,7 +1,7 @@
-// Camera: pictures as fresh as the link allows. On Wi-Fi they are large and good, over Bluetooth small, by themselves.
+// Camera: sends pictures as a stream. Their size and quality adapt to the link: large over Wi-Fi, small over Bluetooth.
 //
-//     build/default/examples/camera wombat-1              # shows pictures to whoever watches
-//     build/default/examples/camera laptop wombat-1       # watches
+//     build/default/examples/camera wombat-1              # sends pictures
+//     build/default/examples/camera laptop wombat-1       # receives them
 #include <chrono>
 #include <cmath>
 #include <cstdint>
@@ -13,8 +13,8 @@
 constexpr int width = 320;
 constexpr int height = 240;
 
-// What a camera would see: a bright ball that goes round before a grey wall.
-std::vector<std::uint8_t> seen(int n) {
+// Returns the pixels of a simulated camera: a bright ball that circles in front of a grey wall.
+std::vector<std::uint8_t> take_picture(int n) {
     const double x = 160 + 80 * std::cos(n / 10.0);
     const double y = 120 + 80 * std::sin(n / 10.0);
     std::vector<std::uint8_t> pixels;
@@ -35,7 +35,7 @@ void watch(const rect::Robot& robot, const char* other) {
         const auto picture = rect::must((*frame)->payload.picture());
         const auto age = (*frame)->age().value_or(std::chrono::microseconds(0));
         std::cout << "frame " << (*frame)->number() << ": " << picture.width() << "x" << picture.height() << ", "
-                  << age.count() / 1000 << " ms old, " << (*frame)->skipped() << " skipped before it" << std::endl;
+                  << age.count() / 1000 << " ms old, " << (*frame)->skipped() << " frames skipped" << std::endl;
     }
 }
 
@@ -47,7 +47,7 @@ int main(int argc, char** argv) {
     }
     const auto camera = rect::must(robot.stream("camera"));
     for (int n = 0;; ++n) {
-        const auto pixels = seen(n);
+        const auto pixels = take_picture(n);
         rect::must(camera.send(rect::Picture(width, height, rect::Format::rgb8, pixels)));
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
     }

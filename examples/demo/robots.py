@@ -1,4 +1,5 @@
-"""Robots as processes: a router each, with stock eclipse-zenoh clients. For the demo, the scenarios, the benches."""
+"""Runs robots as processes, each a router with stock eclipse-zenoh clients, for the demo, test scenarios and
+benches."""
 
 from __future__ import annotations
 
@@ -19,11 +20,11 @@ CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulation.json5"
 
 
 class RobotError(Exception):
-    """Something that had to happen did not."""
+    """An expected event did not happen."""
 
 
 class Robot:
-    """A router with a `ble/` listener under its name and a local TCP port for its programs."""
+    """A router with a `ble/` listener under the robot's name and a local TCP port for programs."""
 
     def __init__(
         self,
@@ -33,7 +34,7 @@ class Robot:
         environment: dict[str, str] | None = None,
         arguments: tuple[str, ...] = (),
     ) -> None:
-        """`arguments`: more of them for its router."""
+        """Creates a robot whose router is not running yet. `arguments` are additional arguments of the router."""
         self.name = name
         self.port = free_port()
         self._adapter = adapter
@@ -56,10 +57,10 @@ class Robot:
         wait: bool = True,
         listens: list[str] | None = None,
     ) -> Robot:
-        """Starts the router; it dials `dials` and listens on `listens` too, by radio with `ble_options`.
+        """Starts the router. It dials `dials`, listens on `listens` in addition, and adds `ble_options` to its `ble/`
+        listener.
 
-        Whatever is left out is the same as before.
-        """
+        An argument that is None keeps the value of the previous start."""
         if dials is not None:
             self._dials = dials
         if listens is not None:
@@ -85,14 +86,14 @@ class Robot:
         wait_until(f"the router of {self.name} is up", 30, self._accepts)
 
     def kill(self) -> None:
-        """As a power cut would."""
+        """Ends the router at once, like a power cut."""
         if self._process:
             self._process.kill()
             self._process.wait()
             self._process = None
 
     def freeze(self) -> None:
-        """Its router does nothing more, and nothing tells the others."""
+        """Stops the router's process without closing its links, so that its peers are not notified."""
         if self._process:
             self._process.send_signal(signal.SIGSTOP)
 
@@ -118,15 +119,15 @@ class Robot:
         return self._process is None or self._process.poll() is not None
 
     def session(self) -> zenoh.Session:
-        """A stock client at this robot's router."""
+        """Opens a stock client of this robot's router."""
         return open_client(self.endpoint())
 
     def endpoint(self) -> str:
-        """Where its programs reach its router."""
+        """Returns the locator at which programs reach the router."""
         return f"tcp/127.0.0.1:{self.port}"
 
     def ble_links(self) -> list[str]:
-        """The names of the peers of its `ble/` links, as its admin space shows them (`ble/wombat-2?rel=1`)."""
+        """Returns the names of the peers of its `ble/` links, from its admin space (`ble/wombat-2?rel=1`)."""
         with self.session() as session:
             own = str(session.info.routers_zid()[0])
             for reply in session.get(f"@/{own}/router", timeout=5):
@@ -147,19 +148,19 @@ class Robot:
 
 
 class PluginRobot(Robot):
-    """The same with a stock zenohd that has loaded our plugin; it dials by a file of named connections."""
+    """A robot whose router is a stock zenohd with our plugin. It dials the named connections of a file."""
 
     def _command(self, ble_listener: str) -> list[str]:
         connections = self._log.with_suffix(".connections.json")
-        wanted = [{"name": to[4:], "method": "ble", "address": to[4:]} for to in self._dials]
-        connections.write_text(json.dumps({"connections": wanted}))
+        named = [{"name": to[4:], "method": "ble", "address": to[4:]} for to in self._dials]
+        connections.write_text(json.dumps({"connections": named}))
         command = [os.environ["RECT_ZENOHD"], "-P", f"rect:{os.environ['RECT_PLUGIN']}", "--no-multicast-scouting"]
         command += ["-l", f"tcp/127.0.0.1:{self.port}", *self._arguments]
         settings = {"robot": self.name, "listen": [ble_listener], "connections": str(connections)}
         return command + rect_settings(settings)
 
     def ble_links(self) -> list[str]:
-        """As its registry shows them: the host's admin space knows nothing of the plugin's links."""
+        """Returns the names of the peers from its registry, because the host's admin space lacks the plugin's links."""
         with self.session() as session:
             for reply in session.get(f"rect/{self.name}/@rect/connections?method=ble;state=connected", timeout=5):
                 if reply.ok is not None:
@@ -169,12 +170,13 @@ class PluginRobot(Robot):
 
 
 def rect_settings(settings: dict[str, object]) -> list[str]:
-    """RECT's own, as a router's flags; one by one, as `-P` puts something there too."""
+    """Returns RECT's settings as a router's flags. Each has a flag of its own, because `-P` adds another setting
+    there."""
     return [part for key, value in settings.items() for part in ("--cfg", f"plugins/rect/{key}:{json.dumps(value)}")]
 
 
-class Inbox:
-    """Collects what arrives on a key; ready only once a message gets through."""
+class Collector:
+    """Collects the messages that arrive on a key. The constructor returns when the first message has arrived."""
 
     def __init__(self, receiver: zenoh.Session, key: str, sender: zenoh.Session, limit_s: float = 30) -> None:
         self._key = key
@@ -186,7 +188,8 @@ class Inbox:
         self.wait_until_reached(sender)
 
     def wait_until_reached(self, sender: zenoh.Session) -> float:
-        """Puts small probes until one arrives: subscriptions travel over the radio too. Seconds it took."""
+        """Publishes small probes until one arrives, and returns the seconds that took: the subscription has to travel
+        first."""
         self._reached.clear()
         started = time.monotonic()
         while not self._reached.wait(0.05):
@@ -217,7 +220,8 @@ class Inbox:
 
 
 def open_client(locator: str, **settings: object) -> zenoh.Session:
-    """A stock client at that locator; `settings` of Zenoh's, with `__` between the parts of their names."""
+    """Opens a stock client of the router at `locator`. `settings` are Zenoh's, with `__` between the parts of a
+    name."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([locator]))
@@ -235,11 +239,11 @@ def start(command: list[str], log: Path, environment: dict[str, str]) -> subproc
 
 
 def wait_until(what: str, limit_s: float, holds: Callable[[], bool]) -> float:
-    """Seconds until it held."""
+    """Waits until `holds` returns true, and returns the seconds that took. `what` describes the condition."""
     started = time.monotonic()
     while not holds():
         if time.monotonic() - started > limit_s:
-            raise RobotError(f"not within {limit_s} s: {what}")
+            raise RobotError(f"this did not happen within {limit_s} s: {what}")
         time.sleep(0.05)
     return time.monotonic() - started
 

@@ -1,4 +1,4 @@
-"""A simulated room with robots in it: the air, a router for each robot, and what the demo does to the radio."""
+"""Runs a simulated room: the air, a router for each robot, and interruptions of the radio."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robots import Robot, RobotError, start, wait_until
 
 
 class Room:
-    """Starts the simulated air; ends everything it started."""
+    """A simulated air with robots. Leaving the context ends all processes."""
 
     def __init__(self, condition: str, *air_options: str) -> None:
         self._air_options = ["--condition", condition, *air_options]
@@ -40,7 +40,7 @@ class Room:
     def add_robot(
         self, name: str, dial_options: str = "", arguments: tuple[str, ...] = (), kind: type[Robot] = Robot
     ) -> Robot:
-        """A robot's router; it dials every robot that is there already, with those options of the locator."""
+        """Starts a robot's router, which dials all earlier robots with `dial_options` in the locator."""
         robot = kind(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
         robot.start([f"ble/{other.name}{dial_options}" for other in self._robots])
         self._robots.append(robot)
@@ -75,4 +75,6 @@ def wait_for_link(one: Robot, two: Robot, limit_s: float = 20) -> float:
 
 
 def wait_for_no_link(one: Robot, two: Robot, limit_s: float = 20) -> float:
-    return wait_until("the link's end is noticed", limit_s, lambda: not one.ble_links() and not two.ble_links())
+    return wait_until(
+        f"{one.name} and {two.name} are no longer linked", limit_s, lambda: not one.ble_links() and not two.ble_links()
+    )

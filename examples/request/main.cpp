@@ -1,7 +1,7 @@
-// Request and response: a robot serves its battery's state; another asks, and all are asked.
+// Request: a robot offers its battery's state as a service. Another robot sends requests to it, and to all robots.
 //
-//     build/default/examples/request wombat-1             # serves
-//     build/default/examples/request wombat-2 wombat-1    # asks
+//     build/default/examples/request wombat-1             # offers the service
+//     build/default/examples/request wombat-2 wombat-1    # sends requests
 #include <chrono>
 #include <iostream>
 #include <rect.hpp>
@@ -9,20 +9,20 @@
 #include <thread>
 
 using nlohmann::json;
-constexpr auto patience = std::chrono::seconds(2);
+constexpr auto timeout = std::chrono::seconds(2);
 
 json battery(const rect::Request& request) {
-    const auto asked = rect::must(request.payload.value<json>());
-    const auto cell = asked.value("cell", 0);
+    const auto query = rect::must(request.payload.value<json>());
+    const auto cell = query.value("cell", 0);
     if (cell < 1 || cell > 2) {
-        throw rect::Refusal("there are the cells 1 and 2");
+        throw rect::Refusal("the cell must be 1 or 2");
     }
     return {{"cell", cell}, {"volt", 3.6}};
 }
 
 void show(const rect::expected<rect::Reply>& reply) {
     if (reply) {
-        std::cout << reply->from() << ": " << reply->payload.text().value_or("(no text)") << std::endl;
+        std::cout << reply->sender() << ": " << reply->payload.text().value_or("(no text)") << std::endl;
     } else {
         std::cout << reply.error().text << std::endl;
     }
@@ -32,14 +32,14 @@ int main(int argc, char** argv) {
     const auto robot = rect::must(rect::connect(argc > 1 ? argv[1] : "wombat-1"));
     if (argc <= 2) {
         const auto service = rect::must(robot.serve("battery", battery));
-        std::cout << rect::must(robot.name()) << " serves; Ctrl-C ends this" << std::endl;
+        std::cout << rect::must(robot.name()) << " serves requests; press Ctrl-C to stop" << std::endl;
         for (;;) {
             std::this_thread::sleep_for(std::chrono::hours(1));
         }
     }
-    // The answer comes to this call alone. An error of the service is an error here.
-    show(robot.request(argv[2], "battery", json{{"cell", 1}}, patience));
-    const auto replies = rect::must(robot.request_all("battery", json{{"cell", 9}}, patience));
+    // Only this call receives the reply. If the service replies with an error, the call fails with it.
+    show(robot.request(argv[2], "battery", json{{"cell", 1}}, timeout));
+    const auto replies = rect::must(robot.request_all("battery", json{{"cell", 9}}, timeout));
     for (auto reply = replies.next();; reply = replies.next()) {
         if (!reply && reply.error().code != rect::Code::service) {
             return 0;

@@ -1,7 +1,7 @@
-"""Request and response: a robot serves its battery's state; another asks, and all are asked.
+"""Request: a robot offers its battery's state as a service. Another robot sends requests to it, and to all robots.
 
-python examples/request/main.py wombat-1             # serves
-python examples/request/main.py wombat-2 wombat-1    # asks
+python examples/request/main.py wombat-1             # offers the service
+python examples/request/main.py wombat-2 wombat-1    # sends requests
 """
 
 import sys
@@ -13,7 +13,7 @@ import rect
 def battery(request: rect.Request) -> dict[str, object]:
     cell = request.value["cell"]
     if cell not in (1, 2):
-        raise rect.Refusal("there are the cells 1 and 2")
+        raise rect.Refusal("the cell must be 1 or 2")
     return {"cell": cell, "volt": 3.6}
 
 
@@ -21,9 +21,9 @@ def main(me: str = "wombat-1", other: str = "") -> None:
     with rect.connect(me) as robot:
         if not other:
             robot.serve("battery", battery)
-            print(f"{robot.name} serves; Ctrl-C ends this", flush=True)
+            print(f"{robot.name} serves requests; press Ctrl-C to stop", flush=True)
             threading.Event().wait()
-        # The answer comes to this call alone. An error of the service is an error here.
+        # Only this call receives the reply. If the service replies with an error, the call raises it.
         reply = robot.request(other, "battery", {"cell": 1}, timeout=2)
         print(f"{reply.sender}: {reply.value}")
         try:

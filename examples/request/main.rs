@@ -1,12 +1,12 @@
-//! Request and response: a robot serves its battery's state; another asks, and all are asked.
+//! Request: a robot offers its battery's state as a service. Another robot sends requests to it, and to all robots.
 //!
-//!     cargo run --example request -- wombat-1             # serves
-//!     cargo run --example request -- wombat-2 wombat-1    # asks
+//!     cargo run --example request -- wombat-1             # offers the service
+//!     cargo run --example request -- wombat-2 wombat-1    # sends requests
 use std::time::Duration;
 
 use serde_json::{json, Value};
 
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
 #[tokio::main]
 async fn main() -> Result<(), rect::Error> {
@@ -16,17 +16,17 @@ async fn main() -> Result<(), rect::Error> {
     let Some(other) = names.next() else {
         return serve(&robot).await;
     };
-    // The answer comes to this call alone. An error of the service is an error here.
+    // Only this call receives the reply. If the service replies with an error, the call fails with it.
     let reply = robot
-        .request(other.as_str(), "battery", json!({"cell": 1}), PATIENCE)
+        .request(other.as_str(), "battery", json!({"cell": 1}), TIMEOUT)
         .await?;
-    println!("{}: {}", reply.from, reply.payload.value::<Value>()?);
+    println!("{}: {}", reply.sender, reply.payload.value::<Value>()?);
     let mut replies = robot
-        .request_all("battery", json!({"cell": 9}), PATIENCE)
+        .request_all("battery", json!({"cell": 9}), TIMEOUT)
         .await?;
     while let Some(reply) = replies.next().await {
         match reply {
-            Ok(reply) => println!("{}: {}", reply.from, reply.payload.value::<Value>()?),
+            Ok(reply) => println!("{}: {}", reply.sender, reply.payload.value::<Value>()?),
             Err(error) => println!("{error}"),
         }
     }
@@ -36,13 +36,13 @@ async fn main() -> Result<(), rect::Error> {
 async fn serve(robot: &rect::Robot) -> Result<(), rect::Error> {
     let _service = robot
         .serve("battery", |request| async move {
-            let asked: Value = request.payload.value().map_err(|error| error.to_string())?;
-            match asked["cell"].as_u64() {
+            let query: Value = request.payload.value().map_err(|error| error.to_string())?;
+            match query["cell"].as_u64() {
                 Some(cell @ 1..=2) => Ok(json!({ "cell": cell, "volt": 3.6 })),
-                _ => Err("there are the cells 1 and 2".to_owned()),
+                _ => Err("the cell must be 1 or 2".to_owned()),
             }
         })
         .await?;
-    println!("{} serves; Ctrl-C ends this", robot.name());
+    println!("{} serves requests; press Ctrl-C to stop", robot.name());
     std::future::pending().await
 }

@@ -1,4 +1,5 @@
-// Telemetry: a robot tells its arm's angle and its battery ten times a second, as small as can be, and hears others'.
+// Telemetry: a robot publishes its arm's angle and battery voltage ten times per second, compressed with a dictionary, and
+// prints those of other robots.
 //
 //     build/default/examples/telemetry wombat-1
 #include <chrono>
@@ -15,29 +16,29 @@ struct Telemetry {
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Telemetry, angle_deg, battery_volt, moving)
 
-Telemetry measured(int n) { return {std::round(std::sin(n / 20.0) * 900) / 10, 7.2, n % 100 < 50}; }
+Telemetry measure(int n) { return {std::round(std::sin(n / 20.0) * 900) / 10, 7.2, n % 100 < 50}; }
 
 int main(int argc, char** argv) {
     const auto robot = rect::must(rect::connect(argc > 1 ? argv[1] : "wombat-1"));
 
-    // Messages like those to come make a dictionary, with which 60 bytes become a third. Others fetch it by themselves.
+    // Trains a dictionary on messages of the same kind, which reduces 60 bytes to a third. Receivers fetch it automatically.
     std::vector<std::string> samples;
     for (int n = 0; n < 2000; ++n) {
-        samples.push_back(nlohmann::json(measured(n)).dump());
+        samples.push_back(nlohmann::json(measure(n)).dump());
     }
-    const auto packed = rect::must(robot.packed_with(rect::must(rect::Dictionary::train(samples, 4096))));
+    const auto compressing = rect::must(robot.with_dictionary(rect::must(rect::Dictionary::train(samples, 4096))));
 
-    const auto others = rect::must(robot.subscribe("*/telemetry", [](const rect::MessageView& message) {
+    const auto subscription = rect::must(robot.subscribe("*/telemetry", [](const rect::MessageView& message) {
         const auto telemetry = message.payload.value<Telemetry>();
         if (telemetry) {
-            std::cout << message.from() << ": " << telemetry->angle_deg << " deg, " << telemetry->battery_volt << " V\n"
+            std::cout << message.sender() << ": " << telemetry->angle_deg << " deg, " << telemetry->battery_volt << " V\n"
                       << std::flush;
         } else {
-            std::cerr << message.from() << ": " << telemetry.error().text << "\n";
+            std::cerr << message.sender() << ": " << telemetry.error().text << "\n";
         }
     }));
     for (int n = 0;; ++n) {
-        rect::must(packed.publish("telemetry", measured(n)));
+        rect::must(compressing.publish("telemetry", measure(n)));
         std::this_thread::sleep_for(std::chrono::milliseconds(100));
     }
 }

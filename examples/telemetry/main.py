@@ -1,4 +1,5 @@
-"""Telemetry: a robot tells its arm's angle and its battery ten times a second, as small as can be, and hears others'.
+"""Telemetry: a robot publishes its arm's angle and battery voltage ten times per second, compressed with a dictionary,
+and prints those of other robots.
 
 python examples/telemetry/main.py wombat-1
 """
@@ -11,19 +12,20 @@ import time
 import rect
 
 
-def measured(n: int) -> dict[str, object]:
+def measure(n: int) -> dict[str, object]:
     return {"angle_deg": round(math.sin(n / 20) * 90, 1), "battery_volt": 7.2, "moving": n % 100 < 50}
 
 
 def main(name: str = "wombat-1") -> None:
     with rect.connect(name) as robot:
-        # Messages like those to come make a dictionary: 60 bytes become a third. Others fetch it by themselves.
-        samples = [json.dumps(measured(n), separators=(",", ":")).encode() for n in range(2000)]
-        packed = robot.share(rect.Dictionary.train(samples, 4096))
+        # Trains a dictionary on messages of the same kind, which reduces 60 bytes to a third. Receivers fetch it
+        # automatically.
+        samples = [json.dumps(measure(n), separators=(",", ":")).encode() for n in range(2000)]
+        codec = robot.share_dictionary(rect.Dictionary.train(samples, 4096))
 
         robot.subscribe("*/telemetry", lambda message: print(f"{message.sender}: {message.value}", flush=True))
         for n in range(2**62):
-            robot.publish("telemetry", measured(n), codec=packed)
+            robot.publish("telemetry", measure(n), codec=codec)
             time.sleep(0.1)
 
 

@@ -1,7 +1,8 @@
-// Teleoperation: steering commands overtake everything else, and a robot that hears none for half a second stops.
+// Teleoperation: drive commands are urgent and overtake all other messages. A robot that receives none for half a second
+// stops.
 //
-//     build/default/examples/teleoperation wombat-1             # is driven
-//     build/default/examples/teleoperation laptop wombat-1      # drives it
+//     build/default/examples/teleoperation wombat-1             # receives commands
+//     build/default/examples/teleoperation laptop wombat-1      # sends commands
 #include <chrono>
 #include <cmath>
 #include <iostream>
@@ -19,25 +20,25 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Drive, left, right)
 
 constexpr Drive stop{0, 0};
 
-void drive(const rect::Robot& robot, const char* other) {
-    const auto urgent = rect::must(robot.with(rect::Urgency::urgent));
+void drive(const rect::Robot& robot, const char* recipient) {
+    const auto urgent = rect::must(robot.with_urgency(rect::Urgency::urgent));
     for (int n = 0; n < 200; ++n) {
         const auto left = std::sin(n / 20.0);
-        rect::must(urgent.send(other, "drive", rect::Cbor(Drive{left, -left})));
+        rect::must(urgent.send(recipient, "drive", rect::Cbor(Drive{left, -left})));
         std::this_thread::sleep_for(50ms);
     }
-    rect::must(urgent.send(other, "drive", rect::Cbor(stop)));
+    rect::must(urgent.send(recipient, "drive", rect::Cbor(stop)));
 }
 
-void be_driven(const rect::Robot& robot) {
+void follow(const rect::Robot& robot) {
     const auto commands = rect::must(robot.subscribe("*/drive"));
     for (;;) {
         const auto message = commands.next(500ms);
         if (message) {
             const auto command = rect::must((*message)->payload.value<Drive>());
-            std::cout << (*message)->from() << " says " << command.left << " " << command.right << std::endl;
+            std::cout << (*message)->sender() << ": " << command.left << " " << command.right << std::endl;
         } else if (message.error().code == rect::Code::timed_out) {
-            std::cout << "nobody steers: " << stop.left << " " << stop.right << std::endl;
+            std::cout << "no commands, stopping: " << stop.left << " " << stop.right << std::endl;
         } else {
             return;
         }
@@ -49,6 +50,6 @@ int main(int argc, char** argv) {
     if (argc > 2) {
         drive(robot, argv[2]);
     } else {
-        be_driven(robot);
+        follow(robot);
     }
 }

@@ -1,7 +1,7 @@
-"""Teleoperation: steering commands overtake everything else, and a robot that hears none for half a second stops.
+"""Teleoperation: urgent drive commands overtake all other messages. A robot that receives none for 0.5 s stops.
 
-python examples/teleoperation/main.py wombat-1             # is driven
-python examples/teleoperation/main.py laptop wombat-1      # drives it
+python examples/teleoperation/main.py wombat-1             # receives commands
+python examples/teleoperation/main.py laptop wombat-1      # sends commands
 """
 
 import math
@@ -15,7 +15,7 @@ STOP = {"left": 0.0, "right": 0.0}
 
 def main(me: str = "wombat-1", other: str = "") -> None:
     with rect.connect(me) as robot:
-        (drive if other else be_driven)(robot, other)
+        drive(robot, other) if other else follow(robot)
 
 
 def drive(robot: rect.Robot, other: str) -> None:
@@ -25,14 +25,14 @@ def drive(robot: rect.Robot, other: str) -> None:
     robot.send(other, "drive", rect.Cbor(STOP), urgency="urgent")
 
 
-def be_driven(robot: rect.Robot, _: str) -> None:
+def follow(robot: rect.Robot) -> None:
     commands = robot.subscribe("*/drive")
     while True:
         try:
             message = commands.next(timeout=0.5)
-            print(f"{message.sender} says {message.value}", flush=True)
+            print(f"{message.sender}: {message.value}", flush=True)
         except rect.TimedOut:
-            print(f"nobody steers: {STOP}", flush=True)
+            print(f"no commands, stopping: {STOP}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-//! Teleoperation: steering commands overtake everything else, and a robot that hears none for half a second stops.
+//! Teleoperation: drive commands are urgent and overtake all other messages. A robot that receives none for half a second
+//! stops.
 //!
-//!     cargo run --example teleoperation -- wombat-1             # is driven
-//!     cargo run --example teleoperation -- laptop wombat-1      # drives it
+//!     cargo run --example teleoperation -- wombat-1             # receives commands
+//!     cargo run --example teleoperation -- laptop wombat-1      # sends commands
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -24,34 +25,34 @@ async fn main() -> Result<(), rect::Error> {
     let robot = rect::connect(&me).await?;
     match names.next() {
         Some(other) => drive(&robot, &other).await,
-        None => be_driven(&robot).await,
+        None => follow(&robot).await,
     }
 }
 
-async fn drive(robot: &rect::Robot, other: &str) -> Result<(), rect::Error> {
+async fn drive(robot: &rect::Robot, recipient: &str) -> Result<(), rect::Error> {
     let urgent = robot.urgent();
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
     for n in 0..200 {
         ticks.tick().await;
         let left = (f64::from(n) / 20.0).sin();
         let command = Drive { left, right: -left };
-        urgent.send(other, "drive", rect::Cbor(command)).await?;
+        urgent.send(recipient, "drive", rect::Cbor(command)).await?;
     }
-    urgent.send(other, "drive", rect::Cbor(STOP)).await
+    urgent.send(recipient, "drive", rect::Cbor(STOP)).await
 }
 
-async fn be_driven(robot: &rect::Robot) -> Result<(), rect::Error> {
+async fn follow(robot: &rect::Robot) -> Result<(), rect::Error> {
     let commands = robot.subscribe("*/drive").await?;
     loop {
-        let next = tokio::time::timeout(Duration::from_millis(500), commands.recv()).await;
+        let next = tokio::time::timeout(Duration::from_millis(500), commands.next()).await;
         match next {
             Ok(Some(message)) => println!(
-                "{} says {:?}",
-                message.from,
+                "{}: {:?}",
+                message.sender,
                 message.payload.value::<Drive>()?
             ),
             Ok(None) => return Ok(()),
-            Err(_) => println!("nobody steers: {STOP:?}"),
+            Err(_) => println!("no commands, stopping: {STOP:?}"),
         }
     }
 }

@@ -1,12 +1,12 @@
-//! Transfer: a file of any size goes to another robot, over a radio that comes and goes.
+//! Transfer: sends a file of any size to another robot. The transfer resumes after the link was interrupted.
 //!
-//!     cargo run --example transfer -- wombat-1                        # takes files, into the folder `received`
-//!     cargo run --example transfer -- wombat-2 wombat-1 map.bin       # sends one
+//!     cargo run --example transfer -- wombat-1                        # receives files into the folder `received`
+//!     cargo run --example transfer -- wombat-2 wombat-1 map.bin       # sends a file
 use std::path::Path;
 
-use rect::ReceiveTransfers;
+use rect::ReceiveOptions;
 
-/// Whoever sends more is refused.
+/// Maximum size of a file. Larger ones are refused.
 const MAX_BYTES: u64 = 1 << 30;
 
 #[tokio::main]
@@ -15,22 +15,22 @@ async fn main() -> Result<(), rect::Error> {
     let me = arguments.next().unwrap_or("wombat-1".to_owned());
     let robot = rect::connect(&me).await?;
     if let (Some(other), Some(file)) = (arguments.next(), arguments.next()) {
-        let shown = |progress: rect::core::transfer::Progress| {
+        let on_progress = |progress: rect::core::transfer::Progress| {
             println!("{:3.0} %", progress.fraction() * 100.0);
         };
-        let sent = robot.transfer(other.as_str(), "files", Path::new(&file))?;
-        sent.on_progress(shown).await?;
-        println!("{file} is there, whole");
+        let transfer = robot.transfer(other.as_str(), "files", Path::new(&file))?;
+        transfer.on_progress(on_progress).await?;
+        println!("{file}: complete");
         return Ok(());
     }
-    let options = ReceiveTransfers::in_folder("received", MAX_BYTES);
+    let options = ReceiveOptions::in_folder("received", MAX_BYTES);
     let files = robot.receive_transfers("*/files", options).await?;
-    println!("{} takes files; Ctrl-C ends this", robot.name());
+    println!("{} receives files; press Ctrl-C to stop", robot.name());
     while let Some(file) = files.next().await {
         match file {
             Ok(file) => println!(
-                "{} of {}: {:?}",
-                file.about.name, file.about.from, file.content
+                "{} from {}: {:?}",
+                file.transfer.name, file.transfer.sender, file.content
             ),
             Err(error) => println!("{error}"),
         }

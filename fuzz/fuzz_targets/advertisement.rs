@@ -1,4 +1,4 @@
-//! Whatever a stranger advertises under our UUID.
+//! Decodes untrusted advertisements. A decoded advertisement must encode to the same value.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::advertisement::Advertisement;

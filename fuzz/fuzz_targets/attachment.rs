@@ -1,10 +1,10 @@
-//! Whatever comes with a message: an attachment that reads, writes back to the same; a key that is a message's, is the key
-//! that its sender makes of what it says.
+//! Decodes untrusted attachments and keys. A decoded attachment must encode to the same value; a message key must equal
+//! the key that its sender builds from the decoded address.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect::core::{
     attachment::{Attachment, MAX_BYTES},
-    key::Place,
+    key::KeySpace,
     name::Name,
     topic::Pattern,
 };
@@ -22,16 +22,16 @@ fuzz_target!(|bytes: &[u8]| {
     let Ok(text) = std::str::from_utf8(bytes) else {
         return;
     };
-    let here = Place {
+    let here = KeySpace {
         fleet: name("rect"),
         robot: name("w"),
     };
     if let Some(address) = here.address(text) {
-        let there = Place {
+        let there = KeySpace {
             fleet: here.fleet.clone(),
-            robot: address.from.clone(),
+            robot: address.sender.clone(),
         };
-        let key = match &address.to {
+        let key = match &address.recipient {
             Some(to) => there.message(to, &address.topic),
             None => there.publication(&address.topic),
         };

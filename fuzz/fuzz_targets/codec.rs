@@ -1,11 +1,11 @@
-//! Whatever a peer sends packed or as a picture: no decoder breaks, and none gives more than it may. The first byte picks
-//! the format.
+//! Decodes untrusted compressed payloads and pictures. No decoder may panic or exceed its limits. The first byte of the
+//! input selects the format.
 #![no_main]
 use std::sync::{Arc, OnceLock};
 
 use libfuzzer_sys::fuzz_target;
 use rect::core::{
-    codec::{decode, dictionary::Packed, quantised, Codec, Limits},
+    codec::{decode, dictionary::DictionaryCodec, quantised, Codec, Limits},
     dictionary::{Dictionaries, Dictionary},
     encoding::Encoding,
     payload::Payload,
@@ -16,9 +16,9 @@ const LIMITS: Limits = Limits {
     max_pixels: 1 << 18,
 };
 
-fn known() -> &'static (Arc<Dictionary>, Dictionaries) {
-    static KNOWN: OnceLock<(Arc<Dictionary>, Dictionaries)> = OnceLock::new();
-    KNOWN.get_or_init(|| {
+fn dictionaries() -> &'static (Arc<Dictionary>, Dictionaries) {
+    static DICTIONARIES: OnceLock<(Arc<Dictionary>, Dictionaries)> = OnceLock::new();
+    DICTIONARIES.get_or_init(|| {
         let sample = |n: u32| format!(r#"{{"seq":{n},"angle_deg":{}}}"#, n * 7 % 360);
         let samples: Vec<String> = (0..1000).map(sample).collect();
         let dictionary = Arc::new(Dictionary::train(&samples, 1024).expect("trained"));
@@ -26,27 +26,27 @@ fn known() -> &'static (Arc<Dictionary>, Dictionaries) {
     })
 }
 
-fn unpack(bytes: &[u8], encoding: &'static str) {
+fn check_decode(bytes: &[u8], encoding: &'static str) {
     let payload = Payload::new(bytes.to_vec(), Encoding::new(encoding));
-    if let Ok(undone) = decode(&payload, &LIMITS, &known().1) {
-        assert!(undone.bytes.len() <= LIMITS.max_bytes);
+    if let Ok(decoded) = decode(&payload, &LIMITS, &dictionaries().1) {
+        assert!(decoded.bytes.len() <= LIMITS.max_bytes);
     }
 }
 
-fn picture(bytes: &[u8], encoding: Encoding) {
+fn check_picture(bytes: &[u8], encoding: Encoding) {
     if let Ok(picture) = Payload::new(bytes.to_vec(), encoding).picture(&LIMITS) {
         assert!(picture.width() as usize * picture.height() as usize <= LIMITS.max_pixels);
         assert!(picture.pixels().len() <= LIMITS.max_bytes);
     }
 }
 
-/// What is packed with the dictionary comes back.
-fn there_and_back(bytes: &[u8]) {
-    let (dictionary, known) = known();
+/// Asserts that a payload that was encoded with the dictionary decodes to the same value.
+fn check_round_trip(bytes: &[u8]) {
+    let (dictionary, dictionaries) = dictionaries();
     let payload = Payload::new(bytes.to_vec(), Encoding::JSON);
-    let packed = Packed::new(dictionary.clone()).encode(&payload);
-    let packed = packed.expect("packed");
-    assert_eq!(decode(&packed, &LIMITS, known), Ok(payload));
+    let encoded = DictionaryCodec::new(dictionary.clone()).encode(&payload);
+    let encoded = encoded.expect("encoded");
+    assert_eq!(decode(&encoded, &LIMITS, dictionaries), Ok(payload));
 }
 
 fuzz_target!(|data: &[u8]| {
@@ -54,27 +54,27 @@ fuzz_target!(|data: &[u8]| {
         return;
     };
     match format % 8 {
-        0 => unpack(bytes, "application/json;zstd"),
-        1 => unpack(bytes, "application/json;zstd;zstd"),
-        2 => picture(bytes, Encoding::PNG),
-        3 => picture(bytes, Encoding::JPEG),
-        4 => picture(bytes, Encoding::WEBP),
+        0 => check_decode(bytes, "application/json;zstd"),
+        1 => check_decode(bytes, "application/json;zstd;zstd"),
+        2 => check_picture(bytes, Encoding::PNG),
+        3 => check_picture(bytes, Encoding::JPEG),
+        4 => check_picture(bytes, Encoding::WEBP),
         5 => {
             let encoding = Encoding::new(quantised::ENCODING);
             if let Ok(array) = Payload::new(bytes.to_vec(), encoding).array(&LIMITS) {
                 assert!(array.bytes().len() <= LIMITS.max_bytes);
             }
         }
-        6 => there_and_back(bytes),
+        6 => check_round_trip(bytes),
         _ => {
             if let Ok(dictionary) = Dictionary::new(bytes) {
                 let again = Dictionary::new(dictionary.as_bytes()).expect("its own");
                 assert_eq!(again.id(), dictionary.id());
                 let payload = Payload::new("{\"seq\":1}".repeat(9), Encoding::JSON);
-                let codec = Packed::new(Arc::new(dictionary));
-                let packed = codec.encode(&payload).expect("packed");
-                if packed != payload {
-                    assert_eq!(codec.decode(&packed, &LIMITS), Ok(payload));
+                let codec = DictionaryCodec::new(Arc::new(dictionary));
+                let encoded = codec.encode(&payload).expect("encoded");
+                if encoded != payload {
+                    assert_eq!(codec.decode(&encoded, &LIMITS), Ok(payload));
                 }
             }
         }

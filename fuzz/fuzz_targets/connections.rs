@@ -1,26 +1,30 @@
-//! Whatever a file or another robot gives as a list of connections: taken whole, or one mistake with its place in the text.
+//! Parses untrusted lists of connections. The parser must accept a list completely, or return one error with its
+//! position in the text.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect_router::connections::file::{parse, Limits};
 
-const MOST: usize = 8;
+const MAX_CONNECTIONS: usize = 8;
 
 fn limits() -> Limits {
     Limits {
         robot: "me".to_owned(),
-        most: MOST,
+        max_connections: MAX_CONNECTIONS,
     }
 }
 
 fuzz_target!(|text: &str| match parse(text, &limits()) {
-    Ok(wanted) => {
-        assert!(wanted.connections.len() <= MOST);
-        for spec in wanted.connections {
+    Ok(list) => {
+        assert!(list.connections.len() <= MAX_CONNECTIONS);
+        for spec in list.connections {
             assert!(!spec.name.is_empty() && spec.endpoint.protocol().as_str() == spec.method);
         }
     }
-    Err(mistake) => {
+    Err(error) => {
         let lines = text.matches('\n').count() + 1;
-        assert!((1..=lines).contains(&mistake.line) && mistake.column >= 1, "{mistake}");
+        assert!(
+            (1..=lines).contains(&error.line) && error.column >= 1,
+            "{error}"
+        );
     }
 });

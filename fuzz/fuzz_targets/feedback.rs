@@ -1,5 +1,5 @@
-//! Whatever a stream's receiver says: what reads writes back to what reads the same, in bounds, and moves the sender's rates
-//! nowhere past its limits.
+//! Decodes untrusted messages of a stream's receiver. A decoded message must encode to the same value, and must not
+//! move the sender's rates beyond its limits.
 #![no_main]
 use std::time::{Duration, Instant};
 
@@ -14,15 +14,15 @@ use rect::core::{
     },
 };
 
-fuzz_target!(|said: &[u8]| {
-    if let Ok(notice) = Notice::decode(said) {
+fuzz_target!(|input: &[u8]| {
+    if let Ok(notice) = Notice::decode(input) {
         assert_eq!(Notice::decode(&notice.encode()).ok(), Some(notice));
     }
     let mut now = Instant::now();
     let robot = Name::new("wombat-2").expect("a name");
     let mut sender = Sender::new(Options::default(), 1, 0, now);
-    for one in said.chunks(MAX_BYTES) {
-        let Ok(feedback) = Feedback::decode(one) else {
+    for message in input.chunks(MAX_BYTES) {
+        let Ok(feedback) = Feedback::decode(message) else {
             continue;
         };
         let bytes = feedback.encode();
@@ -36,7 +36,7 @@ fuzz_target!(|said: &[u8]| {
         }
         let limits = Options::default().rates;
         for group in sender.status().groups {
-            assert!((limits.least..=limits.most).contains(&group.bytes_per_s));
+            assert!((limits.min_bytes_per_s..=limits.max_bytes_per_s).contains(&group.bytes_per_s));
         }
     }
 });

@@ -1,18 +1,18 @@
-//! Whatever a peer sends first: an opening that reads, writes back to one that reads the same, and a proof that is made
-//! without the secret is none. Each input is tried as a whole SDU and as the body of every kind of message.
+//! Decodes untrusted handshake messages. A decoded message must encode to the same value, and a proof that was made
+//! without the secret must be rejected. Each input is tried as a whole SDU and as the body of every kind of message.
 #![no_main]
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::{
-    hello::{Challenge, NodeId, Opening, MAGIC, MAX_SIZE},
-    secret::{Proof, Said, Secret, Side, NONCE_BYTES},
+    hello::{Challenge, HandshakeMessage, NodeId, MAGIC, MAX_SIZE},
+    secret::{Proof, ProofTranscript, Secret, Side, NONCE_BYTES},
 };
 
-/// HELLO, ACCEPT, REFUSE, CHALLENGE, PROOF, and one that does not exist.
+/// HELLO, ACCEPT, REFUSE, CHALLENGE, PROOF, and an unknown kind.
 const KINDS: std::ops::RangeInclusive<u8> = 1..=6;
-/// Before the body of a challenge or a proof: magic, kind, version.
-const HEAD: usize = MAGIC.len() + 2;
+/// Bytes before the body of a challenge or a proof: magic, kind, version.
+const HEADER_BYTES: usize = MAGIC.len() + 2;
 
 static SECRET: LazyLock<Secret> =
     LazyLock::new(|| Secret::new(b"what only the team knows").expect("long enough"));
@@ -25,57 +25,57 @@ fuzz_target!(|input: &[u8]| {
 });
 
 fn check(sdu: &[u8]) {
-    let Ok(opening) = Opening::decode(sdu) else {
+    let Ok(message) = HandshakeMessage::decode(sdu) else {
         return;
     };
     assert!(sdu.len() <= MAX_SIZE);
-    let encoded = opening.encode();
-    match &opening {
-        Opening::Challenge(challenge) => {
-            assert_eq!(sdu[HEAD..encoded.len()], encoded[HEAD..]);
+    let encoded = message.encode();
+    match &message {
+        HandshakeMessage::Challenge(challenge) => {
+            assert_eq!(sdu[HEADER_BYTES..encoded.len()], encoded[HEADER_BYTES..]);
             check_challenge(challenge);
         }
-        Opening::Proof(proof) => {
-            assert_eq!(sdu[HEAD..encoded.len()], encoded[HEAD..]);
+        HandshakeMessage::Proof(proof) => {
+            assert_eq!(sdu[HEADER_BYTES..encoded.len()], encoded[HEADER_BYTES..]);
             check_proof(proof, sdu);
         }
-        Opening::Hello(_) | Opening::Accept(_) | Opening::Refuse(_) => {}
+        HandshakeMessage::Hello(_) | HandshakeMessage::Accept(_) | HandshakeMessage::Refuse(_) => {}
     }
-    assert_eq!(Opening::decode(&encoded), Ok(opening));
+    assert_eq!(HandshakeMessage::decode(&encoded), Ok(message));
 }
 
-/// As the dialler looks at it.
+/// Checks a challenge as the dialler does.
 fn check_challenge(challenge: &Challenge) {
-    let said = Said {
+    let transcript = ProofTranscript {
         hello: b"a hello",
         listener: challenge.node,
         nonce: &challenge.nonce,
     };
-    assert!(!SECRET.is_proved(Side::Listener, said, &challenge.proof));
-    // And the right one, changed nowhere on its way.
-    let proof = SECRET.proof(Side::Listener, said);
-    let honest = Opening::Challenge(Challenge {
+    assert!(!SECRET.verify(Side::Listener, transcript, &challenge.proof));
+    // A correct proof must be accepted after encoding and decoding.
+    let proof = SECRET.proof(Side::Listener, transcript);
+    let valid = HandshakeMessage::Challenge(Challenge {
         proof,
         ..challenge.clone()
     });
-    match Opening::decode(&honest.encode()) {
-        Ok(Opening::Challenge(read)) => {
-            assert!(SECRET.is_proved(Side::Listener, said, &read.proof));
+    match HandshakeMessage::decode(&valid.encode()) {
+        Ok(HandshakeMessage::Challenge(read)) => {
+            assert!(SECRET.verify(Side::Listener, transcript, &read.proof));
         }
         other => panic!("{other:?}"),
     }
 }
 
-/// As the listener looks at it, whatever the hello before it was.
+/// Checks a proof as the listener does, for any hello before it.
 fn check_proof(proof: &Proof, hello: &[u8]) {
-    let said = Said {
+    let transcript = ProofTranscript {
         hello,
         listener: NodeId(1),
         nonce: &[7; NONCE_BYTES],
     };
-    assert!(!SECRET.is_proved(Side::Dialler, said, proof));
-    // What one side proves with proves nothing for the other.
-    let right = SECRET.proof(Side::Dialler, said);
-    assert!(SECRET.is_proved(Side::Dialler, said, &right));
-    assert!(!SECRET.is_proved(Side::Listener, said, &right));
+    assert!(!SECRET.verify(Side::Dialler, transcript, proof));
+    // The proof of one side must not be valid for the other.
+    let valid = SECRET.proof(Side::Dialler, transcript);
+    assert!(SECRET.verify(Side::Dialler, transcript, &valid));
+    assert!(!SECRET.verify(Side::Listener, transcript, &valid));
 }

@@ -1,12 +1,13 @@
-//! Two ends of a link, and any order of events: batches put in and taken, SDUs that go either way, a peer that says what
-//! it likes. An honest pair delivers each lane in order; whatever a rogue says, what is held has a bound.
+//! Runs two ends of a link through any sequence of events: batches are pushed and taken, SDUs are exchanged, and a
+//! rogue peer sends anything. An honest pair must deliver each lane in order; the memory in use must be bounded in any
+//! case.
 #![no_main]
 use std::time::{Duration, Instant};
 
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::lanes::{
-    receiver::HIGH_MARK,
-    scheduler::{Bounds, OWN_BYTES},
+    receiver::HIGH_WATERMARK,
+    scheduler::{Bounds, RESERVED_BYTES_PER_LANE},
     sdu::{seal, Content},
     Lane, Lanes, LANES,
 };
@@ -19,14 +20,14 @@ struct Ends {
     out: Lanes,
     into: Lanes,
     now: Instant,
-    /// SDUs that went from `out` to `into`.
+    /// Number of SDUs sent from `out` to `into`.
     number: u32,
     is_rogue: bool,
-    is_over: bool,
+    is_finished: bool,
     pushed: [u32; LANES],
     taken: [u32; LANES],
-    /// Lanes of which something was taken back before it went out.
-    gave_up: [bool; LANES],
+    /// Lanes of which a batch was withdrawn before it was sent.
+    aborted: [bool; LANES],
 }
 
 impl Ends {
@@ -43,10 +44,10 @@ impl Ends {
             now: Instant::now(),
             number: 0,
             is_rogue: false,
-            is_over: false,
+            is_finished: false,
             pushed: [0; LANES],
             taken: [0; LANES],
-            gave_up: [false; LANES],
+            aborted: [false; LANES],
         }
     }
 
@@ -58,26 +59,26 @@ impl Ends {
             *pushed += 1;
         }
         let waiting = self.out.lane_report(lane, self.now).0.waiting.bytes;
-        assert!(waiting <= (QUEUE + OWN_BYTES) as u64);
+        assert!(waiting <= (QUEUE + RESERVED_BYTES_PER_LANE) as u64);
     }
 
-    fn arrives(&mut self, sdu: &[u8]) {
+    fn deliver(&mut self, sdu: &[u8]) {
         self.number += 1;
         if let Err(violation) = self.into.on_sdu(sdu, self.now) {
             assert!(self.is_rogue, "{violation}");
-            self.is_over = true;
+            self.is_finished = true;
         }
     }
 
-    fn there(&mut self) {
+    fn send_forward(&mut self) {
         if let Some((next, sdu)) = self.out.peek() {
             let sdu = sdu.to_vec();
             self.out.on_sent(next, self.now);
-            self.arrives(&sdu);
+            self.deliver(&sdu);
         }
     }
 
-    fn back(&mut self) {
+    fn send_back(&mut self) {
         if let Some((next, sdu)) = self.into.peek() {
             let sdu = sdu.to_vec();
             self.into.on_sent(next, self.now);
@@ -93,23 +94,23 @@ impl Ends {
             }
             let taken = &mut self.taken[lane.index()];
             let number = u32::from_le_bytes(batch[..4].try_into().expect("four bytes"));
-            assert!(number == *taken || number > *taken && self.gave_up[lane.index()]);
+            assert!(number == *taken || number > *taken && self.aborted[lane.index()]);
             *taken = number + 1;
         }
     }
 
-    /// Zenoh does this when it gives up a message half-way.
-    fn give_up(&mut self, lane: Lane) {
-        self.gave_up[lane.index()] = true;
+    /// Aborts a message that was sent in part, as Zenoh does.
+    fn abort(&mut self, lane: Lane) {
+        self.aborted[lane.index()] = true;
         assert!(self.out.push(lane, b"", self.now));
     }
 
-    /// A rightly sealed SDU that no honest peer would have sent now.
-    fn says(&mut self, content: Content<'_>) {
+    /// Delivers a correctly sealed SDU that no honest peer would send now.
+    fn send_as_rogue(&mut self, content: Content<'_>) {
         self.is_rogue = true;
         let mut sdu = content.encode();
         seal(self.number, &mut sdu);
-        self.arrives(&sdu);
+        self.deliver(&sdu);
     }
 }
 
@@ -119,27 +120,27 @@ fuzz_target!(|events: &[u8]| {
         let Some(lane) = Lane::new(event[0] & 7) else {
             continue;
         };
-        let (size, sum) = (
+        let (size, total) = (
             usize::from(event[1]) * 2,
             u16::from_le_bytes([event[1], event[2]]),
         );
         ends.now += Duration::from_millis(u64::from(event[2]));
         match event[0] >> 3 {
             0..=7 => ends.push(lane, size),
-            8..=14 => ends.there(),
-            15..=20 => ends.back(),
+            8..=14 => ends.send_forward(),
+            15..=20 => ends.send_back(),
             21..=25 => ends.take(lane),
-            26 => ends.says(Content::Ack(sum)),
-            27 => ends.says(Content::Stop(lane)),
-            28 => ends.says(Content::Go(lane)),
-            29 => ends.says(Content::Batch(lane, &vec![event[2]; 1 + size])),
+            26 => ends.send_as_rogue(Content::Ack(total)),
+            27 => ends.send_as_rogue(Content::Stop(lane)),
+            28 => ends.send_as_rogue(Content::Go(lane)),
+            29 => ends.send_as_rogue(Content::Batch(lane, &vec![event[2]; 1 + size])),
             30 => ends.out.close(event[1]),
-            _ => ends.give_up(lane),
+            _ => ends.abort(lane),
         }
-        let most = HIGH_MARK + MTU + usize::from(WINDOW);
-        let held = |lane| ends.into.lane_report(lane, ends.now).1.held_bytes;
-        assert!(Lane::all().all(|lane| held(lane) <= most));
-        if ends.is_over {
+        let limit = HIGH_WATERMARK + MTU + usize::from(WINDOW);
+        let unread = |lane| ends.into.lane_report(lane, ends.now).1.unread_bytes;
+        assert!(Lane::all().all(|lane| unread(lane) <= limit));
+        if ends.is_finished {
             return;
         }
     }

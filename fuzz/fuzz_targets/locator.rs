@@ -1,4 +1,4 @@
-//! Whatever a user, a file or a gossiping peer gives as a locator.
+//! Parses untrusted locators of a user, a file or a peer.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::locator::{ConnectLocator, ListenLocator};

@@ -1,5 +1,5 @@
-//! Whatever a peer sends as a raw picture or array, its encoding and its bytes: what reads, writes back to the same, and
-//! its quantised form keeps the bound.
+//! Decodes untrusted raw pictures and arrays with any encoding. A decoded value must encode to the same value, and its
+//! quantised form must respect the error bound.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect::core::{
@@ -15,7 +15,7 @@ const LIMITS: Limits = Limits {
 };
 const ERROR: f64 = 0.01;
 
-fn bounded(array: &Array, payload: &Payload) {
+fn check_error_bound(array: &Array, payload: &Payload) {
     let codec = parse("quantised:0.01").expect("a codec");
     let small = codec.encode(payload).expect("written");
     let back = small.array(&LIMITS).expect("read");
@@ -31,15 +31,15 @@ fn bounded(array: &Array, payload: &Payload) {
     }
 }
 
-/// As much of the text as ends with a line, or all; and the bytes after it.
-fn parts(data: &[u8]) -> Option<(&str, &[u8])> {
+/// Splits the input into the text before the first line break and the bytes after it.
+fn split(data: &[u8]) -> Option<(&str, &[u8])> {
     let end = data.iter().position(|&byte| byte == b'\n')?;
     let text = std::str::from_utf8(&data[..end]).ok()?;
     Some((text, &data[end + 1..]))
 }
 
 fuzz_target!(|data: &[u8]| {
-    let Some((text, bytes)) = parts(data) else {
+    let Some((text, bytes)) = split(data) else {
         return;
     };
     let encoding = Encoding::new(format!("application/octet-stream;{text}"));
@@ -55,7 +55,7 @@ fuzz_target!(|data: &[u8]| {
         let again = array.to_payload().expect("written");
         assert_eq!(again.array(&LIMITS).expect("its own"), array);
         if matches!(array.element(), Element::F32 | Element::F64) {
-            bounded(&array, &again);
+            check_error_bound(&array, &again);
         }
     }
 });

@@ -1,14 +1,15 @@
-//! Whatever a peer sends on an open link: with its check put right, it is refused or writes back the same.
+//! Decodes untrusted SDUs of an open link. With a correct check value, an SDU must be rejected or encode to the same
+//! bytes.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::lanes::{
-    piece::Piece,
+    batch_kind::BatchKind,
     sdu::{open, seal},
 };
 
 fuzz_target!(|sdu: &[u8]| {
     let _ = open(0, sdu);
-    let _ = Piece::of(sdu);
+    let _ = BatchKind::of(sdu);
     let mut sdu = sdu.to_vec();
     seal(7, &mut sdu);
     if let Ok(content) = open(7, &sdu) {

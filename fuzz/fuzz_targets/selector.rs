@@ -1,11 +1,11 @@
-//! Whatever somebody asks the registry with.
+//! Parses untrusted selectors of registry queries.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect_router::registry::selector::Selector;
 use zenoh::query::Parameters;
 
 fuzz_target!(|text: &str| {
-    if let Err(wrong) = Selector::parse(&Parameters::from(text)) {
-        assert!(!wrong.is_empty());
+    if let Err(error) = Selector::parse(&Parameters::from(text)) {
+        assert!(!error.is_empty());
     }
 });

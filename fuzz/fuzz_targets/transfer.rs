@@ -1,11 +1,9 @@
-//! Whatever a peer sends of a transfer, or a disk gives back: an offer, an answer, a request or a record that reads writes
-//! back to the same.
+//! Decodes untrusted messages and stored records of transfers: a decoded offer, reply, request or record must encode to
+//! the same bytes.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect::core::transfer::{
-    offer, record,
-    record::Record,
-    Answer, Fault, Offer, Request, MAX_PIECE_BYTES,
+    offer, record, record::Record, Answer, Fault, Offer, Request, MAX_PIECE_BYTES,
 };
 
 fuzz_target!(|input: (u8, &[u8])| {
@@ -14,7 +12,9 @@ fuzz_target!(|input: (u8, &[u8])| {
         0 => {
             if let Ok(offer) = Offer::decode(bytes) {
                 assert!(bytes.len() <= offer::MAX_BYTES);
-                assert!(!offer.name.as_str().contains('/') && !offer.from.as_str().starts_with('.'));
+                assert!(
+                    !offer.name.as_str().contains('/') && !offer.sender.as_str().starts_with('.')
+                );
                 assert_eq!(offer.encode(), bytes);
             }
         }
@@ -31,7 +31,10 @@ fuzz_target!(|input: (u8, &[u8])| {
         3 => {
             if let Some(request) = Request::decode(bytes) {
                 if let Request::Range { offset, length, .. } = request {
-                    assert!((1..=MAX_PIECE_BYTES).contains(&length) && offset.checked_add(length.into()).is_some());
+                    assert!(
+                        (1..=MAX_PIECE_BYTES).contains(&length)
+                            && offset.checked_add(length.into()).is_some()
+                    );
                 }
                 assert_eq!(request.encode(), bytes);
             }

@@ -1,5 +1,5 @@
-# Owns RECT's router as a service of NixOS: `services.rect-router`. The unit itself is packaging/systemd's, with what it
-# may and may not do; here is only what NixOS has elsewhere.
+# Defines RECT's router as a service of NixOS: `services.rect-router`. The unit with its privileges is the one in
+# packaging/systemd; this module only adds the parts that differ on NixOS.
 #
 #   services.rect-router = { enable = true; robot = "wombat-1"; members = [ "alice" ]; };
 {
@@ -22,17 +22,17 @@ let
 
   cfg = config.services.rect-router;
 
-  # As the router reads them: longer ones do not fit into a Bluetooth advertisement.
+  # The same restriction as in the router: longer names do not fit into a Bluetooth advertisement.
   name = types.strMatching "[A-Za-z0-9._-]{1,29}";
 
-  # Not in the Nix store, which everybody can read: a Nix path, which would be copied there, is refused too.
+  # A path outside the Nix store, which every user can read. A Nix path is rejected, too, as it would be copied to the store.
   secretPath = types.pathWith {
     absolute = true;
     inStore = false;
   };
 
-  # What `rect-router init` makes of the shipped configuration. By text, because nothing in Nix reads JSON5 and the
-  # program does not run where a robot's system is built on another processor.
+  # Creates the same configuration as `rect-router init` from the shipped file. Text is replaced, because Nix cannot parse JSON5,
+  # and because the program does not run when the system is cross-compiled.
   shipped =
     if cfg.baseStation then
       {
@@ -61,7 +61,7 @@ let
       (builtins.readFile shipped.file)
   );
 
-  # A flag for each value, as to set a whole part would take its other values back to Zenoh's defaults.
+  # One flag for each value: setting a whole object would reset its other values to Zenoh's defaults.
   leaves =
     path: value:
     if lib.isAttrs value then
@@ -79,7 +79,7 @@ let
     group = "rect";
   };
 
-  # config/bluetooth.conf as hardware.bluetooth.settings, so that its values are in one place.
+  # Converts config/bluetooth.conf to hardware.bluetooth.settings, so that the values are defined only once.
   bluetoothSettings =
     let
       read =
@@ -115,42 +115,42 @@ let
 in
 {
   options.services.rect-router = {
-    enable = mkEnableOption "RECT's router: robots that talk over Bluetooth Low Energy, TCP and UDP";
+    enable = mkEnableOption "RECT's router for the communication of robots over Bluetooth Low Energy, TCP and UDP";
 
     package = mkOption {
       type = types.package;
       default = pkgs.callPackage ./package.nix { };
       defaultText = literalExpression "pkgs.callPackage ./package.nix { }";
       example = literalExpression "inputs.rect.packages.aarch64-linux.rect";
-      description = "The programs, and the systemd unit in them.";
+      description = "The package with the programs and the systemd unit.";
     };
 
     robot = mkOption {
       type = types.nullOr name;
       default = null;
       example = "wombat-1";
-      description = "This robot's name: what others dial, and the second part of its keys. Unique in the hall.";
+      description = "Name of this robot, by which other robots dial it; the second part of its keys. It must be unique among all robots in range.";
     };
 
     fleet = mkOption {
       type = name;
       default = "rect";
       example = "lions";
-      description = "The team's name, the first part of all keys.";
+      description = "Name of the fleet, the first part of all keys.";
     };
 
     adapter = mkOption {
       type = types.strMatching "hci[0-9]+|sim.*";
       default = "hci0";
       example = "hci1";
-      description = "The Bluetooth adapter; one named `sim...` is of the simulated air.";
+      description = "The Bluetooth adapter. An adapter named `sim...` belongs to the simulated air.";
     };
 
     baseStation = mkOption {
       type = types.bool;
       default = false;
       example = true;
-      description = "Whether this is the team's laptop, from which the robots' settings may be changed.";
+      description = "Whether this is a base station, from which the robots' connections may be changed.";
     };
 
     loginFile = mkOption {
@@ -158,11 +158,12 @@ in
       default = "/etc/rect/users";
       example = "/run/secrets/rect-users";
       description = ''
-        The team's logins, `user:password` a line; the first line is the secret of Bluetooth too. Not in the Nix store,
-        which everybody can read, and readable by group `rect`. Without it nobody gets in: the router does not start.
+        The team's login file, with one `user:password` per line; the first line is also the secret for Bluetooth. It must be
+        readable by the group `rect`, and must not be in the Nix store, which every user can read. Without it the router does
+        not start.
 
-        `rect-router init wombat-1 --folder new` makes one, `new/users`, for all robots of the team. Once it is in its
-        place: `systemctl start rect-router`.
+        `rect-router init wombat-1 --folder new` creates such a file, `new/users`, for all robots of the team. After copying
+        it to this path, run `systemctl start rect-router`.
       '';
     };
 
@@ -171,7 +172,7 @@ in
       default = if cfg.baseStation then "config" else "fleet";
       defaultText = literalExpression ''if baseStation then "config" else "fleet"'';
       example = "wombat-2";
-      description = "As whom of the login file this router shows itself where it dials; `null`: as nobody.";
+      description = "User of the login file as which this router logs in when it dials; `null` for no login.";
     };
 
     members = mkOption {
@@ -179,8 +180,8 @@ in
       default = [ ];
       example = [ "alice" ];
       description = ''
-        Users whose programs may log in: members of group `rect`, who can read the login file and reach the socket
-        {file}`/run/rect/router.sock`. They know the team's secret.
+        Users whose programs may log in. They become members of the group `rect`, which can read the login file, and thereby
+        the team's secret, and can use the socket {file}`/run/rect/router.sock`.
       '';
     };
 
@@ -189,8 +190,8 @@ in
       default = [ ];
       example = [ "tcp/0.0.0.0:7448" ];
       description = ''
-        More listeners. Without any, the router listens to this computer's own programs and to Bluetooth. Who comes in by
-        another one logs in, and then may what `access_control` says: in the shipped configuration, nothing.
+        Additional listeners. By default the router listens for local programs and on Bluetooth. Clients of an additional
+        listener have to log in, and need a policy in `access_control`: the shipped configuration grants them no access.
       '';
     };
 
@@ -206,8 +207,9 @@ in
       default = null;
       example = "/etc/rect/robot.json5";
       description = ''
-        A configuration that is kept by hand, such as `rect-router init` writes; not in the Nix store, as it may hold
-        passwords. Robot, fleet, adapter and logins are its to say then. `null`: the shipped one, with those given here.
+        Path of a configuration that you maintain yourself, such as one written by `rect-router init`. It must not be in the Nix
+        store, because it may contain passwords. It then defines robot, fleet, adapter and logins. `null` selects the shipped
+        configuration with the options given here.
       '';
     };
 
@@ -219,8 +221,8 @@ in
         plugins.rect.auto_connect = "fleet";
       };
       description = ''
-        Zenoh's settings and, in `plugins.rect`, RECT's, in place of those in the configuration file. A list replaces the
-        file's. They can be read by everybody: nothing secret here.
+        Settings of Zenoh and, in `plugins.rect`, of RECT, which override those of the configuration file. A list replaces the
+        list of the file. Every user can read them, so they must not contain secrets.
       '';
     };
 
@@ -229,8 +231,8 @@ in
       default = true;
       example = false;
       description = ''
-        Whether to switch Bluetooth on, set as {file}`config/bluetooth.conf` says: Low Energy alone, and robots find each
-        other in a fraction of a second. Each value gives way to yours in {option}`hardware.bluetooth.settings`.
+        Whether to enable Bluetooth with the settings of {file}`config/bluetooth.conf`: Low Energy only, and discovery in a
+        fraction of a second. Your values in {option}`hardware.bluetooth.settings` take precedence.
       '';
     };
   };
@@ -240,15 +242,15 @@ in
       assertions = [
         {
           assertion = cfg.robot != null || cfg.configFile != null;
-          message = "services.rect-router.robot: this robot has no name yet; give it one, or a configFile that has one.";
+          message = "services.rect-router.robot: this robot has no name; set this option, or give a configFile that contains a name.";
         }
         {
           assertion = !lib.any isSecret settings;
-          message = "services.rect-router.settings: everybody could read this password or key; it is for loginFile or configFile.";
+          message = "services.rect-router.settings: every user could read this password or key; put it into loginFile or configFile.";
         }
       ];
 
-      # What `init` writes into the file.
+      # The settings that `init` writes to the file.
       services.rect-router.settings.plugins.rect = mkMerge [
         (mkIf (cfg.configFile == null) {
           robot = mkDefault cfg.robot;
@@ -261,9 +263,9 @@ in
 
       systemd.packages = [ cfg.package ];
       systemd.services.rect-router = {
-        # NixOS does not read a unit's [Install].
+        # NixOS ignores the [Install] section of units.
         wantedBy = [ "multi-user.target" ];
-        # The empty ones take back the unit's own.
+        # Empty values reset those of the unit.
         unitConfig.ConditionPathExists = [
           ""
           (if cfg.configFile == null then cfg.loginFile else cfg.configFile)
@@ -286,12 +288,13 @@ in
               ) settings
             ))
           ];
-          # Debian's group: in NixOS BlueZ listens to everybody, and systemd starts nothing in a group that is not there.
+          # The group bluetooth exists on Debian only. On NixOS, BlueZ accepts all users, and systemd does not start a service
+          # with an unknown group.
           SupplementaryGroups = [ "" ];
         };
       };
 
-      # The list of connections, where the router's configuration service may change it, and empty to begin with.
+      # The connections file, initially empty, in a folder where the config service can change it.
       systemd.tmpfiles.settings.rect-router = {
         "/var/lib/rect".d = private // {
           mode = "0750";

@@ -1,4 +1,4 @@
-# Owns how Nix builds RECT: the programs, the plugin for a stock zenohd and, as its `librect`, the C and C++ library.
+# Builds RECT with Nix: the programs, the plugin for a stock zenohd and, as `librect`, the C and C++ library.
 #
 #   nix build .#rect .#librect
 #   pkgs.callPackage ./packaging/nix/package.nix { }     # the same, without flakes
@@ -13,7 +13,7 @@
 let
   inherit (lib) fileset;
 
-  # What cargo reads, and what is installed. Pages, scripts and results of benches change without a new build.
+  # The files that cargo reads and that are installed. Changes of other files, such as documentation, need no new build.
   forCargo = fileset.unions [
     ../../Cargo.toml
     ../../Cargo.lock
@@ -22,14 +22,14 @@ let
     ../../benches/codecs.rs
     ../../benches/rounds.rs
     (fileset.unions (
-      # All members of the workspace: cargo wants each one's manifest, and the files of the targets that manifests name.
+      # All members of the workspace: cargo requires the manifest of each, and the files of the targets in the manifests.
       map (fileset.fileFilter (file: file.hasExt "rs" || file.name == "Cargo.toml")) [
         ../../src
         ../../examples
         ../../tests
         ../../zenoh-link
         ../../zenoh-link-ble
-        ../../zenoh-link-slot
+        ../../zenoh-link-placeholder
         ../../rect-router
         ../../rect-cpp
         ../../rect-py
@@ -45,18 +45,18 @@ let
 in
 rustPlatform.buildRustPackage (finalAttrs: {
   pname = "rect";
-  # The one place that says it.
+  # The version is defined in Cargo.toml only.
   inherit ((lib.importTOML ../../Cargo.toml).workspace.package) version;
 
   src = fileset.toSource {
     root = ../..;
     fileset = forCargo;
   };
-  # All dependencies are crates.io's. libdbus, zstd and libwebp are in their crates as C: a C compiler is all they take.
+  # All dependencies are on crates.io. libdbus, zstd and libwebp are C code in their crates, and need only a C compiler.
   cargoLock.lockFile = ../../Cargo.lock;
 
-  # One command for all, as in scripts/build-plugins: a router takes a plugin of the same zenoh with the same features,
-  # and zenoh is compiled once.
+  # One command for all, as in scripts/build-plugins: a router loads only plugins with the same features of zenoh, and zenoh is
+  # compiled only once.
   cargoBuildFlags = lib.concatMap (name: [ "-p" name ]) [
     "rect"
     "rect-router"
@@ -64,10 +64,10 @@ rustPlatform.buildRustPackage (finalAttrs: {
     "zenoh-plugin-rect"
   ];
 
-  # The tests start routers that talk over the network, and a VM for Bluetooth: `make test`, outside of the sandbox.
+  # The tests use the network, and a VM for Bluetooth, so they do not run in the sandbox: `make test`.
   doCheck = false;
 
-  # `library` is what librect is made of. Not called `lib`, or the plugin would be moved there.
+  # librect is built from `library`. With the name `lib`, the plugin would be moved there.
   outputs = [
     "out"
     "library"
@@ -83,7 +83,7 @@ rustPlatform.buildRustPackage (finalAttrs: {
     substituteInPlace packaging/systemd/rect-router.service --replace-fail /usr/bin/rect-router $out/bin/rect-router
     install -Dm644 -t $out/lib/systemd/system packaging/systemd/rect-router.service
   ''
-  # Manual and completions come from the programs themselves, which do not run here if built for another processor.
+  # The programs print their manual pages and completions, which is not possible when cross-compiling.
   + lib.optionalString (stdenv.buildPlatform.canExecute stdenv.hostPlatform) ''
     mkdir man
     for program in rect rect-router; do
@@ -113,7 +113,7 @@ rustPlatform.buildRustPackage (finalAttrs: {
       (lib.cmakeFeature "RECT_LIBRARY_DIR" "${finalAttrs.finalPackage.library}/lib")
       (lib.cmakeBool "RECT_BUILD_TESTS" false)
       (lib.cmakeBool "RECT_BUILD_EXAMPLES" false)
-      # Relative, as rect.pc puts them behind its own prefix; nixpkgs gives absolute ones (NixOS/nixpkgs#144170).
+      # Relative paths, because rect.pc prepends its prefix; nixpkgs passes absolute ones (NixOS/nixpkgs#144170).
       (lib.cmakeFeature "CMAKE_INSTALL_LIBDIR" "lib")
       (lib.cmakeFeature "CMAKE_INSTALL_INCLUDEDIR" "include")
     ];
@@ -125,8 +125,8 @@ rustPlatform.buildRustPackage (finalAttrs: {
   };
 
   meta = {
-    description = "Robots talk over TCP, UDP and Bluetooth Low Energy: a Zenoh router with a BLE link, and its tools";
-    # Either, as Zenoh's.
+    description = "Communication of robots over TCP, UDP and Bluetooth Low Energy: a Zenoh router with a BLE link, and tools";
+    # Either licence may be chosen, as for Zenoh.
     license = with lib.licenses; [
       epl20
       asl20

@@ -1,4 +1,4 @@
-# The examples, as build/<preset>/examples/<name>.
+# Builds the examples as build/<preset>/examples/<name>.
 foreach(name telemetry teleoperation camera transfer request wombat)
   add_executable(example_${name} ${repository}/examples/${name}/main.cpp)
   target_link_libraries(example_${name} PRIVATE rect::rect Threads::Threads)

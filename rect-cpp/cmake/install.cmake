@@ -1,8 +1,8 @@
-# What is installed, and the target `uninstall`.
+# Installs the library, its headers and its CMake and pkg-config files, and adds the target `uninstall`.
 set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/rect)
 configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/rectConfig.cmake.in ${CMAKE_CURRENT_BINARY_DIR}/rectConfig.cmake
   INSTALL_DESTINATION ${package_dir} PATH_VARS CMAKE_INSTALL_INCLUDEDIR CMAKE_INSTALL_LIBDIR)
-# Before 1.0 a program of one minor version is not for another.
+# Before version 1.0, minor versions are not compatible with each other.
 write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/rectConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 file(RELATIVE_PATH RECT_PREFIX_FROM_PC "/${CMAKE_INSTALL_LIBDIR}/pkgconfig" "/")
 configure_file(${CMAKE_CURRENT_LIST_DIR}/rect.pc.in ${CMAKE_CURRENT_BINARY_DIR}/rect.pc @ONLY)

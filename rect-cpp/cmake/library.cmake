@@ -1,4 +1,4 @@
-# Where the library comes from, and how it lies in the build folder: as it will where it is installed.
+# Builds or finds the library, and arranges it in the build folder like in an installation.
 set(repository ${CMAKE_CURRENT_SOURCE_DIR}/..)
 set(lib_dir ${CMAKE_CURRENT_BINARY_DIR}/lib)
 set(shared_name librect.so.${PROJECT_VERSION})
@@ -7,21 +7,21 @@ if(RECT_LIBRARY_DIR)
   set(built_dir ${RECT_LIBRARY_DIR})
   foreach(file librect_cpp.so librect_cpp.a)
     if(NOT EXISTS ${built_dir}/${file})
-      message(FATAL_ERROR "RECT_LIBRARY_DIR: there is no ${file} in ${built_dir}; "
-                          "`cargo build --release -p rect-cpp` makes it, in target/release")
+      message(FATAL_ERROR "RECT_LIBRARY_DIR: ${built_dir} does not contain ${file}. "
+                          "`cargo build --release -p rect-cpp` builds it in target/release.")
     endif()
   endforeach()
 else()
   find_program(CARGO cargo HINTS $ENV{HOME}/.cargo/bin)
   if(NOT CARGO)
-    message(FATAL_ERROR "cargo is missing: install Rust from https://rustup.rs, or give a built library by RECT_LIBRARY_DIR")
+    message(FATAL_ERROR "cargo was not found. Install Rust from https://rustup.rs, or set RECT_LIBRARY_DIR to the folder of a built library.")
   endif()
   set(cargo_dir $ENV{CARGO_TARGET_DIR})
   if(NOT cargo_dir)
     set(cargo_dir ${repository}/target)
   endif()
   set(built_dir ${cargo_dir}/${RECT_CARGO_PROFILE})
-  # Cargo knows better than CMake what is out of date.
+  # Runs cargo in every build, because only cargo knows whether the library is up to date.
   add_custom_target(rect_cargo ALL
     COMMAND ${CARGO} build --locked --profile ${RECT_CARGO_PROFILE} -p rect-cpp --target-dir ${cargo_dir}
     WORKING_DIRECTORY ${repository}
@@ -42,7 +42,7 @@ if(TARGET rect_cargo)
   add_dependencies(rect_library rect_cargo)
 endif()
 
-# The same targets as in an installed package.
+# Defines the same targets as an installed package.
 set(RECT_INCLUDE_DIR ${CMAKE_CURRENT_SOURCE_DIR}/include)
 set(RECT_LIB_DIR ${lib_dir})
 set(RECT_SHARED_LIBRARY ${lib_dir}/${shared_name})

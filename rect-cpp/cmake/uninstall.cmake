@@ -1,6 +1,6 @@
-# Removes what the last `cmake --install` has written.
+# Removes the files that the last `cmake --install` has written.
 if(NOT EXISTS ${MANIFEST})
-  message(FATAL_ERROR "nothing was installed from here: there is no ${MANIFEST}")
+  message(FATAL_ERROR "nothing was installed from this build folder: ${MANIFEST} does not exist")
 endif()
 file(STRINGS ${MANIFEST} files)
 foreach(file ${files})

@@ -1,4 +1,4 @@
-//! Owns the checks of what C gives: pointers, lengths, text.
+//! Checks the arguments that C passes: pointers, lengths and text.
 use std::{
     ffi::{c_char, CStr},
     slice,
@@ -6,20 +6,20 @@ use std::{
 
 use crate::failure::Failure;
 
-/// A text that has to be there.
+/// Returns a text that must not be NULL.
 ///
 /// # Safety
-/// NULL, or a text with a zero byte at its end, that lives as long as what is returned is used.
+/// `text` is NULL, or points to a text with a terminating zero byte that outlives `'a`.
 pub unsafe fn text<'a>(name: &'static str, text: *const c_char) -> Result<&'a str, Failure> {
-    // SAFETY: as this function asks.
-    let given = unsafe { text_or_none(name, text) }?;
-    given.ok_or_else(|| Failure::argument(name, "is NULL, or in C++ a text with a zero byte in it"))
+    // SAFETY: guaranteed by this function's caller.
+    let value = unsafe { text_or_none(name, text) }?;
+    value.ok_or_else(|| Failure::argument(name, "is NULL, or (in C++) contains a zero byte"))
 }
 
-/// A text, or NULL.
+/// Returns a text, or `None` for NULL.
 ///
 /// # Safety
-/// As [`text`].
+/// The same as for [`text`].
 pub unsafe fn text_or_none<'a>(
     name: &'static str,
     text: *const c_char,
@@ -27,23 +27,26 @@ pub unsafe fn text_or_none<'a>(
     if text.is_null() {
         return Ok(None);
     }
-    // SAFETY: not NULL, and as this function asks.
+    // SAFETY: the pointer is not NULL, and this function's caller guarantees the rest.
     let bytes = unsafe { CStr::from_ptr(text) };
     Ok(Some(utf8(name, bytes.to_bytes())?))
 }
 
-/// Text of these bytes.
+/// Returns the bytes as text, or a failure that gives the position of the first invalid byte.
 pub fn utf8<'a>(name: &'static str, bytes: &'a [u8]) -> Result<&'a str, Failure> {
     std::str::from_utf8(bytes).map_err(|error| {
         let at = error.valid_up_to();
-        Failure::argument(name, format!("is not UTF-8: its byte {at} is wrong"))
+        Failure::argument(
+            name,
+            format!("is not UTF-8: the byte at offset {at} is invalid"),
+        )
     })
 }
 
-/// So many items.
+/// Returns the `len` items from `first` on.
 ///
 /// # Safety
-/// NULL, or so many of them, that live as long as what is returned is used.
+/// `first` is NULL, or points to `len` items that outlive `'a`.
 pub unsafe fn items<'a, T>(
     name: &'static str,
     first: *const T,
@@ -53,19 +56,23 @@ pub unsafe fn items<'a, T>(
         return Ok(&[]);
     }
     if first.is_null() {
-        return Err(Failure::argument(name, format!("is NULL, and {len} long")));
+        return Err(Failure::argument(
+            name,
+            format!("is NULL, but its length is {len}"),
+        ));
     }
     if !first.is_aligned() || len > isize::MAX as usize / size_of::<T>().max(1) {
         return Err(Failure::argument(
             name,
-            format!("can't be {len} long there"),
+            format!("is misaligned, or its length {len} is impossible"),
         ));
     }
-    // SAFETY: neither NULL nor misaligned nor larger than memory, and as this function asks.
+    // SAFETY: the pointer is neither NULL nor misaligned and the length is possible; this function's caller guarantees the
+    // rest.
     Ok(unsafe { slice::from_raw_parts(first, len) })
 }
 
-/// What is pointed to, or a function, which has to be there.
-pub fn there<T>(name: &'static str, given: Option<T>) -> Result<T, Failure> {
-    given.ok_or_else(|| Failure::argument(name, "is NULL"))
+/// Returns a value or function that must not be NULL.
+pub fn require<T>(name: &'static str, value: Option<T>) -> Result<T, Failure> {
+    value.ok_or_else(|| Failure::argument(name, "is NULL"))
 }

@@ -1,24 +1,24 @@
-//! Owns numeric arrays as C gives and gets them.
+//! Converts numeric arrays between C and the library.
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
     sync::Arc,
 };
 
-use rect::core::array::{Array as Numbers, Element as Number, MAX_DIMENSIONS};
+use rect::core::array::{Array as LibraryArray, Element as LibraryElement};
 use rect::core::payload::ToPayload;
 
 use crate::{
-    argument::{items, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{items, require},
+    boundary::{call, require_out, write_out, ErrorOut},
     failure::Code,
     handle::{self, Object},
     payload::PayloadView,
-    picture::{give_encoding, CodecLimits, ENCODING_BYTES},
+    picture::{write_encoding, CodecLimits, ENCODING_BYTES},
     text::{choice, number},
 };
 
-/// The type of an array's numbers.
+/// The type of the numbers of an array.
 #[repr(C)]
 pub enum Element {
     /// `uint8_t`.
@@ -41,81 +41,84 @@ pub enum Element {
     F64 = 8,
 }
 
-const ELEMENTS: [(u32, Number); 9] = [
-    (Element::U8 as u32, Number::U8),
-    (Element::I8 as u32, Number::I8),
-    (Element::U16 as u32, Number::U16),
-    (Element::I16 as u32, Number::I16),
-    (Element::U32 as u32, Number::U32),
-    (Element::I32 as u32, Number::I32),
-    (Element::I64 as u32, Number::I64),
-    (Element::F32 as u32, Number::F32),
-    (Element::F64 as u32, Number::F64),
+const ELEMENTS: [(u32, LibraryElement); 9] = [
+    (Element::U8 as u32, LibraryElement::U8),
+    (Element::I8 as u32, LibraryElement::I8),
+    (Element::U16 as u32, LibraryElement::U16),
+    (Element::I16 as u32, LibraryElement::I16),
+    (Element::U32 as u32, LibraryElement::U32),
+    (Element::I32 as u32, LibraryElement::I32),
+    (Element::I64 as u32, LibraryElement::I64),
+    (Element::F32 as u32, LibraryElement::F32),
+    (Element::F64 as u32, LibraryElement::F64),
 ];
 
-/// The most dimensions of an array.
-pub const DIMENSIONS: usize = 8;
+/// The maximum number of dimensions of an array.
+pub const MAX_DIMENSIONS: usize = 8;
 
-const _: () = assert!(DIMENSIONS == MAX_DIMENSIONS);
+const _: () = assert!(MAX_DIMENSIONS == rect::core::array::MAX_DIMENSIONS);
 
-/// Numbers of one type, little endian, the last index running fastest. They are there until `rect_drop(&array.id, ..)`.
+/// An array of numbers of one type, in little-endian byte order and row-major order (the last index varies fastest). It is
+/// valid until `rect_drop(&array.id, ..)`.
 #[repr(C)]
 pub struct Array {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
-    /// The type of its numbers: a `rect_element`.
+    /// The type of the numbers: a `rect_element`.
     pub element: u32,
-    /// How many dimensions.
+    /// Number of dimensions, 1 to `RECT_MAX_DIMENSIONS`.
     pub dimensions: u32,
-    /// Its dimensions, the one that runs slowest first.
-    pub shape: [usize; DIMENSIONS],
+    /// Size of each dimension, the slowest-varying one first.
+    pub shape: [usize; MAX_DIMENSIONS],
     /// The numbers, at an address that is a multiple of 8.
     pub numbers: *const u8,
-    /// How many bytes of them.
+    /// Size of `numbers` in bytes.
     pub len: usize,
 }
 
-/// Kept as 64-bit numbers, so that any number of it may be read where it is.
-struct Held(Vec<u64>);
+/// The bytes of an array, stored as 64-bit numbers so that they are aligned for every element type.
+struct OwnedArray(Vec<u64>);
 
-impl Object for Held {
+impl Object for OwnedArray {
     const KIND: &'static str = "array";
 }
 
-/// The bytes, where any number may begin.
+/// Copies the bytes to an address that is a multiple of 8.
 fn aligned(bytes: &[u8]) -> Vec<u64> {
     let mut numbers = vec![0u64; bytes.len().div_ceil(8)];
-    for (to, from) in numbers.iter_mut().zip(bytes.chunks(8)) {
+    for (number, chunk) in numbers.iter_mut().zip(bytes.chunks(8)) {
         let mut eight = [0; 8];
-        eight[..from.len()].copy_from_slice(from);
-        *to = u64::from_ne_bytes(eight);
+        eight[..chunk.len()].copy_from_slice(chunk);
+        *number = u64::from_ne_bytes(eight);
     }
     numbers
 }
 
-fn hold(array: &Numbers) -> Array {
-    let mut shape = [0; DIMENSIONS];
-    // At most 8.
+fn into_c(array: &LibraryArray) -> Array {
+    let mut shape = [0; MAX_DIMENSIONS];
+    // Fits: an array has at most 8 dimensions.
     let dimensions = array.shape().len() as u32;
-    for (to, &from) in shape.iter_mut().zip(array.shape()) {
-        *to = from;
+    for (target, &size) in shape.iter_mut().zip(array.shape()) {
+        *target = size;
     }
-    let held = Arc::new(Held(aligned(array.bytes())));
-    let numbers = held.0.as_ptr().cast();
+    let owned = Arc::new(OwnedArray(aligned(array.bytes())));
+    let numbers = owned.0.as_ptr().cast();
     Array {
         element: number(&ELEMENTS, &array.element()),
         dimensions,
         shape,
         numbers,
         len: array.bytes().len(),
-        id: handle::insert_shared(held),
+        id: handle::insert_shared(owned),
     }
 }
 
-/// The encoding of an array, which goes with its numbers, little endian, into a payload. `element`: a `rect_element`;
-/// `len`: of the numbers, in bytes, which have to be as many as its shape says.
+/// Writes the encoding for a payload of numbers to `encoding`, e.g. `application/octet-stream;array;f32;2x3`.
 ///
-/// Thread: any.
+/// `element` is a `rect_element`. `numbers` are `len` bytes in little-endian byte order. The payload consists of the same
+/// bytes together with this encoding.
+///
+/// Returns `RECT_CODE_CODEC` if `len` does not match the shape. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_array_encoding(
     element: u32,
@@ -128,22 +131,23 @@ pub unsafe extern "C" fn rect_array_encoding(
 ) -> Code {
     call(error, || {
         let element = choice("element", &ELEMENTS, element)?;
-        // SAFETY: as rect.h asks.
+        // SAFETY: the caller follows the rules of rect.h.
         let (shape, numbers) = unsafe {
             (
                 items("shape", shape, dimensions)?,
                 items("numbers", numbers.cast::<u8>(), len)?,
             )
         };
-        // Only looked at, and not kept: the length is what is checked.
-        let array = Numbers::new(element, shape, numbers.to_vec())?;
-        give_encoding(array.to_payload()?.encoding.as_str(), encoding)
+        // The copy is only used to check the length.
+        let array = LibraryArray::new(element, shape, numbers.to_vec())?;
+        write_encoding(array.to_payload()?.encoding.as_str(), encoding)
     })
 }
 
-/// The array in a payload, raw or quantised. `limits`: NULL for the default.
+/// Reads the array, raw or quantised, from a payload. `limits` may be NULL for the defaults.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_PAYLOAD` if the payload is not an array, and `RECT_CODE_CODEC` if it is damaged or exceeds the limits.
+/// May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_array_read(
     payload: Option<&PayloadView>,
@@ -152,10 +156,10 @@ pub unsafe extern "C" fn rect_array_read(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("array", &array)?;
-        // SAFETY: as rect.h asks.
-        let payload = unsafe { there("payload", payload)?.read() }?;
+        require_out("array", &array)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let payload = unsafe { require("payload", payload)?.read() }?;
         let read = payload.array(&CodecLimits::read(limits))?;
-        give("array", array, hold(&read))
+        write_out("array", array, into_c(&read))
     })
 }

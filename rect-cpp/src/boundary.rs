@@ -1,4 +1,4 @@
-//! Owns the border itself: no panic goes into C, and a failure becomes a code and a text.
+//! Guards the boundary to C: stops panics and turns a failure into a result code and an error text.
 use std::{
     any::Any,
     ffi::c_char,
@@ -8,32 +8,34 @@ use std::{
 
 use crate::failure::{Code, Failure};
 
-/// The longest text of an error, with the zero byte at its end.
+/// Size of the text of an error, including the terminating zero byte.
 pub const ERROR_BYTES: usize = 1024;
 
-/// Why a call did not do it. Every call that may fail takes a pointer to one, or NULL; it is written when the call fails,
-/// and left alone otherwise. It owns nothing.
+/// The reason why a call failed.
+///
+/// Every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails and
+/// leaves it unchanged otherwise. It owns no memory and is not dropped.
 #[repr(C)]
 pub struct ErrorOut {
-    /// What the call returns, too.
+    /// The code that the call also returned.
     pub code: Code,
-    /// For people: one line of UTF-8, with a zero byte at its end. What is longer is cut.
+    /// A description for people: one line of UTF-8 with a terminating zero byte. Longer texts are truncated.
     pub text: [c_char; ERROR_BYTES],
 }
 
-/// Where C wants the reason of a failure; NULL: nowhere.
+/// The caller's `rect_error`; `None` if it passed NULL.
 pub type Reason<'a> = Option<&'a mut MaybeUninit<ErrorOut>>;
 
-/// Where C wants what a call gives.
+/// The caller's variable for a result; `None` if it passed NULL.
 pub type Out<'a, T> = Option<&'a mut MaybeUninit<T>>;
 
-/// Runs the inside of an entry point.
-pub fn call(reason: Reason<'_>, inside: impl FnOnce() -> Result<(), Failure>) -> Code {
-    // What was half done is in objects behind locks that are taken over, or is dropped.
-    let failure = match catch_unwind(AssertUnwindSafe(inside)) {
+/// Runs the body of an entry point, and converts its failure or panic into a code and an error text.
+pub fn call(reason: Reason<'_>, body: impl FnOnce() -> Result<(), Failure>) -> Code {
+    // After a panic, every object is still consistent: it is protected by a lock that ignores poisoning, or it is dropped.
+    let failure = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return Code::Ok,
         Ok(Err(failure)) => failure,
-        Err(panic) => Failure::Fault(said(&*panic)),
+        Err(panic) => Failure::Internal(panic_message(&*panic)),
     };
     let code = failure.code();
     if let Some(reason) = reason {
@@ -43,38 +45,38 @@ pub fn call(reason: Reason<'_>, inside: impl FnOnce() -> Result<(), Failure>) ->
     code
 }
 
-/// Writes what a call gives.
-pub fn give<T>(name: &'static str, out: Out<'_, T>, value: T) -> Result<(), Failure> {
-    wanted(name, &out)?;
+/// Writes the result of a call to the caller's variable.
+pub fn write_out<T>(name: &'static str, out: Out<'_, T>, value: T) -> Result<(), Failure> {
+    require_out(name, &out)?;
     if let Some(out) = out {
         out.write(value);
     }
     Ok(())
 }
 
-/// Whether there is anywhere to write to; asked before anything is done that could not be undone.
-pub fn wanted<T>(name: &'static str, out: &Out<'_, T>) -> Result<(), Failure> {
+/// Checks that there is a variable for the result. Called before anything is done that cannot be undone.
+pub fn require_out<T>(name: &'static str, out: &Out<'_, T>) -> Result<(), Failure> {
     let is_null = out.is_none();
     is_null
-        .then(|| Failure::argument(name, "is NULL: it is where the result goes"))
+        .then(|| Failure::argument(name, "is NULL; it must point to a variable for the result"))
         .map_or(Ok(()), Err)
 }
 
-fn said(panic: &(dyn Any + Send)) -> String {
+fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
     text.unwrap_or("a panic without text").to_owned()
 }
 
-/// As much of a text as there is room for, up to the end of a character, and a zero byte at its end.
+/// Copies as much of a text as fits, ending at a character boundary, and terminates it with a zero byte.
 pub fn buffer<const BYTES: usize>(text: &str) -> [c_char; BYTES] {
     let mut buffer = [0; BYTES];
     let end = (0..BYTES.min(text.len() + 1))
         .rev()
         .find(|&end| text.is_char_boundary(end));
-    let shown = text.get(..end.unwrap_or(0)).unwrap_or_default();
-    for (to, byte) in buffer.iter_mut().zip(shown.bytes()) {
-        // A zero byte would end it.
+    let copied = text.get(..end.unwrap_or(0)).unwrap_or_default();
+    for (to, byte) in buffer.iter_mut().zip(copied.bytes()) {
+        // A zero byte would end the text early.
         *to = if byte == 0 { b' ' } else { byte } as c_char;
     }
     buffer
@@ -90,21 +92,21 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_is_an_error_and_not_the_end() {
+    fn panic_becomes_an_internal_error() {
         let mut reason = MaybeUninit::uninit();
-        let code = call(Some(&mut reason), || panic!("of number {}", 7));
-        assert_eq!(code, Code::Fault);
-        // SAFETY: the call failed, so that it is written.
+        let code = call(Some(&mut reason), || panic!("in row {}", 7));
+        assert_eq!(code, Code::Internal);
+        // SAFETY: the call failed, so `call` has written the error.
         let error = unsafe { reason.assume_init() };
-        assert!(read(&error).ends_with("of number 7"), "{}", read(&error));
+        assert!(read(&error).ends_with("in row 7"), "{}", read(&error));
     }
 
     #[test]
-    fn a_long_text_is_cut_between_characters_and_ends_in_a_zero() {
+    fn long_error_text_is_truncated_at_a_character_boundary() {
         let long = format!("a{}", "ä".repeat(ERROR_BYTES));
         let mut reason = MaybeUninit::uninit();
         call(Some(&mut reason), || Err(Failure::argument("x", long)));
-        // SAFETY: the call failed, so that it is written.
+        // SAFETY: the call failed, so `call` has written the error.
         let error = unsafe { reason.assume_init() };
         let text = read(&error);
         assert!(

@@ -1,5 +1,5 @@
-//! Owns C's callbacks: what they are called with, that none runs once it has been dropped, and that what they need is
-//! released exactly once.
+//! Runs the callbacks of C programs. Guarantees that no callback runs after it was closed, and that its context is released
+//! exactly once.
 use std::{
     cell::RefCell,
     ffi::c_void,
@@ -9,39 +9,39 @@ use std::{
     },
 };
 
-/// Called once when a callback will not be called any more, with its `context`; may be NULL. That is so even where the call
-/// that it was given to fails.
+/// Called once with a callback's `context` when the callback will not be called any more, even if the function that the
+/// callback was passed to fails. May be NULL.
 pub type Release = Option<extern "C" fn(context: *mut c_void)>;
 
-/// What a callback needs, and how often it runs now.
+/// A C callback's context, and the number of calls that are in progress.
 pub struct Callback {
     context: Context,
-    /// How often it runs, and whether it is [`CLOSED`].
+    /// Number of calls in progress, plus [`CLOSED`] if the callback is closed.
     running: AtomicUsize,
-    /// Held by whoever waits for those that run, or ends as one of them once it is closed.
+    /// Locked while waiting for calls in progress, and by each call that ends after the callback was closed.
     is_released: Mutex<bool>,
     idle: Condvar,
 }
 
-/// It is called no more.
+/// The bit of `running` that marks a closed callback.
 const CLOSED: usize = 1 << (usize::BITS - 1);
 
 struct Context(*mut c_void, Release);
 
-// SAFETY: rect.h says on which threads callbacks run, and that what they need has to bear that.
+// SAFETY: rect.h states on which threads callbacks run; the program must make its context usable there.
 unsafe impl Send for Context {}
-// SAFETY: as above.
+// SAFETY: as for `Send`.
 unsafe impl Sync for Context {}
 
-/// The callbacks that a thread is in, by address.
-type Inside = RefCell<Vec<usize>>;
+/// The callbacks that the current thread is running, by address.
+type ActiveCalls = RefCell<Vec<usize>>;
 
 thread_local! {
-    static INSIDE: Inside = const { RefCell::new(Vec::new()) };
+    static ACTIVE_CALLS: ActiveCalls = const { RefCell::new(Vec::new()) };
 }
 
 impl Callback {
-    /// Takes over the context, which is released in any case.
+    /// Takes ownership of the context, which is released exactly once.
     pub fn new(context: *mut c_void, release: Release) -> Self {
         Self {
             context: Context(context, release),
@@ -51,10 +51,10 @@ impl Callback {
         }
     }
 
-    /// Calls it, unless it was closed; whether it was called.
+    /// Runs the callback unless it is closed. Returns whether it was run.
     pub fn run(&self, call: impl FnOnce(*mut c_void)) -> bool {
-        INSIDE.with(|inside| {
-            let running = Running::begin(self, inside);
+        ACTIVE_CALLS.with(|active_calls| {
+            let running = Running::begin(self, active_calls);
             let may_run = !running.was_closed;
             if may_run {
                 call(self.context.0);
@@ -63,22 +63,23 @@ impl Callback {
         })
     }
 
-    /// It is not called any more. Waits for those that run, but for the one from which this is called.
+    /// Closes the callback. Waits for calls in progress on other threads, but not for a call from which this is called.
     pub fn close(&self) {
         let here = self.address();
-        let own = INSIDE.with_borrow(|inside| inside.iter().filter(|&&at| at == here).count());
+        let own = ACTIVE_CALLS
+            .with_borrow(|active_calls| active_calls.iter().filter(|&&at| at == here).count());
         self.running.fetch_or(CLOSED, Ordering::SeqCst);
         let mut is_released = self.is_released();
         while self.running.load(Ordering::SeqCst) & !CLOSED > own {
             let waited = self.idle.wait(is_released);
             is_released = waited.unwrap_or_else(PoisonError::into_inner);
         }
-        self.release_if_over(is_released);
+        self.release_if_finished(is_released);
     }
 
-    fn release_if_over(&self, mut is_released: MutexGuard<'_, bool>) {
-        let is_over = self.running.load(Ordering::SeqCst) == CLOSED;
-        if !is_over || std::mem::replace(&mut is_released, true) {
+    fn release_if_finished(&self, mut is_released: MutexGuard<'_, bool>) {
+        let is_finished = self.running.load(Ordering::SeqCst) == CLOSED;
+        if !is_finished || std::mem::replace(&mut is_released, true) {
             return;
         }
         drop(is_released);
@@ -98,21 +99,21 @@ impl Callback {
     }
 }
 
-/// A call under way; over when it is dropped, however that comes.
+/// A call in progress. It ends when this is dropped, also during a panic.
 struct Running<'a> {
     callback: &'a Callback,
-    /// This thread's; looked for once, which in a shared library is a call.
-    inside: &'a Inside,
+    /// This thread's list. Looked up only once, because thread-local access in a shared library is a function call.
+    active_calls: &'a ActiveCalls,
     was_closed: bool,
 }
 
 impl<'a> Running<'a> {
-    fn begin(callback: &'a Callback, inside: &'a Inside) -> Self {
+    fn begin(callback: &'a Callback, active_calls: &'a ActiveCalls) -> Self {
         let before = callback.running.fetch_add(1, Ordering::SeqCst);
-        inside.borrow_mut().push(callback.address());
+        active_calls.borrow_mut().push(callback.address());
         Self {
             callback,
-            inside,
+            active_calls,
             was_closed: before & CLOSED != 0,
         }
     }
@@ -120,13 +121,13 @@ impl<'a> Running<'a> {
 
 impl Drop for Running<'_> {
     fn drop(&mut self) {
-        self.inside.borrow_mut().pop();
+        self.active_calls.borrow_mut().pop();
         let callback = self.callback;
-        // Nobody waits before it is closed. Whoever closes it later finds that this runs no more.
+        // Nobody waits before the callback is closed, and a later `close` sees that this call has ended.
         if callback.running.fetch_sub(1, Ordering::SeqCst) & CLOSED != 0 {
             let is_released = callback.is_released();
             callback.idle.notify_all();
-            callback.release_if_over(is_released);
+            callback.release_if_finished(is_released);
         }
     }
 }
@@ -147,7 +148,7 @@ mod tests {
     use super::*;
 
     extern "C" fn count(context: *mut c_void) {
-        // SAFETY: each test gives a counter that outlives the callback.
+        // SAFETY: each test passes a counter that outlives the callback.
         let counter = unsafe { &*context.cast::<AtomicUsize>() };
         counter.fetch_add(1, Ordering::SeqCst);
     }
@@ -158,12 +159,12 @@ mod tests {
     }
 
     #[test]
-    fn it_is_released_once_whoever_closes_it() {
+    fn context_is_released_exactly_once() {
         let released = AtomicUsize::new(0);
         drop(counted(&released));
         assert_eq!(released.load(Ordering::SeqCst), 1, "never called");
         let callback = counted(&released);
-        assert!(callback.run(|_| callback.close()), "from inside");
+        assert!(callback.run(|_| callback.close()), "closed by its own call");
         assert_eq!(released.load(Ordering::SeqCst), 2);
         callback.close();
         assert!(!callback.run(|_| panic!("it was closed")));
@@ -172,21 +173,21 @@ mod tests {
     }
 
     #[test]
-    fn who_closes_it_waits_for_the_one_that_runs() {
+    fn close_waits_for_a_call_in_progress() {
         let released = Arc::new(AtomicUsize::new(0));
         let callback = Arc::new(counted(&released));
-        let (began, begins) = mpsc::channel();
-        let (go, goes) = mpsc::channel::<()>();
+        let (started_tx, started_rx) = mpsc::channel();
+        let (go_tx, go_rx) = mpsc::channel::<()>();
         let running = std::thread::spawn({
             let callback = callback.clone();
             move || {
                 callback.run(|_| {
-                    began.send(()).expect("waited for");
-                    goes.recv().expect("let go");
+                    started_tx.send(()).expect("the test receives this");
+                    go_rx.recv().expect("the test sends this");
                 })
             }
         });
-        begins.recv().expect("began");
+        started_rx.recv().expect("the call has started");
         let closing = std::thread::spawn({
             let (callback, released) = (callback.clone(), released.clone());
             move || {
@@ -194,10 +195,14 @@ mod tests {
                 released.load(Ordering::SeqCst)
             }
         });
-        assert_eq!(released.load(Ordering::SeqCst), 0, "it runs still");
-        go.send(()).expect("waits");
+        assert_eq!(
+            released.load(Ordering::SeqCst),
+            0,
+            "the call is still in progress"
+        );
+        go_tx.send(()).expect("the call is waiting");
         assert!(running.join().expect("no panic"));
-        // Whichever of the two threads is last releases it, maybe a moment after the other went on.
+        // The last of the two threads releases the context, possibly a moment after the other one has continued.
         closing.join().expect("no panic");
         drop(callback);
         assert_eq!(released.load(Ordering::SeqCst), 1);

@@ -1,22 +1,23 @@
-//! Owns making payloads smaller, and undoing it, by hand.
+//! Encodes and decodes payloads explicitly, without a robot.
 use std::{ffi::c_char, mem::MaybeUninit};
 
 use rect::core::{codec, dictionary::Dictionaries};
 
 use crate::{
-    argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text},
+    boundary::{call, require_out, write_out, ErrorOut},
     dictionary::{self, Dictionary},
     failure::Code,
-    payload::{hold, Buffer, PayloadView},
+    payload::{into_c, Buffer, PayloadView},
     picture::CodecLimits,
-    text::{hold_string, StringView},
+    text::{string_into_c, StringView},
 };
 
-/// A payload made smaller by a codec: `zstd:9`, `jpeg:60`, `webp:60`, `png`, `quantised:0.01`. `rect_robot_encoded` does so
-/// for all that a robot says.
+/// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the smaller
+/// payload to `buffer`. `rect_robot_with_codec` encodes everything that a robot publishes and sends.
 ///
-/// Thread: any. Takes as long as the codec.
+/// Returns `RECT_CODE_CODEC` if the codec is unknown or does not suit the payload. May be called on any thread. The time it
+/// takes depends on the codec.
 #[no_mangle]
 pub unsafe extern "C" fn rect_encode(
     codec: *const c_char,
@@ -25,24 +26,27 @@ pub unsafe extern "C" fn rect_encode(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("buffer", &buffer)?;
-        // SAFETY: as rect.h asks.
+        require_out("buffer", &buffer)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let (codec, payload) =
-            unsafe { (text("codec", codec)?, there("payload", payload)?.read()?) };
-        give(
+            unsafe { (text("codec", codec)?, require("payload", payload)?.read()?) };
+        write_out(
             "buffer",
             buffer,
-            hold(codec::parse(codec)?.encode(&payload)?),
+            into_c(codec::parse(codec)?.encode(&payload)?),
         )
     })
 }
 
-/// A payload without its packings (`;zstd`). What comes by a robot has none any more: this is for what was kept elsewhere.
-/// `dictionary`: NULL, or the one that it was packed with; `limits`: NULL for the default.
+/// Decodes a payload that was encoded with a codec (its encoding ends with e.g. `;zstd`), and writes the result to `buffer`.
+/// Messages and frames that a robot receives are already decoded; use this for payloads that were stored elsewhere.
 ///
-/// Thread: any.
+/// `dictionary` is the dictionary that the payload was encoded with, or NULL. `limits` may be NULL for the defaults.
+///
+/// Returns `RECT_CODE_CODEC` if the payload is damaged, exceeds the limits, or needs another dictionary. May be called on
+/// any thread.
 #[no_mangle]
-pub unsafe extern "C" fn rect_unpack(
+pub unsafe extern "C" fn rect_decode(
     payload: Option<&PayloadView>,
     dictionary: Option<&Dictionary>,
     limits: Option<&CodecLimits>,
@@ -50,21 +54,21 @@ pub unsafe extern "C" fn rect_unpack(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("buffer", &buffer)?;
-        // SAFETY: as rect.h asks.
-        let payload = unsafe { there("payload", payload)?.read() }?;
-        let known = match dictionary {
+        require_out("buffer", &buffer)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let payload = unsafe { require("payload", payload)?.read() }?;
+        let dictionaries = match dictionary {
             None => Dictionaries::default(),
-            Some(&one) => Dictionaries::of(dictionary::live(one)?),
+            Some(&handle) => Dictionaries::of(dictionary::resolve(handle)?),
         };
-        let unpacked = codec::decode(&payload, &CodecLimits::read(limits), &known)?;
-        give("buffer", buffer, hold(unpacked))
+        let decoded = codec::decode(&payload, &CodecLimits::read(limits), &dictionaries)?;
+        write_out("buffer", buffer, into_c(decoded))
     })
 }
 
-/// The whole name of a codec, with the options that were left out: `zstd:3` for `zstd`.
+/// Writes the full name of a codec to `name`, including the options that were omitted: `zstd:3` for `zstd`.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_CODEC` if there is no such codec. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_codec_name(
     codec: *const c_char,
@@ -72,9 +76,9 @@ pub unsafe extern "C" fn rect_codec_name(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("name", &name)?;
-        // SAFETY: as rect.h asks.
+        require_out("name", &name)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let codec = codec::parse(unsafe { text("codec", codec) }?)?;
-        give("name", name, hold_string(codec.name()))
+        write_out("name", name, string_into_c(codec.name()))
     })
 }

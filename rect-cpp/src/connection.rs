@@ -1,105 +1,105 @@
-//! Owns the connections of a robot's router as C gets and gives them.
+//! Converts the connections of a robot's router between C and the library.
 use std::{ffi::c_char, mem::MaybeUninit};
 
-use rect::{ConnectionState, Name};
+use rect::Name;
 use serde_json::Value;
 
 use crate::{
-    argument::{text, text_or_none, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text, text_or_none},
+    boundary::{call, require_out, write_out, ErrorOut},
     failure::{Code, Failure},
     handle::{self, Object},
     program::Program,
-    robot::Robot,
-    text::{hold_string, StringView, Text},
+    robot::RobotHandle,
+    text::{string_into_c, StringView, Text},
 };
 
-/// How far a connection is.
+/// The state of a connection.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub enum Linked {
+pub enum ConnectionState {
     /// There is a link.
     Connected = 0,
-    /// It is dialled or waited for.
+    /// The router dials the peer, or waits for it to dial.
     Connecting = 1,
-    /// The robot is in the air, and there is no link with it.
+    /// An advertisement of the robot was received; there is no link to it.
     Discovered = 2,
 }
 
-/// A connection of a robot's router (docs/registry.md). What is not known is an empty text, -1, or not a number (NAN).
+/// A connection of a robot's router (docs/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
 #[repr(C)]
 pub struct Connection {
-    /// Its name, if it is a named one.
+    /// The name of a named connection; otherwise empty.
     pub name: Text,
-    /// `ble`, `tcp`, `udp`, ...
+    /// The method of the link: `ble`, `tcp`, `udp` and so on.
     pub method: Text,
-    /// The other end.
+    /// The address of the other end.
     pub address: Text,
-    /// The Zenoh id of who is there.
+    /// The Zenoh id of the peer.
     pub peer_id: Text,
-    /// Which robot that is.
+    /// The name of the peer's robot.
     pub peer: Text,
-    /// How far it is.
-    pub state: Linked,
-    /// For how long, in s.
+    /// The state.
+    pub state: ConnectionState,
+    /// Time since the link was established, in seconds.
     pub up_s: f64,
-    /// What a small message takes there and back, in ms.
+    /// Round-trip time of a small message, in milliseconds.
     pub round_trip_ms: f64,
-    /// How strong its signal is, in dBm.
+    /// Received signal strength, in dBm.
     pub rssi_dbm: f64,
-    /// Bytes sent.
+    /// Number of bytes sent.
     pub sent_bytes: i64,
-    /// Bytes received.
+    /// Number of bytes received.
     pub received_bytes: i64,
-    /// How often it was linked.
+    /// How many times a link was established.
     pub linked: i64,
-    /// How often it could not be.
+    /// How many attempts to establish a link failed.
     pub failed: i64,
-    /// What went wrong last.
+    /// The last error.
     pub last_error: Text,
-    /// How long ago that was, in s.
+    /// Time since the last error, in seconds.
     pub last_error_ago_s: f64,
 }
 
-/// Connections. `rect_drop(&connections.id, ..)` when they are not needed any more.
+/// A list of connections. Release it with `rect_drop(&connections.id, ..)`.
 #[repr(C)]
 pub struct Connections {
-    /// Their handle.
+    /// The handle.
     pub id: u64,
-    /// The first.
+    /// The first connection.
     pub items: *const Connection,
-    /// How many.
+    /// Number of connections.
     pub len: usize,
 }
 
-/// A connection that a router is to have. What is 0 or NULL is left out.
+/// A named connection to add to a router. Fields that are 0 or NULL are omitted.
 #[repr(C)]
 pub struct NamedConnection {
-    /// Its name.
+    /// The name of the connection.
     pub name: *const c_char,
-    /// `ble`, `tcp`, `udp`, or any other of Zenoh's protocols.
+    /// The method: `ble`, `tcp`, `udp` or another protocol of Zenoh.
     pub method: *const c_char,
-    /// For `ble` a robot's name or its Bluetooth address, else a host.
+    /// For `ble`, the name or Bluetooth address of a robot; for other methods, a host.
     pub address: *const c_char,
-    /// For methods with one.
+    /// The port, for methods that have ports.
     pub port: u16,
-    /// For `ble`: the L2CAP channel's number; left out, the advertised one.
+    /// The L2CAP PSM, for `ble`. If 0, the advertised PSM is used.
     pub psm: u16,
-    /// Options of the method's locator, a JSON object: `{"mtu": 512}`.
+    /// Options of the locator as a JSON object, e.g. `{"mtu": 512}`.
     pub options: *const c_char,
 }
 
-struct Held {
+struct OwnedConnections {
     _connections: Vec<rect::Connection>,
     _views: Vec<Connection>,
 }
 
-// SAFETY: the views point into the connections beside them, which never change.
-unsafe impl Send for Held {}
-// SAFETY: as above.
-unsafe impl Sync for Held {}
+// SAFETY: the views point into the connections stored next to them, which never change.
+unsafe impl Send for OwnedConnections {}
+// SAFETY: as for `Send`.
+unsafe impl Sync for OwnedConnections {}
 
-impl Object for Held {
+impl Object for OwnedConnections {
     const KIND: &'static str = "list of connections";
 }
 
@@ -109,7 +109,7 @@ fn number(given: Option<u64>) -> i64 {
 
 fn view(one: &rect::Connection) -> Connection {
     let peer = one.peer.as_ref();
-    let trouble = one.last_error.as_ref();
+    let last_error = one.last_error.as_ref();
     Connection {
         name: Text::of_some(one.name.as_deref()),
         method: Text::of(&one.method),
@@ -117,9 +117,9 @@ fn view(one: &rect::Connection) -> Connection {
         peer_id: Text::of_some(peer.map(|peer| peer.id.as_str())),
         peer: Text::of_some(peer.and_then(|peer| peer.robot.as_deref())),
         state: match one.state {
-            ConnectionState::Connected => Linked::Connected,
-            ConnectionState::Connecting => Linked::Connecting,
-            ConnectionState::Discovered => Linked::Discovered,
+            rect::ConnectionState::Connected => ConnectionState::Connected,
+            rect::ConnectionState::Connecting => ConnectionState::Connecting,
+            rect::ConnectionState::Discovered => ConnectionState::Discovered,
         },
         up_s: one.up_s.unwrap_or(f64::NAN),
         round_trip_ms: one.round_trip_ms.unwrap_or(f64::NAN),
@@ -128,33 +128,33 @@ fn view(one: &rect::Connection) -> Connection {
         received_bytes: number(one.received.map(|received| received.bytes)),
         linked: number(one.linked),
         failed: number(one.failed),
-        last_error: Text::of_some(trouble.map(|trouble| trouble.what.as_str())),
-        last_error_ago_s: trouble.map_or(f64::NAN, |trouble| trouble.ago_s),
+        last_error: Text::of_some(last_error.map(|last_error| last_error.what.as_str())),
+        last_error_ago_s: last_error.map_or(f64::NAN, |last_error| last_error.ago_s),
     }
 }
 
-fn hold(connections: Vec<rect::Connection>) -> Connections {
+fn into_c(connections: Vec<rect::Connection>) -> Connections {
     let views: Vec<Connection> = connections.iter().map(view).collect();
     let (items, len) = (views.as_ptr(), views.len());
-    let id = handle::insert(Held {
+    let id = handle::insert(OwnedConnections {
         _connections: connections,
         _views: views,
     });
     Connections { id, items, len }
 }
 
-/// Of whom: that robot, or this one.
-fn whose(program: &Program, of: Option<&str>) -> Result<Name, Failure> {
-    match of {
+/// Returns the robot whose router is meant: `target`, or the program's own robot.
+fn target_robot(program: &Program, target: Option<&str>) -> Result<Name, Failure> {
+    match target {
         None => Ok(program.robot.name().clone()),
-        Some(of) => Ok(Name::new(of)?),
+        Some(name) => Ok(Name::new(name)?),
     }
 }
 
 /// # Safety
-/// It is as rect.h asks.
+/// The pointers follow the rules of rect.h.
 unsafe fn read(given: &NamedConnection) -> Result<rect::NamedConnection, Failure> {
-    // SAFETY: as this function asks.
+    // SAFETY: guaranteed by this function's caller.
     let (name, method, address, options) = unsafe {
         (
             text("connection.name", given.name)?,
@@ -172,7 +172,10 @@ unsafe fn read(given: &NamedConnection) -> Result<rect::NamedConnection, Failure
     }
     let options: serde_json::Map<String, Value> = serde_json::from_str(options.unwrap_or("{}"))
         .map_err(|error| {
-            Failure::argument("connection.options", format!("is no JSON object: {error}"))
+            Failure::argument(
+                "connection.options",
+                format!("is not a JSON object: {error}"),
+            )
         })?;
     for (key, value) in options {
         connection = connection.option(key, value);
@@ -180,105 +183,123 @@ unsafe fn read(given: &NamedConnection) -> Result<rect::NamedConnection, Failure
     Ok(connection)
 }
 
-/// The connections of a router. `of`: of which robot; NULL: this one. `which`: NULL for all, or as `method=ble`,
-/// `peer=wombat-2;state=connected` (docs/registry.md).
+/// Queries the connections of a router and writes them to `connections`.
 ///
-/// Thread: any. Waits for the router's answer.
+/// `target` is the robot whose router is queried; NULL means this robot. `filter` selects connections, e.g. `method=ble` or
+/// `peer=wombat-2;state=connected` (docs/registry.md); NULL means all.
+///
+/// Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply
+/// arrives.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_connections(
-    robot: Robot,
-    of: *const c_char,
-    which: *const c_char,
+    robot: RobotHandle,
+    target: *const c_char,
+    filter: *const c_char,
     connections: Option<&mut MaybeUninit<Connections>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("connections", &connections)?;
-        // SAFETY: as rect.h asks.
-        let (of, which) = unsafe { (text_or_none("of", of)?, text_or_none("which", which)?) };
-        let program = robot.live()?;
-        let of = whose(&program, of)?;
-        let found = program.wait(program.robot.connections_of(of, which.unwrap_or_default()))?;
-        give("connections", connections, hold(found))
+        require_out("connections", &connections)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (target, filter) = unsafe {
+            (
+                text_or_none("target", target)?,
+                text_or_none("filter", filter)?,
+            )
+        };
+        let program = robot.resolve()?;
+        let target = target_robot(&program, target)?;
+        let found = program.wait(
+            program
+                .robot
+                .connections_of(target, filter.unwrap_or_default()),
+        )?;
+        write_out("connections", connections, into_c(found))
     })
 }
 
-/// Any question of the registry, as `connections/count` or `status` (docs/registry.md); the answer is JSON. `of` and `which`
-/// as `rect_robot_connections`.
+/// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and writes the
+/// answer, which is JSON. `target` and `filter` are the same as for `rect_robot_connections`.
 ///
-/// Thread: any. Waits for the router's answer.
+/// May be called on any thread; blocks until the reply arrives.
 #[no_mangle]
-pub unsafe extern "C" fn rect_robot_ask_registry(
-    robot: Robot,
-    of: *const c_char,
+pub unsafe extern "C" fn rect_robot_query_registry(
+    robot: RobotHandle,
+    target: *const c_char,
     question: *const c_char,
-    which: *const c_char,
+    filter: *const c_char,
     answer: Option<&mut MaybeUninit<StringView>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("answer", &answer)?;
-        // SAFETY: as rect.h asks.
-        let (of, question, which) = unsafe {
+        require_out("answer", &answer)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (target, question, filter) = unsafe {
             (
-                text_or_none("of", of)?,
+                text_or_none("target", target)?,
                 text("question", question)?,
-                text_or_none("which", which)?,
+                text_or_none("filter", filter)?,
             )
         };
-        let program = robot.live()?;
-        let of = whose(&program, of)?;
-        let asked = program
-            .robot
-            .ask_registry::<Value>(of, question, which.unwrap_or_default());
-        give(
+        let program = robot.resolve()?;
+        let target = target_robot(&program, target)?;
+        let answer_future =
+            program
+                .robot
+                .query_registry::<Value>(target, question, filter.unwrap_or_default());
+        write_out(
             "answer",
             answer,
-            hold_string(program.wait(asked)?.to_string()),
+            string_into_c(program.wait(answer_future)?.to_string()),
         )
     })
 }
 
-/// Gives a router a connection, instead of the one of that name if it has one; it is dialled from now on, and after a
-/// restart. `of`: of which robot, whose access control has to allow that; NULL: this one.
+/// Adds a named connection to a router, or replaces the one with the same name. The router dials it from now on, also after
+/// a restart.
 ///
-/// Thread: any. Waits for the router's answer.
+/// `target` is the robot whose router is changed; NULL means this robot. The access control of another robot's router must
+/// permit the change.
+///
+/// Returns `RECT_CODE_SERVICE` if the router rejects the connection. May be called on any thread; blocks until the reply
+/// arrives.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_add_connection(
-    robot: Robot,
-    of: *const c_char,
+    robot: RobotHandle,
+    target: *const c_char,
     connection: Option<&NamedConnection>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
-        let (of, connection) = unsafe {
+        // SAFETY: the caller follows the rules of rect.h.
+        let (target, connection) = unsafe {
             (
-                text_or_none("of", of)?,
-                read(there("connection", connection)?)?,
+                text_or_none("target", target)?,
+                read(require("connection", connection)?)?,
             )
         };
-        let program = robot.live()?;
-        let of = whose(&program, of)?;
-        program.wait(program.robot.add_connection_of(of, &connection))
+        let program = robot.resolve()?;
+        let target = target_robot(&program, target)?;
+        program.wait(program.robot.add_connection_of(target, &connection))
     })
 }
 
-/// Takes a connection from a router; its link ends. `of` as `rect_robot_add_connection`.
+/// Removes a named connection from a router and closes its link. `target` is the same as for `rect_robot_add_connection`.
 ///
-/// Thread: any. Waits for the router's answer.
+/// Returns `RECT_CODE_SERVICE` if there is no connection with this name. May be called on any thread; blocks until the reply
+/// arrives.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_remove_connection(
-    robot: Robot,
-    of: *const c_char,
+    robot: RobotHandle,
+    target: *const c_char,
     name: *const c_char,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
-        let (of, name) = unsafe { (text_or_none("of", of)?, text("name", name)?) };
-        let program = robot.live()?;
-        let of = whose(&program, of)?;
-        program.wait(program.robot.remove_connection_of(of, name))
+        // SAFETY: the caller follows the rules of rect.h.
+        let (target, name) = unsafe { (text_or_none("target", target)?, text("name", name)?) };
+        let program = robot.resolve()?;
+        let target = target_robot(&program, target)?;
+        program.wait(program.robot.remove_connection_of(target, name))
     })
 }

@@ -1,45 +1,48 @@
-//! Owns dictionaries: what many small messages have in common.
+//! Trains and loads compression dictionaries.
 use std::{ffi::c_void, mem::MaybeUninit, sync::Arc};
 
-use rect::core::dictionary::Dictionary as Trained;
+use rect::core::dictionary::Dictionary as LibraryDictionary;
 
 use crate::{
     argument::items,
-    boundary::{call, give, wanted, ErrorOut},
+    boundary::{call, require_out, write_out, ErrorOut},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
 };
 
-/// A dictionary, with which small messages of the same kind become much smaller. `rect_drop(&dictionary.id, ..)` when it is
-/// not needed any more; robots that pack with it keep it.
+/// A compression dictionary for small messages of similar content. Release it with `rect_drop(&dictionary.id, ..)`; robots
+/// that use it keep it.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Dictionary {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-struct Held(Arc<Trained>);
+struct OwnedDictionary(Arc<LibraryDictionary>);
 
-impl Object for Held {
+impl Object for OwnedDictionary {
     const KIND: &'static str = "dictionary";
 }
 
-/// What the handle is of.
-pub fn live(dictionary: Dictionary) -> Result<Arc<Trained>, Failure> {
-    Ok(handle::get::<Held>(dictionary.id)?.0.clone())
+/// Returns the dictionary behind a handle.
+pub fn resolve(dictionary: Dictionary) -> Result<Arc<LibraryDictionary>, Failure> {
+    Ok(handle::get::<OwnedDictionary>(dictionary.id)?.0.clone())
 }
 
-fn hold(dictionary: Trained) -> Dictionary {
-    let id = handle::insert(Held(Arc::new(dictionary)));
+fn into_c(dictionary: LibraryDictionary) -> Dictionary {
+    let id = handle::insert(OwnedDictionary(Arc::new(dictionary)));
     Dictionary { id }
 }
 
-/// Makes one, at most `size` bytes large (512 to 131072; 4 to 16 kB is good for JSON), of messages like those to come: some
-/// hundred, ten times its size together.
+/// Trains a dictionary of at most `size` bytes (512 to 131072; 4 to 16 kB suit JSON) and writes it to `dictionary`.
 ///
-/// Thread: any. Takes a while.
+/// The samples are a few hundred messages of the kind that will be sent, about ten times `size` in total. Their encodings do
+/// not matter.
+///
+/// Returns `RECT_CODE_DICTIONARY` if the samples are too few or too different. May be called on any thread. Training takes
+/// long enough that a program should do it only once, when it starts.
 #[no_mangle]
 pub unsafe extern "C" fn rect_dictionary_train(
     samples: *const PayloadView,
@@ -49,21 +52,25 @@ pub unsafe extern "C" fn rect_dictionary_train(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("dictionary", &dictionary)?;
-        // SAFETY: as rect.h asks.
+        require_out("dictionary", &dictionary)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let samples = unsafe { items("samples", samples, samples_len) }?;
         let mut all = Vec::with_capacity(samples.len());
         for sample in samples {
-            // SAFETY: as rect.h asks.
+            // SAFETY: the caller follows the rules of rect.h.
             all.push(unsafe { sample.parts() }?.0);
         }
-        give("dictionary", dictionary, hold(Trained::train(&all, size)?))
+        write_out(
+            "dictionary",
+            dictionary,
+            into_c(LibraryDictionary::train(&all, size)?),
+        )
     })
 }
 
-/// Reads a standard zstd dictionary of `len` bytes.
+/// Loads a standard zstd dictionary of `len` bytes.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_DICTIONARY` if the bytes are not a dictionary. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_dictionary_read(
     data: *const c_void,
@@ -72,21 +79,26 @@ pub unsafe extern "C" fn rect_dictionary_read(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("dictionary", &dictionary)?;
-        // SAFETY: as rect.h asks.
+        require_out("dictionary", &dictionary)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let bytes = unsafe { items("data", data.cast::<u8>(), len) }?;
-        give("dictionary", dictionary, hold(Trained::new(bytes)?))
+        write_out(
+            "dictionary",
+            dictionary,
+            into_c(LibraryDictionary::new(bytes)?),
+        )
     })
 }
 
-/// The number that messages name it by: made from its content, so that it is the same everywhere.
+/// Writes the id of a dictionary to `id`. Payloads refer to the dictionary by this id, which is computed from its content
+/// and is therefore the same on every robot.
 ///
-/// Thread: any.
+/// May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_dictionary_number(
+pub extern "C" fn rect_dictionary_id(
     dictionary: Dictionary,
-    number: Option<&mut MaybeUninit<u32>>,
+    id: Option<&mut MaybeUninit<u32>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    call(error, || give("number", number, live(dictionary)?.id()))
+    call(error, || write_out("id", id, resolve(dictionary)?.id()))
 }

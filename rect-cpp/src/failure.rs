@@ -1,94 +1,95 @@
-//! Owns what can go wrong at this border: the codes that C gets, and their texts.
+//! Lists the failures of the C interface: the codes that C receives, and their texts.
 use rect::{
     core::{
-        codec::CodecError, dictionary::DictionaryError, name::NameError, payload::PayloadError,
-        topic::TopicError, transfer::OfferError, wording,
+        codec::CodecError, dictionary::DictionaryError, humanize, name::NameError,
+        payload::PayloadError, topic::TopicError, transfer::OfferError,
     },
     Error,
 };
 
-/// How a call ended. All but RECT_CODE_OK and RECT_CODE_END come with a text that says what to do.
+/// The result of a call. For every code except `RECT_CODE_OK`, `rect_error.text` describes what happened and what to do.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Code {
-    /// It is done.
+    /// The call succeeded.
     Ok = 0,
-    /// There are no more: all have answered.
+    /// There are no more items: all robots have replied, or the end of the transfer has already been reported.
     End = 1,
-    /// It took longer than was allowed. Ask again, allow more time, or look at the link (`rect connections`).
+    /// The timeout expired. Retry, allow more time, or check the link with `rect connections`.
     TimedOut = 2,
-    /// An argument is NULL, not UTF-8, or out of its range; the text names it.
+    /// An argument is NULL, is not UTF-8, or is out of range. The text names the argument.
     Argument = 3,
-    /// What the handle was for has been dropped, or it is a handle of something else.
+    /// The handle was already dropped, or belongs to an object of another kind.
     Handle = 4,
-    /// The session was closed, or what is waited for was dropped meanwhile.
+    /// The session was closed, or another thread dropped the object while the call was waiting.
     Closed = 5,
-    /// The name of a robot or fleet. Choose another.
+    /// The name of a robot or fleet is invalid. Choose another one.
     Name = 6,
-    /// A topic or pattern. Write it as the text says.
+    /// A topic or pattern is invalid. The text explains the rule that it breaks.
     Topic = 7,
-    /// A value that can't be sent or read as asked for.
+    /// A value cannot be sent, or a payload cannot be read as the requested type.
     Payload = 8,
-    /// A codec that does not fit, or a payload that is damaged.
+    /// A codec does not suit the payload, or the encoded payload is damaged.
     Codec = 9,
-    /// Bytes that are no dictionary, or samples that make none.
+    /// The bytes are not a dictionary, or no dictionary can be trained from the samples.
     Dictionary = 10,
-    /// No router. Start one, or name another.
+    /// There is no router at the endpoint. Start one, or specify another endpoint.
     NoRouter = 11,
-    /// A locator, or something else in the options, that Zenoh does not take.
+    /// Zenoh rejects a locator or another option.
     Option = 12,
-    /// Nobody has that service. Is the robot there, and does its program run?
+    /// The robot does not offer the service. Check that the robot is reachable and that its program is running.
     NoService = 13,
-    /// The service answered with an error.
+    /// The service replied with an error, which is the text.
     Service = 14,
-    /// Zenoh refuses.
+    /// Zenoh reported an error.
     Zenoh = 15,
-    /// A transfer is not taken there.
+    /// The recipient refused the transfer.
     TransferRefused = 16,
-    /// A transfer began and ended before all was there. The text says whether to send it again.
+    /// The transfer started and failed before it was complete. The text states whether to send it again.
     TransferFailed = 17,
-    /// A file or folder of a transfer can't be used.
+    /// A file or folder of a transfer cannot be read or written.
     File = 18,
-    /// A fault of RECT's own: please report it with its text.
-    Fault = 19,
-    /// A failure that this version of the header has no word for; the text tells.
+    /// An internal error of RECT. Please report it with its text.
+    Internal = 19,
+    /// An error without a code in this version of the header. The text describes it.
     Other = 20,
-    /// The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    /// The router requires a login, and the login of this program is missing or wrong. Specify the team's login file.
     LoginRefused = 21,
-    /// The router serves another robot than the program joins as. Join under that name, or at the right router.
+    /// The router belongs to another robot than the name under which the program connects. Use that robot's name, or connect
+    /// to the router of the right robot.
     WrongRobot = 22,
 }
 
-/// Why a call did not do it.
+/// The reason why a call failed.
 #[derive(Debug)]
 pub enum Failure {
-    /// The library's.
+    /// An error of the Rust library.
     Rect(Error),
-    /// A dictionary.
+    /// An error of a dictionary.
     Dictionary(DictionaryError),
-    /// An argument: which, and what is wrong with it.
+    /// The name of an invalid argument, and what is wrong with it.
     Argument(&'static str, String),
-    /// A handle that is not of what it is to be: what is wanted.
+    /// A handle that does not belong to an object of the expected kind, which is given.
     Handle(&'static str),
-    /// Nothing came within the time, in ms.
+    /// The awaited item, and the timeout in milliseconds that expired.
     TimedOut(&'static str, u32),
-    /// What was waited for is gone.
+    /// The session was closed, or the object was dropped.
     Closed,
-    /// There is no more.
+    /// There are no more items.
     End,
-    /// No thread can be started, or the like.
+    /// The operation that the operating system refused, e.g. starting a thread, and its error.
     System(&'static str, std::io::Error),
-    /// A panic, and what it says.
-    Fault(String),
+    /// The message of a panic.
+    Internal(String),
 }
 
 impl Failure {
-    /// An argument, and what is wrong with it.
-    pub fn argument(name: &'static str, wrong: impl Into<String>) -> Self {
-        Self::Argument(name, wrong.into())
+    /// Creates the failure of an invalid argument.
+    pub fn argument(name: &'static str, problem: impl Into<String>) -> Self {
+        Self::Argument(name, problem.into())
     }
 
-    /// For C.
+    /// Returns the code for C.
     pub fn code(&self) -> Code {
         match self {
             Self::Rect(error) => code(error),
@@ -99,24 +100,24 @@ impl Failure {
             Self::Closed => Code::Closed,
             Self::End => Code::End,
             Self::System(..) => Code::Other,
-            Self::Fault(_) => Code::Fault,
+            Self::Internal(_) => Code::Internal,
         }
     }
 
-    /// For people.
+    /// Returns the text for people.
     pub fn text(&self) -> String {
         match self {
-            Self::Rect(error) => wording::with_causes(error),
-            Self::Dictionary(error) => wording::with_causes(error),
-            Self::Argument(name, wrong) => format!("the argument {name} {wrong}"),
+            Self::Rect(error) => humanize::with_causes(error),
+            Self::Dictionary(error) => humanize::with_causes(error),
+            Self::Argument(name, problem) => format!("the argument {name} {problem}"),
             Self::Handle(kind) => format!(
-                "this is no handle of a {kind} that is there: it was dropped already, never made, or is of something else"
+                "invalid handle (expected: {kind}): it was already dropped, was never created, or belongs to an object of another kind"
             ),
-            Self::TimedOut(what, ms) => format!("no {what} within {ms} ms"),
-            Self::Closed => "the session is closed, or what was waited for was dropped".to_owned(),
-            Self::End => "there are no more".to_owned(),
-            Self::System(what, error) => format!("{what}: {error}"),
-            Self::Fault(said) => format!("a fault of RECT's own, please report it: {said}"),
+            Self::TimedOut(item, ms) => format!("no {item} within {ms} ms"),
+            Self::Closed => "the session was closed, or the object was dropped while the call was waiting".to_owned(),
+            Self::End => "there are no more items".to_owned(),
+            Self::System(operation, error) => format!("{operation}: {error}"),
+            Self::Internal(message) => format!("internal error of RECT, please report it: {message}"),
         }
     }
 }
@@ -156,7 +157,7 @@ impl From<DictionaryError> for Failure {
     }
 }
 
-macro_rules! of_the_library {
+macro_rules! impl_from_library_error {
     ($($error:ty),*) => {
         $(impl From<$error> for Failure {
             fn from(error: $error) -> Self {
@@ -166,4 +167,4 @@ macro_rules! of_the_library {
     };
 }
 
-of_the_library!(NameError, TopicError, PayloadError, CodecError, OfferError);
+impl_from_library_error!(NameError, TopicError, PayloadError, CodecError, OfferError);

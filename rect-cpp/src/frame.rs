@@ -1,4 +1,4 @@
-//! Owns frames of streams as C gets them.
+//! Converts frames of streams into the form that C receives.
 use std::sync::Arc;
 
 use crate::{
@@ -6,30 +6,34 @@ use crate::{
     payload::PayloadView,
 };
 
-/// A frame of a stream. One that a call gives has an `id`, and is there until `rect_drop(&frame.id, ..)`. One that a callback
-/// is called with has none, and is there until the callback returns.
+/// A frame of a stream.
+///
+/// A frame that a function returns has an `id` and is valid until `rect_drop(&frame.id, ..)`. A frame that is passed to a
+/// callback has no `id` and is valid until the callback returns.
 #[repr(C)]
 pub struct Frame {
-    /// Its handle; 0 in callbacks.
+    /// The handle; 0 in a callback.
     pub id: u64,
-    /// What it is.
+    /// The payload.
     pub payload: PayloadView,
-    /// How old it was when it came, in us; until the sender has told its time, how much older than the fastest of the last
-    /// minute. -1: another program's, which does not tell.
+    /// The age of the frame on arrival, in microseconds. Until the offset of the sender's clock is known, this is the delay
+    /// relative to the fastest frame of the last minute. -1 if the sender is a plain Zenoh program.
     pub age_us: i64,
-    /// Its number. The sender numbers anew when it starts, and when this robot gets other frames than before.
+    /// The number of the frame. Numbering restarts when the sender restarts, and when this robot joins another group of
+    /// receivers.
     pub number: u32,
-    /// So many before it were not seen: the link dropped them, or this program was not there to take them.
+    /// Number of frames directly before this one that the program did not receive: the link or the receive queue dropped
+    /// them.
     pub skipped: u32,
 }
 
-struct Held(rect::Frame);
+struct OwnedFrame(rect::Frame);
 
-impl Object for Held {
+impl Object for OwnedFrame {
     const KIND: &'static str = "frame";
 }
 
-/// As C gets it; it lives as long as the frame.
+/// Returns the C form of a frame, which is valid as long as the frame.
 pub fn view(frame: &rect::Frame) -> Frame {
     let age_us = frame.age.map(|age| age.as_micros());
     Frame {
@@ -41,10 +45,10 @@ pub fn view(frame: &rect::Frame) -> Frame {
     }
 }
 
-/// Gives C a frame.
-pub fn hold(frame: rect::Frame) -> Frame {
-    let held = Arc::new(Held(frame));
-    let view = view(&held.0);
-    let id = handle::insert_shared(held);
+/// Moves a frame into the handle table and returns its C form.
+pub fn into_c(frame: rect::Frame) -> Frame {
+    let owned = Arc::new(OwnedFrame(frame));
+    let view = view(&owned.0);
+    let id = handle::insert_shared(owned);
     Frame { id, ..view }
 }

@@ -1,5 +1,5 @@
-//! Owns the table of what C has handles of. A handle is a number, never an address: one that was dropped already, made up,
-//! or of something else is an error in every build. It is the only state that is shared by all of a process.
+//! Keeps the table of the objects that C has handles of, the only state that is shared by the whole process. A handle is a
+//! number, never an address: using one that was dropped, invented, or belongs to another kind of object is an error.
 use std::{
     any::Any,
     mem::MaybeUninit,
@@ -14,43 +14,43 @@ use crate::{
     failure::{Code, Failure},
 };
 
-/// What C may have a handle of.
+/// An object that C may have a handle of.
 pub trait Object: Any + Send + Sync {
-    /// What it is called in errors.
+    /// The kind of the object, for error texts.
     const KIND: &'static str;
 
-    /// It was dropped: whoever waits for it is to end, and no callback runs any more when this returns. Calls that are
-    /// under way still have it.
+    /// Called when the handle is dropped. Must end waiting calls; when it returns, no callback of the object may run any
+    /// more. Calls in progress still hold the object.
     fn on_dropped(&self) {}
 }
 
 type Shared = Arc<dyn Any + Send + Sync>;
-/// [`Object::on_dropped`] of what it is.
+/// Calls [`Object::on_dropped`] of the concrete type.
 type OnDropped = fn(&Shared);
 
-struct Slot {
-    /// How many have been here.
+struct Entry {
+    /// How many objects have occupied this entry. It is the upper half of a handle.
     generation: u32,
     object: Option<(Shared, OnDropped)>,
 }
 
 #[derive(Default)]
 struct Table {
-    slots: Vec<Slot>,
+    entries: Vec<Entry>,
     free: Vec<u32>,
 }
 
 static TABLE: RwLock<Table> = RwLock::new(Table {
-    slots: Vec::new(),
+    entries: Vec::new(),
     free: Vec::new(),
 });
 
-/// Keeps it until it is dropped; its handle, which is never 0.
+/// Keeps the object until its handle is dropped. Returns the handle, which is never 0.
 pub fn insert<T: Object>(object: T) -> u64 {
     insert_shared(Arc::new(object))
 }
 
-/// The same with what is shared already.
+/// The same as [`insert`], for an object that is already shared.
 pub fn insert_shared<T: Object>(object: Arc<T>) -> u64 {
     let on_dropped = |object: &Shared| {
         if let Some(object) = object.downcast_ref::<T>() {
@@ -59,54 +59,54 @@ pub fn insert_shared<T: Object>(object: Arc<T>) -> u64 {
     };
     let mut table = write();
     let index = table.free.pop().unwrap_or_else(|| {
-        table.slots.push(Slot {
+        table.entries.push(Entry {
             generation: 0,
             object: None,
         });
-        // Not reached: each takes far more than a byte of memory.
-        u32::try_from(table.slots.len() - 1).expect("less than 4 billion objects")
+        // Never fails in practice: each entry takes far more than a byte of memory.
+        u32::try_from(table.entries.len() - 1).expect("less than 4 billion objects")
     });
-    let slot = &mut table.slots[index as usize];
-    slot.generation += 1;
-    slot.object = Some((object, on_dropped));
-    u64::from(slot.generation) << 32 | u64::from(index)
+    let entry = &mut table.entries[index as usize];
+    entry.generation += 1;
+    entry.object = Some((object, on_dropped));
+    u64::from(entry.generation) << 32 | u64::from(index)
 }
 
-/// What the handle is of.
+/// Returns the object behind a handle.
 pub fn get<T: Object>(handle: u64) -> Result<Arc<T>, Failure> {
     let table = read();
-    let slot = table.slots.get(handle as u32 as usize);
-    let object = slot
-        .filter(|slot| u64::from(slot.generation) == handle >> 32)
-        .and_then(|slot| slot.object.as_ref());
+    let entry = table.entries.get(handle as u32 as usize);
+    let object = entry
+        .filter(|entry| u64::from(entry.generation) == handle >> 32)
+        .and_then(|entry| entry.object.as_ref());
     let object = object.and_then(|(object, _)| object.clone().downcast().ok());
     object.ok_or_else(|| Failure::Handle(T::KIND))
 }
 
-/// Drops what the handle is of.
+/// Drops the object behind a handle.
 pub fn remove(handle: u64) -> Result<(), Failure> {
     let (object, on_dropped) = {
         let mut table = write();
-        let slot = table.slots.get_mut(handle as u32 as usize);
-        let slot = slot.filter(|slot| u64::from(slot.generation) == handle >> 32);
-        let (generation, object) = slot
-            .and_then(|slot| Some((slot.generation, slot.object.take()?)))
-            .ok_or(Failure::Handle("thing"))?;
-        // A slot of which the numbers are used up is not used again.
+        let entry = table.entries.get_mut(handle as u32 as usize);
+        let entry = entry.filter(|entry| u64::from(entry.generation) == handle >> 32);
+        let (generation, object) = entry
+            .and_then(|entry| Some((entry.generation, entry.object.take()?)))
+            .ok_or(Failure::Handle("any object"))?;
+        // An entry whose generations are used up is not reused.
         if generation < u32::MAX {
             table.free.push(handle as u32);
         }
         object
     };
-    // With the table free: callbacks that end meanwhile use it.
+    // The table is unlocked here: callbacks that end now may use it.
     on_dropped(&object);
     Ok(())
 }
 
-fn live() -> usize {
+fn count() -> usize {
     let table = read();
-    let there = table.slots.iter().filter(|slot| slot.object.is_some());
-    there.count()
+    let occupied = table.entries.iter().filter(|entry| entry.object.is_some());
+    occupied.count()
 }
 
 fn read() -> RwLockReadGuard<'static, Table> {
@@ -117,11 +117,13 @@ fn write() -> RwLockWriteGuard<'static, Table> {
     TABLE.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Drops what an `id` is of, whatever that is, and sets it to 0; what is 0 stays so, as `free(NULL)`. No callback of it runs
-/// any more when this returns, except the one that calls this. Dropped a second time by a copy of the `id`, it is
-/// RECT_CODE_HANDLE, and nothing else happens. Two threads may drop the same variable at the same time: one of them does it.
+/// Drops the object of any kind that an `id` belongs to, and sets the `id` to 0. An `id` of 0 is ignored, like `free(NULL)`.
 ///
-/// Thread: any.
+/// When this returns, no callback of the object runs any more, except the one that calls this function. Two threads may drop
+/// the same variable at the same time; one of them does it.
+///
+/// Returns `RECT_CODE_HANDLE` if the object was already dropped through a copy of the `id`; nothing else happens then. May
+/// be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_drop(
     id: *mut u64,
@@ -129,9 +131,13 @@ pub unsafe extern "C" fn rect_drop(
 ) -> Code {
     call(error, || {
         if id.is_null() || !id.cast::<AtomicU64>().is_aligned() {
-            return Err(Failure::argument("id", "is NULL, or no address of an id"));
+            return Err(Failure::argument(
+                "id",
+                "is NULL or is not the address of an id",
+            ));
         }
-        // SAFETY: it is the address of an id, as rect.h asks, and aligned; other threads may use it by this function only.
+        // SAFETY: `id` is aligned, points to an id as rect.h requires, and other threads access it only through this
+        // function.
         let id = unsafe { AtomicU64::from_ptr(id) };
         match id.swap(0, Ordering::AcqRel) {
             0 => Ok(()),
@@ -140,12 +146,11 @@ pub unsafe extern "C" fn rect_drop(
     })
 }
 
-/// How many things have an `id` now: a test that ends with as many as it began has dropped all that it had.
-///
-/// Thread: any.
+/// Returns the number of handles that exist now. If a test ends with the same number as it began, it has dropped everything.
+/// May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_live() -> usize {
-    live()
+pub extern "C" fn rect_handle_count() -> usize {
+    count()
 }
 
 #[cfg(test)]
@@ -169,26 +174,30 @@ mod tests {
     }
 
     #[test]
-    fn what_was_dropped_is_not_found_even_when_another_has_its_place() {
+    fn dropped_handle_stays_invalid_after_its_entry_is_reused() {
         let dropped = Arc::new(AtomicUsize::new(0));
         let first = insert(One(dropped.clone()));
         assert!(get::<One>(first).is_ok());
-        assert!(get::<Other>(first).is_err(), "of another kind");
-        remove(first).expect("there");
+        assert!(
+            get::<Other>(first).is_err(),
+            "the handle belongs to another kind"
+        );
+        remove(first).expect("a valid handle");
         assert_eq!(dropped.load(Ordering::SeqCst), 1);
         let all: Vec<u64> = (0..100).map(|_| insert(Other)).collect();
         assert!(get::<One>(first).is_err() && remove(first).is_err());
         assert!(all.iter().all(|&other| get::<Other>(other).is_ok()));
-        assert!(live() >= 100);
-        all.iter().for_each(|&other| remove(other).expect("there"));
+        assert!(count() >= 100);
+        all.iter()
+            .for_each(|&other| remove(other).expect("a valid handle"));
         assert_eq!(dropped.load(Ordering::SeqCst), 1);
-        for made_up in [0, 1, u64::MAX, 1 << 32 | 0xffff_ffff] {
-            assert!(remove(made_up).is_err(), "{made_up}");
+        for invented in [0, 1, u64::MAX, 1 << 32 | 0xffff_ffff] {
+            assert!(remove(invented).is_err(), "{invented}");
         }
     }
 
     #[test]
-    fn of_many_who_drop_the_same_one_does() {
+    fn exactly_one_of_several_threads_drops_a_handle() {
         let dropped = Arc::new(AtomicUsize::new(0));
         for _ in 0..100 {
             let handle = insert(One(dropped.clone()));
@@ -202,13 +211,13 @@ mod tests {
                 }
             });
             assert_eq!(done, 1);
-            // SAFETY: the address of a number.
+            // SAFETY: the pointer is that of a local variable.
             assert_eq!(unsafe { rect_drop(&mut copy, None) }, Code::Handle);
-            // SAFETY: as before.
+            // SAFETY: as for `Send`.
             assert_eq!((copy, unsafe { rect_drop(&mut copy, None) }), (0, Code::Ok));
         }
         assert_eq!(dropped.load(Ordering::SeqCst), 100);
-        // SAFETY: NULL is allowed.
+        // SAFETY: NULL is permitted.
         let code = unsafe { rect_drop(std::ptr::null_mut(), None) };
         assert_eq!(code, Code::Argument);
     }

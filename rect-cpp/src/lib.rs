@@ -1,16 +1,19 @@
-//! The C ABI of the Rust library: all that `include/rect.h` declares. `include/rect/` are the C++ headers on top of it.
+//! The C interface of the Rust library, which `include/rect.h` declares. The C++ headers in `include/rect/` are based on it.
 //!
-//! Nothing is decided here. Every `extern "C"` function is a shell: `boundary` stops panics and turns errors into codes,
-//! `argument` checks what C gives, and a safe function does it. Objects live in a table (`handle`), from where C has their
-//! numbers; what C is shown of them (`message`, `frame`, ...) points into them. Where a function is `unsafe`, its caller has
-//! to give what rect.h says: pointers that are NULL, or point to what their type says for as long as the call takes.
+//! No decisions are made here. Every `extern "C"` function is a shell: `boundary` stops panics and converts errors to codes,
+//! `argument` checks what C passes, and a safe function does the work. Objects are kept in a table (`handle`), and C refers
+//! to them by numbers. The structs that C receives (`message`, `frame` and so on) point into these objects. An `unsafe`
+//! function requires that its caller follows the rules at the top of rect.h: pointers are NULL, or valid for the duration of
+//! the call.
 mod argument;
 mod array;
 mod boundary;
 mod callback;
+mod cancellable;
 mod codec;
 mod connection;
 mod dictionary;
+mod event;
 mod failure;
 mod frame;
 mod handle;
@@ -23,11 +26,9 @@ mod program;
 mod reply;
 mod robot;
 mod service;
-mod state;
 mod stream;
 mod subscriber;
 mod subscription;
 mod text;
 mod transfer;
-mod waiting;
 mod watch;

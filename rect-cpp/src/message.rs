@@ -1,4 +1,4 @@
-//! Owns messages as C gets them.
+//! Converts messages into the form that C receives.
 use std::sync::Arc;
 
 use rect::Name;
@@ -10,61 +10,65 @@ use crate::{
     text::{number, Text},
 };
 
-/// A message from another robot (or another program of this one). One that a call gives has an `id`, and is there until
-/// `rect_drop(&message.id, ..)`. One that a callback is called with has none, and is there until the callback returns.
+/// A message from another robot, or from another program of the same robot.
+///
+/// A message that a function returns has an `id` and is valid until `rect_drop(&message.id, ..)`. A message that is passed
+/// to a callback has no `id` and is valid until the callback returns.
 #[repr(C)]
 pub struct Message {
-    /// Its handle; 0 in callbacks.
+    /// The handle; 0 in a callback.
     pub id: u64,
-    /// Who sent it.
-    pub from: Text,
-    /// To whom alone; nothing: to all.
-    pub to: Text,
-    /// About what.
+    /// The robot that published or sent the message.
+    pub sender: Text,
+    /// The robot that the message was sent to; empty if it was published.
+    pub recipient: Text,
+    /// The topic.
     pub topic: Text,
-    /// What it says.
+    /// The payload.
     pub payload: PayloadView,
-    /// When, by the sender's clock, in ms since 1970; -1 for one of a stock program. A robot without a clock of its own may
-    /// be years off.
+    /// The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a plain Zenoh program. The
+    /// clock of a robot without a real-time clock may be wrong by years.
     pub sent_ms: i64,
-    /// Its number at its publisher; -1 for one of a stock program.
+    /// The sequence number of its publisher; -1 if the sender is a plain Zenoh program.
     pub sequence: i64,
-    /// So many of its publisher, before it, did not arrive.
+    /// Number of messages of the same publisher, directly before this one, that did not arrive.
     pub missed: u32,
-    /// How urgent: a `rect_urgency`.
+    /// The urgency: a `rect_urgency`.
     pub urgency: u32,
-    /// It was overtaken on its way.
+    /// Whether the message arrived after one with a higher sequence number of the same publisher.
     pub late: bool,
-    /// Why it is still packed as it came, if it is: it is damaged, or of a codec that is not known here.
-    pub flaw: Text,
-    /// By what it came, as `ble`, where its sender has one link with this robot, and that is known.
-    pub over: Text,
+    /// The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
+    /// not available. Empty if the payload is complete.
+    pub problem: Text,
+    /// The method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with this
+    /// robot, or if the method is not known.
+    pub method: Text,
 }
 
-/// A message, and what its parts point to.
-struct Held {
+/// A message together with the text that its C form points to.
+struct OwnedMessage {
     message: rect::Message,
-    flaw: Option<String>,
+    problem: Option<String>,
 }
 
-impl Object for Held {
+impl Object for OwnedMessage {
     const KIND: &'static str = "message";
 }
 
-/// Why a message is still packed, in words.
-pub fn flaw(message: &rect::Message) -> Option<String> {
-    message.flaw.as_ref().map(ToString::to_string)
+/// Returns the text of the reason why a message could not be decoded.
+pub fn problem(message: &rect::Message) -> Option<String> {
+    message.problem.as_ref().map(ToString::to_string)
 }
 
-/// As C gets it; it lives as long as the message and the words for its flaw.
-pub fn view(message: &rect::Message, flaw: Option<&str>) -> Message {
+/// Returns the C form of a message, which is valid as long as the message and `problem`.
+pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
     let sent_ms = message
         .sent_ms
         .map(|ms| i64::try_from(ms).unwrap_or(i64::MAX));
     Message {
         id: 0,
-        from: Text::of(message.from.as_str()),
-        to: Text::of_some(message.to.as_ref().map(Name::as_str)),
+        sender: Text::of(message.sender.as_str()),
+        recipient: Text::of_some(message.recipient.as_ref().map(Name::as_str)),
         topic: Text::of(message.topic.as_str()),
         payload: PayloadView::of(&message.payload),
         sent_ms: sent_ms.unwrap_or(-1),
@@ -72,16 +76,16 @@ pub fn view(message: &rect::Message, flaw: Option<&str>) -> Message {
         missed: message.missed,
         urgency: number(&URGENCIES, &message.urgency),
         late: message.late,
-        flaw: Text::of_some(flaw),
-        over: Text::of_some(message.over.as_deref()),
+        problem: Text::of_some(problem),
+        method: Text::of_some(message.method.as_deref()),
     }
 }
 
-/// Gives C a message.
-pub fn hold(message: rect::Message) -> Message {
-    let flaw = flaw(&message);
-    let held = Arc::new(Held { message, flaw });
-    let view = view(&held.message, held.flaw.as_deref());
-    let id = handle::insert_shared(held);
+/// Moves a message into the handle table and returns its C form.
+pub fn into_c(message: rect::Message) -> Message {
+    let problem = problem(&message);
+    let owned = Arc::new(OwnedMessage { message, problem });
+    let view = view(&owned.message, owned.problem.as_deref());
+    let id = handle::insert_shared(owned);
     Message { id, ..view }
 }

@@ -1,4 +1,4 @@
-//! Owns how C says how to join.
+//! Converts the options for connecting from C into those of the library.
 use std::{ffi::c_char, time::Duration};
 
 use serde_json::Value;
@@ -8,60 +8,64 @@ use crate::{
     failure::Failure,
 };
 
-/// How to join, where the router of this computer does not do. What is 0 or NULL is left at its default, so that
-/// `rect_options options = {0};` changes nothing. It is read during the call only.
+/// How to connect, if the router of this computer is not to be used with its default settings.
+///
+/// Fields that are 0 or NULL keep their defaults, so `rect_options options = {0};` changes nothing. The struct is only read
+/// during the call.
 #[repr(C)]
 pub struct Options {
-    /// The team's name; default `rect`.
+    /// The team's name. Default: `rect`.
     pub fleet: *const c_char,
-    /// The router, as `tcp/192.168.0.7:7447`; default: what the environment's `RECT_ENDPOINT` says, else
-    /// `tcp/127.0.0.1:7447`.
+    /// The endpoint of the router, e.g. `tcp/192.168.0.7:7447`. Default: the value of the environment variable
+    /// `RECT_ENDPOINT`, or `tcp/127.0.0.1:7447`.
     pub router: *const c_char,
-    /// Without a router: connects to these directly, as `ble/wombat-2` or `udp/192.168.0.8:7447`. They are dialled until they
-    /// are there; joining does not wait for them.
+    /// Endpoints to connect to directly instead of a router, e.g. `ble/wombat-2` or `udp/192.168.0.8:7447`. The program
+    /// dials them until they accept; `rect_connect` does not wait for that.
     pub endpoints: *const *const c_char,
-    /// How many endpoints.
+    /// Number of endpoints.
     pub endpoints_len: usize,
-    /// Without a router: others may connect to this program there, as `tcp/0.0.0.0:7447` or `ble/hci0#name=wombat-1`.
+    /// Endpoints to listen on instead of using a router, e.g. `tcp/0.0.0.0:7447` or `ble/hci0#name=wombat-1`.
     pub listen: *const *const c_char,
-    /// How many places to listen at.
+    /// Number of endpoints to listen on.
     pub listen_len: usize,
-    /// As that user, with `password`; default: the first line of the login file.
+    /// The user to log in as, with `password`. Default: the first line of the login file.
     pub user: *const c_char,
-    /// The user's password.
+    /// The password of the user.
     pub password: *const c_char,
-    /// The file with the login, `user:password`; default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
+    /// The file with the login as `user:password`. Default: the value of the environment variable `RECT_LOGIN`, or
+    /// `/etc/rect/users`.
     pub login_file: *const c_char,
-    /// How long to wait for the router, in ms; default 5000, so that a program may be started together with it.
-    pub patience_ms: u32,
-    /// Any settings of Zenoh's configuration: paths, as `transport/unicast/max_links`. They go before RECT's.
+    /// How long to wait for the router, in milliseconds. Default: 5000, so that a program may start together with the
+    /// router.
+    pub timeout_ms: u32,
+    /// Paths of settings of Zenoh, e.g. `transport/unicast/max_links`. They take precedence over RECT's own settings.
     pub zenoh_keys: *const *const c_char,
-    /// Their values, in JSON: as many as there are keys.
+    /// The values of these settings as JSON, one for each path.
     pub zenoh_values: *const *const c_char,
-    /// How many settings.
+    /// Number of settings.
     pub zenoh_len: usize,
-    /// Joins although the router serves another robot: for a program that uses another name on purpose. A router with access
-    /// control as `rect-router init` writes it drops what such a program publishes.
+    /// Connects even if the router belongs to another robot, for programs that deliberately use another name. The access
+    /// control that `rect-router init` sets up drops whatever such a program publishes.
     pub allow_name_mismatch: bool,
 }
 
-/// As the library has them.
+/// Converts the options for the library.
 ///
 /// # Safety
-/// They are as rect.h asks.
+/// The pointers follow the rules of rect.h.
 pub unsafe fn read(robot: &str, given: Option<&Options>) -> Result<rect::Options, Failure> {
     let options = rect::Options::new(robot)?;
     let Some(given) = given else {
         return Ok(options);
     };
-    // SAFETY: as this function asks.
+    // SAFETY: guaranteed by this function's caller.
     unsafe { with(options, given) }
 }
 
 /// # Safety
-/// As [`read`].
+/// The same as for [`read`].
 unsafe fn with(mut options: rect::Options, given: &Options) -> Result<rect::Options, Failure> {
-    // SAFETY: as this function asks.
+    // SAFETY: guaranteed by this function's caller.
     unsafe {
         if let Some(fleet) = text_or_none("options.fleet", given.fleet)? {
             options = options.fleet(fleet)?;
@@ -92,14 +96,14 @@ unsafe fn with(mut options: rect::Options, given: &Options) -> Result<rect::Opti
                 serde_json::from_str(text("options.zenoh_values", value)?).map_err(|error| {
                     Failure::argument(
                         "options.zenoh_values",
-                        format!("has what is no JSON: {error}"),
+                        format!("contains a value that is not JSON: {error}"),
                     )
                 })?;
             options = options.zenoh(text("options.zenoh_keys", key)?, value);
         }
     }
-    Ok(match given.patience_ms {
+    Ok(match given.timeout_ms {
         0 => options,
-        ms => options.patience(Duration::from_millis(ms.into())),
+        ms => options.timeout(Duration::from_millis(ms.into())),
     })
 }

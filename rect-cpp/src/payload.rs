@@ -1,4 +1,4 @@
-//! Owns payloads as C gives and gets them.
+//! Converts payloads between C and the library.
 use std::{
     ffi::{c_char, c_void, CStr},
     mem::MaybeUninit,
@@ -12,36 +12,38 @@ use rect::{
 
 use crate::{
     argument::{self, items, utf8},
-    boundary::{call, give, ErrorOut},
+    boundary::{call, write_out, ErrorOut},
     failure::{Code, Failure},
     handle::{self, Object},
     text::Text,
 };
 
-/// Bytes, and what they are. What a program gives is copied before the call returns; what it gets lives as long as what it
-/// is of.
+/// A payload: bytes and their encoding.
+///
+/// A function copies the payload that a program passes to it before it returns. A payload that a program receives is valid
+/// as long as the object that it belongs to.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct PayloadView {
-    /// The first byte.
+    /// The first byte; may be NULL if `len` is 0.
     pub data: *const c_void,
-    /// How many.
+    /// Size in bytes.
     pub len: usize,
-    /// What they are, as `application/json`; of length 0: any bytes.
+    /// The encoding, e.g. `application/json`. If it is empty, the payload is arbitrary bytes (`zenoh/bytes`).
     pub encoding: Text,
 }
 
-/// A payload of its own. `rect_drop(&buffer.id, ..)` when it is not needed any more.
+/// A payload with a handle of its own. Release it with `rect_drop(&buffer.id, ..)`.
 #[repr(C)]
 pub struct Buffer {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
     /// The payload.
     pub payload: PayloadView,
 }
 
 impl PayloadView {
-    /// Of a payload that outlives it.
+    /// Points to a payload, which must outlive the result.
     pub fn of(payload: &Payload) -> Self {
         Self {
             data: payload.bytes.as_ptr().cast(),
@@ -50,30 +52,30 @@ impl PayloadView {
         }
     }
 
-    /// The bytes, and what they are.
+    /// Returns the bytes and their encoding.
     ///
     /// # Safety
-    /// It is as rect.h asks.
-    // As `named` and `read`: once a message, and what they give is large, and would be moved from one to the next.
+    /// The pointers follow the rules of rect.h.
+    // Inlined, like `named` and `read`: these run once per message, and would move a large result from one to the next.
     #[inline(always)]
     pub unsafe fn parts(&self) -> Result<(&[u8], Encoding), Failure> {
-        // SAFETY: as this function asks.
+        // SAFETY: guaranteed by this function's caller.
         let bytes = unsafe { items("payload.data", self.data.cast::<u8>(), self.len) }?;
         let Text { data, len } = self.encoding;
-        // SAFETY: as this function asks.
+        // SAFETY: guaranteed by this function's caller.
         let encoding = unsafe { items("payload.encoding", data, len) }?;
         Ok((bytes, named(encoding)?))
     }
 
-    /// As the library has them.
+    /// Copies the payload for the library.
     ///
     /// # Safety
-    /// It is as rect.h asks.
+    /// The pointers follow the rules of rect.h.
     #[inline(always)]
     pub unsafe fn read(&self) -> Result<Payload, Failure> {
-        // SAFETY: as this function asks.
+        // SAFETY: guaranteed by this function's caller.
         let (bytes, encoding) = unsafe { self.parts() }?;
-        // ASCII, as most text is, is seen in a third of the steps.
+        // Most text is ASCII, which takes a third of the time to check.
         if encoding.is_text() && !bytes.is_ascii() {
             utf8("payload.data", bytes)?;
         }
@@ -81,7 +83,7 @@ impl PayloadView {
     }
 }
 
-/// The usual ones cost no memory, and no look at each byte.
+/// Returns the encoding with this name. The four most common ones are found without allocating memory or checking UTF-8.
 #[inline(always)]
 pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
     static USUAL: [Encoding; 4] = [
@@ -98,57 +100,59 @@ pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
         return Ok(known.clone());
     }
     if text.len() > encoding::MAX_BYTES {
-        let most = encoding::MAX_BYTES;
-        let wrong = format!("is {} bytes long, and may have {most}", text.len());
-        return Err(Failure::argument("payload.encoding", wrong));
+        let max = encoding::MAX_BYTES;
+        let problem = format!("is {} bytes long; the maximum is {max}", text.len());
+        return Err(Failure::argument("payload.encoding", problem));
     }
     Ok(Encoding::new(utf8("payload.encoding", text)?.to_owned()))
 }
 
-struct Held {
+struct OwnedBuffer {
     _payload: Payload,
 }
 
-impl Object for Held {
+impl Object for OwnedBuffer {
     const KIND: &'static str = "buffer";
 }
 
-/// Gives C a payload.
-pub fn hold(payload: Payload) -> Buffer {
-    let shown = PayloadView::of(&payload);
+/// Moves a payload into the handle table and returns its C form.
+pub fn into_c(payload: Payload) -> Buffer {
+    let view = PayloadView::of(&payload);
     Buffer {
-        id: handle::insert(Held { _payload: payload }),
-        payload: shown,
+        id: handle::insert(OwnedBuffer { _payload: payload }),
+        payload: view,
     }
 }
 
-/// The text of what says that it is text.
+/// Returns the text of a payload whose encoding is a kind of text.
 fn text<'a>(bytes: &'a [u8], found: &Encoding) -> Result<&'a str, PayloadError> {
     if !found.is_text() {
-        let (wanted, found) = ("text", found.clone());
-        return Err(PayloadError::Other { wanted, found });
+        let (expected, found) = ("text", found.clone());
+        return Err(PayloadError::Mismatch { expected, found });
     }
     std::str::from_utf8(bytes).map_err(|error| PayloadError::Read {
-        what: "text",
+        format: "text",
         reason: error.to_string(),
     })
 }
 
-/// A payload of text; NULL is no text. It points to what is given.
+/// Makes a payload of a text with a terminating zero byte, encoding `text/plain`. NULL is an empty text. The payload points
+/// to `text`, which must outlive it.
 #[no_mangle]
 pub unsafe extern "C" fn rect_payload_text(text: *const c_char) -> PayloadView {
-    // SAFETY: as rect.h asks.
+    // SAFETY: the caller follows the rules of rect.h.
     unsafe { of_text(text, "text/plain") }
 }
 
-/// A payload of JSON, as some JSON library has written it; NULL is no text. It points to what is given.
+/// Makes a payload of JSON that the program has written, encoding `application/json`. NULL is an empty text. The payload
+/// points to `text`, which must outlive it.
 #[no_mangle]
 pub unsafe extern "C" fn rect_payload_json(text: *const c_char) -> PayloadView {
-    // SAFETY: as rect.h asks.
+    // SAFETY: the caller follows the rules of rect.h.
     unsafe { of_text(text, "application/json") }
 }
 
-/// A payload of any bytes. It points to what is given.
+/// Makes a payload of arbitrary bytes, encoding `zenoh/bytes`. The payload points to `data`, which must outlive it.
 #[no_mangle]
 pub extern "C" fn rect_payload_bytes(data: *const c_void, len: usize) -> PayloadView {
     let encoding = Text::of("zenoh/bytes");
@@ -160,12 +164,12 @@ pub extern "C" fn rect_payload_bytes(data: *const c_void, len: usize) -> Payload
 }
 
 /// # Safety
-/// NULL, or a text with a zero byte at its end.
+/// `text` is NULL or a text with a terminating zero byte.
 unsafe fn of_text(text: *const c_char, encoding: &'static str) -> PayloadView {
     let len = if text.is_null() {
         0
     } else {
-        // SAFETY: not NULL, and as this function asks.
+        // SAFETY: the pointer is not NULL, and this function's caller guarantees the rest.
         unsafe { CStr::from_ptr(text) }.count_bytes()
     };
     PayloadView {
@@ -175,10 +179,10 @@ unsafe fn of_text(text: *const c_char, encoding: &'static str) -> PayloadView {
     }
 }
 
-/// The text in a payload: RECT_CODE_PAYLOAD if it says that it is something else, or is no UTF-8. It lives as long as the
-/// payload.
+/// Writes the text of a payload to `out`. The text is valid as long as the payload.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_PAYLOAD` if the encoding is not a kind of text, or if the bytes are not UTF-8. May be called on any
+/// thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_payload_as_text(
     payload: Option<&PayloadView>,
@@ -186,8 +190,8 @@ pub unsafe extern "C" fn rect_payload_as_text(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
-        let (bytes, encoding) = unsafe { argument::there("payload", payload)?.parts() }?;
-        give("text", out, Text::of(text(bytes, &encoding)?))
+        // SAFETY: the caller follows the rules of rect.h.
+        let (bytes, encoding) = unsafe { argument::require("payload", payload)?.parts() }?;
+        write_out("text", out, Text::of(text(bytes, &encoding)?))
     })
 }

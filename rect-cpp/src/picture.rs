@@ -1,4 +1,4 @@
-//! Owns raw pictures as C gives and gets them.
+//! Converts uncompressed pictures between C and the library.
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
@@ -10,77 +10,78 @@ use rect::core::{
     codec::Limits,
     encoding,
     payload::ToPayload,
-    picture::{Format as Pixels, Picture as Raw},
+    picture::{Format as LibraryFormat, Picture as LibraryPicture},
 };
 
 use crate::{
-    argument::{items, there},
-    boundary::{buffer, call, give, wanted, ErrorOut, Out},
+    argument::{items, require},
+    boundary::{buffer, call, require_out, write_out, ErrorOut, Out},
     failure::{Code, Failure},
     handle::{self, Object},
-    payload::{hold, Buffer, PayloadView},
+    payload::{into_c, Buffer, PayloadView},
     text::{choice, number},
 };
 
-/// What a pixel is; 8 bits each.
+/// The format of a pixel, with 8 bits per channel.
 #[repr(C)]
 pub enum Format {
-    /// Grey.
+    /// Grey: 1 byte per pixel.
     Grey8 = 0,
-    /// Red, green, blue.
+    /// Red, green and blue: 3 bytes per pixel.
     Rgb8 = 1,
-    /// Red, green, blue, and how opaque it is; not multiplied with that.
+    /// Red, green, blue and alpha, not premultiplied: 4 bytes per pixel.
     Rgba8 = 2,
 }
 
-const FORMATS: [(u32, Pixels); 3] = [
-    (Format::Grey8 as u32, Pixels::Grey8),
-    (Format::Rgb8 as u32, Pixels::Rgb8),
-    (Format::Rgba8 as u32, Pixels::Rgba8),
+const FORMATS: [(u32, LibraryFormat); 3] = [
+    (Format::Grey8 as u32, LibraryFormat::Grey8),
+    (Format::Rgb8 as u32, LibraryFormat::Rgb8),
+    (Format::Rgba8 as u32, LibraryFormat::Rgba8),
 ];
 
-/// A picture: rows of pixels without gaps, from the upper left. It is there until `rect_drop(&picture.id, ..)`.
+/// An uncompressed picture: rows of pixels without padding, from the top left. It is valid until `rect_drop(&picture.id,
+/// ..)`.
 #[repr(C)]
 pub struct Picture {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
-    /// Pixels of a row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// What a pixel is: a `rect_format`.
+    /// The format of its pixels: a `rect_format`.
     pub format: u32,
     /// The pixels.
     pub pixels: *const u8,
-    /// How many bytes of them.
+    /// Size of `pixels` in bytes.
     pub len: usize,
 }
 
-/// What may come out of one payload, whatever a peer sends.
+/// Limits for decoding one payload. They protect against payloads that become extremely large.
 #[repr(C)]
 pub struct CodecLimits {
-    /// The most bytes; 0: 64 MiB.
+    /// Maximum size of the decoded payload in bytes. 0 means 64 MiB.
     pub max_bytes: usize,
-    /// The most pixels of a picture; 0: 16 million.
+    /// Maximum number of pixels of a picture. 0 means 16 million.
     pub max_pixels: usize,
 }
 
-/// The longest encoding, with the zero byte at its end.
+/// Size of an encoding, including the terminating zero byte.
 pub const ENCODING_BYTES: usize = 201;
 
 const _: () = assert!(ENCODING_BYTES == encoding::MAX_BYTES + 1);
 
-/// Where an encoding goes.
+/// The caller's buffer for an encoding.
 pub type EncodingOut<'a> = Out<'a, [c_char; ENCODING_BYTES]>;
 
-struct Held(Raw);
+struct OwnedPicture(LibraryPicture);
 
-impl Object for Held {
+impl Object for OwnedPicture {
     const KIND: &'static str = "picture";
 }
 
 impl CodecLimits {
-    /// As the library has them.
+    /// Converts the limits for the library; `None` gives the defaults.
     pub fn read(given: Option<&Self>) -> Limits {
         let default = Limits::default();
         let or = |given: usize, default| if given == 0 { default } else { given };
@@ -91,21 +92,21 @@ impl CodecLimits {
     }
 }
 
-/// A picture that C gives.
+/// Copies a picture that C passes.
 ///
 /// # Safety
-/// The pixels are as rect.h asks.
+/// `pixels` follows the rules of rect.h.
 pub unsafe fn read(
     width: u32,
     height: u32,
     format: u32,
     pixels: *const c_void,
     len: usize,
-) -> Result<Raw, Failure> {
+) -> Result<LibraryPicture, Failure> {
     let format = choice("format", &FORMATS, format)?;
-    // SAFETY: as this function asks.
+    // SAFETY: guaranteed by this function's caller.
     let pixels = unsafe { items("pixels", pixels.cast::<u8>(), len) }?;
-    Ok(Raw::new(
+    Ok(LibraryPicture::new(
         width,
         height,
         format,
@@ -113,14 +114,15 @@ pub unsafe fn read(
     )?)
 }
 
-/// An encoding, with a zero byte at its end.
-pub fn give_encoding(text: &str, out: EncodingOut<'_>) -> Result<(), Failure> {
-    give("encoding", out, buffer(text))
+/// Writes an encoding with a terminating zero byte.
+pub fn write_encoding(text: &str, out: EncodingOut<'_>) -> Result<(), Failure> {
+    write_out("encoding", out, buffer(text))
 }
 
-/// A picture as a payload, uncompressed: `rect_encode` makes it smaller. `len`: of the pixels, in bytes.
+/// Makes a payload of a picture, without compressing it, and writes it to `buffer`. `format` is a `rect_format`; `len` is
+/// the size of `pixels` in bytes. `rect_encode` compresses the payload.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_CODEC` if `len` does not match the size of the picture. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_picture_payload(
     width: u32,
@@ -132,16 +134,17 @@ pub unsafe extern "C" fn rect_picture_payload(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("buffer", &buffer)?;
-        // SAFETY: as rect.h asks.
+        require_out("buffer", &buffer)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let picture = unsafe { read(width, height, format, pixels, len) }?;
-        give("buffer", buffer, hold(picture.to_payload()?))
+        write_out("buffer", buffer, into_c(picture.to_payload()?))
     })
 }
 
-/// The picture in a payload: a raw one, PNG, JPEG or WebP. `limits`: NULL for the default.
+/// Reads the picture from a payload: uncompressed, PNG, JPEG or WebP. `limits` may be NULL for the defaults.
 ///
-/// Thread: any. Takes as long as reading it.
+/// Returns `RECT_CODE_PAYLOAD` if the payload is not a picture, and `RECT_CODE_CODEC` if it is damaged or exceeds the
+/// limits. May be called on any thread. The time it takes depends on the size of the picture.
 #[no_mangle]
 pub unsafe extern "C" fn rect_picture_read(
     payload: Option<&PayloadView>,
@@ -150,11 +153,11 @@ pub unsafe extern "C" fn rect_picture_read(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("picture", &picture)?;
-        // SAFETY: as rect.h asks.
-        let payload = unsafe { there("payload", payload)?.read() }?;
-        let held = Arc::new(Held(payload.picture(&CodecLimits::read(limits))?));
-        let (raw, shared) = (&held.0, held.clone());
+        require_out("picture", &picture)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let payload = unsafe { require("payload", payload)?.read() }?;
+        let owned = Arc::new(OwnedPicture(payload.picture(&CodecLimits::read(limits))?));
+        let (raw, shared) = (&owned.0, owned.clone());
         let view = Picture {
             id: handle::insert_shared(shared),
             width: raw.width(),
@@ -163,6 +166,6 @@ pub unsafe extern "C" fn rect_picture_read(
             pixels: raw.pixels().as_ptr(),
             len: raw.pixels().len(),
         };
-        give("picture", picture, view)
+        write_out("picture", picture, view)
     })
 }

@@ -1,16 +1,16 @@
-//! Owns a program's place among the robots, as handles have it: the library's robot, and what its calls wait on.
+//! Combines the library's robot with the runtime on which the calls of C wait.
 use std::{future::Future, sync::Arc};
 
 use rect::{blocking::Runtime, Options};
 
 use crate::{failure::Failure, handle::Object};
 
-/// What a `rect_robot` is.
+/// The object behind a `rect_robot`.
 #[derive(Clone)]
 pub struct Program {
-    /// The library's.
+    /// The robot of the library.
     pub robot: rect::Robot,
-    /// What calls wait on.
+    /// The runtime on which calls wait.
     pub runtime: Arc<Runtime>,
 }
 
@@ -19,32 +19,32 @@ impl Object for Program {
 }
 
 impl Program {
-    /// Joins.
-    pub fn join(options: Options) -> Result<Self, Failure> {
-        let no_thread = |error| Failure::System("no thread can be started", error);
-        let runtime = Arc::new(Runtime::start().map_err(no_thread)?);
+    /// Starts a runtime and connects.
+    pub fn connect(options: Options) -> Result<Self, Failure> {
+        let cannot_start = |error| Failure::System("cannot start a thread", error);
+        let runtime = Arc::new(Runtime::start().map_err(cannot_start)?);
         let robot = runtime.wait(options.connect())?;
         Ok(Self { robot, runtime })
     }
 
-    /// Waits for something that the library does.
+    /// Waits for a future of the library.
     pub fn wait<T>(
         &self,
-        what: impl Future<Output = Result<T, rect::Error>>,
+        future: impl Future<Output = Result<T, rect::Error>>,
     ) -> Result<T, Failure> {
-        Ok(self.runtime.wait(what)?)
+        Ok(self.runtime.wait(future)?)
     }
 
-    /// The same of what is mostly done at once, as [`Runtime::complete`] does it.
+    /// Waits for a future that is usually ready at once; see [`Runtime::complete`].
     pub fn complete<T>(
         &self,
-        what: impl Future<Output = Result<T, rect::Error>>,
+        future: impl Future<Output = Result<T, rect::Error>>,
     ) -> Result<T, Failure> {
-        Ok(self.runtime.complete(what)?)
+        Ok(self.runtime.complete(future)?)
     }
 
-    /// Another one of the same program.
-    pub fn of(&self, robot: rect::Robot) -> Self {
+    /// Creates another handle of the same program.
+    pub fn derive(&self, robot: rect::Robot) -> Self {
         let runtime = self.runtime.clone();
         Self { robot, runtime }
     }

@@ -1,4 +1,4 @@
-//! Owns asking a service, and its answers.
+//! Sends requests to services and returns their replies.
 use std::{
     ffi::c_char,
     mem::MaybeUninit,
@@ -10,47 +10,47 @@ use rect::blocking::Runtime;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
-    argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text},
+    boundary::{call, require_out, write_out, ErrorOut},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
-    robot::Robot,
+    robot::RobotHandle,
     text::Text,
 };
 
-/// An answer; it is there until `rect_drop(&reply.id, ..)`.
+/// A reply. It is valid until `rect_drop(&reply.id, ..)`.
 #[repr(C)]
 pub struct Reply {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
-    /// Who answers.
-    pub from: Text,
-    /// What it says.
+    /// The robot that replied.
+    pub sender: Text,
+    /// The payload.
     pub payload: PayloadView,
 }
 
-/// The answers to one request, as they come. `rect_drop(&replies.id, ..)` when no more are wanted, which cancels the request.
+/// The replies to one request, in the order of arrival. `rect_drop(&replies.id, ..)` cancels the request.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Replies {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-struct Held(rect::Reply);
+struct OwnedReply(rect::Reply);
 
-impl Object for Held {
+impl Object for OwnedReply {
     const KIND: &'static str = "reply";
 }
 
-struct Asked {
+struct PendingReplies {
     replies: Mutex<rect::Replies>,
     runtime: Arc<Runtime>,
     stop: CancellationToken,
 }
 
-impl Object for Asked {
+impl Object for PendingReplies {
     const KIND: &'static str = "set of replies";
 
     fn on_dropped(&self) {
@@ -58,7 +58,7 @@ impl Object for Asked {
     }
 }
 
-impl Asked {
+impl PendingReplies {
     fn next(&self) -> Result<rect::Reply, Failure> {
         let mut replies = self.replies.lock().unwrap_or_else(PoisonError::into_inner);
         let next = self.runtime.wait(async {
@@ -72,24 +72,38 @@ impl Asked {
     }
 }
 
-fn hold(reply: rect::Reply) -> Reply {
-    let held = Arc::new(Held(reply));
-    let (from, payload) = (
-        Text::of(held.0.from.as_str()),
-        PayloadView::of(&held.0.payload),
+fn into_c(reply: rect::Reply) -> Reply {
+    let owned = Arc::new(OwnedReply(reply));
+    let (sender, payload) = (
+        Text::of(owned.0.sender.as_str()),
+        PayloadView::of(&owned.0.payload),
     );
-    let id = handle::insert_shared(held);
-    Reply { id, from, payload }
+    let id = handle::insert_shared(owned);
+    Reply {
+        id,
+        sender,
+        payload,
+    }
 }
 
-/// Asks a service of the robot `of`, and waits for its first answer. RECT_CODE_SERVICE: it answers with an error, which is
-/// the text; RECT_CODE_NO_SERVICE: nobody serves that there.
+/// Sends a request to the service `topic` of the robot `recipient`, waits for the first reply and writes it to `reply`.
 ///
-/// Thread: any.
+/// ```c
+/// const rect_payload cell = rect_payload_json("1");
+/// rect_reply reply;
+/// if (rect_robot_request(robot, "wombat-2", "battery", &cell, 2000, &reply, &error) == RECT_CODE_OK) {
+///     rect_drop(&reply.id, NULL);
+/// }
+/// ```
+///
+/// Returns `RECT_CODE_SERVICE` if the service replies with an error, which is the text; `RECT_CODE_NO_SERVICE` if the robot
+/// does not offer the service or is not reachable; and `RECT_CODE_TIMED_OUT` if there is no reply within `timeout_ms`.
+///
+/// May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_request(
-    robot: Robot,
-    of: *const c_char,
+    robot: RobotHandle,
+    recipient: *const c_char,
     topic: *const c_char,
     payload: Option<&PayloadView>,
     timeout_ms: u32,
@@ -97,27 +111,28 @@ pub unsafe extern "C" fn rect_robot_request(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("reply", &reply)?;
-        // SAFETY: as rect.h asks.
-        let (of, topic, payload) = unsafe {
+        require_out("reply", &reply)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (recipient, topic, payload) = unsafe {
             (
-                text("of", of)?,
+                text("recipient", recipient)?,
                 text("topic", topic)?,
-                there("payload", payload)?.read()?,
+                require("payload", payload)?.read()?,
             )
         };
-        let (program, timeout) = (robot.live()?, Duration::from_millis(timeout_ms.into()));
-        let answer = program.wait(program.robot.request(of, topic, payload, timeout))?;
-        give("reply", reply, hold(answer))
+        let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
+        let first = program.wait(program.robot.request(recipient, topic, payload, timeout))?;
+        write_out("reply", reply, into_c(first))
     })
 }
 
-/// Asks a service of all robots that have it; answers come until all have answered, or the time is over.
+/// Sends a request to the service `topic` of every robot that offers it. The replies arrive until all robots have replied or
+/// `timeout_ms` has passed; `rect_replies_next` returns them.
 ///
-/// Thread: any.
+/// May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_request_all(
-    robot: Robot,
+    robot: RobotHandle,
     topic: *const c_char,
     payload: Option<&PayloadView>,
     timeout_ms: u32,
@@ -125,25 +140,27 @@ pub unsafe extern "C" fn rect_robot_request_all(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("replies", &replies)?;
-        // SAFETY: as rect.h asks.
+        require_out("replies", &replies)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let (topic, payload) =
-            unsafe { (text("topic", topic)?, there("payload", payload)?.read()?) };
-        let (program, timeout) = (robot.live()?, Duration::from_millis(timeout_ms.into()));
-        let asked = program.wait(program.robot.request_all(topic, payload, timeout))?;
-        let id = handle::insert(Asked {
-            replies: Mutex::new(asked),
+            unsafe { (text("topic", topic)?, require("payload", payload)?.read()?) };
+        let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
+        let incoming = program.wait(program.robot.request_all(topic, payload, timeout))?;
+        let id = handle::insert(PendingReplies {
+            replies: Mutex::new(incoming),
             runtime: program.runtime.clone(),
             stop: CancellationToken::new(),
         });
-        give("replies", replies, Replies { id })
+        write_out("replies", replies, Replies { id })
     })
 }
 
-/// The next answer. RECT_CODE_SERVICE: this one is an error, and there may be more; RECT_CODE_END: all have answered;
-/// RECT_CODE_TIMED_OUT: the time of the request is over, and some have not.
+/// Waits for the next reply and writes it to `reply`.
 ///
-/// Thread: any; one after another.
+/// Returns `RECT_CODE_SERVICE` if a robot replied with an error, after which there may be more replies; `RECT_CODE_END` if
+/// all robots have replied; and `RECT_CODE_TIMED_OUT` if the request's timeout expired before that.
+///
+/// May be called on any thread; calls of several threads run one after another.
 #[no_mangle]
 pub extern "C" fn rect_replies_next(
     replies: Replies,
@@ -151,8 +168,8 @@ pub extern "C" fn rect_replies_next(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("reply", &reply)?;
-        let next = handle::get::<Asked>(replies.id)?.next()?;
-        give("reply", reply, hold(next))
+        require_out("reply", &reply)?;
+        let next = handle::get::<PendingReplies>(replies.id)?.next()?;
+        write_out("reply", reply, into_c(next))
     })
 }

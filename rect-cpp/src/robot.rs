@@ -1,4 +1,4 @@
-//! Owns a program's first words: joining, as whom, saying something, hearing the next message, leaving.
+//! Connects to the router as a program of a robot; publishes, sends, and waits for single messages.
 use std::{
     ffi::{c_char, CStr},
     mem::MaybeUninit,
@@ -8,8 +8,8 @@ use std::{
 use rect::core::codec;
 
 use crate::{
-    argument::{text, there},
-    boundary::{buffer, call, give, wanted, ErrorOut},
+    argument::{require, text},
+    boundary::{buffer, call, require_out, write_out, ErrorOut},
     dictionary::{self, Dictionary},
     failure::{Code, Failure},
     handle,
@@ -17,62 +17,62 @@ use crate::{
     options::{self, Options},
     payload::PayloadView,
     program::Program,
-    text::{choice, hold_names, Names},
+    text::{choice, names_into_c, Names},
 };
 
-/// A program of a robot, joined with the others. `rect_drop(&robot.id, ..)` when it is not needed any more: the session ends
-/// with the last handle of it and of what was made by it, or with `rect_robot_close`.
+/// A program's connection to the other robots. Release it with `rect_drop(&robot.id, ..)`.
 ///
-/// All functions that take one may be called by several threads at a time.
+/// The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
+/// `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct Robot {
-    /// Its handle.
+pub struct RobotHandle {
+    /// The handle.
     pub id: u64,
 }
 
-/// How urgently a robot speaks; more urgent messages overtake others in every queue and on the Bluetooth link.
+/// The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
 #[repr(C)]
 pub enum Urgency {
-    /// In no hurry.
+    /// For data that may wait, e.g. files.
     Bulk = 0,
-    /// As usual.
+    /// For most messages. The default.
     Normal = 1,
-    /// Before everything else.
+    /// For messages that must arrive before all others, e.g. emergency stops.
     Urgent = 2,
 }
 
-/// By C's numbers.
+/// The urgencies by their numbers in C.
 pub const URGENCIES: [(u32, rect::Urgency); 3] = [
     (Urgency::Bulk as u32, rect::Urgency::Bulk),
     (Urgency::Normal as u32, rect::Urgency::Normal),
     (Urgency::Urgent as u32, rect::Urgency::Urgent),
 ];
 
-/// The longest name of a robot, with the zero byte at its end.
+/// Size of a robot's name, including the terminating zero byte.
 pub const NAME_BYTES: usize = 30;
 
-/// What a program has said and heard, since it joined.
+/// Counts of the messages of a program since it connected.
 #[repr(C)]
 pub struct Counters {
-    /// Messages said, answers and requests not counted.
+    /// Number of messages published and sent. Requests and replies are not counted.
     pub sent: u64,
-    /// Their payloads, in bytes, as they were sent.
+    /// Size of their payloads in bytes, as they were encoded for sending.
     pub sent_bytes: u64,
-    /// Messages heard, each subscription's.
+    /// Number of messages received, counted once for each subscription.
     pub received: u64,
-    /// Their payloads, in bytes, as they came.
+    /// Size of their payloads in bytes, as they arrived.
     pub received_bytes: u64,
-    /// Messages that did not arrive, by their numbers.
+    /// Number of messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
-    /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters, more
-    /// than 200 bytes, reserved parts).
+    /// Number of messages from plain Zenoh programs that were dropped because RECT does not permit their topic: it contains
+    /// control characters, is longer than 200 bytes, or is reserved.
     pub rejected: u64,
 }
 
-impl Robot {
-    /// What the handle is of.
-    pub fn live(self) -> Result<std::sync::Arc<Program>, Failure> {
+impl RobotHandle {
+    /// Returns the program behind the handle.
+    pub fn resolve(self) -> Result<std::sync::Arc<Program>, Failure> {
         handle::get(self.id)
     }
 
@@ -82,9 +82,7 @@ impl Robot {
     }
 }
 
-/// The version of the library, as `0.1.0`.
-///
-/// Thread: any.
+/// Returns the version of the library, e.g. `0.1.0`. May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_version() -> *const c_char {
     const VERSION: &CStr =
@@ -95,192 +93,211 @@ pub extern "C" fn rect_version() -> *const c_char {
     VERSION.as_ptr()
 }
 
-/// Joins as a program of the robot `name`. `options`: NULL for the router of this computer.
+/// Connects as a program of the robot `name`, and writes the handle to `robot`. `options` may be NULL for the defaults: the
+/// program uses the router of this computer.
 ///
-/// Thread: any. Waits until the router answers, at most `options.patience_ms`.
+/// ```c
+/// rect_error error;
+/// rect_robot robot;
+/// if (rect_connect("wombat-1", NULL, &robot, &error) != RECT_CODE_OK) {
+///     printf("%s\n", error.text);
+/// }
+/// ```
+///
+/// Returns `RECT_CODE_NO_ROUTER` if there is no router at the endpoint, `RECT_CODE_LOGIN_REFUSED` if the login is missing or
+/// wrong, `RECT_CODE_WRONG_ROBOT` if the router belongs to another robot, `RECT_CODE_NAME` if the name is invalid, and
+/// `RECT_CODE_OPTION` if Zenoh rejects an option.
+///
+/// May be called on any thread. Blocks until the router answers, at most `options.timeout_ms`.
 #[no_mangle]
 pub unsafe extern "C" fn rect_connect(
     name: *const c_char,
     options: Option<&Options>,
-    robot: Option<&mut MaybeUninit<Robot>>,
+    robot: Option<&mut MaybeUninit<RobotHandle>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("robot", &robot)?;
-        // SAFETY: as rect.h asks.
+        require_out("robot", &robot)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let options = unsafe { options::read(text("name", name)?, options) }?;
-        give("robot", robot, Robot::of(Program::join(options)?))
+        write_out("robot", robot, RobotHandle::of(Program::connect(options)?))
     })
 }
 
-/// The same robot, speaking with an urgency (`rect_urgency`): a handle of its own, which shares the session.
+/// Creates a handle of the same robot that publishes and sends with another urgency (a `rect_urgency`), and writes it to
+/// `derived`. Both handles share the session, and both must be dropped.
 ///
-/// Thread: any.
+/// May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_robot_with(
-    robot: Robot,
+pub extern "C" fn rect_robot_with_urgency(
+    robot: RobotHandle,
     urgency: u32,
-    same: Option<&mut MaybeUninit<Robot>>,
+    derived: Option<&mut MaybeUninit<RobotHandle>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("same", &same)?;
-        let (program, urgency) = (robot.live()?, choice("urgency", &URGENCIES, urgency)?);
-        let other = program.of(program.robot.with(urgency));
-        give("same", same, Robot::of(other))
+        require_out("derived", &derived)?;
+        let (program, urgency) = (robot.resolve()?, choice("urgency", &URGENCIES, urgency)?);
+        let robot = program.derive(program.robot.with_urgency(urgency));
+        write_out("derived", derived, RobotHandle::of(robot))
     })
 }
 
-/// The same robot; what it says goes through a codec: `zstd:9`, `jpeg:60`, `webp:60`, `png`, `quantised:0.01`. A handle of its
-/// own, which shares the session.
+/// Creates a handle of the same robot that encodes everything it publishes and sends with a codec, e.g. `zstd:9`, `jpeg:60`,
+/// `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Both handles share the session, and both must be
+/// dropped.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_CODEC` if the codec is unknown. May be called on any thread.
 #[no_mangle]
-pub unsafe extern "C" fn rect_robot_encoded(
-    robot: Robot,
+pub unsafe extern "C" fn rect_robot_with_codec(
+    robot: RobotHandle,
     codec: *const c_char,
-    same: Option<&mut MaybeUninit<Robot>>,
+    derived: Option<&mut MaybeUninit<RobotHandle>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("same", &same)?;
-        // SAFETY: as rect.h asks.
+        require_out("derived", &derived)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let codec = unsafe { text("codec", codec) }?;
-        let program = robot.live()?;
-        let other = program.of(program.robot.encoded(codec::parse(codec)?));
-        give("same", same, Robot::of(other))
+        let program = robot.resolve()?;
+        let robot = program.derive(program.robot.with_codec(codec::parse(codec)?));
+        write_out("derived", derived, RobotHandle::of(robot))
     })
 }
 
-/// The same robot; what it says is packed with that dictionary, which small JSON needs to get much smaller. Whoever hears it
-/// fetches the dictionary once. A handle of its own, which shares the session.
+/// Creates a handle of the same robot that compresses everything it publishes and sends with a dictionary, and writes it to
+/// `derived`. Small JSON messages become much smaller. Receivers fetch the dictionary once, automatically. Both handles
+/// share the session, and both must be dropped.
 ///
-/// Thread: any.
+/// May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_robot_packed_with(
-    robot: Robot,
+pub extern "C" fn rect_robot_with_dictionary(
+    robot: RobotHandle,
     dictionary: Dictionary,
-    same: Option<&mut MaybeUninit<Robot>>,
+    derived: Option<&mut MaybeUninit<RobotHandle>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("same", &same)?;
-        let (program, dictionary) = (robot.live()?, dictionary::live(dictionary)?);
-        let other = program.of(program.robot.packed_with(dictionary)?);
-        give("same", same, Robot::of(other))
+        require_out("derived", &derived)?;
+        let (program, dictionary) = (robot.resolve()?, dictionary::resolve(dictionary)?);
+        let robot = program.derive(program.robot.with_dictionary(dictionary)?);
+        write_out("derived", derived, RobotHandle::of(robot))
     })
 }
 
-/// Writes the robot's name to `name`, which has room for RECT_NAME_BYTES, with a zero byte at its end.
-///
-/// Thread: any.
+/// Writes the robot's name to `name`, with a terminating zero byte. May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_robot_name(
-    robot: Robot,
+    robot: RobotHandle,
     name: Option<&mut MaybeUninit<[c_char; NAME_BYTES]>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // There is room: names have at most 29 bytes.
-        give("name", name, buffer(robot.live()?.robot.name().as_str()))
+        // A name always fits: it has at most 29 bytes.
+        write_out("name", name, buffer(robot.resolve()?.robot.name().as_str()))
     })
 }
 
-/// Says it to all.
+/// Publishes a payload on `topic` to every subscriber.
 ///
-/// Thread: any. Waits for room where a large payload finds none.
+/// ```c
+/// const rect_payload angle = rect_payload_json("12.5");
+/// rect_robot_publish(robot, "arm/angle", &angle, &error);
+/// ```
+///
+/// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_CODEC` if the codec of the robot does not suit the
+/// payload. May be called on any thread. Blocks while the send queue has no room for a large payload.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_publish(
-    robot: Robot,
+    robot: RobotHandle,
     topic: *const c_char,
     payload: Option<&PayloadView>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
+        // SAFETY: the caller follows the rules of rect.h.
         let (topic, payload) =
-            unsafe { (text("topic", topic)?, there("payload", payload)?.read()?) };
-        let program = robot.live()?;
+            unsafe { (text("topic", topic)?, require("payload", payload)?.read()?) };
+        let program = robot.resolve()?;
         program.complete(program.robot.publish(topic, payload))
     })
 }
 
-/// Says it to one robot alone. Nobody is asked whether it is there: `rect_robot_request` does that.
+/// Sends a payload on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use
+/// `rect_robot_request` if that matters.
 ///
-/// Thread: any. Waits for room where a large payload finds none.
+/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the recipient or the topic is invalid. May be called on any thread.
+/// Blocks while the send queue has no room for a large payload.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_send(
-    robot: Robot,
-    to: *const c_char,
+    robot: RobotHandle,
+    recipient: *const c_char,
     topic: *const c_char,
     payload: Option<&PayloadView>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
-        let (to, topic, payload) = unsafe {
+        // SAFETY: the caller follows the rules of rect.h.
+        let (recipient, topic, payload) = unsafe {
             (
-                text("to", to)?,
+                text("recipient", recipient)?,
                 text("topic", topic)?,
-                there("payload", payload)?.read()?,
+                require("payload", payload)?.read()?,
             )
         };
-        let program = robot.live()?;
-        program.complete(program.robot.send(to, topic, payload))
+        let program = robot.resolve()?;
+        program.complete(program.robot.send(recipient, topic, payload))
     })
 }
 
-/// The next message of the robot `from` about `topic`, to all or to this one alone, that is sent from now on;
-/// RECT_CODE_TIMED_OUT: there was none.
+/// Waits for the next message that `sender` publishes on `topic`, or sends to this robot, and writes it to `message`.
+/// Earlier messages are not returned.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms`. May be called on any thread.
 #[no_mangle]
-pub unsafe extern "C" fn rect_robot_listen(
-    robot: Robot,
-    from: *const c_char,
+pub unsafe extern "C" fn rect_robot_wait_for_message(
+    robot: RobotHandle,
+    sender: *const c_char,
     topic: *const c_char,
     timeout_ms: u32,
     message: Option<&mut MaybeUninit<Message>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("message", &message)?;
-        // SAFETY: as rect.h asks.
-        let (from, topic) = unsafe { (text("from", from)?, text("topic", topic)?) };
-        let (program, timeout) = (robot.live()?, Duration::from_millis(timeout_ms.into()));
-        let heard = program.wait(program.robot.listen(from, topic, timeout))?;
-        give("message", message, message::hold(heard))
+        require_out("message", &message)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
+        let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
+        let received = program.wait(program.robot.wait_for_message(sender, topic, timeout))?;
+        write_out("message", message, message::into_c(received))
     })
 }
 
-/// The other robots of the fleet that are there now, by name.
-///
-/// Thread: any. Waits for the router's answer.
+/// Writes the names of the other robots of the fleet that are reachable now to `names`. May be called on any thread; blocks
+/// until the router answers.
 #[no_mangle]
 pub extern "C" fn rect_robot_peers(
-    robot: Robot,
+    robot: RobotHandle,
     names: Option<&mut MaybeUninit<Names>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("names", &names)?;
-        let program = robot.live()?;
+        require_out("names", &names)?;
+        let program = robot.resolve()?;
         let peers = program.wait(program.robot.peers())?;
-        give("names", names, hold_names(peers))
+        write_out("names", names, names_into_c(peers))
     })
 }
 
-/// What this program has said and heard.
-///
-/// Thread: any.
+/// Writes the counts of this program's messages to `counters`. May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_robot_counters(
-    robot: Robot,
+    robot: RobotHandle,
     counters: Option<&mut MaybeUninit<Counters>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let counted = robot.live()?.robot.counters();
+        let counted = robot.resolve()?.robot.counters();
         let rect::Counters {
             sent,
             sent_bytes,
@@ -297,20 +314,20 @@ pub extern "C" fn rect_robot_counters(
             missed,
             rejected,
         };
-        give("counters", counters, counted)
+        write_out("counters", counters, counted)
     })
 }
 
-/// Ends the session now, and all that belongs to it, whoever has handles of it. They are dropped as before.
+/// Closes the session and everything that belongs to it, regardless of other handles. The handles must still be dropped.
 ///
-/// Thread: any, in callbacks too.
+/// May be called on any thread, also in callbacks.
 #[no_mangle]
 pub extern "C" fn rect_robot_close(
-    robot: Robot,
+    robot: RobotHandle,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let program = robot.live()?;
+        let program = robot.resolve()?;
         program.wait(program.robot.close())
     })
 }

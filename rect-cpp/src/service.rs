@@ -1,4 +1,4 @@
-//! Owns serving: the requests that come to a service of this program, and their answers.
+//! Serves requests with the callbacks of C programs.
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
@@ -8,49 +8,49 @@ use std::{
 use rect::{Encoding, Name, Payload};
 
 use crate::{
-    argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text},
+    boundary::{call, require_out, write_out, ErrorOut},
     callback::{Callback, Release},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
     program::Program,
-    robot::Robot,
+    robot::RobotHandle,
     text::Text,
 };
 
-/// A service, until `rect_drop(&service.id, ..)`; that waits for calls that are under way. It may be dropped in its own
-/// callback, whose answer is not sent then.
+/// A service of this program. `rect_drop(&service.id, ..)` ends it and waits for calls in progress. A callback may drop its
+/// own service; its reply is not sent then.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Service {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-/// A request, which is there until the callback returns. It is answered by `rect_request_reply` or `rect_request_refuse`
-/// before that, on any thread; one that was not is refused.
+/// A request, which is valid until the callback returns. Before that, the program replies with `rect_request_reply` or
+/// `rect_request_refuse`, on any thread. A request without a reply is refused.
 #[repr(C)]
 pub struct Request {
-    /// Its handle.
+    /// The handle, for replying.
     pub id: u64,
-    /// Who asks; nothing: a stock program, which does not say.
-    pub from: Text,
-    /// What is asked.
+    /// The robot that sent the request; empty if the sender is a plain Zenoh program.
+    pub sender: Text,
+    /// The payload.
     pub payload: PayloadView,
-    /// How long an answer is of use still, in ms.
+    /// Time until the sender stops waiting for the reply, in milliseconds.
     pub remaining_ms: u32,
 }
 
-/// Called with a request, which is there until it returns.
+/// A callback for requests. The request is valid until the callback returns.
 pub type OnRequest = Option<extern "C" fn(request: *const Request, context: *mut c_void)>;
 
-struct Serving {
+struct RunningService {
     service: Mutex<Option<rect::Service>>,
     callback: Arc<Callback>,
 }
 
-impl Object for Serving {
+impl Object for RunningService {
     const KIND: &'static str = "service";
 
     fn on_dropped(&self) {
@@ -61,27 +61,27 @@ impl Object for Serving {
     }
 }
 
-type Answer = Result<Payload, Payload>;
+type ReplyResult = Result<Payload, Payload>;
 
-/// What the program has answered so far.
+/// The reply that the program has given so far.
 #[derive(Default)]
-struct Answering(Mutex<Option<Answer>>);
+struct PendingRequest(Mutex<Option<ReplyResult>>);
 
-impl Object for Answering {
+impl Object for PendingRequest {
     const KIND: &'static str = "request";
 }
 
-impl Answering {
-    fn say(&self, answer: Answer) -> Result<(), Failure> {
-        let mut said = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if said.is_some() {
-            return Err(Failure::argument("request", "was answered already"));
+impl PendingRequest {
+    fn set(&self, reply: ReplyResult) -> Result<(), Failure> {
+        let mut current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if current.is_some() {
+            return Err(Failure::argument("request", "already has a reply"));
         }
-        *said = Some(answer);
+        *current = Some(reply);
         Ok(())
     }
 
-    fn said(&self) -> Option<Answer> {
+    fn take(&self) -> Option<ReplyResult> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 }
@@ -90,30 +90,30 @@ fn refusal(text: &'static str) -> Payload {
     Payload::new(text, Encoding::TEXT)
 }
 
-/// Shows the request to the program, and takes its answer.
-fn answer(
+/// Passes the request to the program's callback and returns its reply.
+fn run_callback(
     request: &rect::Request,
     callback: &Callback,
     function: extern "C" fn(*const Request, *mut c_void),
-) -> Answer {
-    let answering = Arc::new(Answering::default());
-    let id = handle::insert_shared(answering.clone());
+) -> ReplyResult {
+    let pending = Arc::new(PendingRequest::default());
+    let id = handle::insert_shared(pending.clone());
     let remaining = request.remaining().as_millis();
     let view = Request {
         id,
-        from: Text::of_some(request.from.as_ref().map(Name::as_str)),
+        sender: Text::of_some(request.sender.as_ref().map(Name::as_str)),
         payload: PayloadView::of(&request.payload),
         remaining_ms: u32::try_from(remaining).unwrap_or(u32::MAX),
     };
     let called = callback.run(|context| function(&view, context));
-    // The program may have dropped it.
+    // This fails if the program has already dropped it.
     let _ = handle::remove(id);
     if !called {
-        return Err(refusal("the service ends"));
+        return Err(refusal("the service is shutting down"));
     }
-    answering
-        .said()
-        .unwrap_or_else(|| Err(refusal("the service gave no answer")))
+    pending
+        .take()
+        .unwrap_or_else(|| Err(refusal("the service gave no reply")))
 }
 
 fn serve(
@@ -122,29 +122,39 @@ fn serve(
     function: extern "C" fn(*const Request, *mut c_void),
     callback: Arc<Callback>,
 ) -> Result<Service, Failure> {
-    let called = callback.clone();
+    let wrapper = callback.clone();
     let service = program.robot.serve(topic, move |request| {
-        let callback = called.clone();
+        let callback = wrapper.clone();
         async move {
-            let work = move || answer(&request, &callback, function);
-            let answered = tokio::task::spawn_blocking(work).await;
-            answered.unwrap_or_else(|_| Err(refusal("the service has a fault")))
+            let work = move || run_callback(&request, &callback, function);
+            let reply = tokio::task::spawn_blocking(work).await;
+            reply.unwrap_or_else(|_| Err(refusal("the service failed with an internal error")))
         }
     });
     let service = Mutex::new(Some(program.wait(service)?));
-    let id = handle::insert(Serving { service, callback });
+    let id = handle::insert(RunningService { service, callback });
     Ok(Service { id })
 }
 
-/// Serves `topic` by a function: others ask for it with `rect_robot_request`. Up to 16 requests are worked on at a time, on
-/// threads for such work, until the service is dropped. `release` is called with `context` once, when there will be no more
-/// calls, even where this call fails.
+/// Serves requests to `topic` with a callback; other robots send them with `rect_robot_request`. Up to 16 requests are
+/// handled at a time, on threads of the service, until the service is dropped.
 ///
-/// Thread: any. The callback may be called on several threads at once; it may call any function of RECT, and drop its own
-/// service.
+/// ```c
+/// static void on_battery(const rect_request *request, void *context) {
+///     const rect_payload volt = rect_payload_json("7.2");
+///     rect_request_reply(request->id, &volt, NULL);
+/// }
+///
+/// rect_robot_serve(robot, "battery", on_battery, NULL, NULL, &service, &error);
+/// ```
+///
+/// `release` is called once with `context` when no more calls will follow, even if this function fails.
+///
+/// Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread. The callback may be called on several
+/// threads at once; it may call any function of RECT and may drop its own service.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_serve(
-    robot: Robot,
+    robot: RobotHandle,
     topic: *const c_char,
     callback: OnRequest,
     context: *mut c_void,
@@ -152,51 +162,54 @@ pub unsafe extern "C" fn rect_robot_serve(
     service: Option<&mut MaybeUninit<Service>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    let called = Arc::new(Callback::new(context, release));
+    let wrapper = Arc::new(Callback::new(context, release));
     call(error, || {
-        wanted("service", &service)?;
-        // SAFETY: as rect.h asks.
+        require_out("service", &service)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let topic = unsafe { text("topic", topic) }?;
-        let callback = there("callback", callback)?;
-        let serving = serve(&*robot.live()?, topic, callback, called)?;
-        give("service", service, serving)
+        let callback = require("callback", callback)?;
+        let running = serve(&*robot.resolve()?, topic, callback, wrapper)?;
+        write_out("service", service, running)
     })
 }
 
 /// # Safety
-/// The payload is as rect.h asks.
-unsafe fn say(
+/// The payload follows the rules of rect.h.
+unsafe fn finish(
     request: u64,
     payload: Option<&PayloadView>,
-    as_answer: fn(Payload) -> Answer,
+    as_result: fn(Payload) -> ReplyResult,
 ) -> Result<(), Failure> {
-    // SAFETY: as this function asks.
-    let payload = unsafe { there("payload", payload)?.read() }?;
-    handle::get::<Answering>(request)?.say(as_answer(payload))
+    // SAFETY: guaranteed by this function's caller.
+    let payload = unsafe { require("payload", payload)?.read() }?;
+    handle::get::<PendingRequest>(request)?.set(as_result(payload))
 }
 
-/// Answers; `request` is its `id`.
+/// Replies to a request. `request` is its `id`.
 ///
-/// Thread: any, until the callback returns.
+/// Returns `RECT_CODE_ARGUMENT` if it already has a reply, and `RECT_CODE_HANDLE` after the callback has returned. May be
+/// called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_request_reply(
     request: u64,
     payload: Option<&PayloadView>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    // SAFETY: as rect.h asks.
-    call(error, || unsafe { say(request, payload, Ok) })
+    // SAFETY: the caller follows the rules of rect.h.
+    call(error, || unsafe { finish(request, payload, Ok) })
 }
 
-/// Answers with an error, which the asker gets as RECT_CODE_SERVICE; `request` is its `id`.
+/// Replies to a request with an error. The sender's call returns `RECT_CODE_SERVICE` with this payload as the text.
+/// `request` is the request's `id`.
 ///
-/// Thread: any, until the callback returns.
+/// Returns `RECT_CODE_ARGUMENT` if it already has a reply, and `RECT_CODE_HANDLE` after the callback has returned. May be
+/// called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_request_refuse(
     request: u64,
     payload: Option<&PayloadView>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    // SAFETY: as rect.h asks.
-    call(error, || unsafe { say(request, payload, Err) })
+    // SAFETY: the caller follows the rules of rect.h.
+    call(error, || unsafe { finish(request, payload, Err) })
 }

@@ -1,57 +1,58 @@
-//! Owns streams that this program sends.
+//! Sends streams of frames and pictures.
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
 };
 
-use rect::{core::stream::picture::Photographs, core::stream::sender::Mode, StreamOptions};
+use rect::{core::stream::picture::LossyFormat, core::stream::sender::Mode};
 
 use crate::{
-    argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut, Out},
+    argument::{require, text},
+    boundary::{call, require_out, write_out, ErrorOut, Out},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
     picture,
-    robot::Robot,
-    text::{choice, hold_string, StringView},
+    robot::RobotHandle,
+    text::{choice, string_into_c, StringView},
 };
 
-/// A stream that this program sends, of which the newest frame counts. `rect_drop(&stream.id, ..)` ends it.
+/// A stream that this program sends, of which only the newest frame matters. `rect_drop(&stream.id, ..)` ends it.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Stream {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-/// How a stream is sent.
+/// How a stream adapts to the links.
 #[repr(C)]
 pub enum StreamMode {
-    /// Frames are as good as what gets through allows: pictures become smaller and coarser by themselves.
+    /// Pictures are scaled and compressed automatically so that they fit what the links can carry.
     Adaptive = 0,
-    /// Frames go as they are given, at most so often.
+    /// Frames are sent unchanged, at a limited rate.
     Fixed = 1,
-    /// A sensor's values: as they are, as often as they come, and nothing comes back.
+    /// Values of a sensor: frames are sent unchanged, as often as they come, and receivers send no feedback.
     Sensor = 2,
 }
 
-/// How a stream is sent. `rect_stream_options options = {0};` is adaptive, and so is NULL; what is 0 is left at its default.
+/// The options of a stream. Fields that are 0 keep their defaults, so `rect_stream_options options = {0};` is an adaptive
+/// stream, and so is NULL.
 #[repr(C)]
-pub struct StreamSettings {
-    /// A `rect_stream_mode`.
+pub struct StreamOptions {
+    /// The mode: a `rect_stream_mode`.
     pub mode: u32,
-    /// Pictures with a quality are written as WebP instead of JPEG: smaller, and several times as long to write.
+    /// Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     pub webp: bool,
-    /// Not more frames per second than that; default 15. For a fixed one it has to be given.
-    pub most_frames_per_s: f64,
-    /// Frames per second that are wanted even of the smallest; default 5.
-    pub least_frames_per_s: f64,
+    /// Maximum frame rate, in frames per second. Default: 15. Required for a fixed stream.
+    pub max_frames_per_s: f64,
+    /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. Default: 5.
+    pub min_frames_per_s: f64,
 }
 
-struct Held(rect::Stream);
+struct OwnedStream(rect::Stream);
 
-impl Object for Held {
+impl Object for OwnedStream {
     const KIND: &'static str = "stream";
 }
 
@@ -61,66 +62,68 @@ fn per_s(name: &'static str, given: f64) -> Result<Option<f64>, Failure> {
         rate if rate.is_finite() && rate > 0.0 => Ok(Some(rate)),
         rate => Err(Failure::argument(
             name,
-            format!("is {rate}, which is no rate"),
+            format!("is {rate}, but must be positive and finite"),
         )),
     }
 }
 
-fn options(given: Option<&StreamSettings>) -> Result<StreamOptions, Failure> {
+fn read_options(given: Option<&StreamOptions>) -> Result<rect::StreamOptions, Failure> {
     let Some(given) = given else {
-        return Ok(StreamOptions::default());
+        return Ok(rect::StreamOptions::default());
     };
-    let most = per_s("options.most_frames_per_s", given.most_frames_per_s)?;
-    let least = per_s("options.least_frames_per_s", given.least_frames_per_s)?;
+    let max = per_s("options.max_frames_per_s", given.max_frames_per_s)?;
+    let min = per_s("options.min_frames_per_s", given.min_frames_per_s)?;
     let modes = [
         (StreamMode::Adaptive as u32, Some(Mode::Adaptive)),
         (StreamMode::Fixed as u32, Some(Mode::Fixed)),
         (StreamMode::Sensor as u32, None),
     ];
     let mut options = match choice("options.mode", &modes, given.mode)? {
-        Some(Mode::Adaptive) => StreamOptions::default(),
-        Some(Mode::Fixed) => StreamOptions::fixed(most.ok_or_else(|| {
+        Some(Mode::Adaptive) => rect::StreamOptions::default(),
+        Some(Mode::Fixed) => rect::StreamOptions::fixed(max.ok_or_else(|| {
             Failure::argument(
-                "options.most_frames_per_s",
-                "is 0, and a fixed stream has to have one",
+                "options.max_frames_per_s",
+                "is 0, but a fixed stream requires a maximum frame rate",
             )
         })?),
-        None => StreamOptions::sensor(),
+        None => rect::StreamOptions::sensor(),
     };
     if given.webp {
-        options.photographs = Photographs::Webp;
+        options.lossy_format = LossyFormat::Webp;
     }
-    options.most_frames_per_s = most.unwrap_or(options.most_frames_per_s);
-    options.least_frames_per_s = least.unwrap_or(options.least_frames_per_s);
+    options.max_frames_per_s = max.unwrap_or(options.max_frames_per_s);
+    options.min_frames_per_s = min.unwrap_or(options.min_frames_per_s);
     Ok(options)
 }
 
-/// A stream of which the newest frame counts: what is old, a slow link drops.
+/// Creates a stream of which only the newest frame matters: a slow link drops older ones. `options` may be NULL for the
+/// defaults.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_ARGUMENT` if an option is. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_stream(
-    robot: Robot,
+    robot: RobotHandle,
     topic: *const c_char,
-    settings: Option<&StreamSettings>,
+    options: Option<&StreamOptions>,
     stream: Option<&mut MaybeUninit<Stream>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("stream", &stream)?;
-        // SAFETY: as rect.h asks.
+        require_out("stream", &stream)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let topic = unsafe { text("topic", topic) }?;
-        let (program, options) = (robot.live()?, options(settings)?);
+        let (program, options) = (robot.resolve()?, read_options(options)?);
         let declared = program.wait(program.robot.stream(topic, options))?;
-        let id = handle::insert(Held(declared));
-        give("stream", stream, Stream { id })
+        let id = handle::insert(OwnedStream(declared));
+        write_out("stream", stream, Stream { id })
     })
 }
 
-/// Sends a frame as it is, if anyone wants one now. Does not wait for the link. `sent`: to how many groups of receivers it
-/// went, 0 to 2; may be NULL.
+/// Sends a frame unchanged, if any receiver needs one now. Does not wait for the link.
 ///
-/// Thread: any; of several threads' frames one goes out after another.
+/// Writes the number of groups of receivers that the frame is sent to, 0 to 2, to `sent`, which may be NULL.
+///
+/// May be called on any thread; calls of several threads run one after another.
 #[no_mangle]
 pub unsafe extern "C" fn rect_stream_send(
     stream: Stream,
@@ -129,17 +132,19 @@ pub unsafe extern "C" fn rect_stream_send(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
-        let frame = unsafe { there("frame", frame)?.read() }?;
-        let count = handle::get::<Held>(stream.id)?.0.send(frame)?;
-        tell(sent, count)
+        // SAFETY: the caller follows the rules of rect.h.
+        let frame = unsafe { require("frame", frame)?.read() }?;
+        let count = handle::get::<OwnedStream>(stream.id)?.0.send(frame)?;
+        write_count(sent, count)
     })
 }
 
-/// Sends a picture, at the size and quality that get through: rows of pixels without gaps, from the upper left. Nothing is
-/// written while nobody wants one. `format`: a `rect_format`; `len`: of the pixels, in bytes; `sent`: as `rect_stream_send`.
+/// Sends a picture, scaled and compressed as the links require: rows of pixels without padding, from the top left. If no
+/// receiver needs a frame now, nothing is compressed or sent.
 ///
-/// Thread: any; of several threads' frames one goes out after another. Takes as long as writing the picture.
+/// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
+///
+/// May be called on any thread; calls of several threads run one after another. Takes as long as compressing the picture.
 #[no_mangle]
 pub unsafe extern "C" fn rect_stream_send_picture(
     stream: Stream,
@@ -152,23 +157,24 @@ pub unsafe extern "C" fn rect_stream_send_picture(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        // SAFETY: as rect.h asks.
+        // SAFETY: the caller follows the rules of rect.h.
         let picture = unsafe { picture::read(width, height, format, pixels, len) }?;
-        let count = handle::get::<Held>(stream.id)?.0.send_picture(&picture)?;
-        tell(sent, count)
+        let count = handle::get::<OwnedStream>(stream.id)?
+            .0
+            .send_picture(&picture)?;
+        write_count(sent, count)
     })
 }
 
-fn tell(sent: Out<'_, u32>, count: usize) -> Result<(), Failure> {
+fn write_count(sent: Out<'_, u32>, count: usize) -> Result<(), Failure> {
     if let Some(sent) = sent {
         sent.write(u32::try_from(count).unwrap_or(u32::MAX));
     }
     Ok(())
 }
 
-/// What goes out, what gets through, and why it is as it is: JSON, with `groups` and `receivers` (docs/streams.md).
-///
-/// Thread: any.
+/// Writes the state of a stream to `status`: what is sent, what arrives, and why the current quality was chosen. It is JSON
+/// with `groups` and `receivers` (docs/streams.md). May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_stream_status(
     stream: Stream,
@@ -176,10 +182,10 @@ pub extern "C" fn rect_stream_status(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("status", &status)?;
-        let told = handle::get::<Held>(stream.id)?.0.status();
-        let text =
-            serde_json::to_string(&told).map_err(|error| Failure::Fault(error.to_string()))?;
-        give("status", status, hold_string(text))
+        require_out("status", &status)?;
+        let current = handle::get::<OwnedStream>(stream.id)?.0.status();
+        let text = serde_json::to_string(&current)
+            .map_err(|error| Failure::Internal(error.to_string()))?;
+        write_out("status", status, string_into_c(text))
     })
 }

@@ -1,80 +1,82 @@
-//! Owns receiving: the messages of a pattern, one after another, or for a callback.
+//! Subscribes to messages, which the program takes from a queue or receives in a callback.
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
     sync::Arc,
 };
 
-use rect::{Receiving, WhenFull};
-
 use crate::{
-    argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text},
+    boundary::{call, require_out, write_out, ErrorOut},
     callback::{Callback, Release},
+    cancellable::{Cancellable, Waitable},
     failure::{Code, Failure},
     handle,
     message::{self, Message},
     program::Program,
-    robot::Robot,
+    robot::RobotHandle,
     subscription::{self, Source, Subscription},
     text::choice,
-    waiting::{Awaited, Waiting},
 };
 
-/// The messages of a pattern, which wait until they are taken. `rect_drop(&subscriber.id, ..)` when no more are wanted.
+/// A subscription with a receive queue, from which `rect_subscriber_next` takes messages. `rect_drop(&subscriber.id, ..)`
+/// ends the subscription.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Subscriber {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-/// What happens when one more comes than may wait.
+/// The rule for an item that arrives when the receive queue is full.
 #[repr(C)]
-pub enum WhenFullChoice {
-    /// The oldest is dropped: what the program gets is fresh. The default.
-    NewestWins = 0,
-    /// The new one is dropped: what the program gets has no gap before it is full.
-    OldestWins = 1,
-    /// Whoever sends waits. Nothing is dropped, and a program that does not read holds up everything of that urgency that
-    /// comes over the same connection.
-    Wait = 2,
+pub enum WhenFull {
+    /// The oldest waiting item is dropped, so the program receives recent items. The default.
+    DropOldest = 0,
+    /// The new item is dropped, so the items that are already waiting have no gaps.
+    DropNewest = 1,
+    /// The sender waits, and nothing is dropped. A program that does not read then blocks all messages of the same urgency
+    /// on the same link.
+    Block = 2,
 }
 
-/// How what comes waits for the program. `rect_receiving receiving = {0};` is the default, and so is NULL.
+/// The settings of a receive queue. `rect_queue_options options = {0};` are the defaults, and so is NULL.
 #[repr(C)]
-pub struct ReceivingOptions {
-    /// How many may wait; 0: 256 messages, or the newest frame alone.
+pub struct QueueOptions {
+    /// How many items may wait. 0 means the default: 256 messages, or 1 frame of a stream.
     pub capacity: usize,
-    /// What happens to more: a `rect_when_full`.
+    /// The rule for a full queue: a `rect_when_full`.
     pub when_full: u32,
 }
 
-/// Called with a message, which is there until it returns.
+/// A callback for messages. The message is valid until the callback returns.
 pub type OnMessage = Option<extern "C" fn(message: *const Message, context: *mut c_void)>;
 
-impl ReceivingOptions {
-    /// As the library has them, given its default.
-    pub fn read(given: Option<&Self>, default: Receiving) -> Result<Receiving, Failure> {
+impl QueueOptions {
+    /// Converts the options for the library, given its defaults.
+    pub fn read(
+        given: Option<&Self>,
+        default: rect::QueueOptions,
+    ) -> Result<rect::QueueOptions, Failure> {
         let Some(given) = given else {
             return Ok(default);
         };
         let rules = [
-            (WhenFullChoice::NewestWins as u32, WhenFull::NewestWins),
-            (WhenFullChoice::OldestWins as u32, WhenFull::OldestWins),
-            (WhenFullChoice::Wait as u32, WhenFull::Wait),
+            (WhenFull::DropOldest as u32, rect::WhenFull::DropOldest),
+            (WhenFull::DropNewest as u32, rect::WhenFull::DropNewest),
+            (WhenFull::Block as u32, rect::WhenFull::Block),
         ];
-        Ok(Receiving {
+        Ok(rect::QueueOptions {
             capacity: match given.capacity {
                 0 => default.capacity,
                 capacity => capacity,
             },
-            when_full: choice("receiving.when_full", &rules, given.when_full)?,
+            when_full: choice("options.when_full", &rules, given.when_full)?,
         })
     }
 }
 
-impl Awaited for rect::Subscriber {
+impl Waitable for rect::Subscriber {
     const KIND: &'static str = "subscriber";
 }
 
@@ -82,7 +84,7 @@ impl Source for rect::Subscriber {
     type Item = rect::Message;
 
     async fn next(&self) -> Option<rect::Message> {
-        self.recv().await
+        Self::next(self).await
     }
 
     fn close(&self) {
@@ -93,39 +95,49 @@ impl Source for rect::Subscriber {
 fn declare(
     program: &Program,
     pattern: &str,
-    receiving: Option<&ReceivingOptions>,
+    options: Option<&QueueOptions>,
 ) -> Result<rect::Subscriber, Failure> {
-    let receiving = ReceivingOptions::read(receiving, Receiving::default())?;
-    program.wait(program.robot.subscribe_with(pattern, receiving))
+    let options = QueueOptions::read(options, rect::QueueOptions::default())?;
+    program.wait(program.robot.subscribe_with(pattern, options))
 }
 
-/// The messages of a pattern, `<robot>/<topic>` with wildcards, as `*/arm/*`: what those robots say to all, and to this one
-/// alone. `receiving`: NULL for the default.
+/// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The subscriber receives the matching messages
+/// that are published, and those that are sent to this robot. `options` may be NULL for the defaults.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_TOPIC` if the pattern is invalid. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_subscribe(
-    robot: Robot,
+    robot: RobotHandle,
     pattern: *const c_char,
-    receiving: Option<&ReceivingOptions>,
+    options: Option<&QueueOptions>,
     subscriber: Option<&mut MaybeUninit<Subscriber>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("subscriber", &subscriber)?;
-        // SAFETY: as rect.h asks.
+        require_out("subscriber", &subscriber)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let pattern = unsafe { text("pattern", pattern) }?;
-        let program = robot.live()?;
-        let declared = declare(&program, pattern, receiving)?;
-        let id = handle::insert(Waiting::new(declared, &program));
-        give("subscriber", subscriber, Subscriber { id })
+        let program = robot.resolve()?;
+        let declared = declare(&program, pattern, options)?;
+        let id = handle::insert(Cancellable::new(declared, &program));
+        write_out("subscriber", subscriber, Subscriber { id })
     })
 }
 
-/// The next message; RECT_CODE_TIMED_OUT: there was none within `timeout_ms` (RECT_FOREVER: it waits as long as it takes);
-/// RECT_CODE_CLOSED: the session was closed, or another thread dropped the subscriber.
+/// Waits for the next message and writes it to `message`.
 ///
-/// Thread: any; of several that wait, one gets it.
+/// ```c
+/// rect_message message;
+/// while (rect_subscriber_next(subscriber, RECT_FOREVER, &message, &error) == RECT_CODE_OK) {
+///     printf("%.*s\n", (int)message.sender.len, (const char *)message.sender.data);
+///     rect_drop(&message.id, NULL);
+/// }
+/// ```
+///
+/// Returns `RECT_CODE_TIMED_OUT` if none arrives within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+/// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the subscriber.
+///
+/// May be called on any thread; if several threads wait, one of them receives the message.
 #[no_mangle]
 pub extern "C" fn rect_subscriber_next(
     subscriber: Subscriber,
@@ -134,16 +146,14 @@ pub extern "C" fn rect_subscriber_next(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("message", &message)?;
-        let waiting = handle::get::<Waiting<rect::Subscriber>>(subscriber.id)?;
-        let next = waiting.next("message", timeout_ms, rect::Subscriber::recv)?;
-        give("message", message, message::hold(next))
+        require_out("message", &message)?;
+        let waiting = handle::get::<Cancellable<rect::Subscriber>>(subscriber.id)?;
+        let next = waiting.next("message", timeout_ms, rect::Subscriber::next)?;
+        write_out("message", message, message::into_c(next))
     })
 }
 
-/// How many messages were dropped because the program did not take them in time.
-///
-/// Thread: any.
+/// Writes the number of messages that the full receive queue has dropped to `dropped`. May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_subscriber_dropped(
     subscriber: Subscriber,
@@ -151,38 +161,40 @@ pub extern "C" fn rect_subscriber_dropped(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let waiting = handle::get::<Waiting<rect::Subscriber>>(subscriber.id)?;
-        give("dropped", dropped, waiting.source().dropped())
+        let waiting = handle::get::<Cancellable<rect::Subscriber>>(subscriber.id)?;
+        write_out("dropped", dropped, waiting.source().dropped())
     })
 }
 
-/// Calls `callback` for each message of a pattern, one after another, on a thread of its own, until the subscription is
-/// dropped. `release` is called with `context` once, when there will be no more calls, even where this call fails.
+/// Calls `callback` for each message that matches a pattern, one after another, on a thread of the subscription, until the
+/// subscription is dropped. `pattern` and `options` are the same as for `rect_robot_subscribe`.
 ///
-/// Thread: any. The callback may call any function of RECT, and drop its own subscription.
+/// `release` is called once with `context` when no more calls will follow, even if this function fails.
+///
+/// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_on_message(
-    robot: Robot,
+    robot: RobotHandle,
     pattern: *const c_char,
-    receiving: Option<&ReceivingOptions>,
+    options: Option<&QueueOptions>,
     callback: OnMessage,
     context: *mut c_void,
     release: Release,
     subscription: Option<&mut MaybeUninit<Subscription>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    let called = Arc::new(Callback::new(context, release));
+    let wrapper = Arc::new(Callback::new(context, release));
     call(error, || {
-        wanted("subscription", &subscription)?;
-        // SAFETY: as rect.h asks.
+        require_out("subscription", &subscription)?;
+        // SAFETY: the caller follows the rules of rect.h.
         let pattern = unsafe { text("pattern", pattern) }?;
-        let callback = there("callback", callback)?;
-        let program = robot.live()?;
-        let declared = declare(&program, pattern, receiving)?;
-        let started = subscription::start(&program, declared, called, move |message, context| {
-            let flaw = message::flaw(message);
-            callback(&message::view(message, flaw.as_deref()), context);
+        let callback = require("callback", callback)?;
+        let program = robot.resolve()?;
+        let declared = declare(&program, pattern, options)?;
+        let started = subscription::start(&program, declared, wrapper, move |message, context| {
+            let problem = message::problem(message);
+            callback(&message::view(message, problem.as_deref()), context);
         })?;
-        give("subscription", subscription, started)
+        write_out("subscription", subscription, started)
     })
 }

@@ -1,4 +1,4 @@
-//! Owns callbacks that are called for whatever comes: each has a thread of its own, until it is dropped.
+//! Runs a callback for each item of a source, on a thread of its own, until the subscription is dropped.
 use std::{ffi::c_void, future::Future, sync::Arc, thread};
 
 use crate::{
@@ -8,22 +8,24 @@ use crate::{
     program::Program,
 };
 
-/// A callback that is called for whatever comes, one after another, on a thread of its own, until
-/// `rect_drop(&subscription.id, ..)`; that waits for a call that is under way. It may be dropped in its own callback. Two
-/// callbacks that drop each other's at the same time wait for each other for ever.
+/// A subscription, watch or event listener that calls a callback for each item, one after another, on a thread of its own,
+/// until `rect_drop(&subscription.id, ..)`.
+///
+/// Dropping it waits for a call in progress. A callback may drop its own subscription. If two callbacks drop each other's
+/// subscriptions at the same time, both wait forever.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Subscription {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-struct Called<S> {
+struct CallbackSubscription<S> {
     callback: Arc<Callback>,
     source: Arc<S>,
 }
 
-impl<S: Source> Object for Called<S> {
+impl<S: Source> Object for CallbackSubscription<S> {
     const KIND: &'static str = "subscription";
 
     fn on_dropped(&self) {
@@ -32,34 +34,34 @@ impl<S: Source> Object for Called<S> {
     }
 }
 
-/// Something that gives one item after another; `None`: there will be no more.
+/// A source of items. After `None` there are no more.
 pub trait Source: Send + Sync + 'static {
-    /// What it gives.
+    /// The type of its items.
     type Item;
 
-    /// The next.
+    /// Waits for the next item.
     fn next(&self) -> impl Future<Output = Option<Self::Item>>;
 
-    /// No more is wanted: whoever waits for the next is to end.
+    /// Ends the source. A waiting `next` returns `None`.
     fn close(&self);
 }
 
-/// Calls `callback` with each item, by `show`.
+/// Starts a thread that passes each item of `source` to `callback`, using `invoke`.
 pub fn start<S: Source>(
     program: &Program,
     source: S,
     callback: Arc<Callback>,
-    show: impl Fn(&S::Item, *mut c_void) + Send + 'static,
+    invoke: impl Fn(&S::Item, *mut c_void) + Send + 'static,
 ) -> Result<Subscription, Failure> {
     let source = Arc::new(source);
-    let (given, called) = (source.clone(), callback.clone());
+    let (items, wrapper) = (source.clone(), callback.clone());
     let runtime = program.runtime.clone();
     let thread = thread::Builder::new().name("rect-callback".into());
     let started = thread.spawn(move || {
-        let call = |item| called.run(|context| show(&item, context));
-        runtime.for_each(|| given.next(), call);
+        let call = |item| wrapper.run(|context| invoke(&item, context));
+        runtime.for_each(|| items.next(), call);
     });
-    started.map_err(|error| Failure::System("no thread for the callback", error))?;
-    let id = handle::insert(Called { callback, source });
+    started.map_err(|error| Failure::System("cannot start a thread for the callback", error))?;
+    let id = handle::insert(CallbackSubscription { callback, source });
     Ok(Subscription { id })
 }

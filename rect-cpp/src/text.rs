@@ -1,27 +1,28 @@
-//! Owns text and names as C gets them.
+//! Converts text, and lists of robot names, into the form that C receives.
 use rect::Name;
 
 use crate::{failure::Failure, handle::Object};
 
-/// Text that RECT gives: UTF-8, without a zero byte at its end, `printf("%.*s", (int)text.len, text.data)`. What is not
-/// there has the length 0. It lives as long as what it belongs to.
+/// A text that RECT returns: UTF-8 without a terminating zero byte. To print it: `printf("%.*s", (int)text.len, text.data)`.
+///
+/// An absent text has the length 0. A text is valid as long as the object that it belongs to.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Text {
-    /// The first byte; NULL where there is none.
+    /// The first byte; may be NULL if `len` is 0.
     pub data: *const u8,
-    /// How many bytes.
+    /// Length in bytes.
     pub len: usize,
 }
 
 impl Text {
-    /// Nothing.
+    /// An absent text.
     pub const NONE: Self = Self {
         data: std::ptr::null(),
         len: 0,
     };
 
-    /// Of a text that outlives it.
+    /// Points to a text, which must outlive the result.
     pub fn of(text: &str) -> Self {
         Self {
             data: text.as_ptr(),
@@ -29,84 +30,84 @@ impl Text {
         }
     }
 
-    /// The same, of what may not be there.
+    /// Points to a text, or returns [`Self::NONE`].
     pub fn of_some(text: Option<&str>) -> Self {
         text.map_or(Self::NONE, Self::of)
     }
 }
 
-/// A text of its own, as JSON. `rect_drop(&string.id, ..)` when it is not needed any more.
+/// A text with a handle of its own; it contains JSON, or the name of a codec. Release it with `rect_drop(&string.id, ..)`.
 #[repr(C)]
 pub struct StringView {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
     /// The text.
     pub text: Text,
 }
 
-/// Names of robots. `rect_drop(&names.id, ..)` when they are not needed any more.
+/// A list of robot names. Release it with `rect_drop(&names.id, ..)`.
 #[repr(C)]
 pub struct Names {
-    /// Their handle.
+    /// The handle.
     pub id: u64,
-    /// The first.
+    /// The first name.
     pub items: *const Text,
-    /// How many.
+    /// Number of names.
     pub len: usize,
 }
 
-struct HeldString {
+struct OwnedString {
     _text: String,
 }
 
-impl Object for HeldString {
+impl Object for OwnedString {
     const KIND: &'static str = "string";
 }
 
-/// Gives C a text.
-pub fn hold_string(text: String) -> StringView {
-    let shown = Text::of(&text);
+/// Moves a text into the handle table and returns its C form.
+pub fn string_into_c(text: String) -> StringView {
+    let view = Text::of(&text);
     StringView {
-        id: crate::handle::insert(HeldString { _text: text }),
-        text: shown,
+        id: crate::handle::insert(OwnedString { _text: text }),
+        text: view,
     }
 }
 
-struct HeldNames {
+struct OwnedNames {
     _names: Vec<Name>,
     _views: Vec<Text>,
 }
 
-// SAFETY: the views point into the names beside them, which never change.
-unsafe impl Send for HeldNames {}
-// SAFETY: as above.
-unsafe impl Sync for HeldNames {}
+// SAFETY: the views point into the names stored next to them, which never change.
+unsafe impl Send for OwnedNames {}
+// SAFETY: as for `Send`.
+unsafe impl Sync for OwnedNames {}
 
-impl Object for HeldNames {
+impl Object for OwnedNames {
     const KIND: &'static str = "list of names";
 }
 
-/// Gives C names.
-pub fn hold_names(names: Vec<Name>) -> Names {
+/// Moves names into the handle table and returns their C form.
+pub fn names_into_c(names: Vec<Name>) -> Names {
     let views: Vec<Text> = names.iter().map(|name| Text::of(name.as_str())).collect();
     let (items, len) = (views.as_ptr(), views.len());
-    let id = crate::handle::insert(HeldNames {
+    let id = crate::handle::insert(OwnedNames {
         _names: names,
         _views: views,
     });
     Names { id, items, len }
 }
 
-/// What one of C's numbers stands for.
+/// Returns the value that a number from C stands for.
 pub fn choice<T: Copy>(name: &'static str, all: &[(u32, T)], given: u32) -> Result<T, Failure> {
     let found = all.iter().find(|(number, _)| *number == given);
     found.map(|(_, choice)| *choice).ok_or_else(|| {
-        let most = all.len() - 1;
-        Failure::argument(name, format!("is {given}, and may be 0 to {most}"))
+        let max = all.len() - 1;
+        Failure::argument(name, format!("is {given}, but must be 0 to {max}"))
     })
 }
 
-/// C's number of a choice.
+/// Returns C's number for a value.
 pub fn number<T: PartialEq>(all: &[(u32, T)], choice: &T) -> u32 {
     let found = all.iter().find(|(_, one)| one == choice);
     found.map_or(0, |(number, _)| *number)

@@ -1,4 +1,4 @@
-//! Owns transfers: files and bytes of any size, to a robot and from others.
+//! Sends and receives transfers: files and payloads of any size.
 use std::{
     ffi::{c_char, c_void},
     future::{Future, IntoFuture},
@@ -9,160 +9,162 @@ use std::{
     time::Duration,
 };
 
-use rect::{core::transfer::Progress as Held, storage::Content, ReceiveTransfers, TransferSource};
+use rect::{core::transfer::Progress as LibraryProgress, storage::Content, TransferSource};
 use tokio::sync::Mutex;
 
 use crate::{
-    argument::{text, text_or_none, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text, text_or_none},
+    boundary::{call, require_out, write_out, ErrorOut},
     callback::{Callback, Release},
+    cancellable::{Cancellable, Waitable},
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
-    robot::Robot,
+    robot::RobotHandle,
     text::Text,
-    waiting::{Awaited, Waiting},
 };
 
-/// How much of a transfer the receiver holds.
+/// The progress of an outgoing transfer.
 #[repr(C)]
 pub struct Progress {
-    /// What it holds.
-    pub held_bytes: u64,
-    /// Of how many.
+    /// Number of bytes that the receiver has.
+    pub received_bytes: u64,
+    /// Size of the transfer in bytes.
     pub size_bytes: u64,
 }
 
-/// Called with how much is there, up to ten times a second, on the transfer's thread.
+/// A callback for progress. It is called up to ten times per second, on the thread of the transfer.
 pub type OnProgress = Option<extern "C" fn(progress: *const Progress, context: *mut c_void)>;
 
-/// A transfer that this program sends. `rect_drop(&transfer.id, ..)` ends it, all there or not.
+/// An outgoing transfer. `rect_drop(&transfer.id, ..)` ends it, whether or not it is complete.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Transfer {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-/// What is transferred, and how. What is 0 or NULL is left at its default.
+/// The content of a transfer, and its options. Fields that are 0 or NULL keep their defaults.
 #[repr(C)]
 pub struct TransferOptions {
-    /// A file, by its path. It must not change before all is there. NULL: `payload` is transferred.
+    /// Path of the file to transfer, which must not change until the transfer is complete. NULL transfers `payload`.
     pub file: *const c_char,
-    /// Bytes, where there is no file.
+    /// The payload to transfer if there is no file.
     pub payload: PayloadView,
-    /// What it is called there; default: the file's name, and bytes have none.
+    /// The name that the receiver gets. Default: the name of the file; a payload has none.
     pub name: *const c_char,
-    /// What a file is; default `zenoh/bytes`.
+    /// The encoding of a file. Default: `zenoh/bytes`.
     pub encoding: *const c_char,
-    /// How long nothing may be heard of the receiver, in ms; default: it may come back whenever it likes.
-    pub patience_ms: u32,
+    /// How long the receiver may be unreachable before the transfer fails, in milliseconds. Default: no limit.
+    pub timeout_ms: u32,
 }
 
-/// How transfers are taken. What is 0 or NULL is left at its default.
+/// The options for receiving transfers. Fields that are 0 or NULL keep their defaults.
 #[repr(C)]
 pub struct ReceiveOptions {
-    /// Into a folder for each sender in this one, under the name that the sender gives; NULL: into memory. What came into
-    /// files goes on after a restart.
+    /// The folder for received files. Each sender has a subfolder, and files keep the names that their senders give.
+    /// Transfers into a folder resume after a restart. NULL keeps transfers in memory.
     pub folder: *const c_char,
-    /// The largest that is taken, in bytes. It has to be given.
+    /// Maximum size of a transfer in bytes. Larger ones are refused. Required.
     pub max_bytes: u64,
-    /// How many at once, half of them of one sender at most; others wait. Default 4.
-    pub at_once: usize,
-    /// How long nothing may come before one is given up, in ms; default 600000.
-    pub patience_ms: u32,
+    /// Maximum number of transfers at the same time, of which at most half (rounded up) have the same sender. Others wait.
+    /// Default: 4.
+    pub max_concurrent: usize,
+    /// How long a transfer may make no progress before it is given up, in milliseconds. Default: 600000.
+    pub timeout_ms: u32,
 }
 
-/// The transfers that come. `rect_drop(&transfers.id, ..)` when no more are wanted.
+/// A receiver of transfers. `rect_drop(&transfers.id, ..)` ends it.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Transfers {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-/// A transfer that came, with the right checksum. It is there until `rect_drop(&received.id, ..)`; a file stays.
+/// A transfer that was received completely and whose checksum is correct. It is valid until `rect_drop(&received.id, ..)`,
+/// which does not delete a received file.
 #[repr(C)]
 pub struct Received {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
-    /// Of whom.
-    pub from: Text,
-    /// About what.
+    /// The robot that sent the transfer.
+    pub sender: Text,
+    /// The topic.
     pub topic: Text,
-    /// What its sender calls it; may be empty.
+    /// The name that the sender gave it; may be empty.
     pub name: Text,
-    /// The file that it is in; nothing, where it is in memory.
+    /// Path of the received file; empty if the transfer is in memory.
     pub file: Text,
-    /// What it is, and its bytes, unless they are in a file.
+    /// The encoding, and the bytes unless they are in a file.
     pub payload: PayloadView,
-    /// How long it is.
+    /// Size of the transfer in bytes.
     pub size_bytes: u64,
 }
 
-struct Came {
+struct ReceivedTransfer {
     received: rect::Received,
     file: Option<String>,
 }
 
-impl Object for Came {
+impl Object for ReceivedTransfer {
     const KIND: &'static str = "received transfer";
 }
 
-impl Awaited for rect::Transfers {
-    const KIND: &'static str = "taker of transfers";
+impl Waitable for rect::Transfers {
+    const KIND: &'static str = "receiver of transfers";
 }
 
-fn hold(received: rect::Received) -> Received {
+fn into_c(received: rect::Received) -> Received {
     let file = match &received.content {
         Content::Bytes(_) => None,
         Content::File(path) => Some(path.to_string_lossy().into_owned()),
     };
-    let held = Arc::new(Came { received, file });
-    let about = &held.received.about;
-    let bytes = match &held.received.content {
+    let owned = Arc::new(ReceivedTransfer { received, file });
+    let offer = &owned.received.transfer;
+    let bytes = match &owned.received.content {
         Content::Bytes(bytes) => bytes.as_ref(),
         Content::File(_) => &[],
     };
     let view = Received {
         id: 0,
-        from: Text::of(about.from.as_str()),
-        topic: Text::of(about.topic.as_str()),
-        name: Text::of(&about.name),
-        file: Text::of_some(held.file.as_deref()),
+        sender: Text::of(offer.sender.as_str()),
+        topic: Text::of(offer.topic.as_str()),
+        name: Text::of(&offer.name),
+        file: Text::of_some(owned.file.as_deref()),
         payload: PayloadView {
             data: bytes.as_ptr().cast(),
             len: bytes.len(),
-            encoding: Text::of(about.encoding.as_str()),
+            encoding: Text::of(offer.encoding.as_str()),
         },
-        size_bytes: about.size_bytes,
+        size_bytes: offer.size_bytes,
     };
-    let id = handle::insert_shared(held);
+    let id = handle::insert_shared(owned);
     Received { id, ..view }
 }
 
 /// # Safety
-/// The options are as rect.h asks.
+/// The pointers of the options follow the rules of rect.h.
 unsafe fn source(given: &TransferOptions) -> Result<TransferSource, Failure> {
-    // SAFETY: as this function asks.
+    // SAFETY: guaranteed by this function's caller.
     let file = unsafe { text_or_none("options.file", given.file) }?;
     Ok(match file {
         Some(file) => Path::new(file).into(),
-        // SAFETY: as this function asks.
+        // SAFETY: guaranteed by this function's caller.
         None => unsafe { given.payload.read() }?.into(),
     })
 }
 
-type Ending = Pin<Box<dyn Future<Output = Result<(), rect::Error>> + Send>>;
+type Outcome = Pin<Box<dyn Future<Output = Result<(), rect::Error>> + Send>>;
 
-/// A transfer under way.
-struct Sending {
-    /// Nothing once its end was told.
-    ending: Mutex<Option<Ending>>,
+/// An outgoing transfer that a program may wait for.
+struct OutgoingTransfer {
+    /// The pending result; `None` once it has been returned.
+    outcome: Mutex<Option<Outcome>>,
     progress: Arc<Callback>,
 }
 
-impl Awaited for Sending {
+impl Waitable for OutgoingTransfer {
     const KIND: &'static str = "transfer";
 
     fn on_dropped(&self) {
@@ -170,52 +172,63 @@ impl Awaited for Sending {
     }
 }
 
-impl Sending {
-    /// Begins.
+impl OutgoingTransfer {
+    /// Starts the transfer.
     fn of(transfer: rect::Transfer, on_progress: OnProgress, progress: Arc<Callback>) -> Self {
         let transfer = match on_progress {
             None => transfer,
             Some(function) => {
-                let called = progress.clone();
-                transfer.on_progress(move |progress: Held| {
-                    let Held {
-                        held_bytes,
+                let wrapper = progress.clone();
+                transfer.on_progress(move |progress: LibraryProgress| {
+                    let LibraryProgress {
+                        received_bytes,
                         size_bytes,
                     } = progress;
                     let view = Progress {
-                        held_bytes,
+                        received_bytes,
                         size_bytes,
                     };
-                    called.run(|context| function(&view, context));
+                    wrapper.run(|context| function(&view, context));
                 })
             }
         };
         Self {
-            ending: Mutex::new(Some(transfer.into_future())),
+            outcome: Mutex::new(Some(transfer.into_future())),
             progress,
         }
     }
 
-    /// How it ended, once it has.
-    async fn end(&self) -> Result<(), Failure> {
-        let mut ending = self.ending.lock().await;
-        let how = ending.as_mut().ok_or(Failure::End)?.await;
-        *ending = None;
+    /// Waits for the result of the transfer.
+    async fn result(&self) -> Result<(), Failure> {
+        let mut outcome = self.outcome.lock().await;
+        let result = outcome.as_mut().ok_or(Failure::End)?.await;
+        *outcome = None;
         self.progress.close();
-        Ok(how?)
+        Ok(result?)
     }
 }
 
-/// Begins to transfer a file or bytes of any size to one robot, until it ends or is dropped. Everything else overtakes it.
-/// Links may come and go meanwhile, and either side may be restarted: it goes on where it was. `progress`: NULL, or called
-/// with `context` on the transfer's thread. `release` is called with `context` once, when there will be no more calls, even
-/// where this call fails.
+/// Starts to transfer a file or payload of any size to the robot `recipient`, and writes the handle to `transfer`.
 ///
-/// Thread: any. The callback may drop its own transfer, and must not wait for it.
+/// The transfer runs until it is complete, fails, or is dropped. All other messages overtake it. It resumes after links were
+/// interrupted and after either side was restarted.
+///
+/// ```c
+/// rect_transfer_options options = {0};
+/// options.file = "hall.pcd";
+/// rect_robot_begin_transfer(robot, "wombat-2", "maps/hall", &options, NULL, NULL, NULL, &transfer, &error);
+/// rect_transfer_wait(transfer, RECT_FOREVER, &error);
+/// ```
+///
+/// `progress` may be NULL; otherwise it is called with `context` on the thread of the transfer. `release` is called once
+/// with `context` when no more calls will follow, even if this function fails.
+///
+/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the recipient or the topic is invalid; `rect_transfer_wait` reports all
+/// later errors. May be called on any thread. The callback may drop its own transfer, but must not wait for it.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_begin_transfer(
-    robot: Robot,
-    to: *const c_char,
+    robot: RobotHandle,
+    recipient: *const c_char,
     topic: *const c_char,
     options: Option<&TransferOptions>,
     progress: OnProgress,
@@ -224,42 +237,47 @@ pub unsafe extern "C" fn rect_robot_begin_transfer(
     transfer: Option<&mut MaybeUninit<Transfer>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    let called = Arc::new(Callback::new(context, release));
+    let wrapper = Arc::new(Callback::new(context, release));
     call(error, || {
-        wanted("transfer", &transfer)?;
-        let options = there("options", options)?;
-        // SAFETY: as rect.h asks.
-        let (to, topic, source, name, encoding) = unsafe {
+        require_out("transfer", &transfer)?;
+        let options = require("options", options)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (recipient, topic, source, name, encoding) = unsafe {
             (
-                text("to", to)?,
+                text("recipient", recipient)?,
                 text("topic", topic)?,
                 source(options)?,
                 text_or_none("options.name", options.name)?,
                 text_or_none("options.encoding", options.encoding)?,
             )
         };
-        let program = robot.live()?;
-        let mut begun = program.robot.transfer(to, topic, source)?;
+        let program = robot.resolve()?;
+        let mut transfer_builder = program.robot.transfer(recipient, topic, source)?;
         if let Some(name) = name {
-            begun = begun.named(name);
+            transfer_builder = transfer_builder.name(name);
         }
         if let Some(encoding) = encoding {
-            begun = begun.encoding(crate::payload::named(encoding.as_bytes())?);
+            transfer_builder =
+                transfer_builder.encoding(crate::payload::named(encoding.as_bytes())?);
         }
-        if options.patience_ms != 0 {
-            begun = begun.patience(Duration::from_millis(options.patience_ms.into()));
+        if options.timeout_ms != 0 {
+            transfer_builder =
+                transfer_builder.timeout(Duration::from_millis(options.timeout_ms.into()));
         }
-        let sending = Sending::of(begun, progress, called);
-        let id = handle::insert(Waiting::new(sending, &program));
-        give("transfer", transfer, Transfer { id })
+        let outgoing = OutgoingTransfer::of(transfer_builder, progress, wrapper);
+        let id = handle::insert(Cancellable::new(outgoing, &program));
+        write_out("transfer", transfer, Transfer { id })
     })
 }
 
-/// Waits until all is there and right, or can't be. RECT_CODE_TIMED_OUT: it goes on after `timeout_ms` (RECT_FOREVER: it waits
-/// as long as it takes); RECT_CODE_CLOSED: the session was closed, or another thread dropped it; RECT_CODE_END: its end was
-/// told before.
+/// Waits until the transfer is complete and verified, or has failed.
 ///
-/// Thread: any but the transfer's own, on which its callback runs.
+/// Returns `RECT_CODE_TIMED_OUT` if it is still running after `timeout_ms` (`RECT_FOREVER` waits without a limit), or if the
+/// timeout of its options has expired; `RECT_CODE_TRANSFER_REFUSED` or `RECT_CODE_TRANSFER_FAILED` if it failed;
+/// `RECT_CODE_FILE` if its file cannot be read; `RECT_CODE_CLOSED` if the session was closed or another thread dropped the
+/// transfer; and `RECT_CODE_END` if an earlier call has already returned the result.
+///
+/// May be called on any thread except the one of the transfer's callback.
 #[no_mangle]
 pub extern "C" fn rect_transfer_wait(
     transfer: Transfer,
@@ -267,67 +285,70 @@ pub extern "C" fn rect_transfer_wait(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let waiting = handle::get::<Waiting<Sending>>(transfer.id)?;
-        waiting.next("end of the transfer", timeout_ms, |sending| async {
-            Some(sending.end().await)
+        let waiting = handle::get::<Cancellable<OutgoingTransfer>>(transfer.id)?;
+        waiting.next("result of the transfer", timeout_ms, |outgoing| async {
+            Some(outgoing.result().await)
         })?
     })
 }
 
 /// # Safety
-/// The options are as rect.h asks.
-unsafe fn taking(given: &ReceiveOptions) -> Result<ReceiveTransfers, Failure> {
+/// The pointers of the options follow the rules of rect.h.
+unsafe fn read_receive_options(given: &ReceiveOptions) -> Result<rect::ReceiveOptions, Failure> {
     if given.max_bytes == 0 {
-        let wrong = "is 0: how large may a transfer be?";
-        return Err(Failure::argument("options.max_bytes", wrong));
+        let problem = "is 0; specify the maximum size of a transfer";
+        return Err(Failure::argument("options.max_bytes", problem));
     }
-    // SAFETY: as this function asks.
-    let mut taking = match unsafe { text_or_none("options.folder", given.folder) }? {
-        Some(folder) => ReceiveTransfers::in_folder(folder, given.max_bytes),
-        None => ReceiveTransfers::in_memory(given.max_bytes),
+    // SAFETY: guaranteed by this function's caller.
+    let mut receive_options = match unsafe { text_or_none("options.folder", given.folder) }? {
+        Some(folder) => rect::ReceiveOptions::in_folder(folder, given.max_bytes),
+        None => rect::ReceiveOptions::in_memory(given.max_bytes),
     };
-    if given.at_once != 0 {
-        taking = taking.at_once(given.at_once);
+    if given.max_concurrent != 0 {
+        receive_options = receive_options.max_concurrent(given.max_concurrent);
     }
-    if given.patience_ms != 0 {
-        taking = taking.patience(Duration::from_millis(given.patience_ms.into()));
+    if given.timeout_ms != 0 {
+        receive_options = receive_options.timeout(Duration::from_millis(given.timeout_ms.into()));
     }
-    Ok(taking)
+    Ok(receive_options)
 }
 
-/// Takes the transfers of a pattern, as `*/maps/*`, that others send to this robot, until it is dropped. Without it none is
-/// taken.
+/// Receives the transfers that others send to this robot and that match a pattern, e.g. `*/maps/*`, until `transfers` is
+/// dropped. Transfers that no receiver matches are refused.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_TOPIC` if the pattern is invalid, and `RECT_CODE_FILE` if the folder cannot be used. May be called on
+/// any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_receive_transfers(
-    robot: Robot,
+    robot: RobotHandle,
     pattern: *const c_char,
     options: Option<&ReceiveOptions>,
     transfers: Option<&mut MaybeUninit<Transfers>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("transfers", &transfers)?;
-        // SAFETY: as rect.h asks.
-        let (pattern, taking) = unsafe {
+        require_out("transfers", &transfers)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (pattern, receive_options) = unsafe {
             (
                 text("pattern", pattern)?,
-                taking(there("options", options)?)?,
+                read_receive_options(require("options", options)?)?,
             )
         };
-        let program = robot.live()?;
-        let taken = program.wait(program.robot.receive_transfers(pattern, taking))?;
-        let id = handle::insert(Waiting::new(taken, &program));
-        give("transfers", transfers, Transfers { id })
+        let program = robot.resolve()?;
+        let incoming = program.wait(program.robot.receive_transfers(pattern, receive_options))?;
+        let id = handle::insert(Cancellable::new(incoming, &program));
+        write_out("transfers", transfers, Transfers { id })
     })
 }
 
-/// The next transfer that ended: all of it, or RECT_CODE_TRANSFER_FAILED, and there may be more. RECT_CODE_TIMED_OUT: none did
-/// within `timeout_ms` (RECT_FOREVER: it waits as long as it takes); RECT_CODE_CLOSED: the session was closed, or another
-/// thread dropped it.
+/// Waits for the next transfer to finish and writes it to `received`.
 ///
-/// Thread: any; of several that wait, one gets it.
+/// Returns `RECT_CODE_TRANSFER_FAILED` if an incoming transfer failed, after which there may be more; `RECT_CODE_TIMED_OUT`
+/// if none finished within `timeout_ms` (`RECT_FOREVER` waits without a limit); and `RECT_CODE_CLOSED` if the session was
+/// closed or another thread dropped the receiver.
+///
+/// May be called on any thread; if several threads wait, one of them receives the transfer.
 #[no_mangle]
 pub extern "C" fn rect_transfers_next(
     transfers: Transfers,
@@ -336,9 +357,9 @@ pub extern "C" fn rect_transfers_next(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("received", &received)?;
-        let waiting = handle::get::<Waiting<rect::Transfers>>(transfers.id)?;
+        require_out("received", &received)?;
+        let waiting = handle::get::<Cancellable<rect::Transfers>>(transfers.id)?;
         let next = waiting.next("transfer", timeout_ms, rect::Transfers::next)??;
-        give("received", received, hold(next))
+        write_out("received", received, into_c(next))
     })
 }

@@ -1,43 +1,41 @@
-//! Owns watching a stream: its frames, one after another, or for a callback.
+//! Watches streams, whose frames the program takes from a queue or receives in a callback.
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
     sync::Arc,
 };
 
-use rect::{Receiving, WhenFull};
-
 use crate::{
-    argument::{text, there},
-    boundary::{call, give, wanted, ErrorOut},
+    argument::{require, text},
+    boundary::{call, require_out, write_out, ErrorOut},
     callback::{Callback, Release},
+    cancellable::{Cancellable, Waitable},
     failure::{Code, Failure},
     frame::{self, Frame},
     handle,
     program::Program,
-    robot::Robot,
-    subscriber::ReceivingOptions,
+    robot::RobotHandle,
+    subscriber::QueueOptions,
     subscription::{self, Source, Subscription},
-    waiting::{Awaited, Waiting},
 };
 
-/// A stream that this program watches. `rect_drop(&watch.id, ..)` when no more frames are wanted.
+/// A stream that this program watches. `rect_drop(&watch.id, ..)` ends it.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Watch {
-    /// Its handle.
+    /// The handle.
     pub id: u64,
 }
 
-/// Called with a frame, which is there until it returns.
+/// A callback for frames. The frame is valid until the callback returns.
 pub type OnFrame = Option<extern "C" fn(frame: *const Frame, context: *mut c_void)>;
 
-const NEWEST: Receiving = Receiving {
+const NEWEST: rect::QueueOptions = rect::QueueOptions {
     capacity: 1,
-    when_full: WhenFull::NewestWins,
+    when_full: rect::WhenFull::DropOldest,
 };
 
-impl Awaited for rect::Watch {
+impl Waitable for rect::Watch {
     const KIND: &'static str = "watch";
 }
 
@@ -45,7 +43,7 @@ impl Source for rect::Watch {
     type Item = rect::Frame;
 
     async fn next(&self) -> Option<rect::Frame> {
-        self.recv().await
+        Self::next(self).await
     }
 
     fn close(&self) {
@@ -55,41 +53,44 @@ impl Source for rect::Watch {
 
 fn declare(
     program: &Program,
-    from: &str,
+    sender: &str,
     topic: &str,
-    receiving: Option<&ReceivingOptions>,
+    options: Option<&QueueOptions>,
 ) -> Result<rect::Watch, Failure> {
-    let receiving = ReceivingOptions::read(receiving, NEWEST)?;
-    program.wait(program.robot.watch_with(from, topic, receiving))
+    let options = QueueOptions::read(options, NEWEST)?;
+    program.wait(program.robot.watch_with(sender, topic, options))
 }
 
-/// Watches a robot's stream: the newest frame waits until it is taken, or as many as `receiving` says.
+/// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program; `options` may
+/// specify a larger receive queue, or be NULL.
 ///
-/// Thread: any.
+/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_watch(
-    robot: Robot,
-    from: *const c_char,
+    robot: RobotHandle,
+    sender: *const c_char,
     topic: *const c_char,
-    receiving: Option<&ReceivingOptions>,
+    options: Option<&QueueOptions>,
     watch: Option<&mut MaybeUninit<Watch>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("watch", &watch)?;
-        // SAFETY: as rect.h asks.
-        let (from, topic) = unsafe { (text("from", from)?, text("topic", topic)?) };
-        let program = robot.live()?;
-        let declared = declare(&program, from, topic, receiving)?;
-        let id = handle::insert(Waiting::new(declared, &program));
-        give("watch", watch, Watch { id })
+        require_out("watch", &watch)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
+        let program = robot.resolve()?;
+        let declared = declare(&program, sender, topic, options)?;
+        let id = handle::insert(Cancellable::new(declared, &program));
+        write_out("watch", watch, Watch { id })
     })
 }
 
-/// The next frame; RECT_CODE_TIMED_OUT: there was none within `timeout_ms` (RECT_FOREVER: it waits as long as it takes);
-/// RECT_CODE_CLOSED: the session was closed, or another thread dropped the watch.
+/// Waits for the next frame and writes it to `frame`.
 ///
-/// Thread: any; of several that wait, one gets it.
+/// Returns `RECT_CODE_TIMED_OUT` if none arrives within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+/// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the watch.
+///
+/// May be called on any thread; if several threads wait, one of them receives the frame.
 #[no_mangle]
 pub extern "C" fn rect_watch_next(
     watch: Watch,
@@ -98,41 +99,43 @@ pub extern "C" fn rect_watch_next(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        wanted("frame", &frame)?;
-        let waiting = handle::get::<Waiting<rect::Watch>>(watch.id)?;
-        let next = waiting.next("frame", timeout_ms, rect::Watch::recv)?;
-        give("frame", frame, frame::hold(next))
+        require_out("frame", &frame)?;
+        let waiting = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
+        let next = waiting.next("frame", timeout_ms, rect::Watch::next)?;
+        write_out("frame", frame, frame::into_c(next))
     })
 }
 
-/// Calls `callback` for each frame of a robot's stream, one after another, on a thread of its own, until the subscription is
-/// dropped; while it runs, older frames are dropped as `receiving` says. `release` is called with `context` once, when
-/// there will be no more calls, even where this call fails.
+/// Calls `callback` for each frame of a stream, one after another, on a thread of the subscription, until the subscription
+/// is dropped. Frames that arrive during a call wait or are dropped as `options` specify; by default only the newest one is
+/// kept.
 ///
-/// Thread: any. The callback may call any function of RECT, and drop its own subscription.
+/// `release` is called once with `context` when no more calls will follow, even if this function fails.
+///
+/// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_on_frame(
-    robot: Robot,
-    from: *const c_char,
+    robot: RobotHandle,
+    sender: *const c_char,
     topic: *const c_char,
-    receiving: Option<&ReceivingOptions>,
+    options: Option<&QueueOptions>,
     callback: OnFrame,
     context: *mut c_void,
     release: Release,
     subscription: Option<&mut MaybeUninit<Subscription>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
-    let called = Arc::new(Callback::new(context, release));
+    let wrapper = Arc::new(Callback::new(context, release));
     call(error, || {
-        wanted("subscription", &subscription)?;
-        // SAFETY: as rect.h asks.
-        let (from, topic) = unsafe { (text("from", from)?, text("topic", topic)?) };
-        let callback = there("callback", callback)?;
-        let program = robot.live()?;
-        let declared = declare(&program, from, topic, receiving)?;
-        let started = subscription::start(&program, declared, called, move |frame, context| {
+        require_out("subscription", &subscription)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
+        let callback = require("callback", callback)?;
+        let program = robot.resolve()?;
+        let declared = declare(&program, sender, topic, options)?;
+        let started = subscription::start(&program, declared, wrapper, move |frame, context| {
             callback(&frame::view(frame), context);
         })?;
-        give("subscription", subscription, started)
+        write_out("subscription", subscription, started)
     })
 }

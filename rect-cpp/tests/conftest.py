@@ -1,4 +1,4 @@
-"""Where the examples are built, and a router for them."""
+"""Provides the build folder of the examples, and a router for them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--build", type=Path, required=True, help="CMake's build folder")
+    parser.addoption("--build", type=Path, required=True, help="the build folder of CMake")
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def build(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A router for programs that name none."""
+    """Starts a router for programs that use the default endpoint, and yields its endpoint."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"

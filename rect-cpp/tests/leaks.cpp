@@ -1,4 +1,4 @@
-// Looks after each test whether it has dropped all that it had: what has an id still, no leak sanitizer misses.
+// Checks after each test that it has dropped all its handles. A leak sanitizer does not notice those that remain.
 #include <cstdio>
 #include <cstdlib>
 #include <rect.hpp>
@@ -7,14 +7,15 @@
 
 namespace {
 
-class Leaks : public Catch::EventListenerBase {
+class HandleLeakCheck : public Catch::EventListenerBase {
 public:
     using Catch::EventListenerBase::EventListenerBase;
 
-    void testCaseStarting(const Catch::TestCaseInfo&) override { before_ = rect_live(); }
+    void testCaseStarting(const Catch::TestCaseInfo&) override { before_ = rect_handle_count(); }
     void testCaseEnded(const Catch::TestCaseStats& stats) override {
-        if (rect_live() != before_) {
-            std::fprintf(stderr, "%s: %zu things have an id still\n", stats.testInfo->name.c_str(), rect_live() - before_);
+        if (rect_handle_count() != before_) {
+            const auto name = stats.testInfo->name.c_str();
+            std::fprintf(stderr, "%s: %zu handles were not dropped\n", name, rect_handle_count() - before_);
             std::abort();
         }
     }
@@ -25,4 +26,4 @@ private:
 
 }  // namespace
 
-CATCH_REGISTER_LISTENER(Leaks)
+CATCH_REGISTER_LISTENER(HandleLeakCheck)

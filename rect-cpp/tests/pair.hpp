@@ -1,4 +1,4 @@
-// Two robots' programs in one process, linked over TCP. What reaches whom is waited for, never slept for.
+// Provides programs of two robots in one process, linked over TCP, and helpers that wait for conditions instead of sleeping.
 #ifndef RECT_TESTS_PAIR_HPP
 #define RECT_TESTS_PAIR_HPP
 
@@ -17,12 +17,12 @@
 
 using namespace std::chrono_literals;
 
-// No step of any test takes this long, not even on a busy machine.
+// Longer than any step of a test takes, even on a busy machine.
 constexpr auto deadline = 60s;
-// How long it takes to try again.
-constexpr auto patience = 50ms;
+// How long a test waits before it retries.
+constexpr auto retry_interval = 50ms;
 
-// A place on this computer where nobody listens now.
+// Returns an endpoint of this computer that is not in use.
 inline std::string free_endpoint() {
     const int probe = socket(AF_INET, SOCK_STREAM, 0);
     sockaddr_in address{};
@@ -37,10 +37,10 @@ inline std::string free_endpoint() {
     return "tcp/127.0.0.1:" + std::to_string(ntohs(address.sin_port));
 }
 
-// On any thread, which Catch2's own checks are not for.
+// Works on any thread, unlike the checks of Catch2.
 using rect::must;
 
-// Does it again and again until there is what is waited for.
+// Calls `done` repeatedly until it returns true.
 template <class Done>
 void until(Done done) {
     const auto end = std::chrono::steady_clock::now() + deadline;
@@ -49,7 +49,7 @@ void until(Done done) {
     }
 }
 
-// Something that happens on another thread, and is waited for.
+// A flag that one thread sets and another one waits for.
 class Flag {
 public:
     void set() {
@@ -68,8 +68,8 @@ private:
     bool is_set_ = false;
 };
 
-// A program of that robot, without a router.
-inline rect::Robot joined(const char* name, const std::string& listen, const std::string& dial) {
+// Connects a program without a router: it listens on `listen` and dials `dial`.
+inline rect::Robot connect_without_router(const char* name, const std::string& listen, const std::string& dial) {
     rect::Options options;
     options.login_file = "/none";
     if (!listen.empty()) {
@@ -81,23 +81,23 @@ inline rect::Robot joined(const char* name, const std::string& listen, const std
     return must(rect::connect(name, options));
 }
 
-// `wombat-1` and `wombat-2`, each of which knows the other.
+// The robots `wombat-1` and `wombat-2`, after each has discovered the other.
 struct Pair {
     std::string endpoint = free_endpoint();
-    rect::Robot one = joined("wombat-1", endpoint, "");
-    rect::Robot two = joined("wombat-2", "", endpoint);
+    rect::Robot one = connect_without_router("wombat-1", endpoint, "");
+    rect::Robot two = connect_without_router("wombat-2", "", endpoint);
 
     Pair() {
         until([&] { return !must(one.peers()).empty() && !must(two.peers()).empty(); });
     }
 
-    // The first message that `subscriber` gets, while `one` says it again and again: a subscription takes a moment to arrive.
+    // Publishes a value repeatedly until `subscriber` receives it, because a subscription takes a moment to reach the publisher.
     template <class T>
-    rect::Message heard(const rect::Subscriber& subscriber, const char* topic, const T& value) {
+    rect::Message publish_until_received(const rect::Subscriber& subscriber, const char* topic, const T& value) {
         rect::expected<rect::Message> message = subscriber.next(0ms);
         until([&] {
             must(one.publish(topic, value));
-            message = subscriber.next(patience);
+            message = subscriber.next(retry_interval);
             return message.has_value();
         });
         return std::move(*message);

@@ -1,4 +1,4 @@
-// What a program may get wrong: NULL, lengths, text that is not UTF-8, numbers out of range. Each is an error that names it.
+// Tests invalid arguments: NULL, wrong lengths, text that is not UTF-8, numbers out of range. Each error names the argument.
 #include <cstring>
 #include <limits>
 #include <string>
@@ -7,15 +7,15 @@
 
 namespace {
 
-// A robot that nobody hears, gone when the test is over.
+// A robot without peers, which exists until the end of the test.
 struct Alone {
-    rect::Robot robot = joined("wombat-1", free_endpoint(), "");
+    rect::Robot robot = connect_without_router("wombat-1", free_endpoint(), "");
 
     rect_robot operator()() const { return robot.raw(); }
 };
 
-// The text of an argument's error.
-std::string wrong(rect_code code, const rect_error& error) {
+// Checks that a call failed because of an argument, and returns the text of the error.
+std::string argument_error(rect_code code, const rect_error& error) {
     CHECK(code == RECT_CODE_ARGUMENT);
     CHECK(error.code == code);
     return error.text;
@@ -27,37 +27,44 @@ const rect_payload hello = rect_payload_text("hello");
 
 }  // namespace
 
-TEST_CASE("NULL is an error that names the argument") {
+TEST_CASE("NULL is rejected with an error that names the argument") {
     const Alone alone;
     rect_error error;
     rect_robot robot;
-    CHECK_THAT(wrong(rect_connect(nullptr, nullptr, &robot, &error), error), ContainsSubstring("name is NULL"));
-    CHECK_THAT(wrong(rect_connect("wombat-1", nullptr, nullptr, &error), error), ContainsSubstring("robot is NULL"));
-    CHECK_THAT(wrong(rect_robot_publish(alone(), nullptr, &hello, &error), error), ContainsSubstring("topic is NULL"));
-    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", nullptr, &error), error), ContainsSubstring("payload is NULL"));
-    CHECK_THAT(wrong(rect_robot_subscribe(alone(), "*/n", nullptr, nullptr, &error), error), ContainsSubstring("subscriber is NULL"));
+    CHECK_THAT(argument_error(rect_connect(nullptr, nullptr, &robot, &error), error), ContainsSubstring("name is NULL"));
+    CHECK_THAT(argument_error(rect_connect("wombat-1", nullptr, nullptr, &error), error),
+               ContainsSubstring("robot is NULL"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), nullptr, &hello, &error), error),
+               ContainsSubstring("topic is NULL"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), "n", nullptr, &error), error),
+               ContainsSubstring("payload is NULL"));
+    CHECK_THAT(argument_error(rect_robot_subscribe(alone(), "*/n", nullptr, nullptr, &error), error),
+               ContainsSubstring("subscriber is NULL"));
     rect_subscription subscription;
-    CHECK_THAT(wrong(rect_robot_on_message(alone(), "*/n", nullptr, nullptr, nullptr, nullptr, &subscription, &error), error),
+    CHECK_THAT(argument_error(rect_robot_on_message(alone(), "*/n", nullptr, nullptr, nullptr, nullptr, &subscription, &error), error),
                ContainsSubstring("callback is NULL"));
     rect_service service;
-    CHECK_THAT(wrong(rect_robot_serve(alone(), "s", nullptr, nullptr, nullptr, &service, &error), error),
+    CHECK_THAT(argument_error(rect_robot_serve(alone(), "s", nullptr, nullptr, nullptr, &service, &error), error),
                ContainsSubstring("callback is NULL"));
-    CHECK_THAT(wrong(rect_robot_counters(alone(), nullptr, &error), error), ContainsSubstring("counters is NULL"));
-    CHECK_THAT(wrong(rect_robot_add_connection(alone(), nullptr, nullptr, &error), error), ContainsSubstring("connection is NULL"));
-    CHECK_THAT(wrong(rect_drop(nullptr, &error), error), ContainsSubstring("id is NULL"));
-    // Without anywhere to write the reason, too.
+    CHECK_THAT(argument_error(rect_robot_counters(alone(), nullptr, &error), error), ContainsSubstring("counters is NULL"));
+    CHECK_THAT(argument_error(rect_robot_add_connection(alone(), nullptr, nullptr, &error), error),
+               ContainsSubstring("connection is NULL"));
+    CHECK_THAT(argument_error(rect_drop(nullptr, &error), error), ContainsSubstring("id is NULL"));
+    // The pointer to the error may be NULL, too.
     CHECK(rect_robot_publish(alone(), nullptr, nullptr, nullptr) == RECT_CODE_ARGUMENT);
 }
 
-TEST_CASE("lengths that can't be are errors") {
+TEST_CASE("impossible lengths are rejected") {
     const Alone alone;
     rect_error error;
     const rect_payload none{nullptr, 5, {nullptr, 0}};
-    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &none, &error), error), ContainsSubstring("payload.data is NULL, and 5 long"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), "n", &none, &error), error),
+               ContainsSubstring("payload.data is NULL, but its length is 5"));
     const rect_payload huge{"x", std::numeric_limits<std::size_t>::max(), {nullptr, 0}};
-    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &huge, &error), error), ContainsSubstring("can't be"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), "n", &huge, &error), error), ContainsSubstring("is impossible"));
     const rect_payload no_encoding{"x", 1, {nullptr, 3}};
-    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &no_encoding, &error), error), ContainsSubstring("payload.encoding is NULL"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), "n", &no_encoding, &error), error),
+               ContainsSubstring("payload.encoding is NULL"));
     const std::string long_encoding(201, 'a');
     CHECK(rect::PayloadView({}, long_encoding).encoding().size() == 201);
     CHECK(must(rect::connect("w", [] { rect::Options o; o.listen = {free_endpoint()}; return o; }()))
@@ -67,47 +74,53 @@ TEST_CASE("lengths that can't be are errors") {
     CHECK(rect_payload_text(nullptr).len == 0);
 }
 
-TEST_CASE("text that is not UTF-8 is an error that says where") {
+TEST_CASE("text that is not UTF-8 is rejected with the offset of the invalid byte") {
     const Alone alone;
     rect_error error;
-    CHECK_THAT(wrong(rect_robot_publish(alone(), "a\xff", &hello, &error), error), ContainsSubstring("topic is not UTF-8: its byte 1"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), "a\xff", &hello, &error), error),
+               ContainsSubstring("topic is not UTF-8: the byte at offset 1"));
     const auto payload = rect_payload_json("{\"a\": \"\xc3\x28\"}");
-    CHECK_THAT(wrong(rect_robot_publish(alone(), "n", &payload, &error), error), ContainsSubstring("payload.data is not UTF-8"));
+    CHECK_THAT(argument_error(rect_robot_publish(alone(), "n", &payload, &error), error),
+               ContainsSubstring("payload.data is not UTF-8"));
     rect_options options{};
     options.fleet = "\x80";
     rect_robot robot;
-    CHECK_THAT(wrong(rect_connect("wombat-1", &options, &robot, &error), error), ContainsSubstring("options.fleet is not UTF-8"));
-    const auto robot_cpp = joined("wombat-2", free_endpoint(), "");
+    CHECK_THAT(argument_error(rect_connect("wombat-1", &options, &robot, &error), error),
+               ContainsSubstring("options.fleet is not UTF-8"));
+    const auto robot_cpp = connect_without_router("wombat-2", free_endpoint(), "");
     CHECK(robot_cpp.publish(std::string("a\0b", 3), "1").error().code == rect::Code::argument);
     CHECK(robot_cpp.publish(std::string_view("a\0b", 3), "1").error().code == rect::Code::argument);
 }
 
-TEST_CASE("names, topics, patterns and codecs are told apart from what is none") {
-    const auto robot = joined("wombat-1", free_endpoint(), "");
+TEST_CASE("invalid names, topics, patterns, codecs and dictionaries are rejected") {
+    const auto robot = connect_without_router("wombat-1", free_endpoint(), "");
     CHECK(rect::connect("hci0").error().code == rect::Code::name);
     CHECK(robot.publish("a/*", "1").error().code == rect::Code::topic);
     CHECK(robot.send("a b", "n", "1").error().code == rect::Code::name);
     CHECK(robot.subscribe("n").error().code == rect::Code::topic);
     CHECK(robot.subscribe("hci0/n").error().code == rect::Code::name);
-    CHECK(robot.encoded("zstd:99").error().code == rect::Code::codec);
+    CHECK(robot.with_codec("zstd:99").error().code == rect::Code::codec);
     CHECK(rect::Dictionary::train({"a", "b"}, 4096).error().code == rect::Code::dictionary);
     CHECK(rect::Dictionary::read({}).error().code == rect::Code::dictionary);
 }
 
-TEST_CASE("numbers out of their range are errors") {
+TEST_CASE("numbers out of range are rejected") {
     const Alone alone;
     rect_error error;
-    rect_robot same;
-    CHECK_THAT(wrong(rect_robot_with(alone(), 3, &same, &error), error), ContainsSubstring("urgency is 3, and may be 0 to 2"));
-    const rect_receiving receiving{0, 7};
+    rect_robot derived;
+    CHECK_THAT(argument_error(rect_robot_with_urgency(alone(), 3, &derived, &error), error),
+               ContainsSubstring("urgency is 3, but must be 0 to 2"));
+    const rect_queue_options options{0, 7};
     rect_subscriber subscriber;
-    CHECK_THAT(wrong(rect_robot_subscribe(alone(), "*/n", &receiving, &subscriber, &error), error), ContainsSubstring("when_full is 7"));
+    CHECK_THAT(argument_error(rect_robot_subscribe(alone(), "*/n", &options, &subscriber, &error), error),
+               ContainsSubstring("when_full is 7"));
     rect_buffer buffer;
-    CHECK_THAT(wrong(rect_picture_payload(1, 1, 9, "x", 1, &buffer, &error), error), ContainsSubstring("format is 9"));
+    CHECK_THAT(argument_error(rect_picture_payload(1, 1, 9, "x", 1, &buffer, &error), error),
+               ContainsSubstring("format is 9"));
     CHECK(rect_picture_payload(4, 4, RECT_FORMAT_RGB8, "x", 1, &buffer, &error) == RECT_CODE_CODEC);
 }
 
-TEST_CASE("topics with characters that control a terminal or reorder text are errors that name the character") {
+TEST_CASE("topics with terminal control or bidirectional characters are rejected with the character") {
     const Alone alone;
     for (const auto* topic : {"a\x1b[2Jb", "a\nb", "a\xc2\x9b" "b", "a\xe2\x80\xae" "b"}) {
         const auto error = alone.robot.publish(topic, "x").error();
@@ -116,10 +129,10 @@ TEST_CASE("topics with characters that control a terminal or reorder text are er
     }
 }
 
-TEST_CASE("options of joining are checked") {
+TEST_CASE("invalid options for connecting are rejected") {
     rect::Options options;
     options.router = "tcp/127.0.0.1:1";
-    options.patience = 50ms;
+    options.timeout = 50ms;
     const auto no_router = rect::connect("wombat-1", options);
     REQUIRE_FALSE(no_router.has_value());
     CHECK(no_router.error().code == rect::Code::no_router);
@@ -134,8 +147,8 @@ TEST_CASE("options of joining are checked") {
     CHECK(rect::connect("wombat-1", options).error().code == rect::Code::option);
 }
 
-TEST_CASE("a connection that can't be, without a router, is an error that says so") {
-    const auto robot = joined("wombat-1", free_endpoint(), "");
+TEST_CASE("connections of a program without a router are rejected") {
+    const auto robot = connect_without_router("wombat-1", free_endpoint(), "");
     rect::NamedConnection connection{"base", "tcp", "192.168.125.2"};
     connection.options = "[]";
     CHECK(robot.add_connection(connection).error().code == rect::Code::argument);

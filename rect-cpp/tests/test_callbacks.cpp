@@ -1,11 +1,11 @@
-// Callbacks: what they throw, how they end, and what is released when.
+// Tests callbacks: exceptions, ending subscriptions, and releasing captured objects.
 #include <atomic>
 #include <memory>
 #include <thread>
 
 #include "pair.hpp"
 
-TEST_CASE("what a callback throws is reported, and it is called for the next message") {
+TEST_CASE("exceptions of a callback are reported and do not stop further calls") {
     static std::atomic<int> reported{0};
     reported = 0;
     rect::on_callback_error([](const char*) noexcept { ++reported; });
@@ -15,7 +15,7 @@ TEST_CASE("what a callback throws is reported, and it is called for the next mes
         if (++called % 2 == 0) {
             throw 7;
         }
-        throw std::runtime_error("no");
+        throw std::runtime_error("test");
     }));
     until([&] {
         must(pair.one.publish("n", "1"));
@@ -26,7 +26,7 @@ TEST_CASE("what a callback throws is reported, and it is called for the next mes
     CHECK(called >= 4);
 }
 
-TEST_CASE("a callback may end its own subscription, and is not called again") {
+TEST_CASE("a callback can end its own subscription and is not called again") {
     Pair pair;
     std::atomic<int> called{0};
     rect::Subscription subscription;
@@ -41,37 +41,37 @@ TEST_CASE("a callback may end its own subscription, and is not called again") {
     ready.set();
     until([&] {
         must(pair.one.publish("n", "1"));
-        return ended.wait(patience);
+        return ended.wait(retry_interval);
     });
-    // Later ones are heard by another, and not by it.
+    // Later messages are received by another subscriber, but not by the callback.
     const auto other = must(pair.two.subscribe("wombat-1/n"));
-    pair.heard(other, "n", "2");
+    pair.publish_until_received(other, "n", "2");
     CHECK(called == 1);
-    CHECK(subscription.id() == 0);
+    CHECK(subscription.handle_id() == 0);
 }
 
-TEST_CASE("no callback runs any more once its subscription has ended") {
+TEST_CASE("no callback runs after its subscription has ended") {
     Pair pair;
     for (int round = 0; round < 20; ++round) {
-        auto is_there = std::make_unique<std::atomic<int>>(0);
+        auto counter = std::make_unique<std::atomic<int>>(0);
         Flag called;
-        auto subscription = must(pair.one.subscribe("wombat-1/n", [&, there = is_there.get()](const rect::MessageView&) {
-            ++*there;
+        auto subscription = must(pair.one.subscribe("wombat-1/n", [&, count = counter.get()](const rect::MessageView&) {
+            ++*count;
             called.set();
         }));
-        std::thread speaking([&] {
+        std::thread publisher([&] {
             for (int n = 0; n < 50; ++n) {
                 must(pair.one.publish("n", "1"));
             }
         });
         CHECK(called.wait());
         subscription.drop();
-        is_there.reset();
-        speaking.join();
+        counter.reset();
+        publisher.join();
     }
 }
 
-TEST_CASE("what a callback has is released once, in every case") {
+TEST_CASE("objects captured by a callback are released exactly once") {
     Pair pair;
     const auto count = std::make_shared<int>(0);
     const auto callback = [count](const auto&) {};
@@ -81,19 +81,19 @@ TEST_CASE("what a callback has is released once, in every case") {
         subscription.drop();
         CHECK(count.use_count() == 2);
     }
-    CHECK_FALSE(pair.one.subscribe("no pattern", [count](const rect::MessageView&) {}).has_value());
+    CHECK_FALSE(pair.one.subscribe("not a pattern", [count](const rect::MessageView&) {}).has_value());
     CHECK_FALSE(pair.one.serve("**", [count](const rect::Request&) { return ""; }).has_value());
-    CHECK_FALSE(rect::Robot().on_state([count](const rect::Event&) {}).has_value());
+    CHECK_FALSE(rect::Robot().on_event([count](const rect::Event&) {}).has_value());
     CHECK(count.use_count() == 2);
     {
         const auto service = must(pair.one.serve("s", [count](const rect::Request&) { return ""; }));
-        const auto state = must(pair.one.on_state([count](const rect::Event&) {}));
+        const auto subscription = must(pair.one.on_event([count](const rect::Event&) {}));
         CHECK(count.use_count() == 4);
     }
     CHECK(count.use_count() == 2);
 }
 
-TEST_CASE("a robot may be dropped before its subscriptions, and in a callback") {
+TEST_CASE("a robot can be dropped before its subscriptions and in a callback") {
     auto pair = std::make_unique<Pair>();
     Flag dropped;
     auto subscription = must(pair->one.subscribe("*/n", [&](const rect::MessageView&) {
@@ -107,7 +107,7 @@ TEST_CASE("a robot may be dropped before its subscriptions, and in a callback") 
     pair.reset();
 }
 
-TEST_CASE("the last robot may be dropped by a service's function") {
+TEST_CASE("a service's function can drop the last robot handle") {
     Pair pair;
     Flag dropped;
     const auto service = must(pair.two.serve("leave", [&](const rect::Request&) {
@@ -117,6 +117,6 @@ TEST_CASE("the last robot may be dropped by a service's function") {
     }));
     until([&] {
         const auto reply = pair.one.request("wombat-2", "leave", "", 1s);
-        return dropped.wait(patience);
+        return dropped.wait(retry_interval);
     });
 }

@@ -1,4 +1,4 @@
-"""The examples, and the programs of docs/cpp.md and docs/c.md, built and run.
+"""Builds and runs the examples, and the programs of docs/cpp.md and docs/c.md.
 
 RECT_ROUTER=target/quick/rect-router pytest rect-cpp/tests --build rect-cpp/build/default
 """
@@ -16,24 +16,24 @@ from typing import Any
 import pytest
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
-#: How long anything may take before a test fails, in seconds.
+#: Timeout for each line of output, in seconds.
 _DEADLINE = 30.0
 
 
 class Example:
-    """A running example, of which lines are taken."""
+    """A running example whose output is read line by line."""
 
     def __init__(self, program: Path, *arguments: str, folder: Path) -> None:
         command = [program, *arguments]
-        pipe, same = subprocess.PIPE, subprocess.STDOUT
-        self._process = subprocess.Popen(command, cwd=folder, stdin=pipe, stdout=pipe, stderr=same, text=True)
+        pipe, stdout = subprocess.PIPE, subprocess.STDOUT
+        self._process = subprocess.Popen(command, cwd=folder, stdin=pipe, stdout=pipe, stderr=stdout, text=True)
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True).start()
 
-    def until(self, said: str) -> str:
-        """The first line that has that in it."""
+    def until(self, expected: str) -> str:
+        """Returns the first line that contains `expected`."""
         line = self._lines.get(timeout=_DEADLINE)
-        while said not in line:
+        while expected not in line:
             line = self._lines.get(timeout=_DEADLINE)
         return line
 
@@ -65,10 +65,10 @@ def test_telemetry(examples: Path, tmp_path: Path) -> None:
 
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
-        one.until("nobody steers: 0 0")
+        one.until("no commands, stopping: 0 0")
         with Example(examples / "teleoperation", "laptop", "wombat-1", folder=tmp_path):
-            one.until("laptop says")
-        one.until("nobody steers")
+            one.until("laptop: ")
+        one.until("no commands, stopping")
 
 
 def test_camera(examples: Path, tmp_path: Path) -> None:
@@ -82,19 +82,19 @@ def test_camera(examples: Path, tmp_path: Path) -> None:
 def test_transfer(examples: Path, tmp_path: Path) -> None:
     (tmp_path / "map.bin").write_bytes(os.urandom(300_000))
     with Example(examples / "transfer", "wombat-1", folder=tmp_path) as one:
-        one.until("takes files")
+        one.until("receives files")
         with Example(examples / "transfer", "wombat-2", "wombat-1", "map.bin", folder=tmp_path) as two:
-            two.until("map.bin is there, whole")
-        one.until("map.bin of wombat-2: received/wombat-2/map.bin")
+            two.until("map.bin: complete")
+        one.until("map.bin from wombat-2: received/wombat-2/map.bin")
     assert (tmp_path / "received/wombat-2/map.bin").read_bytes() == (tmp_path / "map.bin").read_bytes()
 
 
 def test_request(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "request", "wombat-1", folder=tmp_path) as one:
-        one.until("serves")
+        one.until("serves requests")
         with Example(examples / "request", "wombat-2", "wombat-1", folder=tmp_path) as two:
             two.until('wombat-1: {"cell":1,"volt":3.6}')
-            two.until("wombat-1 answers with an error: there are the cells 1 and 2")
+            two.until("wombat-1 replied with an error: the cell must be 1 or 2")
 
 
 def test_wombat(examples: Path, tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_wombat(examples: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request", "wombat"])
-def test_an_example_is_short(name: str) -> None:
+def test_examples_have_less_than_80_lines(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80
 
 
@@ -114,7 +114,7 @@ def test_an_example_is_short(name: str) -> None:
     ("page", "language", "compiler"),
     [("cpp", "cpp", ["g++", "-std=c++17"]), ("c", "c", ["gcc", "-std=c99"])],
 )
-def test_the_programs_of_a_page_do_what_they_say(
+def test_programs_in_the_documentation_print_the_documented_output(
     page: str, language: str, compiler: list[str], build: Path, endpoint: str, tmp_path: Path
 ) -> None:
     text = (_REPOSITORY / "docs" / f"{page}.md").read_text()
@@ -129,5 +129,5 @@ def test_the_programs_of_a_page_do_what_they_say(
         link = [f"-L{lib}", "-lrect", f"-Wl,-rpath,{lib}", "-lpthread"]
         subprocess.run([*compiler, *warnings, include, source, *link, "-o", tmp_path / str(n)], check=True)
         with Example(tmp_path / str(n), folder=tmp_path) as running:
-            for said in re.findall(r"(?://|/\*) says: (.*?)(?: \*/)?$", program, re.MULTILINE):
-                running.until(said)
+            for expected in re.findall(r"(?://|/\*) prints: (.*?)(?: \*/)?$", program, re.MULTILINE):
+                running.until(expected)

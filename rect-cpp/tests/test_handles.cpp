@@ -1,10 +1,10 @@
-// Handles: dropped twice, by several threads, used afterwards, moved, and waited on meanwhile.
+// Tests handles that are dropped twice, dropped by several threads, used after being dropped, moved, or dropped during a wait.
 #include <thread>
 #include <vector>
 
 #include "pair.hpp"
 
-TEST_CASE("a handle that was dropped is an error wherever it is used, and so is dropping a copy of it") {
+TEST_CASE("calls on a dropped handle fail, and so does dropping a copy of it") {
     rect::Options options;
     options.listen = {free_endpoint()};
     auto robot = must(rect::connect("wombat-1", options));
@@ -13,7 +13,7 @@ TEST_CASE("a handle that was dropped is an error wherever it is used, and so is 
     robot.drop();
     rect_error error;
     CHECK(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE);
-    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("dropped already"));
+    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("already dropped"));
     CHECK(copy.id == 0);
     CHECK(rect_drop(&copy.id, &error) == RECT_CODE_OK);
 
@@ -31,49 +31,49 @@ TEST_CASE("a handle that was dropped is an error wherever it is used, and so is 
     CHECK(rect::Transfers().next(0ms).error().code == rect::Code::handle);
 }
 
-TEST_CASE("a handle of something else is an error") {
+TEST_CASE("a handle of another kind is rejected") {
     Pair pair;
     const auto subscriber = must(pair.one.subscribe("*/n"));
-    const rect_robot no_robot{subscriber.id()};
+    const rect_robot not_a_robot{subscriber.handle_id()};
     rect_names names;
     rect_error error;
-    CHECK(rect_robot_peers(no_robot, &names, &error) == RECT_CODE_HANDLE);
+    CHECK(rect_robot_peers(not_a_robot, &names, &error) == RECT_CODE_HANDLE);
     CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("robot"));
     CHECK(must(subscriber.dropped()) == 0);
 }
 
-TEST_CASE("several threads drop the same variable, and use it meanwhile") {
+TEST_CASE("several threads can use and drop the same variable") {
     Pair pair;
     for (int round = 0; round < 20; ++round) {
-        auto same = must(pair.one.with(rect::Urgency::bulk));
+        auto shared = must(pair.one.with_urgency(rect::Urgency::bulk));
         auto subscription = must(pair.one.subscribe("*/n", [](const rect::MessageView&) {}));
         std::vector<std::thread> threads;
         for (int n = 0; n < 4; ++n) {
             threads.emplace_back([&] {
-                const auto said = same.publish("n", "1");
-                if (!said && said.error().code != rect::Code::handle) {
+                const auto published = shared.publish("n", "1");
+                if (!published && published.error().code != rect::Code::handle) {
                     std::abort();
                 }
-                same.drop();
+                shared.drop();
                 subscription.drop();
             });
         }
         for (auto& thread : threads) {
             thread.join();
         }
-        CHECK(same.id() == 0);
-        CHECK(subscription.id() == 0);
+        CHECK(shared.handle_id() == 0);
+        CHECK(subscription.handle_id() == 0);
     }
-    must(pair.one.publish("n", "the session is still there"));
+    must(pair.one.publish("n", "the session is still open"));
 }
 
-TEST_CASE("what was moved from is nothing, and what was moved to is the same") {
+TEST_CASE("moving transfers ownership of the handle") {
     Pair pair;
     auto first = must(pair.one.subscribe("*/n"));
-    const auto id = first.id();
+    const auto id = first.handle_id();
     auto second = std::move(first);
-    CHECK(first.id() == 0);  // NOLINT: that is what is tested
-    CHECK(second.id() == id);
+    CHECK(first.handle_id() == 0);  // NOLINT: the state after the move is what is tested
+    CHECK(second.handle_id() == id);
     second = must(pair.one.subscribe("*/m"));
     rect_subscriber old{id};
     CHECK(rect_drop(&old.id, nullptr) == RECT_CODE_HANDLE);
@@ -82,7 +82,7 @@ TEST_CASE("what was moved from is nothing, and what was moved to is the same") {
     CHECK(must(second.dropped()) == 0);
 }
 
-TEST_CASE("who waits is woken when another thread drops it, or closes the session") {
+TEST_CASE("a waiting call returns when another thread drops the object or closes the session") {
     Pair pair;
     auto subscriber = must(pair.one.subscribe("*/never"));
     auto watch = must(pair.one.watch("wombat-2", "never"));
@@ -97,14 +97,14 @@ TEST_CASE("who waits is woken when another thread drops it, or closes the sessio
     second.join();
     must(pair.one.close());
     third.join();
-    // It may have been dropped before the thread asked.
+    // The object may have been dropped before the thread called `next`.
     for (const auto code : {codes[0], codes[1]}) {
         CHECK((code == rect::Code::closed || code == rect::Code::handle));
     }
     CHECK(codes[2] == rect::Code::closed);
 }
 
-TEST_CASE("a closed session says so") {
+TEST_CASE("calls on a closed session fail") {
     Pair pair;
     must(pair.one.close());
     CHECK_FALSE(pair.one.publish("n", "1").has_value());

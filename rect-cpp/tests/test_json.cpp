@@ -1,4 +1,4 @@
-// JSON and CBOR by nlohmann::json.
+// Tests JSON and CBOR with nlohmann::json.
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <numeric>
@@ -21,24 +21,24 @@ rect::PayloadView view(const std::string& bytes, const char* encoding) {
 
 }  // namespace
 
-TEST_CASE("a struct goes as JSON or CBOR, and comes back as it was") {
+TEST_CASE("structs survive a round trip as JSON and as CBOR") {
     Pair pair;
     const auto subscriber = must(pair.two.subscribe("*/json"));
     const Reading reading{12.5, "arm"};
-    const auto json = pair.heard(subscriber, "json", reading);
+    const auto json = pair.publish_until_received(subscriber, "json", reading);
     CHECK(json->payload.encoding() == "application/json");
     CHECK(must(json->payload.value<Reading>()).degrees == 12.5);
     CHECK(must(json->payload.value<nlohmann::json>())["name"] == "arm");
     const auto other = must(pair.two.subscribe("*/cbor"));
-    const auto cbor = pair.heard(other, "cbor", rect::Cbor(reading));
+    const auto cbor = pair.publish_until_received(other, "cbor", rect::Cbor(reading));
     CHECK(cbor->payload.encoding() == "application/cbor");
     CHECK(must(cbor->payload.value<Reading>()).name == "arm");
     const auto numbers = must(pair.two.subscribe("*/number"));
-    CHECK(must(pair.heard(numbers, "number", 42)->payload.value<int>()) == 42);
+    CHECK(must(pair.publish_until_received(numbers, "number", 42)->payload.value<int>()) == 42);
 }
 
-TEST_CASE("what is no JSON, of another shape, or too deep is an error") {
-    const auto code = [](const auto& got) { return got.error().code; };
+TEST_CASE("invalid, mismatched or deeply nested JSON and CBOR is rejected") {
+    const auto code = [](const auto& result) { return result.error().code; };
     CHECK(code(view("{", "application/json").value<Reading>()) == rect::Code::payload);
     CHECK(code(view("{}", "application/json").value<Reading>()) == rect::Code::payload);
     CHECK(code(view("{}", "text/plain").value<Reading>()) == rect::Code::payload);
@@ -47,11 +47,11 @@ TEST_CASE("what is no JSON, of another shape, or too deep is an error") {
     CHECK_THAT(deep_json.error().text, Catch::Matchers::ContainsSubstring("too deeply"));
     const auto deep_cbor = view(std::string(1'000'000, '\x81'), "application/cbor").value<nlohmann::json>();
     CHECK_THAT(deep_cbor.error().text, Catch::Matchers::ContainsSubstring("too deeply"));
-    // Text in JSON is UTF-8.
+    // Strings in JSON must be UTF-8.
     CHECK(code(rect::Adapter<std::string>::to_payload("\xff")) == rect::Code::payload);
 }
 
-TEST_CASE("a service may take and return values") {
+TEST_CASE("a service reads and returns values") {
     Pair pair;
     const auto service = must(pair.two.serve("sum", [](const rect::Request& request) -> rect::expected<int> {
         const auto numbers = request.payload.value<std::vector<int>>();
@@ -68,6 +68,6 @@ TEST_CASE("a service may take and return values") {
         return reply.has_value();
     });
     CHECK(must(reply->payload.value<int>()) == 6);
-    const auto refused = pair.one.request("wombat-2", "sum", "one and two", deadline);
+    const auto refused = pair.one.request("wombat-2", "sum", "not JSON", deadline);
     CHECK(refused.error().code == rect::Code::service);
 }

@@ -1,4 +1,4 @@
-// Two routers on the simulated air, which in_the_air.py starts: a C++ robot at each.
+// Tests C++ programs at two routers on the simulated air, which run_with_routers.py starts.
 #include <cstdlib>
 #include <thread>
 #include <vector>
@@ -7,10 +7,10 @@
 
 namespace {
 
-rect::Robot at(const char* name, const char* variable) {
+rect::Robot connect_to(const char* name, const char* variable) {
     const char* endpoint = std::getenv(variable);
     if (endpoint == nullptr) {
-        throw std::runtime_error(std::string(variable) + " is not there: in_the_air.py sets it");
+        throw std::runtime_error(std::string(variable) + " is not set; run this test with run_with_routers.py");
     }
     rect::Options options;
     options.router = endpoint;
@@ -18,28 +18,28 @@ rect::Robot at(const char* name, const char* variable) {
 }
 
 struct Routers {
-    rect::Robot one = at("wombat-1", "RECT_ROUTER_1");
-    rect::Robot two = at("wombat-2", "RECT_ROUTER_2");
+    rect::Robot one = connect_to("wombat-1", "RECT_ROUTER_1");
+    rect::Robot two = connect_to("wombat-2", "RECT_ROUTER_2");
 };
 
 }  // namespace
 
-TEST_CASE("a message comes over Bluetooth, and says so", "[.routers]") {
+TEST_CASE("a message received over Bluetooth reports its method", "[.routers]") {
     Routers routers;
     const auto subscriber = must(routers.two.subscribe("wombat-1/arm/angle"));
     rect::expected<rect::Message> message = subscriber.next(0ms);
     until([&] {
         must(routers.one.publish("arm/angle", "12.5"));
-        message = subscriber.next(patience);
-        return message && !(*message)->over().empty();
+        message = subscriber.next(retry_interval);
+        return message && !(*message)->method().empty();
     });
-    CHECK((*message)->over() == "ble");
+    CHECK((*message)->method() == "ble");
     CHECK(must((*message)->payload.text()) == "12.5");
 }
 
-TEST_CASE("a service is asked over Bluetooth", "[.routers]") {
+TEST_CASE("a request over Bluetooth is answered", "[.routers]") {
     Routers routers;
-    const auto service = must(routers.two.serve("battery", [](const rect::Request& request) { return std::string(request.from()); }));
+    const auto service = must(routers.two.serve("battery", [](const rect::Request& request) { return std::string(request.sender()); }));
     rect::expected<rect::Reply> reply = routers.one.request("wombat-2", "battery", "", deadline);
     until([&] {
         if (!reply) {
@@ -50,25 +50,25 @@ TEST_CASE("a service is asked over Bluetooth", "[.routers]") {
     CHECK(must(reply->payload.text()) == "wombat-1");
 }
 
-TEST_CASE("a large transfer goes over Bluetooth while urgent messages overtake it", "[.routers]") {
+TEST_CASE("urgent messages overtake a large transfer over Bluetooth", "[.routers]") {
     Routers routers;
-    rect::ReceiveOptions taking;
-    taking.max_bytes = 1 << 20;
-    const auto transfers = must(routers.two.receive_transfers("*/map", taking));
+    rect::ReceiveOptions options;
+    options.max_bytes = 1 << 20;
+    const auto transfers = must(routers.two.receive_transfers("*/map", options));
     const std::string map(100'000, 'm');
     std::thread sending([&] { must(routers.one.transfer("wombat-2", "map", map)); });
     const auto subscriber = must(routers.two.subscribe("wombat-1/stop"));
-    const auto urgent = must(routers.one.with(rect::Urgency::urgent));
+    const auto urgent = must(routers.one.with_urgency(rect::Urgency::urgent));
     until([&] {
         must(urgent.publish("stop", "now"));
-        return subscriber.next(patience).has_value();
+        return subscriber.next(retry_interval).has_value();
     });
     const auto received = must(transfers.next(deadline));
     sending.join();
     CHECK(received.size_bytes() == map.size());
 }
 
-TEST_CASE("the registry is asked, and its connections are changed", "[.routers]") {
+TEST_CASE("connections are queried, added and removed", "[.routers]") {
     Routers routers;
     std::vector<rect::Connection> connections;
     until([&] {
@@ -76,9 +76,9 @@ TEST_CASE("the registry is asked, and its connections are changed", "[.routers]"
         return connections.size() == 1 && !connections[0].peer.empty();
     });
     CHECK(connections[0].peer == "wombat-2");
-    CHECK(connections[0].state == rect::LinkState::connected);
+    CHECK(connections[0].state == rect::ConnectionState::connected);
     CHECK(connections[0].sent_bytes.has_value());
-    CHECK_FALSE(must(routers.one.ask_registry("connections/count")).empty());
+    CHECK_FALSE(must(routers.one.query_registry("connections/count")).empty());
 
     rect::NamedConnection base{"base", "tcp", "127.0.0.1"};
     base.port = 1;
@@ -95,10 +95,10 @@ TEST_CASE("the registry is asked, and its connections are changed", "[.routers]"
     CHECK(routers.one.remove_connection("base").error().code == rect::Code::service);
 }
 
-TEST_CASE("events tell of the link and over which radio it is", "[.routers]") {
+TEST_CASE("events report the link and its method", "[.routers]") {
     Routers routers;
     Flag linked;
-    const auto state = must(routers.one.on_state([&](const rect::Event& event) {
+    const auto subscription = must(routers.one.on_event([&](const rect::Event& event) {
         if (event.kind() == rect::Event::Kind::link_up && event.method() == "ble" && event.robot() == "wombat-2") {
             linked.set();
         }

@@ -1,4 +1,4 @@
-// Services: asked and answered, refused, and what happens to what their functions throw.
+// Tests services: requests, replies, refusals, and exceptions of service functions.
 #include <atomic>
 #include <thread>
 
@@ -6,8 +6,8 @@
 
 namespace {
 
-// The answer, once the service has become known there.
-rect::expected<rect::Reply> asked(const rect::Robot& robot, const char* topic, const char* value) {
+// Sends a request, repeatedly until the robot has discovered the service, and returns the reply.
+rect::expected<rect::Reply> request_when_available(const rect::Robot& robot, const char* topic, const char* value) {
     rect::expected<rect::Reply> reply = robot.request("wombat-2", topic, value, deadline);
     until([&] {
         if (reply || reply.error().code != rect::Code::no_service) {
@@ -21,14 +21,14 @@ rect::expected<rect::Reply> asked(const rect::Robot& robot, const char* topic, c
 
 }  // namespace
 
-TEST_CASE("a service answers who asks") {
+TEST_CASE("a service replies to requests of one robot and of all") {
     Pair pair;
     const auto service = must(pair.two.serve("double", [](const rect::Request& request) {
         const auto doubled = std::to_string(2 * std::stoi(std::string(request.payload.text().value())));
-        return doubled + (request.remaining() > 0ms ? " for " : " too late for ") + std::string(request.from());
+        return doubled + (request.remaining() > 0ms ? " for " : " too late for ") + std::string(request.sender());
     }));
-    const auto reply = must(asked(pair.one, "double", "21"));
-    CHECK(reply.from() == "wombat-2");
+    const auto reply = must(request_when_available(pair.one, "double", "21"));
+    CHECK(reply.sender() == "wombat-2");
     CHECK(must(reply.payload.text()) == "42 for wombat-1");
 
     const auto replies = must(pair.one.request_all("double", "4", deadline));
@@ -36,7 +36,7 @@ TEST_CASE("a service answers who asks") {
     CHECK(replies.next().error().code == rect::Code::end);
 }
 
-TEST_CASE("a refusal, thrown or returned, is the asker's error") {
+TEST_CASE("a refusal, thrown or returned, is reported to the sender of the request") {
     Pair pair;
     const auto thrower = must(pair.two.serve("thrower", [](const rect::Request&) -> std::string {
         throw rect::Refusal("there are the cells 1 and 2");
@@ -44,29 +44,31 @@ TEST_CASE("a refusal, thrown or returned, is the asker's error") {
     const auto returner = must(pair.two.serve("returner", [](const rect::Request&) {
         return rect::expected<std::string, rect::Refusal>(rect::unexpected<rect::Refusal>(rect::Refusal("not now")));
     }));
-    const auto thrown = asked(pair.one, "thrower", "");
+    const auto thrown = request_when_available(pair.one, "thrower", "");
     REQUIRE_FALSE(thrown.has_value());
     CHECK(thrown.error().code == rect::Code::service);
     CHECK_THAT(thrown.error().text, Catch::Matchers::ContainsSubstring("wombat-2") &&
                                         Catch::Matchers::ContainsSubstring("there are the cells 1 and 2"));
-    const auto returned = asked(pair.one, "returner", "");
+    const auto returned = request_when_available(pair.one, "returner", "");
     REQUIRE_FALSE(returned.has_value());
     CHECK_THAT(returned.error().text, Catch::Matchers::ContainsSubstring("not now"));
 }
 
-TEST_CASE("what a service throws goes to the hook, and the asker is told of a fault") {
+TEST_CASE("an exception in a service is reported locally and answered with an internal error") {
     static std::atomic<int> reported{0};
     rect::on_callback_error([](const char* what) noexcept { reported += std::string_view(what) == "oops"; });
     Pair pair;
-    const auto service = must(pair.two.serve("oops", [](const rect::Request&) -> std::string { throw std::runtime_error("oops"); }));
-    const auto reply = asked(pair.one, "oops", "");
+    const auto service = must(pair.two.serve("oops", [](const rect::Request&) -> std::string {
+        throw std::runtime_error("oops");
+    }));
+    const auto reply = request_when_available(pair.one, "oops", "");
     rect::on_callback_error(nullptr);
     REQUIRE_FALSE(reply.has_value());
     CHECK(reply.error().code == rect::Code::service);
     CHECK(reported == 1);
 }
 
-TEST_CASE("nobody there is an error that says who is") {
+TEST_CASE("a request to an unknown robot fails with an error that lists the reachable robots") {
     Pair pair;
     const auto reply = pair.one.request("wombat-7", "double", "21", 2s);
     REQUIRE_FALSE(reply.has_value());
@@ -74,29 +76,29 @@ TEST_CASE("nobody there is an error that says who is") {
     CHECK_THAT(reply.error().text, Catch::Matchers::ContainsSubstring("wombat-2"));
 }
 
-TEST_CASE("a service that takes too long is timed out, and is waited for when it ends") {
+TEST_CASE("a slow service times out, and dropping it waits for the call in progress") {
     Pair pair;
     Flag began;
     Flag go;
-    std::atomic<bool> is_over{false};
+    std::atomic<bool> is_finished{false};
     auto service = must(pair.two.serve("slow", [&](const rect::Request& request) {
         if (request.payload.text().value() == "wait") {
             began.set();
             go.wait();
-            is_over = true;
+            is_finished = true;
         }
         return "done";
     }));
-    must(asked(pair.one, "slow", "ready?"));
+    must(request_when_available(pair.one, "slow", "ready?"));
     CHECK(pair.one.request("wombat-2", "slow", "wait", 50ms).error().code == rect::Code::timed_out);
     REQUIRE(began.wait());
     std::thread going([&] { go.set(); });
     service.drop();
-    CHECK(is_over);
+    CHECK(is_finished);
     going.join();
 }
 
-TEST_CASE("a service may ask others, and end itself") {
+TEST_CASE("a service can send requests and end itself") {
     Pair pair;
     const auto inner = must(pair.one.serve("inner", [](const rect::Request&) { return "deep"; }));
     rect::Service outer;
@@ -109,10 +111,10 @@ TEST_CASE("a service may ask others, and end itself") {
         }
         return reply ? std::string(reply->payload.text().value()) : reply.error().text;
     }));
-    // The answer of a service that has ended is not sent.
+    // The reply of a service that has ended is not sent.
     until([&] {
         const auto reply = pair.one.request("wombat-2", "outer", "", deadline);
-        return !reply && ended.wait(patience);
+        return !reply && ended.wait(retry_interval);
     });
-    CHECK(outer.id() == 0);
+    CHECK(outer.handle_id() == 0);
 }

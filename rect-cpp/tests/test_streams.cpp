@@ -1,4 +1,4 @@
-// Streams: values of a sensor, pictures that fit themselves, and their status.
+// Tests streams: a sensor's values, adaptive pictures, and the status.
 #include <atomic>
 #include <thread>
 #include <vector>
@@ -7,33 +7,33 @@
 
 namespace {
 
-// Does something every few ms on a thread of its own, while it is there.
-template <class Do>
-class Again {
+// Calls a function every 5 ms on a thread of its own, until this is destroyed.
+template <class Function>
+class Repeat {
 public:
-    explicit Again(Do again) : thread_([this, again] {
-        while (!is_over_) {
-            again();
+    explicit Repeat(Function function) : thread_([this, function] {
+        while (!is_stopped_) {
+            function();
             std::this_thread::sleep_for(5ms);
         }
     }) {}
-    ~Again() {
-        is_over_ = true;
+    ~Repeat() {
+        is_stopped_ = true;
         thread_.join();
     }
 
 private:
-    std::atomic<bool> is_over_{false};
+    std::atomic<bool> is_stopped_{false};
     std::thread thread_;
 };
 
 }  // namespace
 
-TEST_CASE("a sensor's values are watched, and have numbers and ages") {
+TEST_CASE("frames of a sensor's stream have numbers and ages") {
     Pair pair;
     const auto stream = must(pair.one.stream("distance", rect::StreamOptions::sensor()));
     const auto watch = must(pair.two.watch("wombat-1", "distance"));
-    const Again sending([&] { must(stream.send(std::vector<std::uint8_t>{12, 34})); });
+    const Repeat sending([&] { must(stream.send(std::vector<std::uint8_t>{12, 34})); });
     const auto first = must(watch.next(deadline));
     CHECK(first->payload.bytes().size() == 2);
     CHECK(first->payload.bytes()[1] == 34);
@@ -42,33 +42,33 @@ TEST_CASE("a sensor's values are watched, and have numbers and ages") {
     until([&] { return must(watch.next(deadline))->age().has_value(); });
 }
 
-TEST_CASE("pictures of a camera arrive as pictures") {
+TEST_CASE("a camera's pictures arrive as pictures") {
     Pair pair;
     const std::vector<std::uint8_t> pixels(64 * 48 * 3, 90);
     const rect::Picture picture(64, 48, rect::Format::rgb8, pixels);
     const auto stream = must(pair.one.stream("camera"));
-    Flag seen;
+    Flag received;
     std::atomic<std::uint32_t> width{0};
     const auto watch = must(pair.two.watch("wombat-1", "camera", [&](const rect::FrameView& frame) {
         width = must(frame.payload.picture()).width();
-        seen.set();
+        received.set();
     }));
     {
-        const Again sending([&] { must(stream.send(picture)); });
-        CHECK(seen.wait());
+        const Repeat sending([&] { must(stream.send(picture)); });
+        CHECK(received.wait());
     }
     CHECK(width > 0);
     CHECK(width <= 64);
     CHECK_THAT(must(stream.status()), Catch::Matchers::ContainsSubstring("\"groups\""));
 }
 
-TEST_CASE("nobody there is nothing sent, and not an error") {
+TEST_CASE("sending without receivers sends nothing and succeeds") {
     Pair pair;
     const auto stream = must(pair.one.stream("camera", rect::StreamOptions::fixed(10)));
     CHECK(must(stream.send("frame")) == 0);
 }
 
-TEST_CASE("options of a stream are checked") {
+TEST_CASE("invalid options of a stream are rejected") {
     Pair pair;
     CHECK(pair.one.stream("s", rect::StreamOptions::fixed(0)).error().code == rect::Code::argument);
     CHECK(pair.one.stream("s", rect::StreamOptions::fixed(-1)).error().code == rect::Code::argument);

@@ -1,13 +1,13 @@
-//! Owns the attachments of messages, as bytes.
+//! Encodes and decodes the attachments of messages.
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use pyo3::{prelude::*, types::PyBytes};
 use rect::core::attachment::{Attachment, Sent};
 
-/// What an attachment says: source, number, milliseconds since 1970, and the low 16 bits of them instead.
-type Told = (u16, u32, Option<u64>, Option<u16>);
+/// Source, sequence number, milliseconds since 1970, and, instead of these, their low 16 bits.
+type Fields = (u16, u32, Option<u64>, Option<u16>);
 
-/// The attachment of a message.
+/// Encodes the attachment of a message.
 #[pyfunction]
 #[pyo3(signature = (source, sequence, at_ms=None, low=None))]
 pub fn write_attachment(
@@ -30,22 +30,22 @@ pub fn write_attachment(
     PyBytes::new(py, &attachment.encode())
 }
 
-/// The attachment of a message that is sent now.
+/// Encodes the attachment of a message that is sent now.
 #[pyfunction]
 pub fn write_attachment_now(py: Python<'_>, source: u16, sequence: u32) -> Bound<'_, PyBytes> {
     write_attachment(py, source, sequence, Some(now_ms()), None)
 }
 
-/// Milliseconds since 1970, by this computer's clock.
+/// Returns the time by this computer's clock, in milliseconds since 1970.
 #[pyfunction]
 pub fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| since.as_millis() as u64)
 }
 
-/// What an attachment says; `None`: it is another program's own.
+/// Decodes an attachment. Returns `None` if the bytes are not an attachment of RECT.
 #[pyfunction]
-pub fn read_attachment(bytes: &[u8]) -> Option<Told> {
+pub fn read_attachment(bytes: &[u8]) -> Option<Fields> {
     let attachment = Attachment::decode(bytes)?;
     let (at_ms, low) = match attachment.sent {
         Sent::Unknown => (None, None),

@@ -1,33 +1,33 @@
-//! Owns the callbacks that Zenoh's threads call for each message and each request: they put it into a queue, without a line of
-//! Python.
+//! Defines the callbacks that Zenoh's threads call for each message and each request. They append it to a queue without
+//! running Python code.
 use std::time::Instant;
 
 use pyo3::{intern, prelude::*};
-use rect::core::key::NoMessage;
+use rect::core::key::AddressError;
 
-use crate::{connection::Links, counters::Counting, message::Inbound, queue::Queue};
+use crate::{connection::Links, counters::AtomicCounters, message::Inbound, queue::Queue};
 
-/// For the messages of one key of a subscription. What it puts in: what the message says of itself, its payload, its
-/// encoding, and by what it came where that is known.
+/// The callback for the messages of one key of a subscription. It appends the metadata, the payload, the encoding, and
+/// the method of the link if it is known.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct OnMessage {
     queue: Py<Queue>,
     inbound: Py<Inbound>,
-    counting: Py<Counting>,
+    counters: Py<AtomicCounters>,
     links: Option<Py<Links>>,
     directed: bool,
 }
 
-/// For the requests to a service. What it puts in: the query, and when it came.
+/// The callback for the requests to a service. It appends the query and its time of arrival.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct OnRequest {
     queue: Py<Queue>,
     on_refused: Py<PyAny>,
 }
 
-/// A moment.
+/// A point in time.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Moment(Instant);
+pub struct Timestamp(Instant);
 
 #[pymethods]
 impl OnMessage {
@@ -35,14 +35,14 @@ impl OnMessage {
     fn new(
         queue: Py<Queue>,
         inbound: Py<Inbound>,
-        counting: Py<Counting>,
+        counters: Py<AtomicCounters>,
         links: Option<Py<Links>>,
         directed: bool,
     ) -> Self {
         Self {
             queue,
             inbound,
-            counting,
+            counters,
             links,
             directed,
         }
@@ -57,27 +57,27 @@ impl OnMessage {
         let attachment = attachment.as_ref().map(|bytes| bytes.extract::<&[u8]>());
         let priority = sample.getattr(intern!(py, "priority"))?;
         let priority: u8 = priority.call_method0(intern!(py, "__int__"))?.extract()?;
-        let said = self.inbound.get().on_delivered(
+        let metadata = self.inbound.get().on_delivery(
             &key.to_cow()?,
             attachment.transpose()?,
             priority,
             self.directed,
         );
-        let counting = &self.counting.get().0;
-        let said = match said {
-            Ok(said) => said,
-            Err(NoMessage::Elsewhere) => return Ok(()),
-            Err(NoMessage::InvalidTopic { .. }) => {
-                counting.on_rejected();
+        let counters = &self.counters.get().0;
+        let metadata = match metadata {
+            Ok(metadata) => metadata,
+            Err(AddressError::NotForThisRobot) => return Ok(()),
+            Err(AddressError::InvalidTopic { .. }) => {
+                counters.on_rejected();
                 return Ok(());
             }
         };
         let payload = bytes_of(&sample.getattr(intern!(py, "payload"))?)?;
         let encoding = sample.getattr(intern!(py, "encoding"))?.str()?;
-        let over = self.links.as_ref();
-        let over = over.and_then(|links| links.get().method_of(said.from()));
-        counting.on_received(payload.len()?, said.missed());
-        let item = (said, payload, encoding, over).into_pyobject(py)?;
+        let links = self.links.as_ref();
+        let method = links.and_then(|links| links.get().method_of(metadata.sender_name()));
+        counters.on_received(payload.len()?, metadata.missed());
+        let item = (metadata, payload, encoding, method).into_pyobject(py)?;
         self.queue.get().push(py, item.into_any().unbind())?;
         Ok(())
     }
@@ -85,14 +85,14 @@ impl OnMessage {
 
 #[pymethods]
 impl OnRequest {
-    /// `on_refused` is given the query that finds too many before it.
+    /// Creates the callback. `on_refused` is called with a query that arrives while the queue is full.
     #[new]
     fn new(queue: Py<Queue>, on_refused: Py<PyAny>) -> Self {
         Self { queue, on_refused }
     }
 
     fn __call__(&self, py: Python<'_>, query: Py<PyAny>) -> PyResult<()> {
-        let item = (query.clone_ref(py), Moment(Instant::now())).into_pyobject(py)?;
+        let item = (query.clone_ref(py), Timestamp(Instant::now())).into_pyobject(py)?;
         if !self.queue.get().push(py, item.into_any().unbind())? {
             self.on_refused.call1(py, (query,))?;
         }
@@ -101,14 +101,14 @@ impl OnRequest {
 }
 
 #[pymethods]
-impl Moment {
-    /// So many seconds ago.
+impl Timestamp {
+    /// Returns the time since then, in seconds.
     fn ago(&self) -> f64 {
         self.0.elapsed().as_secs_f64()
     }
 }
 
-/// The bytes of a `ZBytes`.
+/// Returns the bytes of a `ZBytes`.
 fn bytes_of<'py>(zbytes: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     zbytes.call_method0(intern!(zbytes.py(), "to_bytes"))
 }

@@ -1,45 +1,54 @@
-//! Owns codecs and dictionaries: what makes payloads smaller, and undoes it.
+//! Exposes codecs and dictionaries, which compress and decompress payloads.
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
-    codec::{self, dictionary::Packed, Limits},
+    codec::{self, dictionary::DictionaryCodec, Limits},
     dictionary::{self, Dictionaries, RobotDictionaries},
     encoding::Encoding,
     payload::Payload,
 };
 
-use crate::{detached::detached, errors::OrRaise, place::name};
+use crate::{detached::detached, errors::OrRaise, key_space::name};
 
-/// Bytes and what they are, as Python has them.
+/// The bytes and the encoding of a payload, as Python objects.
 pub type Parts<'py> = (Bound<'py, PyBytes>, String);
 
-/// A way to make payloads smaller.
+/// A codec, which compresses payloads. Made from its name.
+///
+/// The names are `none`, `zstd[:<level 1 to 19>]`, `png`, `jpeg[:<quality 1 to 100>]`, `webp[:<quality 1 to 100>]` and
+/// `quantised:<largest error>`. `Robot.share_dictionary` returns a codec that uses a dictionary.
+///
+/// Raises `CodecError` if there is no such codec.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Codec(Arc<dyn codec::Codec>);
 
-/// What many messages have in common.
+/// A zstd dictionary: the common content of many small messages, stored at both ends instead of sent each time.
+///
+/// Made from the bytes of a dictionary, or from sample messages by `train`. `bytes(dictionary)` returns its bytes.
+///
+/// Raises `DictionaryError` if the bytes are not a dictionary.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Dictionary(pub Arc<dictionary::Dictionary>);
 
-/// The dictionaries of several robots, each for that robot's messages alone.
+/// The dictionaries of several robots. Each is used for the messages of its robot only.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Known(Mutex<RobotDictionaries>);
+pub struct DictionaryStore(Mutex<RobotDictionaries>);
 
-/// Python's bytes as a payload, which shares them.
+/// Makes a payload that shares the bytes of a Python object.
 pub fn payload(bytes: PyBackedBytes, encoding: &str) -> Payload {
     let encoding = Encoding::new(encoding.to_owned());
     Payload::new(Bytes::from_owner(bytes), encoding)
 }
 
-/// A payload as Python's bytes.
+/// Converts a payload to Python objects.
 pub fn parts<'py>(py: Python<'py>, payload: &Payload) -> Parts<'py> {
     let bytes = PyBytes::new(py, &payload.bytes);
     (bytes, payload.encoding.to_string())
 }
 
-/// A decoder's limits, or those that there are unless told otherwise.
+/// Makes the limits of a decoder, with defaults for those that are not given.
 pub fn limits(max_bytes: Option<usize>, max_pixels: Option<usize>) -> Limits {
     let default = Limits::default();
     Limits {
@@ -50,25 +59,25 @@ pub fn limits(max_bytes: Option<usize>, max_pixels: Option<usize>) -> Limits {
 
 #[pymethods]
 impl Codec {
-    /// The codec that a text such as `zstd:9` means.
+    /// Makes the codec with a name such as `zstd:9`.
     #[new]
     fn new(spec: &str) -> PyResult<Self> {
         codec::parse(spec).or_raise().map(Self)
     }
 
-    /// zstd with a dictionary.
+    /// Makes a zstd codec that uses a dictionary.
     #[staticmethod]
-    fn packed(dictionary: &Dictionary) -> Self {
-        Self(Arc::new(Packed::new(dictionary.0.clone())))
+    fn with_dictionary(dictionary: &Dictionary) -> Self {
+        Self(Arc::new(DictionaryCodec::new(dictionary.0.clone())))
     }
 
-    /// Its whole name.
+    /// The full name, such as `zstd:9`.
     #[getter]
     fn name(&self) -> String {
         self.0.name()
     }
 
-    /// Makes a payload smaller.
+    /// Compresses a payload. Returns the bytes and the encoding. Raises `CodecError`.
     fn encode<'py>(
         &self,
         py: Python<'py>,
@@ -81,43 +90,43 @@ impl Codec {
     }
 }
 
-/// Undoes the packings of a payload.
+/// Decodes all codecs of a payload.
 #[pyfunction]
 #[pyo3(signature = (bytes, encoding, dictionaries, max_bytes=None))]
-pub fn unpack<'py>(
+pub fn decode<'py>(
     py: Python<'py>,
     bytes: PyBackedBytes,
     encoding: &str,
     dictionaries: Vec<Bound<'py, Dictionary>>,
     max_bytes: Option<usize>,
 ) -> PyResult<Parts<'py>> {
-    let mut known = Dictionaries::default();
+    let mut store = Dictionaries::default();
     for dictionary in dictionaries {
-        known.add(dictionary.get().0.clone()).or_raise()?;
+        store.add(dictionary.get().0.clone()).or_raise()?;
     }
     let payload = payload(bytes, encoding);
     let limits = limits(max_bytes, None);
-    let decoded = detached(py, || codec::decode(&payload, &limits, &known)).or_raise()?;
+    let decoded = detached(py, || codec::decode(&payload, &limits, &store)).or_raise()?;
     Ok(parts(py, &decoded))
 }
 
 #[pymethods]
-impl Known {
+impl DictionaryStore {
     #[new]
     fn new() -> Self {
         Self(Mutex::default())
     }
 
-    /// Adds one of that robot's.
+    /// Adds a dictionary of that robot.
     fn add(&self, robot: &str, dictionary: &Dictionary) -> PyResult<()> {
         let robot = name(robot)?;
-        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        known.add(&robot, dictionary.0.clone());
+        let mut robots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        robots.add(&robot, dictionary.0.clone());
         Ok(())
     }
 
-    /// Undoes the packings of a payload of that robot's.
-    fn unpack<'py>(
+    /// Decodes all codecs of a payload of that robot.
+    fn decode<'py>(
         &self,
         py: Python<'py>,
         robot: &str,
@@ -127,9 +136,9 @@ impl Known {
         let robot = name(robot)?;
         let payload = payload(bytes, encoding);
         let decoded = py.detach(|| {
-            let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            let dictionaries = known.of(&robot).clone();
-            drop(known);
+            let robots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let dictionaries = robots.of(&robot).clone();
+            drop(robots);
             codec::decode(&payload, &Limits::default(), &dictionaries)
         });
         Ok(parts(py, &decoded.or_raise()?))
@@ -138,21 +147,21 @@ impl Known {
 
 #[pymethods]
 impl Dictionary {
-    /// Reads a zstd dictionary.
+    /// Loads a zstd dictionary.
     #[new]
     fn new(bytes: Vec<u8>) -> PyResult<Self> {
         let read = dictionary::Dictionary::new(bytes).or_raise()?;
         Ok(Self(Arc::new(read)))
     }
 
-    /// Makes one of samples.
+    /// Trains a dictionary of at most `size` bytes from sample messages. Raises `DictionaryError` if they are unsuitable.
     #[staticmethod]
     fn train(py: Python<'_>, samples: Vec<Vec<u8>>, size: usize) -> PyResult<Self> {
         let trained = detached(py, || dictionary::Dictionary::train(&samples, size));
         Ok(Self(Arc::new(trained.or_raise()?)))
     }
 
-    /// What frames call it.
+    /// The id that compressed payloads refer to.
     #[getter]
     fn id(&self) -> u32 {
         self.0.id()

@@ -1,4 +1,4 @@
-//! Owns what is news about who can be reached.
+//! Reports robots and links that appear and disappear.
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use pyo3::prelude::*;
@@ -9,10 +9,10 @@ use rect::core::{
 };
 use serde_json::Value;
 
-/// What happened, to which robot, over which method, to which address.
-type Told = (&'static str, Option<String>, Option<String>, Option<String>);
+/// The kind of the event, the robot, the method of the link, and the address of the peer.
+type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
 
-/// A connection as a router takes it; `options` is JSON.
+/// Encodes a named connection for the config service of a router. `options` is JSON.
 #[pyfunction]
 pub fn named_connection(
     name: String,
@@ -37,12 +37,12 @@ pub fn named_connection(
     connection.to_json()
 }
 
-/// The links of a router, as it tells of them.
+/// The links that a router reports.
 #[pyclass(frozen, module = "rect._rect")]
 #[derive(Default)]
 pub struct Links(Mutex<connection::Links>);
 
-/// The robots there are.
+/// The robots that are reachable.
 #[pyclass(frozen, module = "rect._rect")]
 #[derive(Default)]
 pub struct Presence(Mutex<connection::Presence>);
@@ -54,18 +54,18 @@ impl Links {
         Self::default()
     }
 
-    /// All connections as they are now, as the registry's JSON; what has changed. What is no such JSON changes nothing.
-    fn on_connections(&self, json: &[u8]) -> Vec<Told> {
+    /// Takes all current connections, as the registry's JSON, and returns the changes. Invalid JSON changes nothing.
+    fn on_connections(&self, json: &[u8]) -> Vec<EventFields> {
         let Ok(all) = serde_json::from_slice::<Vec<Connection>>(json) else {
             return Vec::new();
         };
-        let news = lock(&self.0).on_connections(&all);
-        news.into_iter().map(told).collect()
+        let events = lock(&self.0).on_connections(&all);
+        events.into_iter().map(event_fields).collect()
     }
 }
 
 impl Links {
-    /// By what a robot is linked with this one, where it is one way.
+    /// Returns the method of the links with a robot, unless it has links of several methods.
     pub fn method_of(&self, robot: &Name) -> Option<String> {
         lock(&self.0).method(robot).map(str::to_owned)
     }
@@ -78,16 +78,16 @@ impl Presence {
         Self::default()
     }
 
-    /// A router or program of a robot has come.
-    fn on_up(&self, robot: &str, id: &str) -> Option<Told> {
+    /// Handles a liveliness token that appeared: a router or program of a robot.
+    fn on_up(&self, robot: &str, id: &str) -> Option<EventFields> {
         let robot = Name::new(robot).ok()?;
-        lock(&self.0).on_up(&robot, id).map(told)
+        lock(&self.0).on_up(&robot, id).map(event_fields)
     }
 
-    /// It is gone.
-    fn on_down(&self, robot: &str, id: &str) -> Option<Told> {
+    /// Handles a liveliness token that disappeared.
+    fn on_down(&self, robot: &str, id: &str) -> Option<EventFields> {
         let robot = Name::new(robot).ok()?;
-        lock(&self.0).on_down(&robot, id).map(told)
+        lock(&self.0).on_down(&robot, id).map(event_fields)
     }
 }
 
@@ -95,10 +95,10 @@ fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn told(event: Event) -> Told {
-    let link = |what, link: connection::Link| {
+fn event_fields(event: Event) -> EventFields {
+    let link = |kind, link: connection::Link| {
         let robot = link.robot.map(|robot| robot.to_string());
-        (what, robot, Some(link.method), Some(link.address))
+        (kind, robot, Some(link.method), Some(link.address))
     };
     match event {
         Event::PeerUp { robot } => ("peer_up", Some(robot.to_string()), None, None),

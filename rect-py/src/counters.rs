@@ -1,23 +1,24 @@
-//! Owns what a program has said and heard, as numbers.
+//! Counts the messages that a program sends and receives.
 use pyo3::prelude::*;
 use rect::core::counters;
 
-/// The counters where they are counted.
+/// The counters of one program.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Counting(pub counters::Counting);
+pub struct AtomicCounters(pub counters::AtomicCounters);
 
 #[pymethods]
-impl Counting {
+impl AtomicCounters {
     #[new]
     fn new() -> Self {
-        Self(counters::Counting::default())
+        Self(counters::AtomicCounters::default())
     }
 
+    /// Counts one sent message of `bytes` bytes.
     fn on_sent(&self, bytes: usize) {
         self.0.on_sent(bytes);
     }
 
-    /// Messages sent, their bytes, messages received, their bytes, messages missed, messages rejected.
+    /// Returns messages sent, their bytes, messages received, their bytes, messages missed and messages rejected.
     fn read(&self) -> (u64, u64, u64, u64, u64, u64) {
         let read = self.0.read();
         (

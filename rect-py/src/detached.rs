@@ -1,5 +1,6 @@
-//! Releases Python's lock during native work, and sees to it that no thread is in such work when Python ends. A thread that
-//! asks for the lock back at that time is unwound by Python, through Rust, which aborts the process.
+//! Releases Python's global interpreter lock (GIL) during native work, and waits for such work before Python exits.
+//!
+//! Python unwinds a thread that requests the GIL during its exit. Unwinding through Rust would abort the process.
 use std::{
     sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst},
     thread,
@@ -8,11 +9,12 @@ use std::{
 
 use pyo3::prelude::*;
 
-/// Python is about to end: the lock is not released any more.
+/// Whether Python is about to exit. From then on the GIL is not released any more.
 static IS_ENDING: AtomicBool = AtomicBool::new(false);
-/// How many threads are in native work, or wait for the lock after it.
+/// Number of threads that do native work without the GIL, or wait for it afterwards.
 static WORKING: AtomicUsize = AtomicUsize::new(0);
-const GLANCE: Duration = Duration::from_millis(1);
+/// Interval at which [`settle`] checks for work.
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
 struct Working;
 
@@ -25,13 +27,13 @@ impl Working {
 
 impl Drop for Working {
     fn drop(&mut self) {
-        // A child process counts anew.
+        // A forked child process has reset the count, so it must not fall below zero.
         let less = |working: usize| working.checked_sub(1);
         let _ = WORKING.fetch_update(SeqCst, SeqCst, less);
     }
 }
 
-/// Does `work` without Python's lock.
+/// Runs `work` without the GIL, unless Python is about to exit.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     if IS_ENDING.load(SeqCst) {
         return work();
@@ -40,17 +42,18 @@ pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(work)
 }
 
-/// For the end of Python: waits, up to that many seconds, until no thread is in native work; none begins any more.
+/// Prepares for the exit of Python: waits until no thread does native work without the GIL, at most `timeout_s` seconds.
+/// All later work keeps the GIL.
 #[pyfunction]
 pub fn settle(py: Python<'_>, timeout_s: f64) {
     IS_ENDING.store(true, SeqCst);
     let deadline = Instant::now() + Duration::try_from_secs_f64(timeout_s).unwrap_or_default();
     while WORKING.load(SeqCst) > 0 && Instant::now() < deadline {
-        py.detach(|| thread::sleep(GLANCE));
+        py.detach(|| thread::sleep(POLL_INTERVAL));
     }
 }
 
-/// For a child process, which has none of its parent's threads.
+/// Resets the count of working threads in a forked child process, which has none of its parent's threads.
 #[pyfunction]
 pub fn forget_work() {
     WORKING.store(0, SeqCst);

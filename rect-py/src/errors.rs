@@ -1,13 +1,13 @@
-//! Owns turning the core's errors into the classes of `rect.errors`.
+//! Converts the errors of the core to the exceptions of `rect.errors`.
 use pyo3::{prelude::*, sync::PyOnceLock, types::PyModule};
 use rect::core::{
-    codec::CodecError, dictionary::DictionaryError, name::NameError, payload::PayloadError,
-    topic::TopicError, transfer::OfferError, wording,
+    codec::CodecError, dictionary::DictionaryError, humanize, name::NameError,
+    payload::PayloadError, topic::TopicError, transfer::OfferError,
 };
 
 static ERRORS: PyOnceLock<Py<PyModule>> = PyOnceLock::new();
 
-/// An error of the class of that name, made of these arguments.
+/// Makes an exception of the class with that name from these arguments.
 pub fn raised<'py, A>(py: Python<'py>, class: &str, arguments: A) -> PyErr
 where
     A: pyo3::call::PyCallArgs<'py>,
@@ -17,15 +17,15 @@ where
     made.map_or_else(|error| error, PyErr::from_value)
 }
 
-/// What the core says is wrong.
+/// An error of the core.
 pub trait Raised {
-    /// As Python's.
+    /// Converts the error to a Python exception.
     fn raised(self) -> PyErr;
 }
 
-/// The value, or Python's form of the error.
+/// Converts the error of a `Result` to a Python exception.
 pub trait OrRaise<T> {
-    /// See the trait.
+    /// Returns the value, or the error as a Python exception.
     fn or_raise(self) -> PyResult<T>;
 }
 
@@ -72,7 +72,7 @@ impl Raised for PayloadError {
             Self::Codec(codec) => return codec.raised(),
             Self::Write { .. } => "write",
             Self::Encoding(_) => "encoding",
-            Self::Other { .. } => "other",
+            Self::Mismatch { .. } => "other",
             Self::Read { .. } => "read",
         };
         Python::attach(|py| raised(py, "PayloadError", (self.to_string(), kind)))
@@ -81,7 +81,7 @@ impl Raised for PayloadError {
 
 impl Raised for DictionaryError {
     fn raised(self) -> PyErr {
-        Python::attach(|py| raised(py, "DictionaryError", (wording::with_causes(&self),)))
+        Python::attach(|py| raised(py, "DictionaryError", (humanize::with_causes(&self),)))
     }
 }
 
@@ -91,13 +91,13 @@ impl Raised for OfferError {
     }
 }
 
-/// What Zenoh says, on one line, without places in its source.
+/// Formats an error text of Zenoh on one line, without positions in its source.
 #[pyfunction]
-pub fn in_words(said: &str) -> String {
-    wording::on_one_line(said)
+pub fn on_one_line(text: &str) -> String {
+    humanize::on_one_line(text)
 }
 
-/// Never lets go of an object: after a fork, ending it would wait for threads that the child does not have.
+/// Leaks an object. After a fork, dropping it would wait for threads that the child process does not have.
 #[pyfunction]
 pub fn forget(object: Py<PyAny>) {
     std::mem::forget(object);

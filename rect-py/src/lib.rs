@@ -1,7 +1,7 @@
-//! The native half of the Python package `rect`: the Rust library's core, which does no I/O, as Python's classes.
+//! Exposes the core of the Rust library to the Python package `rect`.
 //!
-//! Nothing is decided here. Each class is a shell over a type of the core; the sessions around it are Python's, over
-//! eclipse-zenoh (`python/rect/`).
+//! Each class wraps one type of the core, which makes all decisions and does no I/O. The sessions are part of the Python
+//! code (`python/rect/`), over eclipse-zenoh.
 mod attachment;
 mod callback;
 mod codec;
@@ -9,9 +9,9 @@ mod connection;
 mod counters;
 mod detached;
 mod errors;
+mod key_space;
 mod message;
 mod picture;
-mod place;
 mod queue;
 mod request;
 mod router;
@@ -22,30 +22,30 @@ mod value;
 
 use pyo3::prelude::*;
 
-/// What the Python package `rect` takes from the Rust library.
+/// The native module of the Python package `rect`.
 #[pymodule]
 mod _rect {
     #[pymodule_export]
     use crate::{
         attachment::{now_ms, read_attachment, write_attachment, write_attachment_now},
-        callback::{Moment, OnMessage, OnRequest},
-        codec::{unpack, Codec, Dictionary, Known},
+        callback::{OnMessage, OnRequest, Timestamp},
+        codec::{decode, Codec, Dictionary, DictionaryStore},
         connection::{named_connection, Links, Presence},
-        counters::Counting,
+        counters::AtomicCounters,
         detached::{forget_work, settle},
-        errors::{forget, in_words},
-        message::{Inbound, Said},
-        picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
-        place::{
-            check_encoding, check_name, check_topic, encoding_parts, is_packed, pattern,
-            pattern_of, Place,
+        errors::{forget, on_one_line},
+        key_space::{
+            check_encoding, check_name, check_topic, encoding_parts, is_encoded, pattern,
+            pattern_of, KeySpace,
         },
+        message::{Inbound, MessageMetadata},
+        picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
         queue::{Ended, Queue},
-        request::{error_encoding, error_from, read_asking, write_asking},
-        router::{check_router, default_login_file, robot_of_router, Joining},
+        request::{error_encoding, error_from, read_request_header, write_request_header},
+        router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         stream::{Job, StreamReceiver, StreamSender},
-        transfer::{transfer_ended, Inbox, Offered, Pull, Question, TransferSender},
-        urgency::{goes_apart, qos, qos_of_frames},
+        transfer::{transfer_ended, Admission, Offered, Pull, Question, TransferSender},
+        urgency::{qos, stream_qos, uses_separate_session},
         value::{read_value, write_value},
     };
 
@@ -61,7 +61,7 @@ mod _rect {
         module.add("DEFAULT_TIMEOUT_MS", DEFAULT_TIMEOUT_MS)?;
         module.add("LOGIN_VARIABLE", login::FILE_VARIABLE)?;
         module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
-        module.add("TRANSFER_INBOX", transfer::INBOX)?;
+        module.add("TRANSFER_OFFERS", transfer::OFFERS)?;
         module.add("CONFIG", named_connection::CONFIG)?;
         module.add("ADD", named_connection::ADD)?;
         module.add("REMOVE", named_connection::REMOVE)?;

@@ -1,73 +1,73 @@
-//! Owns making messages of what Zenoh delivers, and what is missing among them.
+//! Makes messages from the samples that Zenoh delivers, and counts missing ones.
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
 use pyo3::prelude::*;
 use rect::core::{
     encoding::Encoding,
-    key::NoMessage,
-    message::{self, Delivered, Message},
+    key::AddressError,
+    message::{self, Delivery, Message},
     name::Name,
     payload::Payload,
 };
 
-use crate::{place::Place, urgency};
+use crate::{key_space::KeySpace, urgency};
 
-/// The messages of one subscription.
+/// The state of one subscription.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Inbound(Mutex<message::Inbound>);
 
-/// What a message says of itself, beside its payload.
+/// The fields of a message except its payload.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Said(Message);
+pub struct MessageMetadata(Message);
 
 #[pymethods]
 impl Inbound {
     #[new]
-    fn new(place: &Place) -> Self {
-        Self(Mutex::new(message::Inbound::new(place.0.clone())))
+    fn new(key_space: &KeySpace) -> Self {
+        Self(Mutex::new(message::Inbound::new(key_space.0.clone())))
     }
 
-    /// A message; `None`: none for this robot, or one that the other subscription brings.
-    #[pyo3(name = "on_delivered")]
+    /// Makes a message from a sample. Returns `None` if it is not for this robot, or if another subscription delivers it.
+    #[pyo3(name = "on_delivery")]
     fn on_delivered_or_none(
         &self,
         key: &str,
         attachment: Option<&[u8]>,
         priority: u8,
         directed: bool,
-    ) -> Option<Said> {
-        self.on_delivered(key, attachment, priority, directed).ok()
+    ) -> Option<MessageMetadata> {
+        self.on_delivery(key, attachment, priority, directed).ok()
     }
 
-    /// What came of each robot, and what did not.
-    fn tallies(&self) -> Vec<(String, u64, u64)> {
+    /// Returns the number of received and missed messages of each sender.
+    fn counts_by_sender(&self) -> Vec<(String, u64, u64)> {
         let inbound = self.inbound();
-        let tallies = inbound.tallies();
-        tallies
-            .map(|(robot, tally)| (robot.to_string(), tally.received, tally.missed))
+        let counts = inbound.counts_by_sender();
+        counts
+            .map(|(robot, counts)| (robot.to_string(), counts.received, counts.missed))
             .collect()
     }
 }
 
 impl Inbound {
-    /// Makes the message, or says why there is none.
-    pub fn on_delivered(
+    /// Makes a message from a sample, or returns the reason why there is none.
+    pub fn on_delivery(
         &self,
         key: &str,
         attachment: Option<&[u8]>,
         priority: u8,
         directed: bool,
-    ) -> Result<Said, NoMessage> {
-        let delivered = Delivered {
+    ) -> Result<MessageMetadata, AddressError> {
+        let delivered = Delivery {
             key,
-            // The bytes stay Python's; the core passes them on without looking.
+            // The payload bytes stay in Python: the core does not need them.
             payload: Payload::new(Bytes::new(), Encoding::BYTES),
             attachment,
             priority,
             directed,
         };
-        self.inbound().on_delivered(delivered).map(Said)
+        self.inbound().on_delivery(delivered).map(MessageMetadata)
     }
 
     fn inbound(&self) -> MutexGuard<'_, message::Inbound> {
@@ -75,22 +75,22 @@ impl Inbound {
     }
 }
 
-impl Said {
-    pub fn from(&self) -> &Name {
-        &self.0.from
+impl MessageMetadata {
+    pub fn sender_name(&self) -> &Name {
+        &self.0.sender
     }
 }
 
 #[pymethods]
-impl Said {
+impl MessageMetadata {
     #[getter]
     fn sender(&self) -> &str {
-        self.0.from.as_str()
+        self.0.sender.as_str()
     }
 
     #[getter]
-    fn to(&self) -> Option<&str> {
-        self.0.to.as_ref().map(|to| to.as_str())
+    fn recipient(&self) -> Option<&str> {
+        self.0.recipient.as_ref().map(|name| name.as_str())
     }
 
     #[getter]
@@ -100,7 +100,7 @@ impl Said {
 
     #[getter]
     fn urgency(&self) -> &'static str {
-        urgency::word(self.0.urgency)
+        urgency::as_str(self.0.urgency)
     }
 
     #[getter]

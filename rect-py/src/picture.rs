@@ -1,4 +1,4 @@
-//! Owns pictures and arrays of numbers: how they lie in bytes, and reading what others sent.
+//! Encodes and decodes pictures and arrays of numbers.
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
@@ -15,11 +15,11 @@ use crate::{
 };
 
 /// Width, height, format and pixels.
-type Seen<'py> = (u32, u32, &'static str, Bound<'py, PyBytes>);
-/// Element, shape and numbers.
-type Counted<'py> = (&'static str, Vec<usize>, Bound<'py, PyBytes>);
+type PictureFields<'py> = (u32, u32, &'static str, Bound<'py, PyBytes>);
+/// Element type, shape and numbers.
+type ArrayFields<'py> = (&'static str, Vec<usize>, Bound<'py, PyBytes>);
 
-/// A picture of pixels.
+/// Makes a picture from pixels.
 pub fn picture_of(
     width: u32,
     height: u32,
@@ -27,24 +27,26 @@ pub fn picture_of(
     pixels: PyBackedBytes,
 ) -> PyResult<Picture> {
     let all = [Format::Grey8, Format::Rgb8, Format::Rgba8];
-    let known = all.into_iter().find(|known| known.as_str() == format);
-    let picture = match known {
+    let found = all.into_iter().find(|one| one.as_str() == format);
+    let picture = match found {
         Some(format) => Picture::new(width, height, format, Bytes::from_owner(pixels)),
         None => Err(CodecError::Damaged {
             format: "picture",
-            reason: format!("there is no pixel format {format:?}: grey8, rgb8 and rgba8 are"),
+            reason: format!(
+                "there is no pixel format {format:?}; possible formats: grey8, rgb8, rgba8"
+            ),
         }),
     };
     picture.or_raise()
 }
 
-/// Raises unless so many bytes are such a picture.
+/// Raises `CodecError` unless the number of bytes matches the size and format.
 #[pyfunction]
 pub fn picture(width: u32, height: u32, format: &str, pixels: PyBackedBytes) -> PyResult<()> {
     picture_of(width, height, format, pixels).map(drop)
 }
 
-/// The encoding of a picture that is sent raw: its pixels are the payload.
+/// Returns the encoding of a picture that is sent uncompressed: its pixels are the payload.
 #[pyfunction]
 pub fn picture_encoding(
     width: u32,
@@ -56,7 +58,7 @@ pub fn picture_encoding(
     Ok(picture.to_payload().or_raise()?.encoding.to_string())
 }
 
-/// The picture in a payload.
+/// Decodes the picture in a payload.
 #[pyfunction]
 #[pyo3(signature = (bytes, encoding, max_bytes=None, max_pixels=None))]
 pub fn read_picture<'py>(
@@ -65,43 +67,46 @@ pub fn read_picture<'py>(
     encoding: &str,
     max_bytes: Option<usize>,
     max_pixels: Option<usize>,
-) -> PyResult<Seen<'py>> {
+) -> PyResult<PictureFields<'py>> {
     let payload = payload(bytes, encoding);
     let limits = limits(max_bytes, max_pixels);
     let picture = detached(py, || payload.picture(&limits)).or_raise()?;
-    Ok(seen(py, &picture))
+    Ok(picture_fields(py, &picture))
 }
 
-/// A picture in another size.
+/// Scales a picture to another size.
 #[pyfunction]
 pub fn scaled<'py>(
     py: Python<'py>,
     size: (u32, u32, String),
     pixels: PyBackedBytes,
-    wanted: (u32, u32),
-) -> PyResult<Seen<'py>> {
+    target: (u32, u32),
+) -> PyResult<PictureFields<'py>> {
     let (width, height, format) = size;
     let picture = picture_of(width, height, &format, pixels)?;
-    let scaled = detached(py, || picture.scaled(wanted.0, wanted.1)).or_raise()?;
-    Ok(seen(py, &scaled))
+    let scaled = detached(py, || picture.scaled(target.0, target.1)).or_raise()?;
+    Ok(picture_fields(py, &scaled))
 }
 
-fn seen<'py>(py: Python<'py>, picture: &Picture) -> Seen<'py> {
+fn picture_fields<'py>(py: Python<'py>, picture: &Picture) -> PictureFields<'py> {
     let pixels = PyBytes::new(py, picture.pixels());
     let format = picture.format().as_str();
     (picture.width(), picture.height(), format, pixels)
 }
 
-/// The encoding of numbers that are sent raw: little endian, the last index running fastest.
+/// Returns the encoding of an array that is sent uncompressed: little endian, the last index varying fastest.
 #[pyfunction]
 pub fn array_encoding(element: &str, shape: Vec<usize>, bytes: PyBackedBytes) -> PyResult<String> {
     let mut all = Element::ALL.iter().copied();
-    let known = all.find(|known| known.as_str() == element);
-    let array = match known {
+    let found = all.find(|one| one.as_str() == element);
+    let array = match found {
         Some(element) => Array::new(element, &shape, Bytes::from_owner(bytes)),
         None => {
-            let all: Vec<_> = Element::ALL.iter().map(|known| known.as_str()).collect();
-            let reason = format!("no numbers of {element}: {} are", all.join(", "));
+            let all: Vec<_> = Element::ALL.iter().map(|one| one.as_str()).collect();
+            let reason = format!(
+                "there is no element type {element}; possible types: {}",
+                all.join(", ")
+            );
             Err(CodecError::Damaged {
                 format: "array",
                 reason,
@@ -112,7 +117,7 @@ pub fn array_encoding(element: &str, shape: Vec<usize>, bytes: PyBackedBytes) ->
     Ok(array.to_payload().or_raise()?.encoding.to_string())
 }
 
-/// The numbers in a payload, raw or quantised.
+/// Decodes the array in a payload, raw or quantised.
 #[pyfunction]
 #[pyo3(signature = (bytes, encoding, max_bytes=None))]
 pub fn read_array<'py>(
@@ -120,7 +125,7 @@ pub fn read_array<'py>(
     bytes: PyBackedBytes,
     encoding: &str,
     max_bytes: Option<usize>,
-) -> PyResult<Counted<'py>> {
+) -> PyResult<ArrayFields<'py>> {
     let payload = payload(bytes, encoding);
     let limits = limits(max_bytes, None);
     let array = detached(py, || payload.array(&limits)).or_raise()?;

@@ -1,6 +1,7 @@
-//! Owns the queue between what comes and the program: bounded, with the core's rules for when it is full, and those who wait
-//! at its ends. Zenoh's threads fill it without a line of Python, which would cost a thread that is none of Python's more
-//! than all the rest.
+//! Defines the bounded queue between Zenoh's threads and the program. It applies the core's rules when it is full, and wakes
+//! threads that wait for items or for room.
+//!
+//! Zenoh's threads fill it without running Python code, which would cost more there than all the rest.
 use std::{
     collections::VecDeque,
     sync::{Condvar, Mutex, MutexGuard, PoisonError},
@@ -11,38 +12,50 @@ use rect::core::queue::{self, Pushed, WhenFull};
 
 use crate::errors::raised;
 
-create_exception!(rect._rect, Ended, PyException, "Nothing comes any more.");
+create_exception!(
+    rect._rect,
+    Ended,
+    PyException,
+    "The queue is closed and empty."
+);
 
-/// What waits for a program.
+/// Items that wait for a program.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Queue {
     state: Mutex<State>,
-    taken: Condvar,
+    has_room: Condvar,
 }
 
 struct State {
     queue: queue::Queue<Py<PyAny>>,
-    /// The locks at which threads wait for something to come, held, in their order.
+    /// The locks, held, at which threads wait for an item; the longest wait comes first.
     waiting: VecDeque<Py<PyAny>>,
-    /// How many threads wait for room: to wake nobody is a system call, too.
+    /// Number of threads that wait for room. If it is 0, the system call that wakes them is omitted.
     waiting_for_room: usize,
-    /// Called when something has come, or nothing comes any more.
+    /// Called when an item was added or the queue was closed.
     alarm: Option<Py<PyAny>>,
+    /// No more items are accepted.
     is_closed: bool,
-    is_over: bool,
+    /// The side that fills the queue has closed it.
+    is_finished: bool,
 }
 
 #[pymethods]
 impl Queue {
+    /// Creates a queue. `when_full` is `drop_oldest`, `drop_newest` or `block`.
     #[new]
     fn new(py: Python<'_>, capacity: usize, when_full: &str) -> PyResult<Self> {
         let when_full = match when_full {
-            "newest wins" => WhenFull::NewestWins,
-            "oldest wins" => WhenFull::OldestWins,
-            "wait" => WhenFull::Wait,
+            "drop_oldest" => WhenFull::DropOldest,
+            "drop_newest" => WhenFull::DropNewest,
+            "block" => WhenFull::Block,
             _ => {
-                let known = "it is \"newest wins\", \"oldest wins\" or \"wait\"";
-                return Err(raised(py, "OptionError", ("when_full", when_full, known)));
+                let expected = "it must be \"drop_oldest\", \"drop_newest\" or \"block\"";
+                return Err(raised(
+                    py,
+                    "OptionError",
+                    ("when_full", when_full, expected),
+                ));
             }
         };
         let state = State {
@@ -51,18 +64,19 @@ impl Queue {
             waiting_for_room: 0,
             alarm: None,
             is_closed: false,
-            is_over: false,
+            is_finished: false,
         };
         Ok(Self {
             state: Mutex::new(state),
-            taken: Condvar::new(),
+            has_room: Condvar::new(),
         })
     }
 
-    /// Puts one in; where the rule is to wait, once there is room. `False`: dropped, or nobody takes any more.
+    /// Adds an item; with the rule `block`, waits for room first. Returns `False` if the item was dropped, because the queue
+    /// is full or closed.
     pub fn push(&self, py: Python<'_>, item: Py<PyAny>) -> PyResult<bool> {
         let mut item = item;
-        // What is dropped may run Python: after the lock.
+        // Dropping an item may run Python code, so it happens after the lock is released.
         let (kept, _dropped) = loop {
             let mut state = self.state();
             if state.is_closed {
@@ -83,20 +97,20 @@ impl Queue {
         Ok(kept)
     }
 
-    /// The same, as a callback of Zenoh's.
+    /// Does the same as `push`, as a callback of Zenoh.
     fn __call__(&self, py: Python<'_>, item: Py<PyAny>) -> PyResult<()> {
         self.push(py, item).map(|_| ())
     }
 
-    /// The oldest that waits; `None`: there is none yet, and the lock that was given, which is held, is released when one has
-    /// come. Raises `Ended`.
+    /// Removes the oldest item. If there is none, returns `None` and keeps `lock`, which must be held: it is released when an
+    /// item was added. Raises `Ended` if the queue is closed and empty.
     #[pyo3(signature = (lock=None))]
     fn pop(&self, lock: Option<Py<PyAny>>) -> PyResult<Option<Py<PyAny>>> {
         let mut state = self.state();
         let item = state.queue.pop();
         if item.is_some() {
             if state.waiting_for_room > 0 {
-                self.taken.notify_one();
+                self.has_room.notify_one();
             }
         } else if state.is_closed {
             return Err(Ended::new_err(()));
@@ -106,7 +120,7 @@ impl Queue {
         Ok(item)
     }
 
-    /// Whoever waits for the longest, by its lock, is to look again.
+    /// Wakes the thread that has waited longest, and calls the alarm.
     fn wake(&self, py: Python<'_>) -> PyResult<()> {
         let mut state = self.state();
         let first = state.waiting.pop_front();
@@ -121,41 +135,42 @@ impl Queue {
         Ok(())
     }
 
-    /// Does not wait any more. `False`: it was woken.
+    /// Removes a lock from the waiting ones. Returns `False` if it was released already.
     fn leave(&self, lock: &Bound<'_, PyAny>) -> bool {
         let mut state = self.state();
-        let at = state.waiting.iter().position(|known| known.is(lock));
+        let at = state.waiting.iter().position(|waiting| waiting.is(lock));
         at.is_some_and(|at| state.waiting.remove(at).is_some())
     }
 
-    /// What to call when something has come, or nothing comes any more; `None`: nothing.
+    /// Sets the function to call when an item was added or the queue was closed; `None` for none.
     fn set_alarm(&self, alarm: Option<Py<PyAny>>) {
         let _before = std::mem::replace(&mut self.state().alarm, alarm);
     }
 
-    /// Nothing comes any more; what waits can still be taken.
+    /// Closes the queue to new items. Items that are waiting can still be taken.
     pub fn close(&self, py: Python<'_>) -> PyResult<()> {
         let waiting = {
             let mut state = self.state();
             state.is_closed = true;
             state.waiting.len()
         };
-        self.taken.notify_all();
+        self.has_room.notify_all();
         (0..waiting.max(1)).try_for_each(|_| self.wake(py))
     }
 
-    /// The same, by whoever fills it: all has come.
+    /// Closes the queue, called by the side that fills it after the last item.
     fn end(&self, py: Python<'_>) -> PyResult<()> {
-        self.state().is_over = true;
+        self.state().is_finished = true;
         self.close(py)
     }
 
-    /// Whether it was closed by whoever fills it.
+    /// Whether the side that fills the queue has closed it.
     #[getter]
-    fn is_over(&self) -> bool {
-        self.state().is_over
+    fn is_finished(&self) -> bool {
+        self.state().is_finished
     }
 
+    /// Number of items dropped so far.
     #[getter]
     fn dropped(&self) -> u64 {
         self.state().queue.dropped()
@@ -174,8 +189,8 @@ impl Queue {
     fn wait_for_room(&self) {
         let mut state = self.state();
         state.waiting_for_room += 1;
-        let has_none = |state: &mut State| state.queue.is_full() && !state.is_closed;
-        let waited = self.taken.wait_while(state, has_none);
+        let has_no_room = |state: &mut State| state.queue.is_full() && !state.is_closed;
+        let waited = self.has_room.wait_while(state, has_no_room);
         waited
             .unwrap_or_else(PoisonError::into_inner)
             .waiting_for_room -= 1;

@@ -1,46 +1,47 @@
-//! Owns what goes with requests, and with the errors that answer them.
+//! Encodes and decodes the headers of requests, and the encodings of error replies.
 use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes};
 use rect::core::{
     encoding::Encoding,
     payload::Payload,
-    request::{error_from_payload, error_to_payload, Asking},
+    request::{error_from_payload, error_to_payload, RequestHeader},
 };
 
-use crate::place::name;
+use crate::key_space::name;
 
-/// What goes with a request: who asks, and for how long it waits.
+/// Encodes the header of a request: the robot that sends it, and its timeout.
 #[pyfunction]
-pub fn write_asking<'py>(
+pub fn write_request_header<'py>(
     py: Python<'py>,
     robot: &str,
     timeout_ms: u32,
 ) -> PyResult<Bound<'py, PyBytes>> {
-    let from = name(robot)?;
-    Ok(PyBytes::new(py, &Asking { from, timeout_ms }.encode()))
+    let sender = name(robot)?;
+    let header = RequestHeader { sender, timeout_ms };
+    Ok(PyBytes::new(py, &header.encode()))
 }
 
-/// Who asks, and for how long it waits; `None`: a stock program asks.
+/// Decodes the header of a request: its sender and its timeout. Returns `None` if the requester does not use RECT.
 #[pyfunction]
-pub fn read_asking(bytes: &[u8]) -> Option<(String, u32)> {
-    let asking = Asking::decode(bytes)?;
-    Some((asking.from.to_string(), asking.timeout_ms))
+pub fn read_request_header(bytes: &[u8]) -> Option<(String, u32)> {
+    let header = RequestHeader::decode(bytes)?;
+    Some((header.sender.to_string(), header.timeout_ms))
 }
 
-/// The encoding of an error of that robot's.
+/// Returns the encoding of an error reply of that robot.
 #[pyfunction]
 pub fn error_encoding(robot: &str, encoding: String) -> PyResult<String> {
     let error = Payload::new(Bytes::new(), Encoding::new(encoding));
     Ok(error_to_payload(&name(robot)?, error).encoding.to_string())
 }
 
-/// Who answers so (`None`: a stock program), and what the error is.
+/// Splits the encoding of an error reply into the robot (`None` if it does not use RECT) and the encoding of the error.
 #[pyfunction]
 pub fn error_from(encoding: String) -> (Option<String>, String) {
-    let answer = Payload::new(Bytes::new(), Encoding::new(encoding));
-    let (from, error) = error_from_payload(answer);
+    let reply = Payload::new(Bytes::new(), Encoding::new(encoding));
+    let (robot, error) = error_from_payload(reply);
     (
-        from.map(|from| from.to_string()),
+        robot.map(|robot| robot.to_string()),
         error.encoding.to_string(),
     )
 }

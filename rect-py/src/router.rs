@@ -1,4 +1,4 @@
-//! Owns joining a router, as the core decides it: attempts, the login, and which robot the router serves.
+//! Connects to a router: the attempts, the login, and the check of which robot the router serves.
 use std::{
     sync::{Mutex, MutexGuard, PoisonError},
     time::Duration,
@@ -12,20 +12,20 @@ use rect::core::{
 
 use crate::{
     errors::{raised, OrRaise, Raised},
-    place::Place,
+    key_space::KeySpace,
 };
 
-/// The attempts to join one router.
+/// The attempts to connect to one router.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Joining {
+pub struct JoinAttempts {
     endpoint: String,
-    core: Mutex<router::Joining>,
+    core: Mutex<router::JoinAttempts>,
 }
 
 #[pymethods]
-impl Joining {
-    /// `login`: what the program names; without it the first line of `file`, whose text is `text`, or which can't be read for
-    /// the reason `unreadable`.
+impl JoinAttempts {
+    /// Starts the attempts. `login` is the login that the program gives. Without it, the login is the first line of `file`,
+    /// whose content is `text`, or which cannot be read for the reason `unreadable`.
     #[new]
     #[pyo3(signature = (endpoint, timeout_s, login, file, text, unreadable))]
     fn new(
@@ -41,24 +41,24 @@ impl Joining {
             None => Login::of_file(file, text.ok_or(unreadable)),
         };
         let timeout = Duration::try_from_secs_f64(timeout_s).unwrap_or(Duration::MAX);
-        let core = Mutex::new(router::Joining::new(endpoint.clone(), login, timeout));
+        let core = Mutex::new(router::JoinAttempts::new(endpoint.clone(), login, timeout));
         Ok(Self { endpoint, core })
     }
 
-    /// User and password for the next attempt.
+    /// Returns user and password for the next attempt.
     fn credentials(&self) -> Option<(String, String)> {
         let core = self.core();
         let (user, password) = core.credentials()?;
         Some((user.to_owned(), password.to_owned()))
     }
 
-    /// How long the next attempt may take, in seconds.
+    /// Returns the time limit of the next attempt, in seconds.
     fn limit(&self, elapsed_s: f64) -> f64 {
         self.core().limit(duration(elapsed_s)).as_secs_f64()
     }
 
-    /// After a failed attempt: the pause before the next one, in seconds. `reason` is None where it took too long. Raises
-    /// `NoRouter`, `LoginRefused`.
+    /// Handles a failed attempt and returns the pause before the next one, in seconds. `reason` is `None` if the attempt
+    /// exceeded its time limit. Raises `NoRouter` and `LoginRefused`.
     fn on_failure(&self, py: Python<'_>, elapsed_s: f64, reason: Option<&str>) -> PyResult<f64> {
         let pause = self.core().on_failure(duration(elapsed_s), reason);
         pause
@@ -75,8 +75,8 @@ impl Joining {
     }
 }
 
-impl Joining {
-    fn core(&self) -> MutexGuard<'_, router::Joining> {
+impl JoinAttempts {
+    fn core(&self) -> MutexGuard<'_, router::JoinAttempts> {
         self.core.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -88,23 +88,23 @@ impl Raised for router::WrongRobot {
     }
 }
 
-/// The login file of programs that name none; `given`: what the environment says.
+/// Returns the login file of programs that name none. `given` is the value of the environment variable.
 #[pyfunction]
 #[pyo3(signature = (given))]
 pub fn default_login_file(given: Option<String>) -> String {
     login::default_file(given)
 }
 
-/// The key expression of the liveliness tokens that name the robot of the router with that id.
+/// Returns the key expression of the liveliness tokens that name the robot of the router with that id.
 #[pyfunction]
 pub fn robot_of_router(id: &str) -> String {
     router::robot_of_router(id)
 }
 
-/// Raises `WrongRobot` if the tokens name another robot than that of the place.
+/// Raises `WrongRobot` if the tokens name another robot than the one of the key space.
 #[pyfunction]
-pub fn check_router(place: &Place, endpoint: &str, tokens: Vec<String>) -> PyResult<()> {
-    place.0.check_router(endpoint, tokens).or_raise()
+pub fn check_router(key_space: &KeySpace, endpoint: &str, tokens: Vec<String>) -> PyResult<()> {
+    key_space.0.check_router(endpoint, tokens).or_raise()
 }
 
 fn duration(seconds: f64) -> Duration {

@@ -1,4 +1,4 @@
-//! Owns the two ends of a stream, as the core has them; the time is this computer's clock that does not jump.
+//! Wraps the core's sending and receiving ends of a stream. The time is taken from the monotonic clock.
 use std::{
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
@@ -12,7 +12,7 @@ use rect::core::{
         feedback_from,
         ladder::Coding,
         notice::Notice,
-        picture::{encode, Photographs},
+        picture::{encode, LossyFormat},
         receiver::Receiver,
         sender::{self, Options, Sender},
         Group,
@@ -23,21 +23,21 @@ use crate::{
     codec::{parts, Parts},
     detached::detached,
     errors::{raised, OrRaise},
+    key_space::{name, KeySpace},
     picture::picture_of,
-    place::{name, Place},
 };
 
-/// The longest between two words of a receiver, in seconds.
+/// Longest interval between two reports of a receiver, in seconds.
 const MAX_FEEDBACK_S: f64 = 3600.0;
 
 /// The sending end of a stream.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct StreamSender {
     core: Mutex<Sender>,
-    photographs: Photographs,
+    lossy_format: LossyFormat,
 }
 
-/// A frame that is wanted.
+/// A frame to encode for one group of receivers.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Job(sender::Job);
 
@@ -47,74 +47,76 @@ pub struct StreamReceiver(Mutex<Receiver>);
 
 #[pymethods]
 impl StreamSender {
-    /// `mode`: `adaptive`, `fixed` or `sensor`; `None`: as the core has it.
+    /// Creates a sender. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the mode.
     #[new]
-    #[pyo3(signature = (mode, source, unix_ms, *, frames_per_s=None, least_frames_per_s=None, most_bytes_per_s=None,
-        feedback_s=None, webp=false))]
+    #[pyo3(signature = (mode, source, unix_ms, *, max_frames_per_s=None, min_frames_per_s=None, max_bytes_per_s=None,
+        feedback_interval_s=None, webp=false))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         mode: &str,
         source: u16,
         unix_ms: u64,
-        frames_per_s: Option<f64>,
-        least_frames_per_s: Option<f64>,
-        most_bytes_per_s: Option<f64>,
-        feedback_s: Option<f64>,
+        max_frames_per_s: Option<f64>,
+        min_frames_per_s: Option<f64>,
+        max_bytes_per_s: Option<f64>,
+        feedback_interval_s: Option<f64>,
         webp: bool,
     ) -> PyResult<Self> {
-        let refused = |what: &str, value: String, known: &str| {
-            raised(py, "OptionError", (what, value, known))
+        let refused = |option: &str, value: String, expected: &str| {
+            raised(py, "OptionError", (option, value, expected))
         };
-        let positive = |what: &str, number: Option<f64>| match number {
-            Some(number) if !(number.is_finite() && number > 0.0) => {
-                Err(refused(what, number.to_string(), "it is a number above 0"))
-            }
+        let positive = |option: &str, number: Option<f64>| match number {
+            Some(number) if !(number.is_finite() && number > 0.0) => Err(refused(
+                option,
+                number.to_string(),
+                "it must be a number above 0",
+            )),
             number => Ok(number),
         };
         let mut options = match mode {
             "adaptive" => Options::default(),
-            "fixed" => Options::fixed(Options::default().most_frames_per_s),
+            "fixed" => Options::fixed(Options::default().max_frames_per_s),
             "sensor" => Options::sensor(),
             _ => {
-                let known = "it is \"adaptive\", \"fixed\" or \"sensor\"";
-                return Err(refused("mode", mode.to_owned(), known));
+                let expected = "it must be \"adaptive\", \"fixed\" or \"sensor\"";
+                return Err(refused("mode", mode.to_owned(), expected));
             }
         };
-        if let Some(most) = positive("frames_per_s", frames_per_s)? {
-            options.most_frames_per_s = most;
+        if let Some(max) = positive("max_frames_per_s", max_frames_per_s)? {
+            options.max_frames_per_s = max;
         }
-        if let Some(least) = positive("least_frames_per_s", least_frames_per_s)? {
-            options.least_frames_per_s = least;
+        if let Some(min) = positive("min_frames_per_s", min_frames_per_s)? {
+            options.min_frames_per_s = min;
         }
-        if let Some(most) = positive("most_bytes_per_s", most_bytes_per_s)? {
-            options.rates.most = most;
-            options.rates.first = options.rates.first.min(most);
-            options.rates.least = options.rates.least.min(most);
+        if let Some(max) = positive("max_bytes_per_s", max_bytes_per_s)? {
+            options.rates.max_bytes_per_s = max;
+            options.rates.initial_bytes_per_s = options.rates.initial_bytes_per_s.min(max);
+            options.rates.min_bytes_per_s = options.rates.min_bytes_per_s.min(max);
         }
-        match feedback_s {
+        match feedback_interval_s {
             Some(seconds) if !(0.0..=MAX_FEEDBACK_S).contains(&seconds) => {
-                let known = "it is 0 (never) to 3600 seconds";
-                return Err(refused("feedback", seconds.to_string(), known));
+                let expected = "it must be 0 (never) to 3600 seconds";
+                return Err(refused("feedback_interval", seconds.to_string(), expected));
             }
-            Some(seconds) => options.feedback = Duration::from_secs_f64(seconds),
+            Some(seconds) => options.feedback_interval = Duration::from_secs_f64(seconds),
             None => {}
         }
         if webp {
-            options.photographs = Photographs::Webp;
+            options.lossy_format = LossyFormat::Webp;
         }
-        let photographs = options.photographs;
+        let lossy_format = options.lossy_format;
         let core = Mutex::new(Sender::new(options, source, unix_ms, Instant::now()));
-        Ok(Self { core, photographs })
+        Ok(Self { core, lossy_format })
     }
 
-    /// There is a frame of so many pixels: what is to be made of it.
+    /// Offers a frame with that number of pixels, and returns the encodings to send it in.
     fn offer(&self, pixels: usize) -> Vec<Job> {
         let jobs = self.core().offer(pixels, Instant::now());
         jobs.into_iter().map(Job).collect()
     }
 
-    /// The picture as a job wants it.
+    /// Encodes a picture for a job.
     fn encode_picture<'py>(
         &self,
         py: Python<'py>,
@@ -124,47 +126,47 @@ impl StreamSender {
     ) -> PyResult<Parts<'py>> {
         let (width, height, format) = size;
         let picture = picture_of(width, height, &format, pixels)?;
-        let encoded = detached(py, || encode(&picture, job.0.level, self.photographs));
+        let encoded = detached(py, || encode(&picture, job.0.step, self.lossy_format));
         Ok(parts(py, &encoded.or_raise()?))
     }
 
-    /// The frame has become so many bytes; what goes with it.
+    /// Handles a frame that was encoded into `bytes` bytes, and returns its attachment.
     fn on_encoded<'py>(&self, py: Python<'py>, job: &Job, bytes: usize) -> Bound<'py, PyBytes> {
         let attachment = self.core().on_encoded(job.0, bytes, Instant::now());
         PyBytes::new(py, &attachment.encode())
     }
 
-    /// Zenoh says whether anyone subscribes to a group's key.
+    /// Handles a change of whether a group's key has subscribers.
     fn on_subscribers(&self, group: usize, has_subscribers: bool) {
         if let Some(group) = Group::ALL.get(group) {
             self.core().on_subscribers(*group, has_subscribers);
         }
     }
 
-    /// A receiver says what it gets; what is no such word changes nothing.
-    fn on_feedback(&self, place: &Place, key: &str, bytes: &[u8]) {
-        let told = (feedback_from(&place.0, key), Feedback::decode(bytes));
-        if let (Some(robot), Ok(feedback)) = told {
+    /// Handles the feedback of a receiver. Invalid feedback changes nothing.
+    fn on_feedback(&self, key_space: &KeySpace, key: &str, bytes: &[u8]) {
+        let decoded = (feedback_from(&key_space.0, key), Feedback::decode(bytes));
+        if let (Some(robot), Ok(feedback)) = decoded {
             self.core().on_feedback(&robot, &feedback, Instant::now());
         }
     }
 
-    /// What to put for all to know, if anything.
+    /// Returns the notice to publish now, if there is one.
     fn poll_notice<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
         let notice = self.core().poll_notice(Instant::now())?;
         Some(PyBytes::new(py, &notice.encode()))
     }
 
-    /// The answer to whoever asks.
+    /// Returns the current notice, for a receiver that queries it.
     fn notice<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         let notice = self.core().notice(Instant::now());
         PyBytes::new(py, &notice.encode())
     }
 
-    /// What is known of it, as JSON.
+    /// Returns the state of the stream, as JSON.
     fn status<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         let status = self.core().status();
-        // Numbers and names only: there is nothing in it that JSON can't say.
+        // It contains only numbers and names, so encoding it as JSON cannot fail.
         PyBytes::new(py, &serde_json::to_vec(&status).unwrap_or_default())
     }
 }
@@ -177,7 +179,7 @@ impl StreamSender {
 
 #[pymethods]
 impl Job {
-    /// For which group: 0, those that keep up; 1, the slow ones.
+    /// The group of receivers: 0 is the main group, 1 the slow one.
     #[getter]
     fn group(&self) -> usize {
         Group::ALL
@@ -186,19 +188,19 @@ impl Job {
             .unwrap_or_default()
     }
 
-    /// The quality that is wanted, 1 to 100; `None`: lossless, or as the program likes.
+    /// The quality, 1 to 100. `None` if the picture is to be lossless, or if the stream is not adaptive.
     #[getter]
     fn quality(&self) -> Option<u8> {
-        match self.0.level?.coding {
+        match self.0.step?.coding {
             Coding::Lossy(quality) => Some(quality),
             Coding::Lossless => None,
         }
     }
 
-    /// How large: 1 is the whole; `None`: as the program likes.
+    /// The factor for width and height, up to 1. `None` if the stream is not adaptive.
     #[getter]
     fn scale(&self) -> Option<f64> {
-        Some(f64::from(self.0.level?.quarters) / 4.0)
+        Some(f64::from(self.0.step?.quarters) / 4.0)
     }
 }
 
@@ -210,7 +212,8 @@ impl StreamReceiver {
         Ok(Self(Mutex::new(receiver)))
     }
 
-    /// A frame: its number, its age in seconds where known, and how many are missing before it. `None`: an older one than the last.
+    /// Handles a frame, and returns its number, its age in seconds if it is known, and the number of frames missing before
+    /// it. Returns `None` if the frame is older than the last one.
     fn on_frame(&self, attachment: Option<&[u8]>, bytes: usize) -> Option<(u32, Option<f64>, u32)> {
         let attachment = attachment.and_then(Attachment::decode);
         let seen = self.core().on_frame(attachment, bytes, Instant::now())?;
@@ -218,48 +221,48 @@ impl StreamReceiver {
         Some((seen.number, age, seen.skipped))
     }
 
-    /// The sender answers what was asked so many seconds ago.
+    /// Handles the reply to a query for the notice that was sent `asked_s_ago` seconds ago.
     fn on_answer(&self, notice: &[u8], asked_s_ago: f64) {
         let now = Instant::now();
         let ago = Duration::try_from_secs_f64(asked_s_ago).unwrap_or_default();
         let asked = now.checked_sub(ago).unwrap_or(now);
         if let Ok(notice) = Notice::decode(notice) {
-            self.core().on_answer(&notice, asked, now);
+            self.core().on_reply(&notice, asked, now);
         }
     }
 
-    /// The sender says so to all.
+    /// Handles a notice that the sender published.
     fn on_notice(&self, notice: &[u8]) {
         if let Ok(notice) = Notice::decode(notice) {
             self.core().on_notice(&notice);
         }
     }
 
-    /// To which group's key to listen, once that is known.
+    /// Returns the group whose frames to subscribe to, once it is known.
     fn poll_group(&self) -> Option<usize> {
         let group = self.core().poll_group(Instant::now())?;
-        Group::ALL.iter().position(|known| *known == group)
+        Group::ALL.iter().position(|one| *one == group)
     }
 
-    /// Whether to ask the sender now.
+    /// Returns whether to query the notice of the sender now.
     fn poll_question(&self) -> bool {
-        self.core().poll_question(Instant::now())
+        self.core().poll_query(Instant::now())
     }
 
-    /// What to tell the sender, if anything.
+    /// Returns the feedback to send now, if there is any.
     fn poll_feedback<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
         let feedback = self.core().poll_feedback(Instant::now())?;
         Some(PyBytes::new(py, &feedback.encode()))
     }
 
-    /// In how many seconds to poll again, unless the sender says something before.
+    /// Returns the time until the next poll, in seconds. A notice makes a poll due at once.
     fn poll_in(&self) -> f64 {
         let now = Instant::now();
         let at = self.core().poll_at(now);
         at.saturating_duration_since(now).as_secs_f64()
     }
 
-    /// What a small message takes to the sender and back, in seconds, once it is known.
+    /// Returns the round trip of a small message to the sender, in seconds, once it is known.
     fn round_trip(&self) -> Option<f64> {
         let round_trip = self.core().round_trip();
         round_trip.map(|time| time.as_secs_f64())

@@ -1,8 +1,8 @@
-//! Owns the two ends of a transfer: the core's machines, with the library's files beside them.
+//! Wraps the sending and receiving ends of transfers: the core's state machines with the library's storage.
 mod pull;
 mod sender;
 
-pub use pull::{transfer_ended, Inbox, Offered, Pull, Question};
+pub use pull::{transfer_ended, Admission, Offered, Pull, Question};
 pub use sender::TransferSender;
 
 use std::{
@@ -14,16 +14,20 @@ use pyo3::prelude::*;
 
 use crate::errors::raised;
 
-/// How long until then, in seconds.
+/// Returns the time until `then`, in seconds.
 fn seconds_until(then: Instant) -> f64 {
     then.saturating_duration_since(Instant::now()).as_secs_f64()
 }
 
-/// A length of time that a program gave.
-fn patience(py: Python<'_>, seconds: f64) -> PyResult<Duration> {
+/// Converts a timeout that the program gave.
+fn timeout(py: Python<'_>, seconds: f64) -> PyResult<Duration> {
     Duration::try_from_secs_f64(seconds).map_err(|_| {
-        let known = "it is a number of seconds, not below 0";
-        raised(py, "OptionError", ("patience", seconds.to_string(), known))
+        let expected = "it must be a number of seconds that is not negative";
+        raised(
+            py,
+            "OptionError",
+            ("timeout", seconds.to_string(), expected),
+        )
     })
 }
 

@@ -1,4 +1,4 @@
-//! Owns how urgent a message is, by the words that the core has for it.
+//! Converts urgencies between their names and the core's type, and to Zenoh's quality of service.
 use pyo3::prelude::*;
 use rect::core::urgency::{Qos, Urgency};
 
@@ -10,29 +10,29 @@ const ALL: [(&str, Urgency); 3] = [
     ("bulk", Urgency::Bulk),
 ];
 
-/// Zenoh's priority, whether it is sent at once, and whether it is dropped where there is no room.
-type Treated = (u8, bool, bool);
+/// Zenoh's priority, whether a message is sent without batching, and whether a congested link drops it.
+type QosFields = (u8, bool, bool);
 
-/// How Zenoh is to treat a message of that urgency.
+/// Returns the quality of service of messages of that urgency.
 #[pyfunction]
-pub fn qos(py: Python<'_>, urgency: &str) -> PyResult<Treated> {
-    Ok(treated(named(py, urgency)?.qos()))
+pub fn qos(py: Python<'_>, urgency: &str) -> PyResult<QosFields> {
+    Ok(fields(parse(py, urgency)?.qos()))
 }
 
-/// How Zenoh is to treat a stream's frames of that urgency.
+/// Returns the quality of service of a stream's frames of that urgency.
 #[pyfunction]
-pub fn qos_of_frames(py: Python<'_>, urgency: &str) -> PyResult<Treated> {
-    Ok(treated(named(py, urgency)?.qos().newest_wins()))
+pub fn stream_qos(py: Python<'_>, urgency: &str) -> PyResult<QosFields> {
+    Ok(fields(parse(py, urgency)?.qos().drop_when_congested()))
 }
 
-/// Whether what is so urgent has a connection of its own to the router.
+/// Returns whether messages of that urgency use a separate session with the router.
 #[pyfunction]
-pub fn goes_apart(py: Python<'_>, urgency: &str) -> PyResult<bool> {
-    Ok(named(py, urgency)?.goes_apart())
+pub fn uses_separate_session(py: Python<'_>, urgency: &str) -> PyResult<bool> {
+    Ok(parse(py, urgency)?.uses_separate_session())
 }
 
-/// The word for it.
-pub fn word(urgency: Urgency) -> &'static str {
+/// Returns the name of an urgency.
+pub fn as_str(urgency: Urgency) -> &'static str {
     match urgency {
         Urgency::Urgent => "urgent",
         Urgency::Normal => "normal",
@@ -40,14 +40,14 @@ pub fn word(urgency: Urgency) -> &'static str {
     }
 }
 
-fn treated(qos: Qos) -> Treated {
+fn fields(qos: Qos) -> QosFields {
     (qos.priority, qos.express, qos.droppable)
 }
 
-fn named(py: Python<'_>, text: &str) -> PyResult<Urgency> {
-    let known = ALL.iter().find(|(name, _)| *name == text);
-    known.map(|(_, urgency)| *urgency).ok_or_else(|| {
-        let known = "it is \"urgent\", \"normal\" or \"bulk\"";
-        raised(py, "OptionError", ("urgency", text, known))
+fn parse(py: Python<'_>, text: &str) -> PyResult<Urgency> {
+    let found = ALL.iter().find(|(name, _)| *name == text);
+    found.map(|(_, urgency)| *urgency).ok_or_else(|| {
+        let expected = "it must be \"urgent\", \"normal\" or \"bulk\"";
+        raised(py, "OptionError", ("urgency", text, expected))
     })
 }

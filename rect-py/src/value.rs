@@ -1,4 +1,4 @@
-//! Owns values: dicts, lists, dataclasses and what is in them, as JSON or CBOR and back, in the library's own form.
+//! Converts Python values (dicts, lists, dataclasses and so on) to JSON or CBOR, and back.
 use std::fmt;
 
 use pyo3::{
@@ -19,10 +19,10 @@ use crate::{
     errors::{raised, OrRaise},
 };
 
-/// As deep as the library reads.
+/// Maximum nesting depth, which is the limit of the Rust library.
 const MAX_DEPTH: usize = 127;
 
-/// What JSON and CBOR can say.
+/// A value of JSON or CBOR.
 enum Value {
     Null,
     Bool(bool),
@@ -35,7 +35,7 @@ enum Value {
     Map(Vec<(Value, Value)>),
 }
 
-/// Which of the two.
+/// The format of a value.
 #[derive(Clone, Copy, PartialEq)]
 enum Form {
     Json,
@@ -51,7 +51,7 @@ impl Form {
     }
 }
 
-/// A value as JSON, or as CBOR.
+/// Encodes a value as JSON or CBOR.
 #[pyfunction]
 #[pyo3(signature = (value, cbor=false))]
 pub fn write_value<'py>(value: &Bound<'py, PyAny>, cbor: bool) -> PyResult<Parts<'py>> {
@@ -65,7 +65,7 @@ pub fn write_value<'py>(value: &Bound<'py, PyAny>, cbor: bool) -> PyResult<Parts
     Ok(parts(value.py(), &payload.or_raise()?))
 }
 
-/// The value in JSON or CBOR, by its encoding.
+/// Decodes a value from JSON or CBOR, according to its encoding.
 #[pyfunction]
 pub fn read_value<'py>(
     py: Python<'py>,
@@ -76,7 +76,7 @@ pub fn read_value<'py>(
     value.into_python(py)
 }
 
-/// Where in a value one is, for errors: `reading.angles[2]`.
+/// The path to a part of a value, for error messages: `reading.angles[2]`.
 #[derive(Default)]
 struct Path<'py>(Vec<Step<'py>>);
 
@@ -86,7 +86,7 @@ enum Step<'py> {
 }
 
 impl Path<'_> {
-    fn error(&self, py: Python<'_>, form: Form, what: impl fmt::Display) -> PyErr {
+    fn error(&self, py: Python<'_>, form: Form, reason: impl fmt::Display) -> PyErr {
         let steps = self.0.iter().map(|step| match step {
             Step::Key(key) => format!(".{}", shown(key)),
             Step::Item(n) => format!("[{n}]"),
@@ -96,8 +96,8 @@ impl Path<'_> {
             at => format!("its field {}", at.trim_start_matches('.')),
         };
         let error = PayloadError::Write {
-            what: form.name(),
-            reason: format!("{at} {what}"),
+            format: form.name(),
+            reason: format!("{at} {reason}"),
         };
         raised(py, "PayloadError", (error.to_string(), "write"))
     }
@@ -106,7 +106,7 @@ impl Path<'_> {
 fn read<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     if path.0.len() > MAX_DEPTH {
         path.0.truncate(3);
-        return Err(path.error(value.py(), form, "is nested too deeply, or in itself"));
+        return Err(path.error(value.py(), form, "is nested too deeply, or contains itself"));
     }
     if value.is_none() {
         return Ok(Value::Null);
@@ -122,8 +122,9 @@ fn read<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyR
     if value.is_instance_of::<PyFloat>() {
         let number: f64 = value.extract()?;
         if form == Form::Json && !number.is_finite() {
-            let what = format!("is {number}, which JSON has no word for: None, or rect.Cbor, has");
-            return Err(path.error(value.py(), form, what));
+            let reason =
+                format!("is {number}, which JSON cannot represent: send None, or use rect.Cbor");
+            return Err(path.error(value.py(), form, reason));
         }
         return Ok(Value::Float(number));
     }
@@ -153,7 +154,7 @@ fn read<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyR
     read_other(value, form, path)
 }
 
-/// What is less common: bytes, dataclasses, and numpy's numbers and arrays.
+/// Converts less common values: bytes, dataclasses, and numbers and arrays of numpy.
 fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     let py = value.py();
     let bytes = if let Ok(bytes) = value.cast::<PyBytes>() {
@@ -167,8 +168,8 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
         return match form {
             Form::Cbor => Ok(Value::Bytes(bytes)),
             Form::Json => {
-                let what = "is bytes, which JSON has no word for: rect.Cbor has";
-                Err(path.error(py, form, what))
+                let reason = "is bytes, which JSON cannot represent: use rect.Cbor";
+                Err(path.error(py, form, reason))
             }
         };
     }
@@ -177,13 +178,13 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
         let mut all = Vec::new();
         for field in fields.cast_into::<PyDict>()?.keys() {
             let name = field.cast_into::<PyString>()?;
-            // Variables of the class are among them, and are not of the value.
+            // Class variables are listed, too, but the instance may lack them.
             let Ok(item) = value.getattr(&name) else {
                 continue;
             };
-            let told = Value::Text(name.to_string());
+            let key = Value::Text(name.to_string());
             path.0.push(Step::Key(name.into_any()));
-            all.push((told, read(&item, form, path)?));
+            all.push((key, read(&item, form, path)?));
             path.0.pop();
         }
         return Ok(Value::Map(all));
@@ -195,11 +196,11 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
             return read(&plain, form, path);
         }
     }
-    let what = format!(
-        "is a {}: dicts, lists, text, numbers, True, False, None and dataclasses of them can be said",
+    let reason = format!(
+        "is of the type {}; possible types: dict, list, str, int, float, bool, None and dataclasses of them",
         class.name()?
     );
-    Err(path.error(py, form, what))
+    Err(path.error(py, form, reason))
 }
 
 fn read_list<'py>(
@@ -222,8 +223,8 @@ fn read_key<'py>(key: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> P
     if is_text || is_number || form == Form::Cbor {
         return read(key, form, path);
     }
-    let what = format!("has the key {}: keys are text in JSON", shown(key));
-    Err(path.error(key.py(), form, what))
+    let reason = format!("has the key {}; keys must be str in JSON", shown(key));
+    Err(path.error(key.py(), form, reason))
 }
 
 fn shown(key: &Bound<'_, PyAny>) -> String {
@@ -258,14 +259,14 @@ impl Value {
     }
 }
 
-/// A key that Python's dicts can't have, such as a list.
+/// Replaces the `TypeError` for a key that a dict cannot have, such as a list.
 fn unhashable(py: Python<'_>, key: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
     if !error.is_instance_of::<PyTypeError>(py) {
         return error;
     }
     let error = PayloadError::Read {
-        what: "CBOR",
-        reason: format!("a key is {}, which a dict can't have", shown(key)),
+        format: "CBOR",
+        reason: format!("the key {} is not hashable", shown(key)),
     };
     raised(py, "PayloadError", (error.to_string(), "read"))
 }

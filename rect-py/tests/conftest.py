@@ -1,4 +1,4 @@
-"""Robots for the tests: two in one process, linked directly. What reaches whom is waited for, never slept for."""
+"""Defines fixtures and helpers: two robots in one process, linked directly, and functions that wait for discovery."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import rect
 
-#: How long anything may take before a test fails, in seconds.
+#: Timeout after which a test fails, in seconds.
 DEADLINE = 30.0
 
 
@@ -23,7 +23,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def pair() -> Iterator[tuple[rect.Robot, rect.Robot]]:
-    """`wombat-1` and `wombat-2`, each of which knows the other."""
+    """Connects `wombat-1` and `wombat-2`, and waits until each has discovered the other."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with rect.connect("wombat-1", listen=[endpoint]) as one, rect.connect("wombat-2", endpoints=[endpoint]) as two:
         for robot in (one, two):
@@ -32,21 +32,21 @@ def pair() -> Iterator[tuple[rect.Robot, rect.Robot]]:
 
 
 def until_peer(robot: rect.Robot) -> None:
-    """Waits until it knows of another robot."""
-    with robot.on_state() as events:
-        while events.next(DEADLINE).what != "peer_up":
+    """Waits until the robot has discovered another one."""
+    with robot.events() as events:
+        while events.next(DEADLINE).kind != "peer_up":
             pass
 
 
-def until_heard(speaker: rect.Robot, topic: str) -> None:
-    """Waits until another program would hear what it says about a topic; its own do so at once."""
-    publisher = speaker.zenoh.declare_publisher(f"rect/{speaker.name}/{topic}", allowed_destination=_remote())
+def until_subscribed(publishing: rect.Robot, topic: str) -> None:
+    """Waits until another program has subscribed to a topic of the robot."""
+    publisher = publishing.zenoh.declare_publisher(f"rect/{publishing.name}/{topic}", allowed_destination=_remote())
     _until_matching(publisher)
 
 
-def until_served(asker: rect.Robot, robot: str, topic: str) -> None:
-    """Waits until a service of another program's can be asked."""
-    querier = asker.zenoh.declare_querier(f"rect/{robot}/{topic}", allowed_destination=_remote())
+def until_served(requester: rect.Robot, robot: str, topic: str) -> None:
+    """Waits until `requester` has discovered a service of another program."""
+    querier = requester.zenoh.declare_querier(f"rect/{robot}/{topic}", allowed_destination=_remote())
     _until_matching(querier)
 
 

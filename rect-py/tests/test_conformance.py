@@ -1,4 +1,4 @@
-"""What must be equal in every language, as vectors in `tests/conformance/*.json` of the repository: Python's turn.
+"""Runs the test vectors in `tests/conformance/*.json`, which apply to every language.
 
 pytest rect-py/tests/test_conformance.py
 """
@@ -15,13 +15,13 @@ import rect
 from rect import _rect
 
 _VECTORS = Path(__file__).resolve().parents[2] / "tests" / "conformance"
-#: Those of every file.
+#: Limits of the decoders that all vectors assume.
 _MAX_BYTES = 65_536
 _MAX_PIXELS = 4096
 
 
 def cases(file: str) -> list[Any]:
-    """Each `in` with its `out`."""
+    """Returns the cases of a file: each `in` with its `out`."""
     vectors = json.loads((_VECTORS / f"{file}.json").read_text())["cases"]
     assert vectors, file
     return [pytest.param(case["in"], case["out"], id=str(n)) for n, case in enumerate(vectors)]
@@ -32,7 +32,7 @@ def kind(error: rect.PayloadError) -> dict[str, Any]:
     return {"error": error.kind} if dictionary is None else {"error": error.kind, "id": dictionary}
 
 
-def holds(check: Callable[[], object]) -> bool:
+def is_valid(check: Callable[[], object]) -> bool:
     try:
         check()
     except rect.RectError:
@@ -40,8 +40,8 @@ def holds(check: Callable[[], object]) -> bool:
     return True
 
 
-def test_every_file_of_vectors_is_run() -> None:
-    known = {
+def test_every_vector_file_has_a_test() -> None:
+    names = {
         "names",
         "topics",
         "patterns",
@@ -50,25 +50,25 @@ def test_every_file_of_vectors_is_run() -> None:
         "encodings",
         "codecs",
         "dictionaries",
-        "packings",
+        "compressed",
         "pictures",
         "arrays",
     }
-    assert {file.stem for file in _VECTORS.glob("*.json")} == known
+    assert {file.stem for file in _VECTORS.glob("*.json")} == names
 
 
 @pytest.mark.parametrize(("given", "out"), cases("names"))
-def test_names_are_told_from_what_is_none(given: str, out: bool) -> None:
-    assert holds(lambda: _rect.check_name(given)) == out
+def test_name_validation(given: str, out: bool) -> None:
+    assert is_valid(lambda: _rect.check_name(given)) == out
 
 
 @pytest.mark.parametrize(("given", "out"), cases("topics"))
-def test_topics_are_told_from_what_is_none(given: str, out: bool) -> None:
-    assert holds(lambda: _rect.check_topic(given)) == out
+def test_topic_validation(given: str, out: bool) -> None:
+    assert is_valid(lambda: _rect.check_topic(given)) == out
 
 
 @pytest.mark.parametrize(("given", "out"), cases("patterns"))
-def test_patterns_mean_the_same(given: str, out: Any) -> None:
+def test_patterns(given: str, out: Any) -> None:
     try:
         robot, topic = _rect.pattern(given)
     except rect.RectError:
@@ -78,42 +78,42 @@ def test_patterns_mean_the_same(given: str, out: Any) -> None:
 
 
 @pytest.mark.parametrize(("given", "out"), cases("keys"))
-def test_keys_are_made_and_read_alike(given: dict[str, Any], out: Any) -> None:
-    place = _rect.Place(given["fleet"], given["robot"])
+def test_keys(given: dict[str, Any], out: Any) -> None:
+    key_space = _rect.KeySpace(given["fleet"], given["robot"])
     found: Any
     if given["do"] == "publication":
-        found = place.publication(given["topic"])
+        found = key_space.publication(given["topic"])
     elif given["do"] == "message":
-        found = place.message(given["to"], given["topic"])
+        found = key_space.message(given["recipient"], given["topic"])
     elif given["do"] == "service":
-        found = place.service(given["of"], given["topic"])
+        found = key_space.service(given["of"], given["topic"])
     elif given["do"] == "own":
-        found = place.own(given["of"], given["rest"])
+        found = key_space.own(given["of"], given["rest"])
     elif given["do"] == "subscriptions":
-        found = list(place.subscriptions(given["pattern"]))
+        found = list(key_space.subscriptions(given["pattern"]))
     else:
-        address = place.address(given["key"])
-        found = None if address is None else dict(zip(("from", "to", "topic"), address))
+        address = key_space.address(given["key"])
+        found = None if address is None else dict(zip(("sender", "recipient", "topic"), address))
     assert found == out
 
 
 @pytest.mark.parametrize(("given", "out"), cases("attachments"))
-def test_attachments_are_read_alike_and_written_back(given: str, out: Any) -> None:
-    told = _rect.read_attachment(bytes.fromhex(given))
-    if told is None:
+def test_attachments(given: str, out: Any) -> None:
+    fields = _rect.read_attachment(bytes.fromhex(given))
+    if fields is None:
         assert out is None
         return
-    assert out == dict(zip(("source", "sequence", "at_ms", "low"), told))
-    assert _rect.write_attachment(*told).hex() == given
+    assert out == dict(zip(("source", "sequence", "at_ms", "low"), fields))
+    assert _rect.write_attachment(*fields).hex() == given
 
 
 @pytest.mark.parametrize(("given", "out"), cases("encodings"))
-def test_encodings_have_the_same_parts(given: str, out: dict[str, Any]) -> None:
+def test_encoding_parts(given: str, out: dict[str, Any]) -> None:
     assert dict(zip(("media_type", "schema", "below"), _rect.encoding_parts(given))) == out
 
 
 @pytest.mark.parametrize(("given", "out"), cases("codecs"))
-def test_codecs_have_the_same_names(given: str, out: Any) -> None:
+def test_codec_names(given: str, out: Any) -> None:
     try:
         found: Any = rect.Codec(given).name
     except rect.CodecError as error:
@@ -122,7 +122,7 @@ def test_codecs_have_the_same_names(given: str, out: Any) -> None:
 
 
 @pytest.mark.parametrize(("given", "out"), cases("dictionaries"))
-def test_dictionaries_have_the_same_id(given: str, out: int | None) -> None:
+def test_dictionary_ids(given: str, out: int | None) -> None:
     try:
         found = rect.Dictionary(bytes.fromhex(given)).id
     except rect.DictionaryError:
@@ -131,35 +131,35 @@ def test_dictionaries_have_the_same_id(given: str, out: int | None) -> None:
         assert found == out
 
 
-@pytest.mark.parametrize(("given", "out"), cases("packings"))
-def test_packings_are_undone_alike(given: dict[str, str], out: Any) -> None:
+@pytest.mark.parametrize(("given", "out"), cases("compressed"))
+def test_compressed_payloads(given: dict[str, str], out: Any) -> None:
     dictionary = given.get("dictionary")
-    known = [] if dictionary is None else [rect.Dictionary(bytes.fromhex(dictionary))]
+    dictionaries = [] if dictionary is None else [rect.Dictionary(bytes.fromhex(dictionary))]
     try:
-        undone, encoding = _rect.unpack(bytes.fromhex(given["bytes"]), given["encoding"], known, _MAX_BYTES)
-        found = {"encoding": encoding, "bytes": undone.hex()}
+        decoded, encoding = _rect.decode(bytes.fromhex(given["bytes"]), given["encoding"], dictionaries, _MAX_BYTES)
+        found = {"encoding": encoding, "bytes": decoded.hex()}
     except rect.CodecError as error:
         found = kind(error)
     assert found == out
 
 
 @pytest.mark.parametrize(("given", "out"), cases("pictures"))
-def test_pictures_are_read_alike(given: dict[str, Any], out: Any) -> None:
+def test_pictures(given: dict[str, Any], out: Any) -> None:
     try:
-        seen = _rect.read_picture(bytes.fromhex(given["bytes"]), given["encoding"], _MAX_BYTES, _MAX_PIXELS)
+        picture = _rect.read_picture(bytes.fromhex(given["bytes"]), given["encoding"], _MAX_BYTES, _MAX_PIXELS)
     except rect.PayloadError as error:
         assert kind(error) == out
         return
-    width, height, form, pixels = seen
+    width, height, form, pixels = picture
     assert (width, height, form) == (out["width"], out["height"], out["format"])
-    wanted = bytes.fromhex(out["pixels"])
-    assert len(pixels) == len(wanted)
-    # Decoders of pictures with loss round differently.
-    assert max(abs(a - b) for a, b in zip(pixels, wanted)) <= (out.get("off") or 0)
+    expected = bytes.fromhex(out["pixels"])
+    assert len(pixels) == len(expected)
+    # Decoders of lossy pictures round differently.
+    assert max(abs(a - b) for a, b in zip(pixels, expected)) <= (out.get("off") or 0)
 
 
 @pytest.mark.parametrize(("given", "out"), cases("arrays"))
-def test_arrays_are_read_alike(given: dict[str, str], out: Any) -> None:
+def test_arrays(given: dict[str, str], out: Any) -> None:
     try:
         element, shape, numbers = _rect.read_array(bytes.fromhex(given["bytes"]), given["encoding"], _MAX_BYTES)
         found: Any = {"element": element, "shape": shape, "bytes": numbers.hex()}

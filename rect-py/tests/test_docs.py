@@ -1,4 +1,4 @@
-"""The tutorial's Python, one block after another, and the examples.
+"""Runs the Python blocks of the tutorial, one after another, and the examples.
 
 RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_docs.py
 """
@@ -23,7 +23,7 @@ _EXAMPLES = _REPOSITORY / "examples"
 
 @pytest.fixture
 def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A router for programs that name none."""
+    """Starts a router and makes it the default one of programs."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     monkeypatch.setenv("RECT_ENDPOINT", endpoint)
     with subprocess.Popen([program("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting"]) as router:
@@ -33,7 +33,7 @@ def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
             router.terminate()
 
 
-def test_the_tutorial_does_what_it_says(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tutorial_prints_documented_output(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (_REPOSITORY / "docs" / "python.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert len(blocks) > 10
@@ -46,10 +46,10 @@ def test_the_tutorial_does_what_it_says(endpoint: str, tmp_path: Path, monkeypat
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stderr, done.stderr
     assert "wombat-1 arm/angle {'degrees': 12.5}" in done.stdout
-    assert "nobody serves double at wombat-7; robots there:" in done.stdout
+    assert "no program serves double at wombat-7; reachable robots:" in done.stdout
 
 
-def test_the_first_program_prints_what_the_simulated_robots_publish(tmp_path: Path) -> None:
+def test_first_program_prints_messages_of_simulated_robots(tmp_path: Path) -> None:
     text = (_REPOSITORY / "docs" / "python.md").read_text()
     (block,) = re.findall(r"```python sim\n(.*?)```", text, re.DOTALL)
     pipe = subprocess.PIPE
@@ -96,10 +96,10 @@ def test_telemetry(endpoint: str, tmp_path: Path) -> None:
 
 def test_teleoperation(endpoint: str, tmp_path: Path) -> None:
     with Example("teleoperation", "wombat-1", folder=tmp_path) as one:
-        one.tool.until("nobody steers")
+        one.tool.until("no commands, stopping")
         with Example("teleoperation", "laptop", "wombat-1", folder=tmp_path):
-            assert "'left':" in one.tool.until("laptop says")
-        one.tool.until("nobody steers")
+            assert "'left':" in one.tool.until("laptop: ")
+        one.tool.until("no commands, stopping")
 
 
 def test_camera(endpoint: str, tmp_path: Path) -> None:
@@ -113,21 +113,21 @@ def test_camera(endpoint: str, tmp_path: Path) -> None:
 def test_transfer(endpoint: str, tmp_path: Path) -> None:
     (tmp_path / "map.bin").write_bytes(os.urandom(300_000))
     with Example("transfer", "wombat-1", folder=tmp_path) as one:
-        one.tool.until("takes files")
+        one.tool.until("receives files")
         with Example("transfer", "wombat-2", "wombat-1", "map.bin", folder=tmp_path) as two:
-            two.tool.until("map.bin is there, whole")
-        one.tool.until("map.bin of wombat-2: received/wombat-2/map.bin")
+            two.tool.until("map.bin: complete")
+        one.tool.until("map.bin from wombat-2: received/wombat-2/map.bin")
     assert (tmp_path / "received/wombat-2/map.bin").read_bytes() == (tmp_path / "map.bin").read_bytes()
 
 
 def test_request(endpoint: str, tmp_path: Path) -> None:
     with Example("request", "wombat-1", folder=tmp_path) as one:
-        one.tool.until("serves")
+        one.tool.until("serves requests")
         with Example("request", "wombat-2", "wombat-1", folder=tmp_path) as two:
             two.tool.until("wombat-1: {'cell': 1, 'volt': 3.6}")
-            two.tool.until("wombat-1 answers with an error: there are the cells 1 and 2")
+            two.tool.until("wombat-1 replied with an error: the cell must be 1 or 2")
 
 
 @pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request"])
-def test_an_example_is_short(name: str) -> None:
+def test_example_is_short(name: str) -> None:
     assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) < 40

@@ -1,4 +1,4 @@
-"""Programs end at once, whatever they were doing and in whichever order they let go; forks and Ctrl-C are defined.
+"""Tests that programs exit at once in every state and closing order, and the behaviour after a fork and on Ctrl-C.
 
 pytest rect-py/tests/test_endings.py
 """
@@ -16,13 +16,13 @@ from conftest import DEADLINE, free_port
 _BEGINNING = """
 import os, signal, sys, threading, time
 import rect
-# Whoever runs the tests may be in the background, where Ctrl-C is ignored.
+# The tests may run in the background, where Ctrl-C is ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 endpoint = "tcp/127.0.0.1:{port}"
 one = rect.connect("wombat-1", listen=[endpoint])
 two = rect.connect("wombat-2", endpoints=[endpoint])
-with two.on_state() as events:
-    while events.next(20).what != "peer_up":
+with two.events() as events:
+    while events.next(20).kind != "peer_up":
         pass
 """
 
@@ -44,11 +44,11 @@ def run(ending: str) -> subprocess.CompletedProcess[str]:
         "del one, two",
         "two.close(); one.close()",
         "one.zenoh.close(); two.zenoh.close()",
-        "one.close(); heard = one.zenoh",
-        "heard = two.subscribe('*/x'); del two",
-        "heard = two.subscribe('*/x', print); one.close()",
-        "heard = two.subscribe('*/**', lambda message: time.sleep(60)); [one.publish('x', n) for n in range(100)]",
-        "heard = two.subscribe('*/**', capacity=1, when_full='wait'); [one.publish('x', n) for n in range(100)]",
+        "one.close(); subscriber = one.zenoh",
+        "subscriber = two.subscribe('*/x'); del two",
+        "subscriber = two.subscribe('*/x', print); one.close()",
+        "subscriber = two.subscribe('*/**', lambda message: time.sleep(60)); [one.publish('x', n) for n in range(100)]",
+        "subscriber = two.subscribe('*/**', capacity=1, when_full='block'); [one.publish('x', n) for n in range(100)]",
         "service = one.serve('slow', lambda request: time.sleep(60)); "
         "threading.Thread(target=lambda: two.request('wombat-1', 'slow', timeout=60), daemon=True).start(); "
         "time.sleep(0.2)",
@@ -57,20 +57,20 @@ def run(ending: str) -> subprocess.CompletedProcess[str]:
         "maps = two.receive_transfers('*/maps'); one.transfer('wombat-2', 'maps', b'x' * 1_000_000)",
         "threading.Thread(target=lambda: one.transfer('nobody', 'maps', b''), daemon=True).start()",
         "threading.Thread(target=lambda: list(two.subscribe('*/x')), daemon=True).start()",
-        "two.on_state(print)",
+        "two.on_event(print)",
         "sys.exit(0)",
         "circle = [one]; circle.append(circle); del one",
         "threading.Thread(target=lambda: [one.publish('x', n) for n in range(10**7)], daemon=True).start()",
     ],
 )
-def test_a_program_ends_at_once_in_any_order(ending: str) -> None:
+def test_program_exits_at_once_in_any_closing_order(ending: str) -> None:
     ended = run(ending)
     assert ended.returncode == 0, ended.stderr
-    # Threads that were at work may say that the session is closed; nothing worse.
+    # Running threads may report that the session is closed, but nothing worse.
     assert "Fatal" not in ended.stderr and "panicked" not in ended.stderr, ended.stderr
 
 
-def test_an_error_that_ends_a_program_ends_it() -> None:
+def test_program_exits_with_uncaught_exception() -> None:
     ended = run("raise ValueError('on purpose')")
     assert ended.returncode == 1
     assert ended.stderr.strip().endswith("ValueError: on purpose")
@@ -81,25 +81,25 @@ def test_an_error_that_ends_a_program_ends_it() -> None:
     [
         "two.subscribe('*/x').next()",
         "list(two.subscribe('*/x'))",
-        "two.listen('wombat-1', 'x', 60)",
+        "two.wait_for_message('wombat-1', 'x', 60)",
         "one.serve('slow', lambda request: threading.Event().wait()); "
         "time.sleep(0.3); two.request('wombat-1', 'slow', timeout=60)",
         "one.transfer('nobody', 'maps', b'')",
         "two.receive_transfers('*/maps').next()",
         "two.watch('wombat-1', 'camera').next()",
-        "events = two.on_state(); events.next(); list(events)",
+        "events = two.events(); events.next(); list(events)",
         "rect.connect('wombat-3', router='tcp/127.0.0.1:9', timeout=60)",
         "import asyncio, rect.aio; asyncio.run(rect.aio.Robot(two).subscribe('*/x').next())",
     ],
 )
-def test_ctrl_c_ends_every_wait_at_once(waiting: str) -> None:
-    command = [sys.executable, "-c", program(f"print('waits', flush=True)\n{waiting}")]
+def test_ctrl_c_interrupts_every_wait(waiting: str) -> None:
+    command = [sys.executable, "-c", program(f"print('waiting', flush=True)\n{waiting}")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline() == "waits\n"
-            # Python may not wait yet; whatever it does then, Ctrl-C ends it.
-            # (But for a finaliser: Python drops what is raised there.)
+            assert process.stdout.readline() == "waiting\n"
+            # Ctrl-C must also work if the wait has not begun yet.
+            # (An exception that is raised in a finaliser is lost, though.)
             process.send_signal(signal.SIGINT)
             _, error = process.communicate(timeout=10)
         finally:
@@ -112,28 +112,28 @@ _CAMERA = """
     camera = one.stream("camera")
     watch = two.watch("wombat-1", "camera")
     picture = numpy.random.default_rng(1).integers(0, 256, (480, 640, 3), numpy.uint8)
-    def film():
+    def send_frames():
         while not one.is_closed:
             camera.send(picture)
-    threading.Thread(target=film, daemon=True).start()
+    threading.Thread(target=send_frames, daemon=True).start()
     watch.next(timeout=20)
 """
 
 
 @pytest.mark.parametrize("ending", ["one.close(); two.close()", "pass"])
-def test_a_camera_program_ends_without_a_traceback(ending: str) -> None:
+def test_camera_program_exits_without_traceback(ending: str) -> None:
     ended = run(_CAMERA + f"    {ending}\n")
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
-def test_ctrl_c_in_a_camera_program_is_the_only_traceback() -> None:
-    code = program(_CAMERA + "    print('films', flush=True)\n    time.sleep(60)\n")
+def test_ctrl_c_in_camera_program_prints_one_traceback() -> None:
+    code = program(_CAMERA + "    print('sending', flush=True)\n    time.sleep(60)\n")
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline() == "films\n"
+            assert process.stdout.readline() == "sending\n"
             process.send_signal(signal.SIGINT)
             _, error = process.communicate(timeout=10)
         finally:
@@ -141,13 +141,13 @@ def test_ctrl_c_in_a_camera_program_is_the_only_traceback() -> None:
     assert error.count("Traceback") == 1 and error.strip().endswith("KeyboardInterrupt"), error
 
 
-def test_a_robot_of_the_parent_says_so_in_a_child_which_ends() -> None:
+def test_robot_of_parent_raises_closed_in_forked_child() -> None:
     ended = run(
         """
-        heard = two.subscribe("*/x")
+        subscriber = two.subscribe("*/x")
         child = os.fork()
         if child == 0:
-            calls = [lambda: one.publish("x", 1), lambda: heard.next(1), lambda: two.subscribe("*/x"), two.peers]
+            calls = [lambda: one.publish("x", 1), lambda: subscriber.next(1), lambda: two.subscribe("*/x"), two.peers]
             calls += [lambda: rect.connect("wombat-3", endpoints=[endpoint])]
             for call in calls:
                 try:
@@ -155,7 +155,7 @@ def test_a_robot_of_the_parent_says_so_in_a_child_which_ends() -> None:
                 except rect.Closed as error:
                     assert "fork before rect.connect" in str(error), error
                 else:
-                    raise AssertionError("it was not refused")
+                    raise AssertionError("Closed was not raised")
             one.close()
             sys.exit(7)
         _, status = os.waitpid(child, 0)
@@ -166,7 +166,7 @@ def test_a_robot_of_the_parent_says_so_in_a_child_which_ends() -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-def test_a_child_that_was_forked_before_may_join() -> None:
+def test_child_forked_before_connect_can_connect() -> None:
     port = free_port()
     code = f"""
 import os, sys, rect
@@ -182,7 +182,7 @@ with rect.connect(name, **given) as robot:
     subprocess.run([sys.executable, "-c", code], timeout=DEADLINE, check=True)
 
 
-def test_multiprocessing_by_fork_and_by_spawn_ends() -> None:
+def test_multiprocessing_with_fork_and_spawn_exits() -> None:
     ended = run(
         """
         import multiprocessing
@@ -196,7 +196,7 @@ def test_multiprocessing_by_fork_and_by_spawn_ends() -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-def test_it_is_imported_quickly_and_without_numpy_or_pillow() -> None:
+def test_import_does_not_load_numpy_or_pillow() -> None:
     code = "import sys, rect; print([name for name in ('numpy', 'PIL') if name in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""`init` by the wheel's module, and then the command that it prints: `scripts/test-python -k first_start`"""
+"""Tests `python -m rect init` and the command that it prints: `scripts/test-python -k first_start`"""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import time
 from pathlib import Path
 
 
-def test_init_by_the_module_prints_a_command_that_starts_a_router(tmp_path: Path) -> None:
+def test_init_prints_command_that_starts_router(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
     init = ["init", "wombat-1", "--adapter", "sim-module", "--folder", "a robot", "--port", port]
-    told = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-m", "rect", *init], cwd=tmp_path, capture_output=True, text=True, check=True
     ).stdout
     (command,) = (
-        line.removeprefix("start it with: ") for line in told.splitlines() if line.startswith("start it with: ")
+        line.removeprefix("start it with: ") for line in output.splitlines() if line.startswith("start it with: ")
     )
     with (tmp_path / "log").open("w") as log:
         router = subprocess.Popen(shlex.split(command), cwd="/", stdout=log, stderr=log)

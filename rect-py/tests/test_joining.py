@@ -1,4 +1,4 @@
-"""Joining a router: logins, the robot that it serves, and the time that it may take.
+"""Tests connecting to a router: logins, the robot that the router serves, and the timeout.
 
 RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_joining.py
 """
@@ -26,7 +26,7 @@ Setting = dict[str, object]
 
 @contextmanager
 def router(settings: Setting) -> Iterator[str]:
-    """A router with these settings; where it listens."""
+    """Starts a router with these settings and returns its locator."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [program("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting"]
     command += [part for key, value in settings.items() for part in ("--cfg", f"{key}:{json.dumps(value)}")]
@@ -48,8 +48,8 @@ def router(settings: Setting) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def with_logins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """A router that asks for a login, and its login file."""
+def router_with_logins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """Starts a router that requires a login; returns its locator and login file."""
     users = tmp_path_factory.mktemp("logins") / "users"
     users.write_text("fleet:secret\n")
     with router({"transport/auth/usrpwd/dictionary_file": str(users)}) as endpoint:
@@ -57,34 +57,34 @@ def with_logins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str,
 
 
 @pytest.fixture(scope="module")
-def of_wombat_1() -> Iterator[str]:
-    """The router of the robot wombat-1."""
+def router_of_wombat_1() -> Iterator[str]:
+    """Starts the router of the robot wombat-1."""
     with router({"plugins/rect/robot": "wombat-1"}) as endpoint:
         yield endpoint
 
 
-def test_a_missing_login_is_reported_at_once_with_what_to_do(with_logins: tuple[str, Path]) -> None:
-    endpoint, _ = with_logins
+def test_missing_login_is_reported_at_once_with_advice(router_with_logins: tuple[str, Path]) -> None:
+    endpoint, _ = router_with_logins
     began = time.monotonic()
     with pytest.raises(rect.LoginRefused) as raised:
         rect.connect("wombat-1", router=endpoint, login_file="/none", timeout=20)
     assert time.monotonic() - began < 5
-    assert re.search(r"asks for a login, and the login file /none can't be read: No such file", str(raised.value))
+    assert re.search(r"requires a login, but the login file /none cannot be read: No such file", str(raised.value))
     assert "RECT_LOGIN" in str(raised.value) and raised.value.endpoint == endpoint
 
 
 @pytest.mark.parametrize("login", [("fleet", "guessed"), ("nobody", "secret")])
-def test_a_wrong_login_is_reported_at_once(with_logins: tuple[str, Path], login: tuple[str, str]) -> None:
+def test_wrong_login_is_reported_at_once(router_with_logins: tuple[str, Path], login: tuple[str, str]) -> None:
     began = time.monotonic()
     with pytest.raises(rect.LoginRefused, match=f"refused the login of user {login[0]}: "):
-        rect.connect("wombat-1", router=with_logins[0], login=login, timeout=20)
+        rect.connect("wombat-1", router=router_with_logins[0], login=login, timeout=20)
     assert time.monotonic() - began < 5
 
 
-def test_the_login_file_is_named_by_the_environment(
-    with_logins: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_environment_variable_selects_login_file(
+    router_with_logins: tuple[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    endpoint, users = with_logins
+    endpoint, users = router_with_logins
     monkeypatch.setenv("RECT_LOGIN", str(users))
     with rect.connect("wombat-1", router=endpoint) as robot:
         robot.publish("x", 1, urgency="urgent")
@@ -96,29 +96,31 @@ def test_the_login_file_is_named_by_the_environment(
     rect.connect("wombat-1", router=endpoint, login_file=users).close()
 
 
-def test_a_router_without_logins_is_joined_with_one(of_wombat_1: str) -> None:
-    with rect.connect("wombat-1", router=of_wombat_1, login=("fleet", "secret")) as robot:
+def test_login_is_ignored_by_router_without_logins(router_of_wombat_1: str) -> None:
+    with rect.connect("wombat-1", router=router_of_wombat_1, login=("fleet", "secret")) as robot:
         robot.publish("x", 1, urgency="urgent")
 
 
-def test_the_router_of_another_robot_is_reported(of_wombat_1: str) -> None:
+def test_router_of_another_robot_is_rejected(router_of_wombat_1: str) -> None:
     with pytest.raises(rect.WrongRobot) as raised:
-        rect.connect("wombat-7", router=of_wombat_1)
-    said = str(raised.value)
-    assert "serves the robot wombat-1," in said and "joins as the robot wombat-7:" in said and of_wombat_1 in said
+        rect.connect("wombat-7", router=router_of_wombat_1)
+    text = str(raised.value)
+    assert (
+        "serves the robot wombat-1," in text and "joins as the robot wombat-7:" in text and router_of_wombat_1 in text
+    )
     assert raised.value.serves == "wombat-1"
     with pytest.raises(rect.WrongRobot, match=r"wombat-1 of the fleet rect, .* wombat-1 of the fleet lions"):
-        rect.connect("wombat-1", fleet="lions", router=of_wombat_1)
-    with rect.connect("wombat-7", router=of_wombat_1, allow_name_mismatch=True) as robot:
+        rect.connect("wombat-1", fleet="lions", router=router_of_wombat_1)
+    with rect.connect("wombat-7", router=router_of_wombat_1, allow_name_mismatch=True) as robot:
         robot.publish("x", 1)
 
 
-def test_a_router_of_no_robot_is_joined_under_any_name() -> None:
+def test_router_without_robot_accepts_any_name() -> None:
     with router({}) as endpoint, rect.connect("wombat-7", router=endpoint) as robot:
         robot.publish("x", 1)
 
 
-def test_a_stock_router_is_joined_under_any_name() -> None:
+def test_stock_router_accepts_any_name() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
@@ -128,7 +130,7 @@ def test_a_stock_router_is_joined_under_any_name() -> None:
         robot.publish("x", 1)
 
 
-def test_the_timeout_holds_where_nothing_listens() -> None:
+def test_timeout_applies_if_nothing_listens() -> None:
     began = time.monotonic()
     with pytest.raises(rect.NoRouter, match="Connection refused"):
         rect.connect("wombat-1", router=f"tcp/127.0.0.1:{free_port()}", timeout=1)
@@ -136,19 +138,19 @@ def test_the_timeout_holds_where_nothing_listens() -> None:
 
 
 @pytest.mark.parametrize("on", [lambda call: call(), lambda call: in_a_thread(call)], ids=["main", "thread"])
-def test_the_timeout_holds_where_nothing_answers(on: Callable[[Callable[[], None]], None]) -> None:
+def test_timeout_applies_if_nothing_answers(on: Callable[[Callable[[], None]], None]) -> None:
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         endpoint = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
 
-        def joins() -> None:
+        def connect() -> None:
             began = time.monotonic()
             with pytest.raises(rect.NoRouter, match=r"no answer within 1 s"):
                 rect.connect("wombat-1", router=endpoint, timeout=1)
             assert 1 <= time.monotonic() - began < 1.5
 
-        on(joins)
+        on(connect)
 
 
 def in_a_thread(call: Callable[[], None]) -> None:
@@ -168,7 +170,7 @@ def in_a_thread(call: Callable[[], None]) -> None:
         raise failed[0]
 
 
-def test_a_router_that_starts_a_little_later_is_waited_for() -> None:
+def test_connect_waits_for_router_that_starts_later() -> None:
     port = free_port()
     joined: list[rect.Robot] = []
     waiting = threading.Thread(

@@ -1,4 +1,4 @@
-"""Asking and answering between two robots.
+"""Tests requests and services between two robots.
 
 pytest rect-py/tests/test_requests.py
 """
@@ -14,12 +14,12 @@ import pytest
 import rect
 import zenoh
 from conftest import DEADLINE, until_served
-from rect.service import AT_A_TIME
+from rect.service import MAX_CONCURRENT
 
 Pair = tuple[rect.Robot, rect.Robot]
 
 
-def test_a_request_gets_the_answer(pair: Pair) -> None:
+def test_request_returns_reply(pair: Pair) -> None:
     one, two = pair
 
     @one.serve("double")
@@ -33,29 +33,29 @@ def test_a_request_gets_the_answer(pair: Pair) -> None:
     assert (reply.sender, reply.value) == ("wombat-1", 42)
 
 
-def test_what_a_handler_raises_arrives_as_an_error(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+def test_exception_of_handler_arrives_as_service_error(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
     one, two = pair
 
-    def refuses(request: rect.Request) -> None:
+    def refuse_or_raise(request: rect.Request) -> None:
         if request.value == "refuse":
             raise rect.Refusal({"cells": [1, 2]})
-        raise ValueError("there are the cells 1 and 2")
+        raise ValueError("the cell must be 1 or 2")
 
-    one.serve("battery", refuses)
+    one.serve("battery", refuse_or_raise)
     until_served(two, "wombat-1", "battery")
     with caplog.at_level(logging.ERROR, "rect"):
-        with pytest.raises(rect.ServiceError, match="wombat-1 answers with an error: there are") as raised:
+        with pytest.raises(rect.ServiceError, match="wombat-1 replied with an error: the cell must be") as raised:
             two.request("wombat-1", "battery", timeout=DEADLINE)
-        assert "the service battery raised" in caplog.text
+        assert "the handler of the service battery raised an exception" in caplog.text
         caplog.clear()
         with pytest.raises(rect.ServiceError) as refused:
             two.request("wombat-1", "battery", "refuse", timeout=DEADLINE)
         assert caplog.text == ""
-    assert (raised.value.robot, raised.value.value) == ("wombat-1", "there are the cells 1 and 2")
+    assert (raised.value.robot, raised.value.value) == ("wombat-1", "the cell must be 1 or 2")
     assert refused.value.value == {"cells": [1, 2]}
 
 
-def test_a_handler_that_exits_answers_with_an_error_and_goes_on_serving(
+def test_handler_that_exits_replies_with_error_and_service_continues(
     pair: Pair, caplog: pytest.LogCaptureFixture
 ) -> None:
     one, two = pair
@@ -68,23 +68,23 @@ def test_a_handler_that_exits_answers_with_an_error_and_goes_on_serving(
     one.serve("exits", exits)
     until_served(two, "wombat-1", "exits")
     with caplog.at_level(logging.ERROR, "rect"):
-        # More often than there are threads that answer.
-        for _ in range(AT_A_TIME + 1):
+        # More requests than there are worker threads.
+        for _ in range(MAX_CONCURRENT + 1):
             with pytest.raises(rect.ServiceError, match=r"the service called sys\.exit\(3\)"):
                 two.request("wombat-1", "exits", "exit", timeout=DEADLINE)
     assert two.request("wombat-1", "exits", timeout=DEADLINE).value == 1
-    assert "the service exits raised" in caplog.text
+    assert "the handler of the service exits raised an exception" in caplog.text
 
 
-def test_an_answer_that_can_not_be_sent_arrives_as_an_error(pair: Pair) -> None:
+def test_reply_that_cannot_be_sent_arrives_as_service_error(pair: Pair) -> None:
     one, two = pair
     one.serve("long", lambda request: rect.Payload(b"", "x" * 300))
     until_served(two, "wombat-1", "long")
-    with pytest.raises(rect.ServiceError, match="is 300 bytes long, and an encoding has at most 200"):
+    with pytest.raises(rect.ServiceError, match="is 300 bytes long, but an encoding has at most 200"):
         two.request("wombat-1", "long", timeout=DEADLINE)
 
 
-def test_a_generator_gives_several_answers_and_all_robots_are_asked(pair: Pair) -> None:
+def test_request_all_returns_every_reply_of_all_robots(pair: Pair) -> None:
     one, two = pair
 
     def count(request: rect.Request) -> Iterator[int]:
@@ -94,43 +94,43 @@ def test_a_generator_gives_several_answers_and_all_robots_are_asked(pair: Pair) 
     two.serve("count", lambda request: 100)
     until_served(two, "wombat-1", "count")
     with two.request_all("count", 3, timeout=DEADLINE) as replies:
-        answers = sorted((reply.sender, reply.value) for reply in replies)
-    assert answers == [("wombat-1", 0), ("wombat-1", 1), ("wombat-1", 2), ("wombat-2", 100)]
+        values = sorted((reply.sender, reply.value) for reply in replies)
+    assert values == [("wombat-1", 0), ("wombat-1", 1), ("wombat-1", 2), ("wombat-2", 100)]
 
 
-def test_nobody_serves_it_and_it_is_said_who_is_there(pair: Pair) -> None:
-    with pytest.raises(rect.NoService, match="nobody serves nothing at wombat-9; robots there: wombat-1"):
+def test_no_service_error_lists_reachable_robots(pair: Pair) -> None:
+    with pytest.raises(rect.NoService, match="no program serves nothing at wombat-9; reachable robots: wombat-1"):
         pair[1].request("wombat-9", "nothing", timeout=DEADLINE)
 
 
-def test_an_answer_that_does_not_come_is_timed_out(pair: Pair) -> None:
+def test_request_times_out(pair: Pair) -> None:
     one, two = pair
-    go_on = threading.Event()
-    one.serve("slow", lambda request: go_on.wait(DEADLINE))
+    proceed = threading.Event()
+    one.serve("slow", lambda request: proceed.wait(DEADLINE))
     until_served(two, "wombat-1", "slow")
-    with pytest.raises(rect.TimedOut, match="no answer about slow within 200 ms"):
+    with pytest.raises(rect.TimedOut, match="no reply about slow within 200 ms"):
         two.request("wombat-1", "slow", timeout=0.2)
-    go_on.set()
+    proceed.set()
 
 
-def test_sixteen_are_worked_on_at_a_time(pair: Pair) -> None:
+def test_service_handles_sixteen_requests_concurrently(pair: Pair) -> None:
     one, two = pair
     together = threading.Barrier(16)
     one.serve("together", lambda request: together.wait(DEADLINE) >= 0)
     until_served(two, "wombat-1", "together")
-    answers = []
+    replies = []
     threads = [
-        threading.Thread(target=lambda: answers.append(two.request("wombat-1", "together", timeout=DEADLINE).value))
+        threading.Thread(target=lambda: replies.append(two.request("wombat-1", "together", timeout=DEADLINE).value))
         for _ in range(16)
     ]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert answers == [True] * 16
+    assert replies == [True] * 16
 
 
-def test_a_closed_service_is_gone(pair: Pair) -> None:
+def test_closed_service_no_longer_replies(pair: Pair) -> None:
     one, two = pair
     with one.serve("once", lambda request: 1):
         until_served(two, "wombat-1", "once")
@@ -139,23 +139,23 @@ def test_a_closed_service_is_gone(pair: Pair) -> None:
         two.request("wombat-1", "once", timeout=DEADLINE)
 
 
-def test_a_stock_program_asks(pair: Pair) -> None:
+def test_stock_program_can_send_request(pair: Pair) -> None:
     one, two = pair
     one.serve("who", lambda request: [request.sender, request.value])
     until_served(two, "wombat-1", "who")
     replies = two.zenoh.get("rect/wombat-1/who", payload=b"7", encoding="application/json", timeout=DEADLINE)
-    answers = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
-    assert answers == [b"[null,7]"]
+    payloads = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+    assert payloads == [b"[null,7]"]
 
 
-def test_a_packed_request_is_unpacked(pair: Pair) -> None:
+def test_compressed_request_is_decoded(pair: Pair) -> None:
     one, two = pair
     one.serve("length", lambda request: len(request.value))
     until_served(two, "wombat-1", "length")
     assert two.request("wombat-1", "length", "x" * 5000, codec="zstd", timeout=DEADLINE).value == 5000
 
 
-def test_an_error_is_of_the_robot_that_was_asked_whatever_name_it_has(pair: Pair) -> None:
+def test_error_names_requested_robot_even_if_reply_names_another(pair: Pair) -> None:
     one, two = pair
 
     def answer(query: zenoh.Query) -> None:

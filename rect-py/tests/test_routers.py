@@ -1,4 +1,5 @@
-"""Two routers on the simulated air: a Python robot at one, the Rust library (the `rect` tool) or Python at the other.
+"""Tests two routers on the simulated air: a Python robot at one, and the Rust library (the `rect` tool) or another
+Python robot at the other.
 
 RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_routers.py
 """
@@ -21,22 +22,23 @@ from typing import Any
 import numpy
 import pytest
 import rect
-from conftest import DEADLINE, until_heard, until_served
+from conftest import DEADLINE, until_served, until_subscribed
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "demo"))
 
 
 def program(variable: str, name: str) -> str:
-    """Where it is; a test that needs it fails where it is not built."""
+    """Returns the path of a program. Fails the test if the program is not built."""
     found = os.environ.get(variable) or shutil.which(name)
     assert found, (
-        f"{name} is not built: `cargo build --profile quick -p rect -p rect-router`, and name it by {variable}"
+        f"{name} was not found: build it with `cargo build --profile quick -p rect -p rect-router`, "
+        f"and set {variable} to its path"
     )
     return found
 
 
 class Routers:
-    """`wombat-1` and `wombat-2`, whose routers are linked by Bluetooth."""
+    """The routers of `wombat-1` and `wombat-2`, which are linked by simulated Bluetooth."""
 
     def __init__(self, room: Any, one: Any, two: Any) -> None:
         self.room = room
@@ -47,9 +49,9 @@ class Routers:
 
     @contextmanager
     def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:
-        """The `rect` command at a robot's router."""
+        """Runs the `rect` command at the router of a robot."""
         own = ["--as", robot, "--router", self.endpoints[robot]]
-        # What is after `--` is another program's.
+        # The arguments after `--` belong to another program.
         at = arguments.index("--") if "--" in arguments else len(arguments)
         command = [program("RECT_TOOL", "rect"), *arguments[:at], *own, *arguments[at:]]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -60,7 +62,7 @@ class Routers:
 
 
 class Tool:
-    """A running command, of which lines are taken."""
+    """A running command whose output is read line by line."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.process = process
@@ -71,10 +73,10 @@ class Tool:
     def line(self) -> str:
         return self._lines.get(timeout=DEADLINE)
 
-    def until(self, said: str) -> str:
-        """The first line that has that in it; Zenoh's log may be between."""
+    def until(self, expected: str) -> str:
+        """Returns the first line that contains `expected`. Skips other lines, such as those of Zenoh's log."""
         line = self.line()
-        while said not in line:
+        while expected not in line:
             line = self.line()
         return line
 
@@ -99,58 +101,58 @@ def routers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Routers]:
 
     with Room("desk") as room:
         one, two = (
-            room.add_robot(name, arguments=tuple(rect_settings({"robot": name, "connections": str(wanted)})))
-            for name, wanted in files.items()
+            room.add_robot(name, arguments=tuple(rect_settings({"robot": name, "connections": str(file)})))
+            for name, file in files.items()
         )
         wait_for_link(one, two)
         yield Routers(room, one, two)
 
 
-def test_python_hears_what_rust_says_and_over_which_radio(routers: Routers) -> None:
-    said = ("pub", "arm/angle", '{"degrees": 12.5}', "--codec", "zstd", "--every", "100ms")
+def test_python_receives_messages_of_rust_with_method(routers: Routers) -> None:
+    publish = ("pub", "arm/angle", '{"degrees": 12.5}', "--codec", "zstd", "--every", "100ms")
     with (
         routers.connect("wombat-1") as robot,
-        robot.subscribe("wombat-2/arm/*") as heard,
-        routers.tool("wombat-2", *said),
+        robot.subscribe("wombat-2/arm/*") as subscriber,
+        routers.tool("wombat-2", *publish),
     ):
-        message = heard.next(DEADLINE)
+        message = subscriber.next(DEADLINE)
         assert (message.value, message.sender, message.urgency) == ({"degrees": 12.5}, "wombat-2", "normal")
-        while message.over is None:
-            message = heard.next(DEADLINE)
-        assert message.over == "ble"
+        while message.method is None:
+            message = subscriber.next(DEADLINE)
+        assert message.method == "ble"
         assert message.missed == 0
 
 
-def test_rust_hears_what_python_says_byte_for_byte(routers: Routers) -> None:
-    heard = ("sub", "wombat-1/**", "--json", "--count", "2")
-    with routers.tool("wombat-2", *heard) as tool, routers.connect("wombat-1") as robot:
-        until_heard(robot, "arm/angle")
-        until_heard(robot, "to/wombat-2/note")
+def test_rust_receives_messages_of_python(routers: Routers) -> None:
+    subscribe = ("sub", "wombat-1/**", "--json", "--count", "2")
+    with routers.tool("wombat-2", *subscribe) as tool, routers.connect("wombat-1") as robot:
+        until_subscribed(robot, "arm/angle")
+        until_subscribed(robot, "to/wombat-2/note")
         robot.publish("arm/angle", {"degrees": 1.0}, codec="zstd")
         robot.send("wombat-2", "note", "psst", urgency="urgent")
-        told = [json.loads(tool.until("{")) for _ in range(2)]
-    said = {one["topic"]: one for one in told}
-    assert said["arm/angle"]["value"] == {"degrees": 1.0}
-    assert said["note"]["value"] == "psst"
-    assert said["note"]["urgency"] == "urgent"
+        lines = [json.loads(tool.until("{")) for _ in range(2)]
+    messages = {line["topic"]: line for line in lines}
+    assert messages["arm/angle"]["value"] == {"degrees": 1.0}
+    assert messages["note"]["value"] == "psst"
+    assert messages["note"]["urgency"] == "urgent"
 
 
-def test_python_asks_what_rust_serves_and_hears_its_errors(routers: Routers) -> None:
+def test_python_requests_service_of_rust(routers: Routers) -> None:
     with routers.connect("wombat-1") as robot:
         with routers.tool("wombat-2", "serve", "echo", "--", "cat"):
             until_served(robot, "wombat-2", "echo")
             assert robot.request("wombat-2", "echo", "hello", timeout=DEADLINE).value == "hello"
         with routers.tool("wombat-2", "serve", "fail", "--", "sh", "-c", "echo on purpose >&2; exit 1"):
             until_served(robot, "wombat-2", "fail")
-            with pytest.raises(rect.ServiceError, match=r"wombat-2 answers with an error: .*on purpose"):
+            with pytest.raises(rect.ServiceError, match=r"wombat-2 replied with an error: .*on purpose"):
                 robot.request("wombat-2", "fail", timeout=DEADLINE)
 
 
-def test_rust_asks_what_python_serves_and_hears_its_errors(routers: Routers) -> None:
+def test_rust_requests_service_of_python(routers: Routers) -> None:
     def battery(request: rect.Request) -> dict[str, Any]:
         if request.value != {"cell": 1}:
-            raise rect.Refusal("there is the cell 1")
-        return {"asker": request.sender, "volt": 3.6}
+            raise rect.Refusal("the cell must be 1")
+        return {"requester": request.sender, "volt": 3.6}
 
     with routers.connect("wombat-1") as robot, routers.connect("wombat-2") as other:
         robot.serve("battery", battery)
@@ -159,11 +161,11 @@ def test_rust_asks_what_python_serves_and_hears_its_errors(routers: Routers) -> 
             assert "3.6" in tool.until("wombat-2")
             assert tool.ends() == 0
         with routers.tool("wombat-2", "request", "wombat-1", "battery", "9", "--timeout", "20s") as tool:
-            tool.until("there is the cell 1")
+            tool.until("the cell must be 1")
             assert tool.ends() != 0
 
 
-def test_files_go_both_ways(routers: Routers, tmp_path: Path) -> None:
+def test_transfers_in_both_directions(routers: Routers, tmp_path: Path) -> None:
     source = tmp_path / "map.bin"
     source.write_bytes(os.urandom(60_000))
     with routers.connect("wombat-1") as robot:
@@ -179,7 +181,7 @@ def test_files_go_both_ways(routers: Routers, tmp_path: Path) -> None:
         assert (folder / "wombat-1" / "map.bin").read_bytes() == source.read_bytes()
 
 
-def test_streams_go_from_rust_to_python(routers: Routers, tmp_path: Path) -> None:
+def test_stream_from_rust_to_python(routers: Routers, tmp_path: Path) -> None:
     picture = rect.Picture(numpy.full((48, 64, 3), 90, numpy.uint8))
     file = tmp_path / "frame.png"
     file.write_bytes(picture._repr_png_())
@@ -195,60 +197,60 @@ def test_streams_go_from_rust_to_python(routers: Routers, tmp_path: Path) -> Non
         assert frame.age is not None
 
 
-def test_streams_go_from_python_to_rust(routers: Routers) -> None:
+def test_stream_from_python_to_rust(routers: Routers) -> None:
     picture = numpy.full((48, 64, 3), 90, numpy.uint8)
-    over = threading.Event()
+    stop = threading.Event()
     with (
         routers.connect("wombat-1") as robot,
         robot.stream("camera") as camera,
         routers.tool("wombat-2", "stream", "watch", "wombat-1", "camera") as tool,
     ):
 
-        def film() -> None:
-            while not over.wait(0.05):
+        def send_frames() -> None:
+            while not stop.wait(0.05):
                 camera.send(picture)
 
-        filming = threading.Thread(target=film)
-        filming.start()
+        sending = threading.Thread(target=send_frames)
+        sending.start()
         try:
             lines = [tool.line() for _ in range(3)]
         finally:
-            over.set()
-            filming.join()
+            stop.set()
+            sending.join()
     assert any("64x48" in line for line in lines), lines
 
 
-def test_two_pythons_talk_over_the_radio(routers: Routers) -> None:
+def test_two_python_programs_communicate_over_bluetooth(routers: Routers) -> None:
     with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
         one.serve("double", lambda request: request.value * 2)
-        heard = two.subscribe("wombat-1/count")
-        until_heard(one, "count")
+        subscriber = two.subscribe("wombat-1/count")
+        until_subscribed(one, "count")
         for number in range(20):
             one.publish("count", number)
-        assert [heard.next(DEADLINE).value for _ in range(20)] == list(range(20))
+        assert [subscriber.next(DEADLINE).value for _ in range(20)] == list(range(20))
         until_served(two, "wombat-1", "double")
         assert two.request("wombat-1", "double", 21, timeout=DEADLINE).value == 42
         assert two.peers() == ["wombat-1"]
 
 
-def test_the_registry_answers_and_is_shown_as_a_table(routers: Routers) -> None:
+def test_registry_queries(routers: Routers) -> None:
     with routers.connect("wombat-1") as robot:
-        linked = robot.connections(which="method=ble;state=connected")
+        linked = robot.connections(filter="method=ble;state=connected")
         assert [(one.method, one.state, one.robot) for one in linked] == [("ble", "connected", "wombat-2")]
         assert "<td>wombat-2</td>" in linked._repr_html_()
         assert [one.robot for one in robot.connections("wombat-2", "method=ble;state=connected")] == ["wombat-1"]
-        count = robot.ask_registry("connections/count", which="state=connected")
+        count = robot.query_registry("connections/count", filter="state=connected")
         assert count["methods"]["ble"]["connected"] == 1
         with pytest.raises(rect.ServiceError, match="state"):
-            robot.connections(which="state=nonsense")
-        with pytest.raises(rect.NoService, match="nobody serves the registry"):
+            robot.connections(filter="state=nonsense")
+        with pytest.raises(rect.NoService, match="no program serves the registry"):
             robot.connections("wombat-9")
 
 
 def until_named(robot: rect.Robot, name: str, addresses: list[str]) -> None:
-    """Waits until the registry tells so: a connection goes once its dialling has ended."""
+    """Waits until the registry lists these addresses: a connection is removed only after its dialling has ended."""
     until = time.monotonic() + DEADLINE
-    while [one.address for one in robot.connections(which=f"name={name}")] != addresses:
+    while [one.address for one in robot.connections(filter=f"name={name}")] != addresses:
         assert time.monotonic() < until
 
 
@@ -264,29 +266,30 @@ def test_connections_are_added_and_removed(routers: Routers) -> None:
             robot.add_connection("base", "nonsense", "127.0.0.1")
 
 
-def test_what_is_urgent_and_bulk_has_a_connection_of_its_own(routers: Routers) -> None:
+def test_urgent_and_bulk_messages_use_separate_sessions(routers: Routers) -> None:
     with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
-        heard = two.subscribe("wombat-1/x")
-        until_heard(one, "x")
-        for urgency in ("normal", "urgent", "bulk"):
+        subscriber = two.subscribe("wombat-1/x")
+        until_subscribed(one, "x")
+        urgencies: tuple[rect.Urgency, ...] = ("normal", "urgent", "bulk")
+        for urgency in urgencies:
             one.publish("x", urgency, urgency=urgency)
-        assert {(said.value, said.urgency) for said in (heard.next(DEADLINE) for _ in range(3))} == {
-            (urgency, urgency) for urgency in ("normal", "urgent", "bulk")
+        assert {(message.value, message.urgency) for message in (subscriber.next(DEADLINE) for _ in range(3))} == {
+            (urgency, urgency) for urgency in urgencies
         }
-        assert len(one._session.lanes.all()) == 3
-        assert len(two._session.lanes.all()) == 1
+        assert len(one._session.urgency_sessions.all()) == 3
+        assert len(two._session.urgency_sessions.all()) == 1
 
 
-def test_state_tells_of_robots_and_links(routers: Routers) -> None:
-    with routers.connect("wombat-1") as robot, robot.on_state() as events:
+def test_events_report_robots_and_links(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot, robot.events() as events:
         seen: dict[str, rect.Event] = {}
         while not {"peer_up", "link_up"} <= seen.keys() or seen["link_up"].method != "ble":
             event = events.next(DEADLINE)
-            seen[event.what] = event
+            seen[event.kind] = event
         assert seen["peer_up"].robot == "wombat-2"
 
 
-def test_the_module_runs_the_router_it_is_given() -> None:
+def test_module_runs_router_named_by_environment() -> None:
     environment = {**os.environ, "RECT_ROUTER": program("RECT_ROUTER", "rect-router")}
     for arguments in (["router", "--version"], ["--help"]):
         command = [sys.executable, "-m", "rect", *arguments]
@@ -295,7 +298,7 @@ def test_the_module_runs_the_router_it_is_given() -> None:
         assert "router" in done.stdout
 
 
-def test_without_a_router_in_the_wheel_it_is_said_what_to_do(tmp_path: Path) -> None:
+def test_missing_router_error_says_what_to_do(tmp_path: Path) -> None:
     from rect import __main__ as module
 
     code = f"import rect.__main__ as m; from pathlib import Path; m._ROUTER = Path({str(tmp_path)!r}) / 'x'; m.router()"

@@ -1,4 +1,4 @@
-"""Streams between two robots: pictures that follow what gets through, frames as they are, a sensor's values.
+"""Tests streams between two robots: adaptive pictures, fixed frames, and values of a sensor.
 
 pytest rect-py/tests/test_streams.py
 """
@@ -17,23 +17,23 @@ from conftest import DEADLINE
 Pair = tuple[rect.Robot, rect.Robot]
 
 
-def sent_until(watch: rect.Watch, send: Callable[[], object], wanted: Callable[[rect.Frame], bool]) -> rect.Frame:
-    """Sends frames, as a camera does, until a wanted one is there."""
-    over = threading.Event()
+def send_until(watch: rect.Watch, send: Callable[[], object], accept: Callable[[rect.Frame], bool]) -> rect.Frame:
+    """Sends frames, as a camera does, until one arrives that `accept` accepts, and returns it."""
+    stop = threading.Event()
 
     def camera() -> None:
-        while not over.wait(0.01):
+        while not stop.wait(0.01):
             send()
 
     sending = threading.Thread(target=camera)
     sending.start()
     try:
         frame = watch.next(DEADLINE)
-        while not wanted(frame):
+        while not accept(frame):
             frame = watch.next(DEADLINE)
         return frame
     finally:
-        over.set()
+        stop.set()
         sending.join()
 
 
@@ -41,7 +41,7 @@ def test_pictures_arrive_with_number_and_age(pair: Pair) -> None:
     one, two = pair
     picture = numpy.full((48, 64, 3), 90, numpy.uint8)
     with one.stream("camera") as camera, two.watch("wombat-1", "camera") as watch:
-        frame = sent_until(watch, lambda: camera.send(picture), lambda frame: frame.number > 3)
+        frame = send_until(watch, lambda: camera.send(picture), lambda frame: frame.number > 3)
         assert isinstance(frame.value, rect.Picture)
         assert abs(int(numpy.asarray(frame.value)[0, 0, 0]) - 90) < 8
         assert frame.age is not None
@@ -50,59 +50,59 @@ def test_pictures_arrive_with_number_and_age(pair: Pair) -> None:
         assert watch.round_trip is not None
         status = camera.status
     assert status["groups"][0]["frames"] > 3
-    assert status["groups"][0]["last_change"].startswith("began with")
+    assert status["groups"][0]["last_change"].startswith("started with")
 
 
-def test_nothing_is_encoded_while_nobody_watches(pair: Pair) -> None:
+def test_nothing_is_encoded_without_receivers(pair: Pair) -> None:
     one, _ = pair
 
     def encode(quality: int | None, scale: float | None) -> bytes:
-        raise AssertionError("nobody wants it")
+        raise AssertionError("there is no receiver")
 
     with one.stream("camera") as camera:
         assert camera.send_with(64 * 48, encode) == 0
         assert camera.send(numpy.zeros((48, 64, 3), numpy.uint8)) == 0
 
 
-def test_a_program_encodes_its_frames_itself(pair: Pair) -> None:
+def test_send_with_uses_encoder_of_program(pair: Pair) -> None:
     one, two = pair
     with one.stream("camera") as camera, two.watch("wombat-1", "camera") as watch:
         encode: Callable[[Any, Any], str] = lambda quality, scale: f"{quality} {scale}"  # noqa: E731
-        frame = sent_until(watch, lambda: camera.send_with(3_000_000, encode), lambda frame: True)
+        frame = send_until(watch, lambda: camera.send_with(3_000_000, encode), lambda frame: True)
         quality, scale = frame.value.split()
         assert 1 <= int(quality) <= 100
         assert 0 < float(scale) <= 1
 
 
-def test_a_codec_makes_each_frame_smaller(pair: Pair) -> None:
+def test_codec_compresses_each_frame(pair: Pair) -> None:
     one, two = pair
     with (
-        one.stream("camera", codec="jpeg:50", frames_per_s=100) as camera,
+        one.stream("camera", codec="jpeg:50", max_frames_per_s=100) as camera,
         two.watch("wombat-1", "camera") as watch,
     ):
         picture = numpy.zeros((48, 64), numpy.uint8)
-        frame = sent_until(watch, lambda: camera.send(picture), lambda frame: True)
+        frame = send_until(watch, lambda: camera.send(picture), lambda frame: True)
         assert frame.payload.encoding == "image/jpeg"
 
 
-def test_a_sensors_values_all_come_to_a_callback(pair: Pair) -> None:
+def test_callback_receives_all_values_of_sensor(pair: Pair) -> None:
     one, two = pair
     values: list[int] = []
     enough = threading.Event()
 
-    def seen(frame: rect.Frame) -> None:
+    def on_frame(frame: rect.Frame) -> None:
         values.append(frame.value)
         if len(values) == 20:
             enough.set()
 
-    with one.stream("distance", mode="sensor") as distance, two.watch("wombat-1", "distance", seen, capacity=100):
+    with one.stream("distance", mode="sensor") as distance, two.watch("wombat-1", "distance", on_frame, capacity=100):
         number = 0
         while not enough.wait(0.001):
             number += distance.send(number)
         assert values == list(range(values[0], values[0] + len(values)))
 
 
-def test_frames_that_are_not_taken_are_counted_as_skipped(pair: Pair) -> None:
+def test_unread_frames_are_counted_as_skipped(pair: Pair) -> None:
     one, two = pair
     with one.stream("count", mode="sensor") as count, two.watch("wombat-1", "count") as watch:
         number = 0
@@ -111,21 +111,21 @@ def test_frames_that_are_not_taken_are_counted_as_skipped(pair: Pair) -> None:
             nonlocal number
             number += count.send(number)
 
-        first = sent_until(watch, send, lambda frame: True)
+        first = send_until(watch, send, lambda frame: True)
         while number < first.number + 50:
             send()
-        later = sent_until(watch, send, lambda frame: frame.skipped > 0)
+        later = send_until(watch, send, lambda frame: frame.skipped > 0)
         assert later.number > first.number + later.skipped
 
 
-def test_a_stock_programs_frames_are_seen_without_age(pair: Pair) -> None:
+def test_frames_of_stock_program_have_no_age(pair: Pair) -> None:
     one, two = pair
     publisher = one.zenoh.declare_publisher("rect/wombat-1/plain")
     with two.watch("wombat-1", "plain") as watch:
-        frame = sent_until(watch, lambda: publisher.put(b"7", encoding="application/json"), lambda frame: True)
+        frame = send_until(watch, lambda: publisher.put(b"7", encoding="application/json"), lambda frame: True)
         assert (frame.value, frame.age) == (7, None)
 
 
-def test_a_frame_that_cannot_be_said_is_an_error(pair: Pair) -> None:
-    with pair[0].stream("x", mode="sensor") as stream, pytest.raises(rect.PayloadError, match="is a object"):
+def test_frame_of_unsupported_type_raises_payload_error(pair: Pair) -> None:
+    with pair[0].stream("x", mode="sensor") as stream, pytest.raises(rect.PayloadError, match="is of the type object"):
         stream.send(object())

@@ -1,4 +1,4 @@
-"""Transfers between two robots: in memory, in files, refused, failed, resumed.
+"""Tests transfers between two robots: in memory, in files, refused, failed and resumed.
 
 pytest rect-py/tests/test_transfers.py
 """
@@ -21,21 +21,21 @@ from rect import _rect
 Pair = tuple[rect.Robot, rect.Robot]
 
 
-def test_bytes_arrive_whole_with_progress_on_both_sides(pair: Pair) -> None:
+def test_bytes_arrive_with_progress_on_both_sides(pair: Pair) -> None:
     one, two = pair
     data = os.urandom(3_000_000)
     sent: list[rect.Progress] = []
-    came: list[float] = []
-    maps = two.receive_transfers("*/maps/*", on_progress=lambda about, progress: came.append(progress.fraction))
+    arrived: list[float] = []
+    maps = two.receive_transfers("*/maps/*", on_progress=lambda about, progress: arrived.append(progress.fraction))
     one.transfer("wombat-2", "maps/kitchen", data, name="kitchen.pcd", on_progress=sent.append)
     received = maps.next(DEADLINE)
     assert received.content == data
     assert (received.sender, received.topic, received.name) == ("wombat-1", "maps/kitchen", "kitchen.pcd")
-    assert (sent[-1].fraction, came[-1]) == (1.0, 1.0)
+    assert (sent[-1].fraction, arrived[-1]) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("size", [0, 1, 131_072, 1_000_001])
-def test_a_file_of_any_size_arrives_as_a_file(pair: Pair, tmp_path: Path, size: int) -> None:
+def test_file_of_any_size_arrives_as_file(pair: Pair, tmp_path: Path, size: int) -> None:
     one, two = pair
     source = tmp_path / "map.bin"
     source.write_bytes(os.urandom(size))
@@ -46,7 +46,7 @@ def test_a_file_of_any_size_arrives_as_a_file(pair: Pair, tmp_path: Path, size: 
     assert received.value == source.read_bytes()
 
 
-def test_other_values_are_transferred_as_what_they_are(pair: Pair) -> None:
+def test_other_values_keep_their_encoding(pair: Pair) -> None:
     one, two = pair
     with two.receive_transfers("*/plan") as plans:
         one.transfer("wombat-2", "plan", {"steps": [1, 2, 3]})
@@ -54,21 +54,21 @@ def test_other_values_are_transferred_as_what_they_are(pair: Pair) -> None:
     assert (received.encoding, received.value) == ("application/json", {"steps": [1, 2, 3]})
 
 
-def test_what_is_not_wanted_or_too_large_is_refused(pair: Pair) -> None:
+def test_unmatched_or_too_large_transfer_is_refused(pair: Pair) -> None:
     one, two = pair
     with two.receive_transfers("*/maps", max_bytes=10):
-        with pytest.raises(rect.TransferRefused, match="wombat-2 does not take the transfer other: no program there"):
+        with pytest.raises(rect.TransferRefused, match="wombat-2 refused the transfer other: no program on that robot"):
             one.transfer("wombat-2", "other", b"x", timeout=DEADLINE)
-        with pytest.raises(rect.TransferRefused, match="larger than the 10 bytes that are taken there"):
+        with pytest.raises(rect.TransferRefused, match="larger than the 10 bytes that the receiver accepts"):
             one.transfer("wombat-2", "maps", b"x" * 11, timeout=DEADLINE)
 
 
-def test_where_nobody_takes_it_patience_ends_it(pair: Pair) -> None:
-    with pytest.raises(rect.TimedOut, match="no word of wombat-2 about the transfer maps"):
+def test_transfer_times_out_without_receiver(pair: Pair) -> None:
+    with pytest.raises(rect.TimedOut, match="no reply of wombat-2 about the transfer maps"):
         pair[0].transfer("wombat-2", "maps", b"x", timeout=0.1)
 
 
-def test_a_file_that_changes_meanwhile_fails_on_both_sides(pair: Pair, tmp_path: Path) -> None:
+def test_file_that_changes_during_transfer_fails_on_both_sides(pair: Pair, tmp_path: Path) -> None:
     one, two = pair
     source = tmp_path / "map.bin"
     source.write_bytes(os.urandom(20_000_000))
@@ -85,16 +85,16 @@ def test_a_file_that_changes_meanwhile_fails_on_both_sides(pair: Pair, tmp_path:
         _ = received.content
 
 
-def test_what_was_there_before_a_restart_of_the_taker_is_not_sent_again(pair: Pair, tmp_path: Path) -> None:
+def test_transfer_resumes_after_receiver_restart(pair: Pair, tmp_path: Path) -> None:
     one, two = pair
     data = os.urandom(30_000_000)
     began = threading.Event()
 
-    def come(about: rect.Received, progress: rect.Progress) -> None:
-        if progress.held_bytes:
+    def on_progress(about: rect.Received, progress: rect.Progress) -> None:
+        if progress.received_bytes:
             began.set()
 
-    taken = two.receive_transfers("*/maps", folder=tmp_path, on_progress=come)
+    transfers = two.receive_transfers("*/maps", folder=tmp_path, on_progress=on_progress)
     failed: list[BaseException] = []
 
     def send() -> None:
@@ -106,10 +106,10 @@ def test_what_was_there_before_a_restart_of_the_taker_is_not_sent_again(pair: Pa
     sending = threading.Thread(target=send)
     sending.start()
     assert began.wait(DEADLINE)
-    taken.close()
+    transfers.close()
     first: list[int] = []
     again = two.receive_transfers(
-        "*/maps", folder=tmp_path, on_progress=lambda about, progress: first.append(progress.held_bytes)
+        "*/maps", folder=tmp_path, on_progress=lambda about, progress: first.append(progress.received_bytes)
     )
     received = again.next(DEADLINE)
     sending.join(DEADLINE)
@@ -118,7 +118,7 @@ def test_what_was_there_before_a_restart_of_the_taker_is_not_sent_again(pair: Pa
     assert first[0] > 0
 
 
-def test_the_sender_that_is_closed_stops(pair: Pair) -> None:
+def test_closing_sender_stops_transfer(pair: Pair) -> None:
     one, two = pair
     until_peer(two)
     ended: list[BaseException] = []
@@ -137,21 +137,21 @@ def test_the_sender_that_is_closed_stops(pair: Pair) -> None:
     assert len(ended) == 1
 
 
-def test_a_stopped_transfer_ends_at_once(pair: Pair) -> None:
-    sending = pair[0].sending("wombat-9", "maps", b"x")
-    sending.stop()
+def test_stopped_outgoing_transfer_raises_closed(pair: Pair) -> None:
+    outgoing = pair[0].outgoing_transfer("wombat-9", "maps", b"x")
+    outgoing.stop()
     with pytest.raises(rect.Closed, match="the transfer was stopped"):
-        sending.run()
+        outgoing.run()
 
 
 def _offer(sender: str, data: bytes) -> bytes:
-    """An offer to wombat-2 in that robot's name, as any program can make it."""
-    place = _rect.Place("rect", sender)
-    return _rect.TransferSender(place, "wombat-2", "maps", data, 1, name="map.bin").offer
+    """Makes an offer to wombat-2 in the name of `sender`, as any program can."""
+    key_space = _rect.KeySpace("rect", sender)
+    return _rect.TransferSender(key_space, "wombat-2", "maps", data, 1, name="map.bin").offer
 
 
-def _offered(forger: rect.Robot, offer: bytes) -> None:
-    """Sends an offer, once wombat-2 can be reached."""
+def _send_offer(forger: rect.Robot, offer: bytes) -> None:
+    """Sends an offer as soon as wombat-2 is reachable."""
     deadline = time.monotonic() + DEADLINE
     while time.monotonic() < deadline:
         replies = forger.zenoh.get("rect/wombat-2/@rect/inbox", payload=offer)
@@ -162,7 +162,7 @@ def _offered(forger: rect.Robot, offer: bytes) -> None:
 
 @pytest.fixture
 def trio() -> Iterator[tuple[rect.Robot, rect.Robot, rect.Robot]]:
-    """A forger and an honest robot, both of which know `wombat-2`, the third."""
+    """Connects a forger, an honest robot and `wombat-2`; the first two have discovered the third."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with (
         rect.connect("wombat-2", listen=[endpoint]) as two,
@@ -174,9 +174,7 @@ def trio() -> Iterator[tuple[rect.Robot, rect.Robot, rect.Robot]]:
         yield forger, honest, two
 
 
-def test_an_offer_in_another_robots_name_touches_nothing(
-    trio: tuple[rect.Robot, rect.Robot, rect.Robot], tmp_path: Path
-) -> None:
+def test_forged_offer_changes_nothing(trio: tuple[rect.Robot, rect.Robot, rect.Robot], tmp_path: Path) -> None:
     forger, honest, two = trio
     with two.receive_transfers("*/maps", folder=tmp_path) as maps:
         honest.transfer("wombat-2", "maps", b"a map", name="map.bin")
@@ -184,8 +182,8 @@ def test_an_offer_in_another_robots_name_touches_nothing(
         assert file == tmp_path / "honest" / "map.bin"
         for sender in ("honest", "nobody"):
             for data in (b"", b"forged"):
-                _offered(forger, _offer(sender, data))
-        # Whatever those began has ended when a transfer that began later has.
+                _send_offer(forger, _offer(sender, data))
+        # The forged offers have no more effects after a later transfer has ended.
         for _ in range(3):
             honest.transfer("wombat-2", "maps", b"another", name="other.bin")
             assert maps.next(DEADLINE).name == "other.bin"
@@ -195,16 +193,14 @@ def test_an_offer_in_another_robots_name_touches_nothing(
     assert sorted(os.listdir(tmp_path / "honest")) == ["map.bin", "other.bin"]
 
 
-def test_senders_that_never_answer_take_no_place_from_one_that_does(
-    trio: tuple[rect.Robot, rect.Robot, rect.Robot], tmp_path: Path
-) -> None:
+def test_silent_senders_do_not_block_others(trio: tuple[rect.Robot, rect.Robot, rect.Robot], tmp_path: Path) -> None:
     forger, honest, two = trio
     kept: list[object] = []
     silent = forger.zenoh.declare_queryable("rect/forger/@rect/transfer/*", kept.append)
     with two.receive_transfers("*/maps", folder=tmp_path) as maps:
         for number in range(20):
-            _offered(forger, _offer("forger", bytes([number]) * 100))
-            _offered(forger, _offer("nobody", bytes([number]) * 100))
+            _send_offer(forger, _offer("forger", bytes([number]) * 100))
+            _send_offer(forger, _offer("nobody", bytes([number]) * 100))
         start = time.monotonic()
         honest.transfer("wombat-2", "maps", b"a map", timeout=DEADLINE)
         assert time.monotonic() - start < 5
@@ -214,7 +210,7 @@ def test_senders_that_never_answer_take_no_place_from_one_that_does(
     silent.undeclare()
 
 
-def test_a_sender_knows_the_end_before_the_receivers_program_does(tmp_path: Path) -> None:
+def test_sender_is_informed_before_program_of_receiver(tmp_path: Path) -> None:
     program = """
 import os, sys, rect
 two = rect.connect("wombat-2", endpoints=[sys.argv[1]])
@@ -225,7 +221,7 @@ os._exit(0)
 """
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "wombat-1").write_text("a file where a folder is to be")
+    (tmp_path / "full" / "wombat-1").write_text("a file in place of a folder")
     for folder in ("full", "empty"):
         with rect.connect("wombat-1", listen=[endpoint]) as one:
             arguments = [sys.executable, "-c", program, endpoint, str(tmp_path / folder)]
@@ -233,7 +229,7 @@ os._exit(0)
                 assert receiver.stdout is not None
                 assert receiver.stdout.readline() == b"ready\n"
                 if folder == "full":
-                    with pytest.raises(rect.TransferFailed, match="the receiver can't keep it"):
+                    with pytest.raises(rect.TransferFailed, match="the receiver cannot store it"):
                         one.transfer("wombat-2", "maps", b"a map", timeout=8)
                 else:
                     one.transfer("wombat-2", "maps", b"a map", timeout=8)

@@ -1,10 +1,10 @@
-//! Two clients of one router, in one process: how many messages a second, and how long a round trip. For benches.
+//! Measures the throughput or the round-trip time between two clients of one router, for the benches.
 //!
 //! ```text
-//! load throughput tcp/127.0.0.1:7447 8 2   # payload bytes, seconds
+//! load throughput tcp/127.0.0.1:7447 8 2   # payload in bytes, duration in seconds
 //! load ping       tcp/127.0.0.1:7447 8 2
 //! ```
-//! Prints one JSON line.
+//! Both clients run in this process. The result is printed as one line of JSON.
 use std::{
     error::Error,
     sync::{
@@ -21,22 +21,23 @@ type Outcome = Result<(), Box<dyn Error + Send + Sync>>;
 
 const KEY: &str = "rect/bench/load";
 const ANSWER: &str = "rect/bench/answer";
-/// Routes are made and queues filled before anything counts.
+/// Time before the measurement in which routes are created and queues fill up.
 const WARM_UP: Duration = Duration::from_millis(500);
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Timeout for an answer.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 fn main() -> Outcome {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [what, router, bytes, seconds] = arguments.as_slice() else {
+    let [mode, router, bytes, seconds] = arguments.as_slice() else {
         return Err("usage: load throughput|ping ENDPOINT PAYLOAD_BYTES SECONDS".into());
     };
     let payload = ZBytes::from(vec![0_u8; bytes.parse()?]);
-    let span = Duration::from_secs_f64(seconds.parse()?);
+    let duration = Duration::from_secs_f64(seconds.parse()?);
     let (sender, receiver) = (client(router)?, client(router)?);
-    match what.as_str() {
-        "throughput" => throughput(&sender, &receiver, payload, span),
-        "ping" => ping(&sender, &receiver, payload, span),
-        other => Err(format!("throughput or ping, not {other}").into()),
+    match mode.as_str() {
+        "throughput" => throughput(&sender, &receiver, payload, duration),
+        "ping" => ping(&sender, &receiver, payload, duration),
+        other => Err(format!("unknown mode {other}: give throughput or ping").into()),
     }
 }
 
@@ -48,7 +49,12 @@ fn client(router: &str) -> zenoh::Result<Session> {
     zenoh::open(config).wait()
 }
 
-fn throughput(sender: &Session, receiver: &Session, payload: ZBytes, span: Duration) -> Outcome {
+fn throughput(
+    sender: &Session,
+    receiver: &Session,
+    payload: ZBytes,
+    duration: Duration,
+) -> Outcome {
     let received = Arc::new(AtomicU64::new(0));
     let counter = received.clone();
     let _subscriber = receiver
@@ -71,7 +77,7 @@ fn throughput(sender: &Session, receiver: &Session, payload: ZBytes, span: Durat
         });
         thread::sleep(WARM_UP);
         let (before, start) = (received.load(Relaxed), Instant::now());
-        thread::sleep(span);
+        thread::sleep(duration);
         let measured = (received.load(Relaxed) - before, start.elapsed());
         done.store(true, Relaxed);
         let sent = sending.join().map_err(|_| "the sending thread panicked")?;
@@ -84,7 +90,7 @@ fn throughput(sender: &Session, receiver: &Session, payload: ZBytes, span: Durat
     Ok(())
 }
 
-fn ping(sender: &Session, receiver: &Session, payload: ZBytes, span: Duration) -> Outcome {
+fn ping(sender: &Session, receiver: &Session, payload: ZBytes, duration: Duration) -> Outcome {
     let back = receiver.declare_publisher(ANSWER).wait()?;
     let _echo = receiver
         .declare_subscriber(KEY)
@@ -100,20 +106,20 @@ fn ping(sender: &Session, receiver: &Session, payload: ZBytes, span: Duration) -
         })
         .wait()?;
     let publisher = sender.declare_publisher(KEY).wait()?;
-    // Until the first answer: subscriptions take a moment to reach the router.
+    // Repeat until the first answer, because subscriptions take a moment to reach the router.
     let start = Instant::now();
     while answers.recv_timeout(Duration::from_millis(100)).is_err() {
-        if start.elapsed() > PATIENCE {
+        if start.elapsed() > TIMEOUT {
             return Err("no answer through the router".into());
         }
         publisher.put(payload.clone()).wait()?;
     }
     let mut times_us = Vec::new();
     let start = Instant::now();
-    while start.elapsed() < WARM_UP + span {
+    while start.elapsed() < WARM_UP + duration {
         let sent = Instant::now();
         publisher.put(payload.clone()).wait()?;
-        answers.recv_timeout(PATIENCE)?;
+        answers.recv_timeout(TIMEOUT)?;
         if start.elapsed() > WARM_UP {
             times_us.push(sent.elapsed().as_secs_f64() * 1e6);
         }

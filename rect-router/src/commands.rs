@@ -1,5 +1,5 @@
-//! Owns what `rect-router` does beside being a router: writing a robot's configuration, showing what a running router
-//! tells, finding out what is wrong.
+//! Defines the commands of `rect-router`: they write a robot's configuration, show the status of running routers, and
+//! diagnose problems.
 mod check;
 mod client;
 mod connections;
@@ -16,189 +16,189 @@ use std::{env, path::PathBuf, process::ExitCode};
 use clap::{Parser, Subcommand};
 use rect::{
     core::{
-        display, endpoint, login,
+        display, endpoint, humanize, login,
         name::{Name, NameError},
-        wording,
     },
     terminal::{paint_err, Style},
 };
 use zenoh_link::ble::radio::sim::Condition;
 
-/// Why a command came to nothing, in words.
+/// The reason why a command failed.
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-/// The commands; without one, it is a router.
+/// The commands. Without one, the program runs a router.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Write a robot's configuration, login and list of connections into a folder
+    /// Write a robot's configuration, login file and connections file to a folder
     Init(InitArgs),
-    /// Read a configuration as the router would, start nothing, and say what is wrong with it
+    /// Check a configuration as the router would read it, without starting anything
     Check(CheckArgs),
-    /// Show which robots of the fleet there are, a line for each
-    Status(AskArgs),
-    /// Show which connections a robot has, or all robots of the fleet
+    /// Show the status of the robots of the fleet, one line each
+    Status(QueryArgs),
+    /// Show the connections of one robot or of all robots of the fleet
     Connections(ConnectionsArgs),
-    /// Listen for robots that advertise by Bluetooth
+    /// Show the robots whose Bluetooth advertisements are received
     Scan(ScanArgs),
-    /// Look for what keeps this computer from talking to others, and say what to do
+    /// Find problems that keep this computer from reaching other robots, and give advice
     Doctor(DoctorArgs),
-    /// Start simulated robots to play with, on this computer and without Bluetooth, until Ctrl-C
+    /// Run simulated robots on this computer, without Bluetooth, until Ctrl-C
     Sim(SimArgs),
-    /// Print what makes a shell complete these commands, such as: rect-router completion bash
+    /// Print a script for shell completion, e.g. rect-router completion bash
     Completion(CompletionArgs),
-    /// Write the manual's pages, one for each command
+    /// Write the manual pages, one for each command
     #[command(hide = true)]
     Man(ManArgs),
 }
 
-/// What `init` takes.
+/// The arguments of `init`.
 #[derive(Debug, Parser)]
 pub struct InitArgs {
-    /// This robot's name, unique in the hall
+    /// Name of this robot, unique among all robots in range
     pub robot: String,
-    /// The team's name, the first part of all keys
+    /// Name of the fleet, the first part of all keys
     #[arg(long, default_value = "rect")]
     pub fleet: String,
-    /// The Bluetooth adapter
+    /// Bluetooth adapter
     #[arg(long, default_value = "hci0")]
     pub adapter: String,
-    /// The team's login file, from its first robot; left out, a new one is made
+    /// Login file of the team, copied from its first robot [default: create a new one]
     #[arg(long, value_name = "FILE")]
     pub users: Option<PathBuf>,
-    /// For a laptop, from which the robots' settings may be changed
+    /// Write the configuration of a base station, from which the robots' connections may be changed
     #[arg(long)]
     pub base_station: bool,
-    /// Where to write; a relative one is taken from where the command runs
+    /// Folder for the files; a relative path is relative to the current folder
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
     pub folder: PathBuf,
-    /// The TCP port of 127.0.0.1 for this computer's programs
+    /// TCP port on 127.0.0.1 for the programs of this computer
     #[arg(long, default_value_t = 7447, value_parser = clap::value_parser!(u16).range(1..))]
     pub port: u16,
-    /// Start the installed service with it, now and at each boot
+    /// Start the installed service with this configuration, now and at each boot
     #[arg(long)]
     pub start: bool,
 }
 
-/// What `check` takes.
+/// The arguments of `check`.
 #[derive(Debug, Parser)]
 pub struct CheckArgs {
-    /// The configuration file
+    /// Configuration file
     #[arg(default_value = "/etc/rect/robot.json5")]
     pub config: String,
 }
 
-/// Where to ask, and about whom.
+/// The arguments of commands that query the registry.
 #[derive(Debug, Parser)]
-pub struct AskArgs {
-    /// The robot; left out, all of the fleet
+pub struct QueryArgs {
+    /// Name of the robot; `*` stands for all robots of the fleet
     #[arg(default_value = "*")]
     pub robot: String,
-    /// The team's name
+    /// Name of the fleet
     #[arg(long, default_value = "rect")]
     pub fleet: String,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// The router
+    /// Router to query
     #[command(flatten)]
     pub router: RouterArgs,
 }
 
-/// What `connections` takes.
+/// The arguments of `connections`.
 #[derive(Debug, Parser)]
 pub struct ConnectionsArgs {
-    /// Of one method only: ble, tcp, udp, ...
+    /// Show connections of this method only: ble, tcp, udp, ...
     #[arg(long)]
     pub method: Option<String>,
-    /// Where, and about whom
+    /// Robots and router to query
     #[command(flatten)]
-    pub ask: AskArgs,
+    pub query: QueryArgs,
 }
 
 fn default_login_file() -> PathBuf {
     login::default_file(env::var(login::FILE_VARIABLE).ok()).into()
 }
 
-/// How to reach the router.
+/// The arguments for connecting to a running router.
 #[derive(Debug, Parser)]
 pub struct RouterArgs {
-    /// The router to ask; $RECT_ENDPOINT changes the default
+    /// Endpoint of the router to connect to; $RECT_ENDPOINT changes the default
     #[arg(long, value_name = "ENDPOINT", default_value_t = default_router(), value_parser = endpoint::parse)]
     pub router: String,
-    /// The login file, where the router asks for a login; $RECT_LOGIN changes the default
+    /// Login file, used if the router requires a login; $RECT_LOGIN changes the default
     #[arg(long, value_name = "FILE", default_value_os_t = default_login_file())]
     pub users: PathBuf,
 }
 
-/// What `scan` takes.
+/// The arguments of `scan`.
 #[derive(Debug, Parser)]
 pub struct ScanArgs {
-    /// The Bluetooth adapter
+    /// Bluetooth adapter
     #[arg(long, default_value = "hci0")]
     pub adapter: String,
-    /// How long to listen
+    /// Duration of the scan in seconds, 1 to 600
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=600))]
     pub seconds: u64,
-    /// The team's name, to be told from others
+    /// Name of the fleet, to distinguish its robots from those of other fleets
     #[arg(long, default_value = "rect")]
     pub fleet: String,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
 
-/// What `doctor` takes.
+/// The arguments of `doctor`.
 #[derive(Debug, Parser)]
 pub struct DoctorArgs {
-    /// Check that this is the robot of the router [default: any]
+    /// Check that the router belongs to this robot [default: any robot]
     #[arg(long = "as", value_name = "ROBOT")]
     pub robot: Option<String>,
-    /// The fleet's name
+    /// Name of the fleet
     #[arg(long, default_value = "rect")]
     pub fleet: String,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// The router
+    /// Router to query
     #[command(flatten)]
     pub router: RouterArgs,
 }
 
-/// What `sim` takes.
+/// The arguments of `sim`.
 #[derive(Debug, Parser)]
 pub struct SimArgs {
-    /// How many robots, 2 to 8
+    /// Number of robots, 2 to 8
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(2..=8))]
     pub robots: u16,
-    /// How good the radio is: desk, room, wall, edge-of-range or crowded-hall
+    /// Radio conditions: desk, room, wall, edge-of-range or crowded-hall
     #[arg(long, default_value_t = Condition::Room)]
     pub condition: Condition,
-    /// The fleet's name
+    /// Name of the fleet
     #[arg(long, default_value = "rect", value_parser = name)]
     pub fleet: Name,
-    /// The port of the first robot's router, which others follow; one that is taken, or 0, is replaced by a free one
+    /// Port of the first robot's router; the other routers use the ports after it. A port that is in use, or 0, is replaced
+    /// by a free one
     #[arg(long, default_value_t = 7447)]
     pub port: u16,
-    /// Start the routers alone, without programs that publish and answer
+    /// Start only the routers, without programs that publish messages and answer requests
     #[arg(long)]
     pub quiet: bool,
 }
 
-/// What `completion` takes.
+/// The arguments of `completion`.
 #[derive(Debug, Parser)]
 pub struct CompletionArgs {
-    /// Which shell
+    /// Shell for which to print the script
     pub shell: clap_complete::Shell,
 }
 
-/// What `man` takes.
+/// The arguments of `man`.
 #[derive(Debug, Parser)]
 pub struct ManArgs {
-    /// A folder that is there
+    /// Existing folder for the pages
     pub folder: PathBuf,
 }
 
-/// Runs one; what is wrong is said on stderr.
+/// Runs a command and reports its error, if any, on stderr.
 pub fn run(command: &Command) -> ExitCode {
     let done = match command {
         Command::Init(args) => init::run(args).map(|()| ExitCode::SUCCESS),
@@ -215,15 +215,15 @@ pub fn run(command: &Command) -> ExitCode {
         Command::Man(args) => manual::write(args).map(|()| ExitCode::SUCCESS),
     };
     done.unwrap_or_else(|error| {
-        // Parts of it may come from another robot.
-        let text = display::line(&wording::with_causes(error.as_ref())).into_owned();
+        // Another robot may have sent a part of the message, so control characters are removed.
+        let text = display::line(&humanize::with_causes(error.as_ref())).into_owned();
         let program = format!("{}:", program());
         rect::errln!("{} {text}", paint_err(Style::Wrong, &program));
         ExitCode::FAILURE
     })
 }
 
-/// As what a person started this program: `rect` becomes it for some of its commands.
+/// Returns the name under which the user started this program: the command `rect` executes it for some of its commands.
 fn program() -> &'static str {
     let name = env::args_os().next();
     if name.is_some_and(|name| name == "rect") {
@@ -233,7 +233,7 @@ fn program() -> &'static str {
     }
 }
 
-/// The router of commands that name none.
+/// Returns the endpoint of the router for commands that name none.
 fn default_router() -> String {
     endpoint::default_router(env::var(endpoint::ROUTER_VARIABLE).ok())
 }

@@ -1,28 +1,32 @@
-//! Flags become a Zenoh configuration, in zenohd's order: the file or the whole-configuration `--cfg`, then each flag,
-//! then each `--cfg KEY:VALUE`. What zenohd answers with a panic or a warning is an error here.
+//! Builds a Zenoh configuration from the flags, in zenohd's order: first the file or the `--cfg` that gives the whole
+//! configuration, then each flag, then each `--cfg KEY:VALUE`. Where zenohd panics or only warns, this module returns an
+//! error.
 
 mod error;
-mod fit;
+mod listener_check;
 mod login;
 mod settings;
-mod startable;
+mod slow_link_advice;
 
 use serde_json::Value;
 use validated_struct::InsertionError;
 use zenoh::{config::WhatAmI, Config};
 use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, PermissionsConf};
 use zenoh_link::ble::locator::{is_ble, ConnectLocator, ListenLocator};
-use zenoh_link_slot::SLOT_LOCATOR_PREFIX;
+use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
+pub use self::listener_check::{listener_problems, MAX_SOCKET_PATH};
 pub use self::login::{exposed_login_file, read_login_file, ExposedLogins};
 use self::login::{log_in_as, logins};
-pub use self::settings::{AutoConnect, Rule, Settings, MAX_AUTO_LINKS};
-pub use self::startable::{unstartable, MAX_SOCKET_PATH};
+pub use self::settings::{AutoConnect, AutoConnectRule, Settings, MAX_AUTO_LINKS};
 use crate::args::Args;
 
-/// The configuration that these flags ask for, and RECT's own settings, which Zenoh does not see.
+/// Builds the configuration that the flags describe, and separates RECT's own settings from it.
+///
+/// # Errors
+/// A [`ConfigError`] that names the flag, key or file.
 pub fn from_args(args: &Args) -> Result<(Config, Option<Settings>), ConfigError> {
     let settings = args
         .cfg
@@ -51,7 +55,10 @@ pub fn from_args(args: &Args) -> Result<(Config, Option<Settings>), ConfigError>
     Ok((config, settings))
 }
 
-/// Adds endpoints to those that the router dials.
+/// Adds endpoints that the router dials.
+///
+/// # Errors
+/// [`ConfigError::Endpoint`] if one cannot be parsed.
 pub fn dial(
     config: &mut Config,
     endpoints: impl IntoIterator<Item = impl AsRef<str>>,
@@ -68,10 +75,10 @@ pub fn dial(
             Ok(())
         },
     )?;
-    // Where the user names the protocols that there may be, the one of run time is among them.
+    // If the user restricts the protocols, placeholders must be among them.
     let mut protocols = config.transport.link.protocols().clone();
     if let Some(protocols) = protocols.as_mut() {
-        protocols.push(SLOT_LOCATOR_PREFIX.to_owned());
+        protocols.push(PLACEHOLDER_LOCATOR_PREFIX.to_owned());
     }
     set(
         config.transport.link.set_protocols(protocols),
@@ -80,7 +87,10 @@ pub fn dial(
     )
 }
 
-/// Adds endpoints to those that the router listens on.
+/// Adds endpoints that the router listens on.
+///
+/// # Errors
+/// [`ConfigError::Endpoint`] if one cannot be parsed.
 pub fn listen(
     config: &mut Config,
     endpoints: impl IntoIterator<Item = impl AsRef<str>>,
@@ -105,7 +115,7 @@ pub fn listens_on(config: &Config) -> Vec<EndPoint> {
         .unwrap_or_default()
 }
 
-/// Whether the router listens or dials by Bluetooth.
+/// Returns whether the configuration has a Bluetooth endpoint to listen on or to dial.
 pub fn uses_bluetooth(config: &Config) -> bool {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let connect = config.connect.endpoints.get(mode).into_iter().flatten();
@@ -113,7 +123,10 @@ pub fn uses_bluetooth(config: &Config) -> bool {
         || listens_on(config).iter().any(is_ble)
 }
 
-/// Makes the Bluetooth listeners tell of the fleet, unless they say another.
+/// Makes the Bluetooth listeners advertise the fleet, unless their locators name one.
+///
+/// # Errors
+/// [`ConfigError::Refused`] if the fleet's name cannot be part of a locator.
 pub fn announce(config: &mut Config, fleet: &str) -> Result<(), ConfigError> {
     const KEY: &str = "fleet";
     let mode = config.mode().unwrap_or(WhatAmI::Router);
@@ -133,7 +146,7 @@ pub fn announce(config: &mut Config, fleet: &str) -> Result<(), ConfigError> {
 
 const LISTEN: &str = "listen/endpoints";
 
-/// Changes a list of that mode's endpoints.
+/// Changes the list of endpoints of `mode`.
 fn change<T: Clone>(
     endpoints: &mut ModeDependentValue<Vec<T>>,
     mode: WhatAmI,
@@ -145,7 +158,10 @@ fn change<T: Clone>(
     set(endpoints.set(all), key, "as given")
 }
 
-/// Checks the login file, if there is one, and shows the password of `user` wherever this router dials.
+/// Checks the login file, if there is one, and configures the login of `user` for all links that this router dials.
+///
+/// # Errors
+/// Fails if the login file cannot be read, is empty, or has no line for `user`.
 pub fn log_in(config: &mut Config, user: Option<&str>) -> Result<(), ConfigError> {
     let logins = logins(config)?;
     if let Some(exposed) = exposed_login_file(config) {
@@ -157,34 +173,34 @@ pub fn log_in(config: &mut Config, user: Option<&str>) -> Result<(), ConfigError
     }
 }
 
-/// The configuration as text for the log, its passwords and private keys struck out.
+/// Returns the configuration as text for the log, with passwords and private keys masked.
 pub fn without_secrets(config: &Config) -> String {
     match serde_json::to_value(config) {
         Ok(mut value) => {
-            strike_out(&mut value);
+            mask_secrets(&mut value);
             value.to_string()
         }
-        Err(error) => format!("(not to be shown: {error})"),
+        Err(error) => format!("(cannot be shown: {error})"),
     }
 }
 
-fn strike_out(value: &mut Value) {
+fn mask_secrets(value: &mut Value) {
     match value {
         Value::Object(fields) => {
             for (key, value) in fields {
                 if value.is_string() && (key == "password" || key.contains("private_key")) {
                     *value = "***".into();
                 } else {
-                    strike_out(value);
+                    mask_secrets(value);
                 }
             }
         }
-        Value::Array(items) => items.iter_mut().for_each(strike_out),
+        Value::Array(items) => items.iter_mut().for_each(mask_secrets),
         _ => {}
     }
 }
 
-/// One `--cfg`.
+/// One `--cfg KEY:VALUE`.
 struct Setting<'a> {
     given: &'a str,
     key: &'a str,
@@ -222,7 +238,9 @@ fn base(args: &Args, settings: &[Setting]) -> Result<Config, ConfigError> {
     let mut config = match (whole, &args.config) {
         (Some(whole), file) => {
             if let Some(file) = file {
-                tracing::warn!("--cfg gives the whole configuration: {file} is not read");
+                tracing::warn!(
+                    "--cfg gives the whole configuration, so the file {file} is ignored"
+                );
             }
             Config::from_json5(whole.value).map_err(|source| ConfigError::Whole { source })?
         }
@@ -364,7 +382,7 @@ fn set_permissions(config: &mut Config, args: &Args) -> Result<(), ConfigError> 
     let Some(given) = &args.adminspace_permissions else {
         return Ok(());
     };
-    // The flag's parser lets `r`, `w`, `rw` and `none` through.
+    // The parser of the flag accepts only `r`, `w`, `rw` and `none`.
     let permissions = PermissionsConf {
         read: given.starts_with('r'),
         write: given.ends_with('w'),
@@ -376,7 +394,7 @@ fn set_permissions(config: &mut Config, args: &Args) -> Result<(), ConfigError> 
     )
 }
 
-/// A setter of Zenoh's configuration hands back what it refuses.
+/// Converts the result of a setter of Zenoh's configuration, which returns a value that it rejects.
 fn set<T>(result: Result<T, T>, key: &'static str, value: &str) -> Result<(), ConfigError> {
     match result {
         Ok(_before) => Ok(()),
@@ -387,7 +405,10 @@ fn set<T>(result: Result<T, T>, key: &'static str, value: &str) -> Result<(), Co
     }
 }
 
-/// Zenoh would try a malformed `ble/` endpoint again and again; better to hear of it at once.
+/// Checks all `ble/` endpoints. Without this check, Zenoh would retry an invalid endpoint forever.
+///
+/// # Errors
+/// [`ConfigError::Ble`] for the first invalid endpoint.
 pub fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let wrong = |endpoint: &EndPoint, source| ConfigError::Ble {
@@ -406,8 +427,8 @@ pub fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
         has_ble = true;
     }
     if has_ble {
-        for advice in fit::advice(config) {
-            tracing::warn!("for a bluetooth link {advice} (config/README.md)");
+        for advice in slow_link_advice::advice(config) {
+            tracing::warn!("unsuitable for a Bluetooth link: {advice} (config/README.md)");
         }
     }
     Ok(())

@@ -1,6 +1,8 @@
-//! Owns changing a robot's connections from elsewhere: `<fleet>/<robot>/@rect/@config/connections`, a query without a
-//! payload to read, one with the new text to change all, `?add` with one connection, `?remove` with the name of one. Who may is
-//! Zenoh's access control to decide, for which the key has a part of its own (`@config`) that no rule matches by chance.
+//! Implements the config service, through which other robots read and change this robot's connections file.
+//!
+//! Its key is `<fleet>/<robot>/@rect/@config/connections`. A query without a payload reads the file, a query with a payload
+//! replaces it, `?add` adds the connection in the payload, and `?remove` removes the connection named by the payload.
+//! Zenoh's access control decides who may use the service; a rule for `**` does not match the key's `@config` part.
 use std::{
     sync::{
         mpsc::{self, TrySendError},
@@ -16,30 +18,31 @@ use zenoh::{bytes::Encoding, query::Query, Session, Wait};
 
 use crate::connections::{Changes, Connections, Edit};
 
-/// What a reader gets.
+/// The reply to a query that reads the file.
 #[derive(Serialize)]
-struct Read {
+struct ReadReply {
     revision: String,
     text: String,
 }
 
-/// What who changed something gets.
+/// The reply to a query that changes the file.
 #[derive(Serialize)]
-struct Changed {
+struct ChangeReply {
     revision: String,
     #[serde(flatten)]
     changes: Changes,
 }
 
-/// So many questions may wait for the one before them; who asks when there are more is told so.
-const WAITING: usize = 16;
+/// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
+const MAX_WAITING_QUERIES: usize = 16;
 
-/// Answers until its session is closed.
+/// Declares the config service, which answers until the session is closed. `own` is the prefix of the robot's services,
+/// `<fleet>/<robot>/@rect`.
 pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zenoh::Result<()> {
     let key = format!("{own}/{CONFIG}");
     let key_of_answer = key.clone();
-    let (queries, next) = mpsc::sync_channel(WAITING);
-    // A change takes its time, and Zenoh's own threads have others to serve.
+    let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
+    // A change takes time, and must not block Zenoh's own threads.
     thread::Builder::new()
         .name("settings".to_owned())
         .spawn(move || {
@@ -49,72 +52,75 @@ pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zen
         })?;
     let on_query = move |query: Query| {
         if let Err(TrySendError::Full(query)) = queries.try_send(query) {
-            let busy = "others are changing the connections; try again";
-            told(query.reply_err(busy).encoding(Encoding::TEXT_PLAIN).wait());
+            let busy = "too many queries are waiting to change the connections; try again";
+            log_failure(query.reply_err(busy).encoding(Encoding::TEXT_PLAIN).wait());
         }
     };
     let queryable = session.declare_queryable(key).callback(on_query);
     queryable.background().wait()
 }
 
-/// Answers, and then does what is asked for.
+/// Answers a query, and then applies the change that it requests.
 fn answer(query: Query, key: &str, connections: &Connections) {
-    // Its end, by which Zenoh knows that no more answers come, is sent where it is dropped.
-    let reply = |query: Query, said: Result<Value, String>| {
-        told(match said {
+    // Takes the query by value: dropping it tells Zenoh that no further reply follows.
+    let reply = |query: Query, result: Result<Value, String>| {
+        log_failure(match result {
             Ok(json) => query
                 .reply(key, json.to_string())
                 .encoding(Encoding::APPLICATION_JSON)
                 .wait(),
-            Err(wrong) => query.reply_err(wrong).encoding(Encoding::TEXT_PLAIN).wait(),
+            Err(error) => query.reply_err(error).encoding(Encoding::TEXT_PLAIN).wait(),
         });
     };
-    let Asked { edit, expected, by } = match Asked::by(&query) {
-        Ok(asked) => asked,
-        Err(wrong) => return reply(query, Err(wrong)),
+    let ConfigRequest { edit, expected, by } = match ConfigRequest::parse(&query) {
+        Ok(request) => request,
+        Err(error) => return reply(query, Err(error)),
     };
     let Some(edit) = edit else {
         return reply(query, read(connections));
     };
-    let mut waits = Some(query);
+    let mut unanswered = Some(query);
     let done = connections.edit(&edit, expected.as_deref(), |changes, revision| {
         tracing::info!("the connections are changed by {by}: {changes}");
-        if let Some(query) = waits.take() {
+        if let Some(query) = unanswered.take() {
             let (revision, changes) = (revision.to_owned(), changes.clone());
-            reply(query, json(&Changed { revision, changes }));
+            reply(query, json(&ChangeReply { revision, changes }));
         }
     });
-    if let (Err(error), Some(query)) = (done, waits) {
+    if let (Err(error), Some(query)) = (done, unanswered) {
         reply(query, Err(error.to_string()));
     }
 }
 
-fn told(replied: zenoh::Result<()>) {
+fn log_failure(replied: zenoh::Result<()>) {
     if let Err(error) = replied {
-        tracing::debug!("who asked for the configuration got no answer: {error}");
+        tracing::debug!("cannot send a reply of the config service: {error}");
     }
 }
 
+/// Returns the reply with the current text of the file.
 fn read(connections: &Connections) -> Result<Value, String> {
     let (text, revision) = connections.text().map_err(|error| error.to_string())?;
-    json(&Read { revision, text })
+    json(&ReadReply { revision, text })
 }
 
 fn json(answer: &impl Serialize) -> Result<Value, String> {
     serde_json::to_value(answer).map_err(|error| error.to_string())
 }
 
-/// What somebody wants.
-struct Asked {
-    /// What is to change; none: to read.
+/// A parsed query to the config service.
+struct ConfigRequest {
+    /// The change; `None` reads the file.
     edit: Option<Edit>,
+    /// The revision that the file must have, if the query names one.
     expected: Option<String>,
+    /// The author of the change, for the log.
     by: String,
 }
 
-impl Asked {
-    fn by(query: &Query) -> Result<Self, String> {
-        let (mut expected, mut by) = (None, "somebody who does not say");
+impl ConfigRequest {
+    fn parse(query: &Query) -> Result<Self, String> {
+        let (mut expected, mut by) = (None, "an unnamed author");
         let mut edit: fn(String) -> Edit = Edit::Whole;
         for (key, value) in query.parameters().iter() {
             match key {
@@ -125,7 +131,7 @@ impl Asked {
                 _ if key.is_empty() || key.starts_with('_') => {}
                 _ => {
                     return Err(format!(
-                        "`{key}` is unknown; known are add and remove (one connection), expect (a revision) and by (who)"
+                        "`{key}` is unknown; known are add and remove (one connection), expect (a revision) and by (the author)"
                     ))
                 }
             }
@@ -133,7 +139,7 @@ impl Asked {
         let text = query.payload().map(|payload| payload.try_to_string());
         let text = text
             .transpose()
-            .map_err(|_| "the new connections are no text (UTF-8)".to_owned())?;
+            .map_err(|_| "the new connections are not valid UTF-8 text".to_owned())?;
         Ok(Self {
             edit: text.map(|text| edit(text.into_owned())),
             expected,

@@ -1,4 +1,4 @@
-//! Owns the named connections of a router: which are wanted, and what changes when others are.
+//! Keeps the named connections of a router, and applies the changes of the connections file to them.
 mod connection;
 mod edit;
 pub mod file;
@@ -19,74 +19,77 @@ use std::{
 
 use parking_lot::Mutex;
 use serde::Serialize;
-use zenoh_link_slot::Slots;
+use zenoh_link_placeholder::Placeholders;
 
 pub use self::{
-    connection::{link, Ends, Snapshot, Trouble},
+    connection::{link, LastError, LinkEnds, Snapshot},
     edit::{Edit, EditError},
     file::FileError,
-    fleet::Fleet,
-    watcher::Watching,
+    fleet::FleetConnector,
+    watcher::FileWatch,
 };
 use self::{
-    connection::{Connection, Dialled},
-    file::{Limits, Wanted},
+    connection::{ConnectionDialler, NamedConnection},
+    file::{FileContents, Limits},
     spec::Spec,
     store::{revision, Store},
 };
-use crate::config::{AutoConnect, Rule, Settings};
+use crate::config::{AutoConnect, AutoConnectRule, Settings};
 
-/// How long links that a change ends stay after who asked for it was answered. Zenoh does not tell when an answer has left.
-/// It hands it to the link within milliseconds, and what a link was given it still delivers when it is closed (over
-/// Bluetooth for its `linger`); half a second is enough for a router that is busy, too. Where more waits before the answer
-/// than goes in that time, it is lost, and who asked can only read again.
-const GRACE: Duration = Duration::from_millis(500);
+/// Time between the reply to a change and the end of the links that the change closes: the reply may travel over one of
+/// them.
+///
+/// Zenoh does not report when a reply has been sent. It passes the reply to the link within milliseconds, and a link still
+/// delivers its queue when it is closed (over Bluetooth for its `linger` time), so that half a second is enough even for a
+/// busy router. If the queue before the reply takes longer, the reply is lost and the requester has to read the file again.
+const REPLY_GRACE: Duration = Duration::from_millis(500);
 
 /// The named connections of one Zenoh runtime.
 pub struct Connections {
-    /// The file they are from.
+    /// Path of the connections file.
     path: PathBuf,
     limits: Limits,
-    /// Held while it is read or replaced, so that one change follows the other.
+    /// The connections file; locked while it is read or replaced, so that changes are applied one after the other.
     store: Mutex<Store>,
-    slots: Arc<Slots>,
+    placeholders: Arc<Placeholders>,
     by_name: Mutex<BTreeMap<String, Entry>>,
-    fleet: Arc<Fleet>,
-    /// Where the file has none.
-    rule: Rule,
+    fleet: Arc<FleetConnector>,
+    /// The rule of the settings, for files without one.
+    rule: AutoConnectRule,
     on_change: OnceLock<Box<dyn Fn() + Send + Sync>>,
 }
 
+/// A named connection and the number of its placeholder.
 struct Entry {
-    slot: usize,
-    connection: Arc<Connection>,
+    placeholder: usize,
+    connection: Arc<NamedConnection>,
 }
 
-/// What became different; all others keep their links.
+/// The differences between two sets of connections. Connections that are not named here keep their links.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Changes {
-    /// New names.
+    /// Names of new connections.
     pub added: Vec<String>,
-    /// Names that are gone.
+    /// Names of removed connections.
     pub removed: Vec<String>,
-    /// Names that lead elsewhere, or otherwise.
+    /// Names of connections with another method, address or options.
     pub changed: Vec<String>,
-    /// Whether another rule says whom to connect to by itself.
+    /// Whether the rule for automatic connections has changed.
     pub rule_changed: bool,
 }
 
 impl Connections {
-    /// None yet; they are to come from the file `path`, and with them perhaps what `fleet` does instead of what the settings
-    /// say.
-    pub fn new(path: &Path, settings: &Settings, fleet: Arc<Fleet>) -> Arc<Self> {
+    /// Creates an empty set of connections for the file at `path`. A rule in that file overrides the rule of `settings` and is
+    /// passed to `fleet`.
+    pub fn new(path: &Path, settings: &Settings, fleet: Arc<FleetConnector>) -> Arc<Self> {
         Arc::new(Self {
             path: path.to_owned(),
             limits: Limits {
                 robot: settings.robot.clone(),
-                most: settings.max_connections,
+                max_connections: settings.max_connections,
             },
             store: Mutex::new(Store::new(path)),
-            slots: Slots::new(settings.max_connections),
+            placeholders: Placeholders::new(settings.max_connections),
             by_name: Mutex::default(),
             fleet,
             rule: settings.rule(),
@@ -94,50 +97,64 @@ impl Connections {
         })
     }
 
-    /// What Zenoh has to dial for them.
+    /// Returns the placeholder endpoints that Zenoh has to dial.
     pub fn endpoints(&self) -> impl Iterator<Item = String> + '_ {
-        self.slots.endpoints()
+        self.placeholders.endpoints()
     }
 
-    /// The file.
+    /// Returns the path of the connections file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Takes the connections of the file; on an error nothing changes.
+    /// Reads the file and applies its connections.
+    ///
+    /// # Errors
+    /// The first problem of the file; the connections are unchanged then.
     pub fn load(&self) -> Result<Changes, FileError> {
         let _others_wait = self.store.lock();
-        let wanted = file::read(&self.path, &self.limits)?;
-        Ok(self.apply(wanted))
+        let contents = file::read(&self.path, &self.limits)?;
+        Ok(self.apply(contents))
     }
 
-    /// Removes what a router left beside the file that was killed while it changed it.
+    /// Removes temporary files of a router that was killed while it changed the connections file.
     pub fn remove_leftovers(&self) {
         match self.store.lock().remove_leftovers() {
             Ok(0) => {}
             Ok(removed) => tracing::info!(
-                "{}: removed what an interrupted change had left ({removed} files)",
+                "{}: removed {removed} temporary files of an interrupted change",
                 self.path.display()
             ),
             Err(error) => tracing::debug!("{}: {error}", self.path.display()),
         }
     }
 
-    /// Reads the file; nothing changes.
+    /// Checks the file without applying it.
+    ///
+    /// # Errors
+    /// The first problem of the file.
     pub fn check(&self) -> Result<(), FileError> {
         file::read(&self.path, &self.limits).map(drop)
     }
 
-    /// The file's text and its revision.
+    /// Returns the text of the file and its revision; an empty text if there is no file.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read.
     pub fn text(&self) -> io::Result<(String, String)> {
         let text = self.store.lock().read()?;
         let revision = revision(&text);
         Ok((text, revision))
     }
 
-    /// Puts what `edit` makes of it into the file and takes its connections, if `expected` is the revision of what is there.
-    /// `answer` is told what changes and the new revision, once it is in the file and before links end: whoever asks may come
-    /// over one of them. On an error nothing changes. Waits while links that are to end have their [`GRACE`].
+    /// Applies `edit` to the file, and then the connections of the new file.
+    ///
+    /// Calls `answer` with the changes and the new revision once the file is written and before links are closed, because
+    /// the requester may be connected over one of them. If links are to be closed, blocks for [`REPLY_GRACE`] in between.
+    ///
+    /// # Errors
+    /// Fails if `expected` is given and is not the revision of the file, if the edit or its result is invalid, or if the file
+    /// cannot be written. The file and the connections are unchanged then.
     pub fn edit(
         &self,
         edit: &Edit,
@@ -152,33 +169,36 @@ impl Connections {
             }
         }
         let text = edit.applied(|| store.read(), &self.limits)?;
-        let wanted = file::parse(&text, &self.limits)?;
+        let contents = file::parse(&text, &self.limits)?;
         store.replace(&text)?;
-        let changes = self.difference(&self.rule_of(&wanted), &wanted.connections);
+        let changes = self.difference(&self.rule_of(&contents), &contents.connections);
         answer(&changes, &revision(&text));
-        if changes.end_links() {
-            thread::sleep(GRACE);
+        if changes.close_links() {
+            thread::sleep(REPLY_GRACE);
         }
-        self.apply(wanted);
+        self.apply(contents);
         Ok(())
     }
 
-    /// Calls `on_change` whenever a file brought something new. One is told, the first that asks.
+    /// Registers a function that is called after each change. Only the first registration has an effect.
     pub fn on_change(&self, on_change: impl Fn() + Send + Sync + 'static) {
         let _ = self.on_change.set(Box::new(on_change));
     }
 
-    /// Takes a file's connections again whenever it changes, until the watching is dropped.
-    pub fn watch(self: &Arc<Self>) -> notify::Result<Watching> {
-        Watching::start(Arc::clone(self))
+    /// Applies the file again whenever it changes, until the returned watch is dropped.
+    ///
+    /// # Errors
+    /// Fails if the system cannot watch the folder of the file.
+    pub fn watch(self: &Arc<Self>) -> notify::Result<FileWatch> {
+        FileWatch::start(Arc::clone(self))
     }
 
-    /// Dials nobody any more; links that are there stay.
+    /// Stops dialling; links that are open stay open.
     pub fn close(&self) {
-        self.slots.close();
+        self.placeholders.close();
     }
 
-    /// What is known of each, by name.
+    /// Returns the state of each connection, sorted by name.
     pub fn snapshots(&self) -> Vec<Snapshot> {
         let connections: Vec<_> = {
             let by_name = self.by_name.lock();
@@ -193,34 +213,34 @@ impl Connections {
             .collect()
     }
 
-    /// From now on these.
-    fn apply(&self, wanted: Wanted) -> Changes {
-        let rule = self.rule_of(&wanted);
-        let changes = self.difference(&rule, &wanted.connections);
+    /// Replaces the connections and the rule, and returns the differences.
+    fn apply(&self, contents: FileContents) -> Changes {
+        let rule = self.rule_of(&contents);
+        let changes = self.difference(&rule, &contents.connections);
         self.end(&changes.removed);
-        for spec in wanted.connections {
+        for spec in contents.connections {
             if changes.added.contains(&spec.name) || changes.changed.contains(&spec.name) {
                 self.begin(spec);
             }
         }
-        self.fleet.follow(rule);
+        self.fleet.apply_rule(rule);
         if changes != Changes::default() {
             self.on_change.get().inspect(|on_change| on_change());
         }
         changes
     }
 
-    /// What the file says, or else the settings.
-    fn rule_of(&self, wanted: &Wanted) -> Rule {
-        Rule {
-            auto_connect: wanted.auto_connect.unwrap_or(self.rule.auto_connect),
-            auto_links: wanted.auto_links.unwrap_or(self.rule.auto_links),
+    /// Returns the rule of the file, with missing parts from the settings.
+    fn rule_of(&self, contents: &FileContents) -> AutoConnectRule {
+        AutoConnectRule {
+            auto_connect: contents.auto_connect.unwrap_or(self.rule.auto_connect),
+            auto_links: contents.auto_links.unwrap_or(self.rule.auto_links),
         }
     }
 
-    /// What becomes different when that rule and these connections hold.
-    fn difference(&self, rule: &Rule, listed: &[Spec]) -> Changes {
-        let wanted = match rule.auto_connect {
+    /// Returns the differences to the current connections and rule.
+    fn difference(&self, rule: &AutoConnectRule, listed: &[Spec]) -> Changes {
+        let specs = match rule.auto_connect {
             AutoConnect::None => &[],
             AutoConnect::Listed | AutoConnect::Fleet => listed,
         };
@@ -229,9 +249,9 @@ impl Connections {
             ..Changes::default()
         };
         let by_name = self.by_name.lock();
-        let is_gone = |name: &&String| wanted.iter().all(|spec| spec.name != **name);
+        let is_gone = |name: &&String| specs.iter().all(|spec| spec.name != **name);
         changes.removed = by_name.keys().filter(is_gone).cloned().collect();
-        for spec in wanted {
+        for spec in specs {
             match by_name.get(&spec.name) {
                 Some(entry) if entry.connection.spec() == spec => {}
                 Some(_) => changes.changed.push(spec.name.clone()),
@@ -241,36 +261,50 @@ impl Connections {
         changes
     }
 
+    /// Empties the placeholders of connections and closes their links.
     fn end(&self, names: &[String]) {
         let mut by_name = self.by_name.lock();
         for entry in names.iter().filter_map(|name| by_name.remove(name)) {
-            self.slots.set(entry.slot, None);
+            self.placeholders.set(entry.placeholder, None);
             entry.connection.end();
         }
     }
 
-    /// In the slot of the one that had its name, or a free one. (The file's limit is that there are enough.)
+    /// Starts dialling a connection, through the placeholder of the connection that had its name, or through a free one. (The
+    /// limit of the file guarantees that there is one.)
     fn begin(&self, spec: Spec) {
         let mut by_name = self.by_name.lock();
-        let is_free = |slot: &usize| by_name.values().all(|entry| entry.slot != *slot);
-        let slot = match by_name.get(&spec.name) {
-            Some(before) => Some(before.slot),
-            None => (0..self.slots.count()).find(is_free),
+        let is_free = |placeholder: &usize| {
+            by_name
+                .values()
+                .all(|entry| entry.placeholder != *placeholder)
         };
-        let Some(slot) = slot else { return };
+        let placeholder = match by_name.get(&spec.name) {
+            Some(before) => Some(before.placeholder),
+            None => (0..self.placeholders.count()).find(is_free),
+        };
+        let Some(placeholder) = placeholder else {
+            return;
+        };
         let name = spec.name.clone();
-        let connection = Connection::new(spec);
-        let dialled = Dialled(Arc::clone(&connection));
-        self.slots.set(slot, Some(Arc::new(dialled)));
-        if let Some(before) = by_name.insert(name, Entry { slot, connection }) {
+        let connection = NamedConnection::new(spec);
+        let dialled = ConnectionDialler(Arc::clone(&connection));
+        self.placeholders.set(placeholder, Some(Arc::new(dialled)));
+        if let Some(before) = by_name.insert(
+            name,
+            Entry {
+                placeholder,
+                connection,
+            },
+        ) {
             before.connection.end();
         }
     }
 }
 
 impl Changes {
-    /// Whether somebody may lose the link that he comes over.
-    fn end_links(&self) -> bool {
+    /// Returns whether the changes close links.
+    fn close_links(&self) -> bool {
         !self.removed.is_empty() || !self.changed.is_empty()
     }
 }
@@ -282,17 +316,17 @@ impl fmt::Display for Changes {
             ("removed", &self.removed),
             ("changed", &self.changed),
         ];
-        let mut told: Vec<_> = parts
+        let mut texts: Vec<_> = parts
             .iter()
             .filter(|(_, names)| !names.is_empty())
-            .map(|(what, names)| format!("{what} {}", names.join(", ")))
+            .map(|(verb, names)| format!("{verb} {}", names.join(", ")))
             .collect();
         if self.rule_changed {
-            told.push("another auto_connect or auto_links".to_owned());
+            texts.push("another auto_connect or auto_links".to_owned());
         }
-        match told.is_empty() {
-            true => f.write_str("as before"),
-            false => f.write_str(&told.join("; ")),
+        match texts.is_empty() {
+            true => f.write_str("no changes"),
+            false => f.write_str(&texts.join("; ")),
         }
     }
 }
@@ -301,28 +335,28 @@ impl fmt::Display for Changes {
 mod tests {
     use serde_json::json;
 
-    use super::{spec::Written, *};
+    use super::{spec::RawSpec, *};
 
     fn spec(name: &str, address: &str) -> Spec {
-        let written = Written {
+        let written = RawSpec {
             name: name.into(),
             method: "ble".into(),
             address: address.into(),
-            ..Written::default()
+            ..RawSpec::default()
         };
         Spec::of(written).expect("valid")
     }
 
     #[test]
-    fn only_what_differs_changes() {
+    fn reports_and_applies_only_the_differences() {
         let settings = json!({ "robot": "me", "max_connections": 3, "auto_links": 2 });
         let settings = Settings::parse(settings).expect("valid");
-        let fleet = Fleet::new("lions", 7).expect("a name");
+        let fleet = FleetConnector::new("lions", 7).expect("a name");
         let connections = Connections::new(Path::new("/nowhere"), &settings, Arc::clone(&fleet));
         let apply = |specs: &[Spec]| {
-            connections.apply(Wanted {
+            connections.apply(FileContents {
                 connections: specs.to_vec(),
-                ..Wanted::default()
+                ..FileContents::default()
             })
         };
         let names = || -> Vec<_> {
@@ -336,15 +370,15 @@ mod tests {
         let changes = apply(&[spec("b", "two"), spec("a", "one")]);
         assert_eq!(changes.to_string(), format!("added b, a; {rule}"));
         let changes = apply(&[spec("a", "one"), spec("b", "two")]);
-        assert_eq!(changes.to_string(), "as before");
+        assert_eq!(changes.to_string(), "no changes");
         let changes = apply(&[spec("b", "three"), spec("c", "four"), spec("d", "five")]);
         assert_eq!(changes.to_string(), "added c, d; removed a; changed b");
         assert_eq!(names(), ["b>ble/three", "c>ble/four", "d>ble/five"]);
         assert_eq!(apply(&[]).to_string(), "removed b, c, d");
         assert!(names().is_empty());
 
-        // And the rule of a file instead of the settings'.
-        let with_rule = |auto_connect| Wanted {
+        // The rule of a file overrides the rule of the settings.
+        let with_rule = |auto_connect| FileContents {
             connections: vec![spec("a", "one")],
             auto_connect: Some(auto_connect),
             auto_links: None,

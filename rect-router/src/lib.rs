@@ -1,5 +1,5 @@
-//! What RECT makes of a Zenoh router, for its two hosts: `rect-router` (`main.rs`) and the plugin in a stock zenohd
-//! (`plugin/`). A robot's named connections and its registry are one code for both.
+//! Extends a Zenoh router with RECT's named connections, registry and limits. Both hosts use this library: the program
+//! `rect-router` (`main.rs`) and the plugin for a stock zenohd (`plugin/`).
 
 pub mod args;
 pub mod commands;
@@ -10,7 +10,7 @@ pub mod limits;
 pub mod logging;
 pub mod registry;
 mod regular_file;
-pub mod robot;
+pub mod robot_services;
 pub mod router;
 mod signals;
 pub mod status;

@@ -1,8 +1,8 @@
-//! Owns how many sessions and handshakes a router accepts, and from whom: room for robots over Bluetooth is kept free, and
-//! neither one login nor one address can take all the rest.
+//! Limits the sessions and handshakes that a router accepts: a share is reserved for robots over Bluetooth, and neither one
+//! login nor one address can use the whole remainder.
 //!
-//! `zenoh_link::admission` applies what concerns links before Zenoh has them, `logins` what concerns a user, whom Zenoh
-//! knows only once its session is open. `config/README.md` documents the numbers.
+//! `zenoh_link::admission` enforces the limits of links before Zenoh receives them. `logins` enforces the limit of a user,
+//! which Zenoh knows only once the session is open. `config/README.md` documents the numbers.
 
 mod logins;
 
@@ -15,24 +15,25 @@ use zenoh_link::admission;
 pub use self::logins::LoginLimit;
 use crate::config::{uses_bluetooth, ConfigError};
 
-/// A local program or a computer on the same network completes its handshake in milliseconds. Zenoh's own limit
-/// (`accept_timeout`, 10 s) is what a busy Bluetooth link needs.
+/// Maximum duration of a handshake over other links than Bluetooth. A local program or a computer on the same network
+/// completes it in milliseconds; only a busy Bluetooth link needs Zenoh's own limit (`accept_timeout`, 10 s).
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// `plugins: { rect: { sessions: { ... } } }`; what is left out is a share of `transport/unicast/max_sessions`.
+/// The settings `plugins: { rect: { sessions: { ... } } }`. An omitted one is a share of
+/// `transport/unicast/max_sessions`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SessionSettings {
-    /// Sessions that only links over Bluetooth may take; default a quarter of all.
+    /// Number of sessions reserved for links over Bluetooth; default a quarter of all.
     pub bluetooth: Option<usize>,
-    /// Sessions of one login, over other links than Bluetooth; default half of those that are left.
+    /// Maximum number of sessions of one login over other links than Bluetooth; default half of the remainder.
     pub per_user: Option<usize>,
-    /// Sessions from one IP address, and from this computer's programs together, over other links than Bluetooth; default
-    /// three quarters of those that are left.
+    /// Maximum number of sessions from one IP address, or from all programs of this computer, over other links than
+    /// Bluetooth; default three quarters of the remainder.
     pub per_address: Option<usize>,
 }
 
-/// The numbers for one router.
+/// The limits of one router.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SessionLimits {
     links: admission::Limits,
@@ -40,28 +41,31 @@ pub struct SessionLimits {
 }
 
 impl SessionLimits {
-    /// Derives the numbers from Zenoh's own settings and RECT's.
+    /// Computes the limits from Zenoh's settings and RECT's.
+    ///
+    /// # Errors
+    /// [`ConfigError::Settings`] if a share is larger than the number of sessions that remain for it.
     pub fn of(config: &Config, settings: &SessionSettings) -> Result<Self, ConfigError> {
         let unicast = &config.transport.unicast;
-        let (most, handshakes) = (*unicast.max_sessions(), *unicast.accept_pending());
+        let (sessions, handshakes) = (*unicast.max_sessions(), *unicast.accept_pending());
         let has_bluetooth = uses_bluetooth(config);
         let share = |of: usize, quarters: usize| (of * quarters).div_ceil(4);
         let bluetooth = match has_bluetooth {
-            true => settings.bluetooth.unwrap_or(most / 4),
+            true => settings.bluetooth.unwrap_or(sessions / 4),
             false => 0,
         };
-        let others = most.saturating_sub(bluetooth);
+        let others = sessions.saturating_sub(bluetooth);
         let per_user = settings.per_user.unwrap_or(share(others, 2));
         let per_address = settings.per_address.unwrap_or(share(others, 3));
-        for (key, given, most) in [
-            ("bluetooth", bluetooth, most.saturating_sub(1)),
+        for (key, given, available) in [
+            ("bluetooth", bluetooth, sessions.saturating_sub(1)),
             ("per_user", per_user, others),
             ("per_address", per_address, others),
         ] {
-            if given > most {
+            if given > available {
                 return Err(ConfigError::Settings {
                     reason: format!(
-                        "sessions/{key} is {given}, but only {most} are left of transport/unicast/max_sessions"
+                        "sessions/{key} is {given}, but only {available} remain of transport/unicast/max_sessions"
                     ),
                 });
             }
@@ -78,7 +82,10 @@ impl SessionLimits {
         })
     }
 
-    /// Applies the limits of links, and leaves room in Zenoh's own for handshakes that are ending.
+    /// Applies the limits of links to this process, and raises Zenoh's own limit to leave room for handshakes that are ending.
+    ///
+    /// # Errors
+    /// [`ConfigError::Refused`] if Zenoh rejects the raised limit.
     pub fn apply(&self, config: &mut Config) -> Result<(), ConfigError> {
         let given = *config.transport.unicast.accept_pending();
         let of_zenoh = given.saturating_add(self.links.handshakes);
@@ -91,7 +98,7 @@ impl SessionLimits {
         Ok(())
     }
 
-    /// Returns what limits the sessions of one login.
+    /// Returns the handler that limits the sessions of one login.
     pub fn logins(&self) -> LoginLimit {
         LoginLimit::new(self.per_user)
     }
@@ -109,7 +116,7 @@ mod tests {
         transport: { unicast: { max_sessions: 128, accept_pending: 64 } } }"#;
 
     #[test]
-    fn a_quarter_is_kept_for_bluetooth_and_nobody_takes_all_the_rest() {
+    fn reserves_a_quarter_for_bluetooth_and_limits_users_and_addresses() {
         let limits = limits(ROBOT, &SessionSettings::default()).expect("valid");
         let links = admission::Limits {
             handshakes: 48,
@@ -125,14 +132,14 @@ mod tests {
     }
 
     #[test]
-    fn without_bluetooth_nothing_is_kept() {
+    fn reserves_nothing_without_bluetooth() {
         let text = ROBOT.replace(r#", "ble/sim-a#name=a""#, "");
         let limits = limits(&text, &SessionSettings::default()).expect("valid");
         assert_eq!((limits.links.sessions, limits.links.handshakes), (128, 64));
     }
 
     #[test]
-    fn more_than_there_are_is_an_error_that_names_the_key() {
+    fn rejects_a_share_above_the_total_and_names_the_key() {
         for (key, settings) in [
             (
                 "sessions/bluetooth",
@@ -162,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_session_is_possible() {
+    fn accepts_a_limit_of_one_session() {
         let text = r#"{ mode: "router", listen: { endpoints: ["tcp/127.0.0.1:0"] }, transport: { unicast: { max_sessions: 1 } } }"#;
         let limits = limits(text, &SessionSettings::default()).expect("valid");
         assert_eq!(limits.links.sessions, 1);

@@ -1,7 +1,7 @@
-//! The log: as zenohd's, on stdout, steered by `RUST_LOG`, with colours on a terminal only.
+//! Sets up the log: on stdout as zenohd's, filtered by `RUST_LOG`, with colours on a terminal only.
 //!
-//! Nothing that logs ever waits for the log's reader or fails because of it: lines go through a queue to a thread of their
-//! own (`queue`), and what does not fit is counted and left out. A panic is logged in the same way.
+//! Logging never blocks on the reader of the log and never fails because of it: lines pass through a queue to a thread
+//! (`queue`), and lines that do not fit are counted and dropped. A panic is logged in the same way.
 
 mod queue;
 
@@ -19,14 +19,17 @@ use tracing_subscriber::EnvFilter;
 
 use self::queue::{Line, LineQueue};
 
-/// All of zenoh (its targets begin with `z`) and of RECT, from `info` up.
+/// The default filter: level `info` for Zenoh, whose targets begin with `z`, and for RECT.
 const DEFAULT_FILTER: &str = "z=info,rect=info";
-/// How long the end of the program waits until the log is written; a reader may have stopped reading.
+/// Maximum time for which the end of the program waits for the log to be written, as its reader may have stopped.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(1);
 
 static QUEUE: OnceLock<LineQueue> = OnceLock::new();
 
-/// Starts logging, before anything can have something to say.
+/// Starts logging. Call it before anything else logs.
+///
+/// # Errors
+/// Fails if `RUST_LOG` is invalid or the thread cannot be started.
 pub fn start() -> Result<(), StartError> {
     let given = match env::var("RUST_LOG") {
         Ok(given) => given,
@@ -45,7 +48,7 @@ pub fn start() -> Result<(), StartError> {
             io::stdout().is_terminal(),
             env::var_os("NO_COLOR").is_some_and(|set| !set.is_empty()),
         ))
-        // The subscriber reports a line that it cannot write on stderr, and panics where that cannot be written either.
+        // By default the subscriber reports a failed write on stderr, and panics if that fails, too.
         .log_internal_errors(false)
         .with_writer(|| Line::new(queue))
         .init();
@@ -53,14 +56,15 @@ pub fn start() -> Result<(), StartError> {
     Ok(())
 }
 
-/// Waits until what was logged is written, but not for long: the reader may be gone, or have stopped.
+/// Waits until the log is written, at most 1 s: its reader may have stopped or exited.
 pub fn finish() {
     if let Some(queue) = QUEUE.get() {
         queue.flush(FLUSH_TIMEOUT);
     }
 }
 
-/// Writes a message for the user on stderr. It is lost if nobody reads it in time; the exit status tells the same.
+/// Writes a message for the user to stderr. It is lost if it is not read within 1 s; the exit status still reports the
+/// failure.
 pub fn report(message: &str) {
     let line = format!("rect-router: {message}\n");
     let (written, is_written) = mpsc::channel();
@@ -73,16 +77,16 @@ pub fn report(message: &str) {
     }
 }
 
-/// Colours are for a terminal, unless the user does not want any (<https://no-color.org>).
-fn has_colour(is_terminal: bool, is_unwanted: bool) -> bool {
-    is_terminal && !is_unwanted
+/// Returns whether to use colours: on a terminal, unless `NO_COLOR` is set (<https://no-color.org>).
+fn has_colour(is_terminal: bool, is_disabled: bool) -> bool {
+    is_terminal && !is_disabled
 }
 
-/// Rust's own hook writes to stderr, and waits where nobody reads it.
+/// Logs a panic. Rust's default hook writes to stderr, and would block if nothing reads it.
 fn log_panic(panic: &PanicHookInfo<'_>) {
     let Some(queue) = QUEUE.get() else { return };
     let thread = thread::current();
-    let name = thread.name().unwrap_or("without a name");
+    let name = thread.name().unwrap_or("(unnamed)");
     let mut text = format!("rect-router: thread {name}: {panic}\n");
     let backtrace = Backtrace::capture();
     if backtrace.status() == BacktraceStatus::Captured {
@@ -91,19 +95,19 @@ fn log_panic(panic: &PanicHookInfo<'_>) {
     queue.push(text.into_bytes());
 }
 
-/// Why there is no log.
+/// The reason why logging could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// Give `RUST_LOG` as `info`, or as `zenoh=debug,rect=info`.
+    /// `RUST_LOG` is not a filter. Write it as `info`, or as `zenoh=debug,rect=info`.
     #[error("RUST_LOG={given} is not a log filter; use for example RUST_LOG=info or RUST_LOG=zenoh=debug,rect=info")]
     Filter {
-        /// The value of the variable.
+        /// Value of the variable.
         given: String,
-        /// Where it is wrong.
+        /// Description and position of the mistake.
         source: tracing_subscriber::filter::ParseError,
     },
-    /// The system refuses a thread.
-    #[error("the log has no thread to be written by")]
+    /// The thread that writes the log could not be started.
+    #[error("cannot start the thread that writes the log")]
     Thread(#[source] io::Error),
 }
 
@@ -112,9 +116,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_are_for_a_terminal_and_for_users_who_want_them() {
+    fn colours_need_a_terminal_and_can_be_disabled() {
         let cases = [(true, false), (true, true), (false, false), (false, true)];
-        let coloured = cases.map(|(is_terminal, is_unwanted)| has_colour(is_terminal, is_unwanted));
+        let coloured = cases.map(|(is_terminal, is_disabled)| has_colour(is_terminal, is_disabled));
         assert_eq!(coloured, [true, false, false, false]);
     }
 }

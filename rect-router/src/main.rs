@@ -1,17 +1,17 @@
-//! `rect-router`: a router that takes zenohd's flags and configuration files and speaks Bluetooth LE.
+//! `rect-router`: a router that accepts zenohd's flags and configuration files and adds Bluetooth LE links.
 //!
-//! Here is the order of things only: flags become a configuration (`config.rs`), the configuration a running router
-//! (`router.rs`) with its threads (`threads.rs`), and a signal the end of it (`signals.rs`). Whatever is wrong is said
-//! once, on stderr.
+//! This file only defines the order of the steps. The flags become a configuration (`config.rs`), the configuration becomes
+//! a running router (`router.rs`) with its threads (`threads.rs`), and a signal stops it (`signals.rs`). An error is
+//! reported once, on stderr.
 
 use std::process::ExitCode;
 
-use rect::core::wording;
+use rect::core::humanize;
 use rect_router::{
     args, commands, config,
     limits::{SessionLimits, SessionSettings},
     logging,
-    robot::Robot,
+    robot_services::RobotServices,
     router, threads, version,
 };
 
@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     let status = match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            logging::report(&wording::with_causes(error.as_ref()));
+            logging::report(&humanize::with_causes(error.as_ref()));
             ExitCode::FAILURE
         }
     };
@@ -42,7 +42,7 @@ fn run(args: &args::Args) -> Result<(), Box<dyn std::error::Error + Send + Sync>
             settings.sessions.clone()
         });
     let robot = settings
-        .map(|settings| Robot::prepare(settings, &mut config))
+        .map(|settings| RobotServices::prepare(settings, &mut config))
         .transpose()?;
     tracing::debug!("Initial conf: {}", config::without_secrets(&config));
     let limits = SessionLimits::of(&config, &sessions)?;

@@ -1,5 +1,7 @@
-//! Owns the registry of a robot: which connections there are, to whom, how many. Zenoh queryables answer, changes are
-//! published under the same key, and a liveliness token tells that the robot is there. `docs/registry.md` has the keys.
+//! Implements the registry of a robot, which reports its connections, its peers and its status.
+//!
+//! Zenoh queryables answer queries, changes of the connections are published under the key that answers for them, and a
+//! liveliness token shows that the robot is present. `docs/registry.md` documents the keys.
 pub mod document;
 mod presence;
 mod publisher;
@@ -16,13 +18,13 @@ use std::{
 };
 
 use rect::core::{
-    connection::{Connection, ConnectionState as State, PeerId, Traffic, Trouble},
-    wording,
+    connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
+    humanize,
 };
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
 use zenoh_link::ble::{
-    advertisement::Advertisement, status::HeardStatus, BLE_LOCATOR_PREFIX as BLE,
+    advertisement::Advertisement, status::DiscoveredStatus, BLE_LOCATOR_PREFIX as BLE,
 };
 
 use self::{
@@ -36,47 +38,53 @@ use self::{
 };
 use crate::{
     config::Settings,
-    connections::{self, Connections, Ends, Fleet, Snapshot},
+    connections::{self, Connections, FleetConnector, LinkEnds, Snapshot},
     version,
 };
 
-/// Answers until its session is closed; publishes until it is dropped.
+/// A running registry. It answers queries until its session is closed, and publishes changes until it is dropped.
 pub struct Registry {
     _presence: Arc<Presence>,
-    /// The only one that is held for good: without it the publisher ends.
+    /// The only strong reference to the sender: dropping it ends the publishing thread.
     _changed: Arc<mpsc::Sender<Change>>,
 }
 
-/// What is counted below Zenoh on a link, since that began.
+/// Traffic of a link below Zenoh since it was opened, and its round-trip time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Carried {
+struct LinkTraffic {
     sent: Traffic,
     received: Traffic,
     round_trip_ms: Option<f64>,
 }
 
-/// What the answers are made of.
+/// The sources of the registry's documents.
 struct Sources {
-    /// Answers.
+    /// The session that answers queries.
     session: Session,
-    /// Of a host that has links too.
+    /// The session of a host router in the same process, whose links are reported too.
     host: Option<Session>,
     connections: Option<Arc<Connections>>,
     presence: Arc<Presence>,
     uptime: Arc<Uptime>,
-    /// As it is advertised.
+    /// Hash of the fleet's name, as advertised.
     fleet_hash: u16,
 }
 
 impl Registry {
-    /// Declares what the settings' robot has to say, about the links of `session`, which answers, and of its `host`.
+    /// Declares the registry of the robot of `settings` and starts its publishing thread.
+    ///
+    /// `session` answers, and its links and those of `host` are reported. `own` is the prefix of the keys,
+    /// `<fleet>/<robot>/@rect`.
+    ///
+    /// # Errors
+    /// Fails if a queryable, subscriber or token cannot be declared, or if the thread cannot be started.
     pub fn serve(
         session: &Session,
         host: Option<Session>,
         own: &str,
         settings: &Settings,
         connections: Option<Arc<Connections>>,
-        fleet: Arc<Fleet>,
+        fleet: Arc<FleetConnector>,
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
         let changed = Arc::new(changed);
@@ -101,7 +109,7 @@ impl Registry {
         })?;
         sources.answer(own, "peers", |connections, selector| {
             let mut peers = peers(connections);
-            peers.retain(|peer| selector.takes_peer(peer));
+            peers.retain(|peer| selector.matches_peer(peer));
             peers
         })?;
         let (id, start) = (session.zid().to_string(), Instant::now());
@@ -114,7 +122,7 @@ impl Registry {
                 up_s: start.elapsed().as_secs_f64(),
                 auto_connect: rule.auto_connect,
                 auto_links: rule.auto_links,
-                same_name: others.namesakes(),
+                same_name: others.name_conflicts(),
                 connections: Counts::of(&connections),
             }
         })?;
@@ -131,19 +139,20 @@ impl Registry {
 }
 
 impl Sources {
-    /// `what`: the key under the robot's own; `make`: the document from the connections asked for.
+    /// Declares a queryable for the document `name` below the prefix `own`. `make` returns the document for the connections
+    /// that match a query.
     fn answer<T: Serialize>(
         self: &Arc<Self>,
         own: &str,
-        what: &str,
+        name: &str,
         make: impl Fn(Vec<Connection>, &Selector) -> T + Send + Sync + 'static,
     ) -> zenoh::Result<()> {
-        let (sources, key) = (Arc::clone(self), format!("{own}/{what}"));
+        let (sources, key) = (Arc::clone(self), format!("{own}/{name}"));
         let key_of_answer = key.clone();
         let on_query = move |query: Query| {
             let made = Selector::parse(query.parameters()).and_then(|selector| {
                 let mut connections = sources.connections(&Sockets::open());
-                connections.retain(|connection| selector.takes(connection));
+                connections.retain(|connection| selector.matches(connection));
                 serde_json::to_vec(&make(connections, &selector)).map_err(|e| e.to_string())
             });
             let replied = match made {
@@ -151,17 +160,17 @@ impl Sources {
                     .reply(&key_of_answer, json)
                     .encoding(Encoding::APPLICATION_JSON)
                     .wait(),
-                Err(wrong) => query.reply_err(wrong).encoding(Encoding::TEXT_PLAIN).wait(),
+                Err(error) => query.reply_err(error).encoding(Encoding::TEXT_PLAIN).wait(),
             };
             if let Err(error) = replied {
-                tracing::debug!("who asked the registry got no answer: {error}");
+                tracing::debug!("cannot send a reply of the registry: {error}");
             }
         };
         let queryable = self.session.declare_queryable(key).callback(on_query);
         queryable.background().wait()
     }
 
-    /// All links but those between this robot's own routers.
+    /// Returns all links except those between this robot's own routers.
     fn links(&self) -> Vec<Link> {
         let sessions = || [&self.session].into_iter().chain(&self.host);
         let own: Vec<_> = sessions().map(Session::zid).collect();
@@ -173,14 +182,14 @@ impl Sources {
         links
     }
 
-    /// Whether a link to a router that is younger than `newest` does not have the name of its robot yet.
+    /// Returns whether the robot's name is still unknown for a link to a router that was opened less than `newest` ago.
     fn awaits_names(&self, newest: Duration) -> bool {
         let sessions = [&self.session].into_iter().chain(&self.host);
         let routers: Vec<_> = sessions
             .flat_map(|session| session.info().routers_zid().wait())
             .collect();
         let is_new = |link: &Link| {
-            let up = self.uptime.of(&Ends::of(link.src(), link.dst()));
+            let up = self.uptime.of(&LinkEnds::of(link.src(), link.dst()));
             up.is_none_or(|up| up < newest)
         };
         self.links().iter().any(|link| {
@@ -190,19 +199,19 @@ impl Sources {
         })
     }
 
-    /// The other end of a link to that router, if there is one.
-    fn way_to(&self, id: &str) -> Option<String> {
+    /// Returns the remote locator of a link to the router with identifier `id`, if there is one.
+    fn link_to(&self, id: &str) -> Option<String> {
         let links = self.links();
         let link = links.iter().find(|link| link.zid().to_string() == id)?;
         Some(link.dst().to_string())
     }
 
-    /// All that are wanted, by name, all others that are there, and those that could be.
+    /// Returns all connections: the named ones sorted by name, then the other links, then discovered robots.
     fn connections(&self, sockets: &Sockets) -> Vec<Connection> {
         let links = self.links();
         let mut by_ends: HashMap<_, _> = links
             .iter()
-            .map(|link| (Ends::of(link.src(), link.dst()), link))
+            .map(|link| (LinkEnds::of(link.src(), link.dst()), link))
             .collect();
         let ble = Ble::now();
         let carried = |link: &Link| ble.carried(link).or_else(|| sockets.carried(link));
@@ -213,8 +222,9 @@ impl Sources {
             for ends in &snapshot.ends {
                 link = by_ends.remove(ends).or(link);
             }
-            // A pair has one link by radio, whoever dialled.
-            let by_peer = |(_, link): &(&Ends, &&Link)| ble.leads_to(link, &snapshot.spec.endpoint);
+            // Two robots have one Bluetooth link at most, which may have been dialled by the other one.
+            let by_peer =
+                |(_, link): &(&LinkEnds, &&Link)| ble.leads_to(link, &snapshot.spec.endpoint);
             if let (None, Some(ends)) = (link, by_ends.iter().find(by_peer).map(|(e, _)| e.clone()))
             {
                 link = by_ends.remove(&ends);
@@ -233,50 +243,51 @@ impl Sources {
         connections
     }
 
-    /// Robots of the fleet that are heard, and that no connection leads to.
+    /// Returns the discovered robots of the fleet to which there is neither a connection nor a link.
     fn discovered(&self, ble: &Ble, connections: &[Connection]) -> Vec<Connection> {
-        let is_wanted = |heard: &HeardStatus| {
-            let leads_to_it = |one: &Connection| {
-                let is_it =
-                    one.address == heard.address || Some(&one.address) == heard.name.as_ref();
-                one.method == BLE && is_it
+        let has_connection = |robot: &DiscoveredStatus| {
+            let leads_to_robot = |one: &Connection| {
+                let is_same =
+                    one.address == robot.address || Some(&one.address) == robot.name.as_ref();
+                one.method == BLE && is_same
             };
-            connections.iter().any(leads_to_it)
+            connections.iter().any(leads_to_robot)
         };
         let is_linked =
-            |heard: &HeardStatus| ble.links.iter().any(|link| link.address == heard.address);
-        let of_fleet = ble.heard.iter().filter(|h| h.fleet_hash == self.fleet_hash);
-        let free = of_fleet.filter(|heard| !is_linked(heard) && !is_wanted(heard));
-        let discovered = free.map(|heard| {
-            let address = heard.name.as_ref().unwrap_or(&heard.address);
+            |robot: &DiscoveredStatus| ble.links.iter().any(|link| link.address == robot.address);
+        let of_fleet = (ble.discovered.iter()).filter(|r| r.fleet_hash == self.fleet_hash);
+        let free = of_fleet.filter(|robot| !is_linked(robot) && !has_connection(robot));
+        let discovered = free.map(|robot| {
+            let address = robot.name.as_ref().unwrap_or(&robot.address);
             Connection {
-                rssi_dbm: heard.rssi_dbm,
+                rssi_dbm: robot.rssi_dbm,
                 ..Connection::of(BLE, address, State::Discovered)
             }
         });
         discovered.collect()
     }
 
+    /// Returns the document of a named connection, given its link if it has one.
     fn named(
         &self,
         snapshot: Snapshot,
         link: Option<&Link>,
-        carried: Option<Carried>,
+        carried: Option<LinkTraffic>,
         ble: &Ble,
     ) -> Connection {
-        let trouble = |trouble: connections::Trouble| Trouble {
-            what: wording::short_reason(&trouble.what),
+        let failure = |error: connections::LastError| Failure {
+            what: humanize::short_reason(&error.reason),
             ago_s: SystemTime::now()
-                .duration_since(trouble.at)
+                .duration_since(error.at)
                 .map_or(0.0, |ago| ago.as_secs_f64()),
         };
         let radio = link.and_then(|link| ble.link(link));
         let address = snapshot.spec.endpoint.address().as_str().to_owned();
-        // What the peer dialled is counted by the radio alone.
+        // The traffic of a link that the peer dialled is counted by the radio only.
         let of_peer = carried.filter(|_| snapshot.ends.is_empty());
-        let heard_as = radio.map_or(&address, |radio| &radio.address);
+        let advertiser = radio.map_or(&address, |radio| &radio.address);
         let is_ble = snapshot.spec.method == BLE;
-        let rssi_dbm = is_ble.then(|| ble.rssi_dbm(heard_as)).flatten();
+        let rssi_dbm = is_ble.then(|| ble.rssi_dbm(advertiser)).flatten();
         Connection {
             name: Some(snapshot.spec.name),
             method: snapshot.spec.method,
@@ -294,11 +305,12 @@ impl Sources {
             round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
             linked: Some(snapshot.linked),
             failed: Some(snapshot.failed),
-            last_error: snapshot.last_error.map(trouble),
+            last_error: snapshot.last_error.map(failure),
         }
     }
 
-    fn other(&self, link: &Link, carried: Option<Carried>, ble: &Ble) -> Connection {
+    /// Returns the document of a link that belongs to no named connection.
+    fn other(&self, link: &Link, carried: Option<LinkTraffic>, ble: &Ble) -> Connection {
         let radio = ble.link(link);
         let (method, address) = (link.dst().protocol(), link.dst().address());
         Connection {
@@ -312,11 +324,13 @@ impl Sources {
         }
     }
 
+    /// Returns the time in seconds for which a link has been open.
     fn up_s(&self, link: &Link) -> Option<f64> {
-        let up = self.uptime.of(&Ends::of(link.src(), link.dst()))?;
+        let up = self.uptime.of(&LinkEnds::of(link.src(), link.dst()))?;
         Some(up.as_secs_f64())
     }
 
+    /// Returns the identifier and, if it is known, the robot of the router at the other end of a link.
     fn peer(&self, link: &Link) -> PeerId {
         let id = link.zid().to_string();
         let robot = self.presence.robot_of(&id);
@@ -324,7 +338,7 @@ impl Sources {
     }
 }
 
-/// What tells the publisher of a change, if there still is one.
+/// Returns a function that notifies the publishing thread of a change, if it still runs.
 fn on_change(
     changed: &Arc<mpsc::Sender<Change>>,
     change: Change,
@@ -337,7 +351,7 @@ fn on_change(
     }
 }
 
-/// Since 1970.
+/// Returns the time in seconds since 1970-01-01 UTC.
 pub fn now_s() -> f64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
     now.map_or(0.0, |now| now.as_secs_f64())

@@ -1,4 +1,4 @@
-//! Owns the reading of files that users name: a pipe, a device or a socket in a file's place must not hold up a reader.
+//! Opens files that users name, and rejects pipes, devices and sockets, which could block the reader.
 use std::{
     fs::{File, OpenOptions},
     io::{self, Read},
@@ -8,27 +8,33 @@ use std::{
 
 use nix::libc::O_NONBLOCK;
 
-/// Opens a file for reading, unless it is a folder, a pipe, a device or a socket.
+/// Opens a regular file for reading. Does not block.
+///
+/// # Errors
+/// Fails if the file cannot be opened, or if it is a folder, a pipe, a device or a socket.
 pub fn open(path: &Path) -> io::Result<File> {
-    // Without this flag, opening a pipe waits for a writer.
+    // Without this flag, opening a pipe would block until a writer opens it.
     let file = OpenOptions::new()
         .read(true)
         .custom_flags(O_NONBLOCK)
         .open(path)?;
     if !file.metadata()?.is_file() {
-        let what = "it is not a regular file";
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+        let problem = "it is not a regular file";
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, problem));
     }
     Ok(file)
 }
 
-/// Reads a text of at most `max_bytes`.
+/// Reads a text file of at most `max_bytes`.
+///
+/// # Errors
+/// Fails if the file is not a regular file, cannot be read, is larger than `max_bytes` or is not UTF-8.
 pub fn read_to_string(path: &Path, max_bytes: u64) -> io::Result<String> {
     let mut text = String::new();
     let read = open(path)?.take(max_bytes + 1).read_to_string(&mut text)?;
     if read as u64 > max_bytes {
-        let what = format!("it is larger than {max_bytes} bytes");
-        return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+        let problem = format!("it is larger than {max_bytes} bytes");
+        return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
     }
     Ok(text)
 }
@@ -42,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pipe_is_refused_at_once() {
+    fn rejects_pipes_devices_and_folders_without_blocking() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("pipe");
         mkfifo(&path, Mode::S_IRWXU).expect("a pipe");
@@ -53,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_may_be_as_long_as_its_limit() {
+    fn enforces_the_size_limit() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("text");
         fs::write(&path, "1234").expect("written");

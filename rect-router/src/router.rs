@@ -1,4 +1,4 @@
-//! The router's life: opened, running, closed within a bound.
+//! Opens the router, runs it until a signal arrives, and closes it within a time limit.
 
 use std::{
     any::Any,
@@ -18,18 +18,18 @@ use zenoh::{
     Config, Session, Wait,
 };
 
-use rect::core::wording;
+use rect::core::humanize;
 
 use crate::{
     limits::SessionLimits,
-    robot::{self, Robot, Running},
+    robot_services::{self, RobotServices, RunningServices},
     signals, status,
 };
 
-/// How long peers are given to take note that the router ends.
+/// Maximum time for closing the links, which notifies the peers.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A router, and its own session with it.
+/// A running Zenoh runtime and a session in it.
 struct Opened {
     runtime: Runtime,
     session: Session,
@@ -41,11 +41,14 @@ enum Event {
     StopAsked,
 }
 
-/// Runs a router until a signal ends it; `robot`: what RECT adds to it.
+/// Runs a router until a signal stops it. `robot` are the services that RECT adds to it.
+///
+/// # Errors
+/// Fails if the router, a listener or a service cannot be started.
 pub fn run(
     mut config: Config,
     limits: SessionLimits,
-    robot: Option<Robot>,
+    robot: Option<RobotServices>,
 ) -> Result<(), RouterError> {
     limits
         .apply(&mut config)
@@ -53,7 +56,7 @@ pub fn run(
     let (events, next) = mpsc::channel();
     signals::watch(events.clone(), || Event::StopAsked).map_err(RouterError::System)?;
 
-    // Opening can wait for peers, and so it has a thread of its own: a signal is heard all the while.
+    // Opening may wait for peers; on a separate thread it does not delay the handling of signals.
     spawn("open", &events, move || {
         Event::Opened(open(config, &limits))
     })?;
@@ -68,7 +71,7 @@ pub fn run(
         .transpose()
         .map_err(RouterError::Open)?;
     tracing::info!("rect-router is up, with id {}", session.zid());
-    tell_systemd();
+    notify_systemd();
 
     match next.recv() {
         Ok(Event::StopAsked) => close(opened, running, &events, &next),
@@ -76,32 +79,32 @@ pub fn run(
     }
 }
 
-/// Where it is a service of `Type=notify`: its start has come to an end.
-fn tell_systemd() {
+/// Reports the completed start to systemd, if the router is a service of `Type=notify`.
+fn notify_systemd() {
     if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
-        tracing::warn!("systemd was not told that the router is up: {error}");
+        tracing::warn!("cannot notify systemd that the router is up: {error}");
     }
 }
 
 fn close(
     opened: Opened,
-    running: Option<Running>,
+    running: Option<RunningServices>,
     events: &Sender<Event>,
     next: &Receiver<Event>,
 ) -> Result<(), RouterError> {
     spawn("close", events, move || {
-        let closed =
-            robot::close(&opened.session, running).and_then(|()| opened.runtime.close().wait());
+        let closed = robot_services::close(&opened.session, running)
+            .and_then(|()| opened.runtime.close().wait());
         if let Err(error) = closed {
-            tracing::warn!("while closing: {error}");
+            tracing::warn!("error while closing the links: {error}");
         }
         Event::Closed
     })?;
     match next.recv_timeout(CLOSE_TIMEOUT) {
         Ok(_) => tracing::info!("closed"),
         Err(_) => tracing::warn!(
-            "not all links were closed within {}; ending",
-            wording::duration(CLOSE_TIMEOUT)
+            "not all links were closed within {}; exiting anyway",
+            humanize::duration(CLOSE_TIMEOUT)
         ),
     }
     Ok(())
@@ -115,13 +118,13 @@ fn spawn(
     let events = events.clone();
     thread::Builder::new()
         .name(name.into())
-        // The other end is gone only when the program ends.
+        // Sending fails only while the program exits, when the receiver is dropped.
         .spawn(move || drop(events.send(work())))
         .map(drop)
         .map_err(RouterError::System)
 }
 
-/// Zenoh panics where a required plugin can't be loaded or started; here that is an error like any other.
+/// Opens the runtime. Zenoh panics if a required plugin cannot be loaded or started; the panic is returned as an error.
 fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
     let opening = thread::current().id();
     let on_panic = panic::take_hook();
@@ -137,7 +140,7 @@ fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
     }
 }
 
-/// Does what `zenoh::open` does, and keeps the runtime: it tells of each session that begins.
+/// Opens a session as `zenoh::open` does, but keeps the runtime in order to observe the sessions that it accepts.
 async fn open_runtime(config: Config, limits: &SessionLimits) -> zenoh::Result<Opened> {
     let mut runtime = RuntimeBuilder::new(config).build().await?;
     let dynamic = DynamicRuntime::from(runtime.clone());
@@ -147,14 +150,14 @@ async fn open_runtime(config: Config, limits: &SessionLimits) -> zenoh::Result<O
     Ok(Opened { runtime, session })
 }
 
-/// Says where a plugin comes from, if its library is what is missing.
+/// Appends advice to the error of a missing plugin library.
 fn with_advice(reason: String) -> String {
     if !(reason.contains("libzenoh_plugin_") && reason.contains("not found")) {
         return reason;
     }
     format!(
-        "{reason}. Name its folder by --plugin-search-dir; scripts/build-plugins builds Zenoh's REST plugin together with a \
-         router that loads it (config/README.md, \"Plugins\")"
+        "{reason}. Give its folder with --plugin-search-dir; scripts/build-plugins builds Zenoh's REST plugin together with \
+         a router that loads it (config/README.md, \"Plugins\")"
     )
 }
 
@@ -167,16 +170,16 @@ fn reason(panic: Box<dyn Any + Send>) -> String {
     }
 }
 
-/// Why the router does not run.
+/// The reason why the router could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum RouterError {
-    /// A listener, a connection that must be there, or the login file: the cause says which.
-    #[error("can't start")]
+    /// A listener or a required connection failed, or the login file is invalid; the source says which.
+    #[error("cannot start")]
     Open(#[source] zenoh::Error),
-    /// Mostly a plugin: the text says which, and why.
-    #[error("can't start: {0}")]
+    /// Zenoh panicked, usually because of a plugin; the text names it and the reason.
+    #[error("cannot start: {0}")]
     Panic(String),
-    /// The system refuses a thread or a signal handler.
-    #[error("the system refuses what a program needs")]
+    /// A thread or a signal handler could not be created.
+    #[error("cannot create a thread or a signal handler")]
     System(#[source] io::Error),
 }

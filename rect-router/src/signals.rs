@@ -1,4 +1,4 @@
-//! SIGTERM and SIGINT: the first asks for a clean end, the second ends the program on the spot.
+//! Handles SIGTERM and SIGINT: the first signal requests a clean end, the second ends the program immediately.
 
 use std::{io, process, sync::mpsc::Sender, thread};
 
@@ -10,22 +10,25 @@ use signal_hook::{
 
 use crate::logging;
 
-/// Sends `event()` on the first signal.
+/// Starts a thread that sends `event()` on the first signal.
+///
+/// # Errors
+/// Fails if the signal handlers or the thread cannot be created.
 pub fn watch<E: Send + 'static>(events: Sender<E>, event: fn() -> E) -> io::Result<()> {
     let mut signals = Signals::new([SIGTERM, SIGINT])?;
     thread::Builder::new()
         .name("signals".into())
         .spawn(move || {
-            let mut asked = false;
+            let mut is_ending = false;
             for signal in signals.forever() {
                 let name = signal_name(signal).unwrap_or("signal");
-                if asked {
-                    tracing::warn!("{name} again: ending without closing the links");
+                if is_ending {
+                    tracing::warn!("{name} again: exiting without closing the links");
                     logging::finish();
                     process::exit(128 + signal);
                 }
-                asked = true;
-                // Nobody listens once the router has ended by itself; then there is nothing left to stop.
+                is_ending = true;
+                // Sending fails if the router has already ended by itself.
                 let _ = events.send(event());
                 tracing::info!("{name}: closing");
             }

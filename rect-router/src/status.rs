@@ -1,10 +1,13 @@
-//! Owns what the router tells of its Bluetooth links in the admin space: `@/<zid>/router/ble`, one JSON object for each
-//! Zenoh runtime of the process. Who may read it is decided by Zenoh's access control, as for the rest of `@/**`.
+//! Reports the Bluetooth links in the admin space: `@/<zid>/router/ble` answers with one JSON object for each Zenoh runtime
+//! of the process. Zenoh's access control decides who may read it, as for the rest of `@/**`.
 
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};
 use zenoh_link::ble::status::nodes;
 
-/// Answers until the session is closed.
+/// Declares the queryable, which answers until the session is closed.
+///
+/// # Errors
+/// Zenoh's error if it cannot be declared.
 pub fn serve(session: &Session) -> zenoh::Result<()> {
     let key = format!("@/{}/router/ble", session.zid());
     let key_of_answer = key.clone();
@@ -23,6 +26,6 @@ fn answer(query: &Query, key: &str) {
         Err(error) => query.reply_err(error.to_string()).wait(),
     };
     if let Err(error) = replied {
-        tracing::debug!("who asked for the ble links got no answer: {error}");
+        tracing::debug!("cannot send a reply about the Bluetooth links: {error}");
     }
 }

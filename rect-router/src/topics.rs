@@ -1,8 +1,9 @@
-//! Answers which topics the robot's programs publish, and how often: `<fleet>/<robot>/@rect/topics` (docs/registry.md).
+//! Answers queries about the topics that the robot's programs publish and their rates: `<fleet>/<robot>/@rect/topics`
+//! (docs/registry.md).
 //!
-//! Which topics there are is taken from the publishers that are declared at this router. Messages are counted by a
-//! subscription to the robot's own keys, which are published at this router, so that nothing is pulled over the air. It
-//! lives only while somebody asks.
+//! The topics are those of the publishers declared at this router. Messages are counted by a subscription to the robot's own
+//! keys; they are published at this router, so that the subscription causes no traffic over the air. It exists only
+//! while rates are queried.
 use std::{
     collections::BTreeMap,
     sync::{
@@ -17,103 +18,109 @@ use parking_lot::Mutex;
 use rect::core::topics::{report_declared, Counter, Topics, MEASURE, TOPIC, TOPICS};
 use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 
-/// Messages are counted for so long after the last question that asked for it.
+/// Time for which messages are counted after the last query that requested it.
 const LEASE: Duration = Duration::from_secs(5);
-/// How many questions may wait for the one before them.
-const WAITING: usize = 16;
-/// How long this router's own admin space has to answer.
+/// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
+const MAX_WAITING_QUERIES: usize = 16;
+/// Timeout of the query to this router's own admin space.
 const ADMIN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Answers until the session is closed. `own` is the beginning of the robot's own keys, `<fleet>/<robot>`; `host` the session
-/// of a router in the same process at which the robot's programs are.
+/// Declares the queryable, which answers until the session is closed. `own` is the prefix of the robot's keys,
+/// `<fleet>/<robot>`. `host` is the session of another router in this process to which the robot's programs are connected.
+///
+/// # Errors
+/// Fails if the queryable cannot be declared or the thread cannot be started.
 pub fn serve(session: &Session, host: Option<&Session>, own: &str) -> zenoh::Result<()> {
     let key = format!("{own}/@rect/{TOPICS}");
-    let (queries, next) = mpsc::sync_channel(WAITING);
-    let answering = Answering {
+    let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
+    let service = TopicService {
         session: session.clone(),
         admin: host.unwrap_or(session).clone(),
         own: own.to_owned(),
         key: key.clone(),
-        measuring: None,
+        measurement: None,
     };
-    // It asks the admin space, and must not do that on a thread of Zenoh's.
+    // The service queries the admin space, which must not happen on one of Zenoh's threads.
     thread::Builder::new()
         .name("topics".to_owned())
-        .spawn(move || answering.run(&next))?;
+        .spawn(move || service.run(&next))?;
     let on_query = move |query: Query| {
         if let Err(TrySendError::Full(query)) = queries.try_send(query) {
-            let busy = "too many ask about topics at once; try again";
-            log(query.reply_err(busy).encoding(Encoding::TEXT_PLAIN).wait());
+            let busy = "too many queries about topics are waiting; try again";
+            log_failure(query.reply_err(busy).encoding(Encoding::TEXT_PLAIN).wait());
         }
     };
     let queryable = session.declare_queryable(key).callback(on_query);
     queryable.background().wait()
 }
 
-struct Answering {
+/// Answers the queries, on a thread of its own.
+struct TopicService {
     session: Session,
     admin: Session,
     own: String,
     key: String,
-    measuring: Option<Measuring>,
+    measurement: Option<Measurement>,
 }
 
-struct Measuring {
+/// A running count of messages, until a point in time that each query postpones.
+struct Measurement {
     counter: Arc<Mutex<Counter>>,
     until: Instant,
     _subscriber: Subscriber<()>,
 }
 
-impl Answering {
+impl TopicService {
     fn run(mut self, queries: &Receiver<Query>) {
         loop {
-            let query = match &self.measuring {
+            let query = match &self.measurement {
                 None => queries.recv().map_err(|_| RecvTimeoutError::Disconnected),
-                Some(measuring) => {
-                    queries.recv_timeout(measuring.until.saturating_duration_since(Instant::now()))
-                }
+                Some(measurement) => queries
+                    .recv_timeout(measurement.until.saturating_duration_since(Instant::now())),
             };
             match query {
                 Ok(query) => self.answer(&query),
-                Err(RecvTimeoutError::Timeout) => self.measuring = None,
+                Err(RecvTimeoutError::Timeout) => self.measurement = None,
                 Err(RecvTimeoutError::Disconnected) => return,
             }
         }
     }
 
     fn answer(&mut self, query: &Query) {
-        let made = Question::parse(query).and_then(|question| {
+        let made = TopicQuery::parse(query).and_then(|question| {
             if question.measure {
                 self.measure().map_err(|error| error.to_string())?;
             }
             serde_json::to_vec(&self.topics(question.topic.as_deref()))
                 .map_err(|error| error.to_string())
         });
-        log(match made {
+        log_failure(match made {
             Ok(json) => query
                 .reply(&self.key, json)
                 .encoding(Encoding::APPLICATION_JSON)
                 .wait(),
-            Err(wrong) => query.reply_err(wrong).encoding(Encoding::TEXT_PLAIN).wait(),
+            Err(error) => query.reply_err(error).encoding(Encoding::TEXT_PLAIN).wait(),
         });
     }
 
     fn topics(&self, topic: Option<&str>) -> Topics {
         let publishers = self.publishers();
-        match &self.measuring {
-            Some(measuring) => measuring
-                .counter
-                .lock()
-                .report(Instant::now(), &publishers, topic),
+        match &self.measurement {
+            Some(measurement) => {
+                measurement
+                    .counter
+                    .lock()
+                    .report(Instant::now(), &publishers, topic)
+            }
             None => report_declared(&publishers, topic),
         }
     }
 
-    /// Counts messages from now on, or for longer.
+    /// Starts counting messages, or prolongs the counting.
     fn measure(&mut self) -> zenoh::Result<()> {
         let now = Instant::now();
-        if let Some(measuring) = &mut self.measuring {
-            measuring.until = now + LEASE;
+        if let Some(measurement) = &mut self.measurement {
+            measurement.until = now + LEASE;
             return Ok(());
         }
         let counter = Arc::new(Mutex::new(Counter::new(now)));
@@ -129,7 +136,7 @@ impl Answering {
         };
         let subscriber = self.session.declare_subscriber(format!("{}/**", self.own));
         let subscriber = subscriber.callback(on_sample).wait()?;
-        self.measuring = Some(Measuring {
+        self.measurement = Some(Measurement {
             counter,
             until: now + LEASE,
             _subscriber: subscriber,
@@ -137,7 +144,7 @@ impl Answering {
         Ok(())
     }
 
-    /// How many publishers of each topic are declared at this router.
+    /// Returns the number of publishers of each topic that are declared at this router.
     fn publishers(&self) -> BTreeMap<String, usize> {
         let admin = format!("@/{}/router/publisher/", self.admin.zid());
         let prefix = format!("{admin}{}/", self.own);
@@ -154,7 +161,7 @@ impl Answering {
             let Some(topic) = sample.key_expr().as_str().strip_prefix(&prefix) else {
                 continue;
             };
-            // A publisher of several keys has no single topic.
+            // A publisher of a key expression with wildcards has no single topic.
             if !topic.contains('*') {
                 let sources =
                     serde_json::from_slice(&sample.payload().to_bytes()).unwrap_or_default();
@@ -165,26 +172,26 @@ impl Answering {
     }
 }
 
-/// How many programs the admin space names as sources.
+/// Returns the number of programs that the admin space names as sources, at least 1.
 fn count(sources: &serde_json::Value) -> usize {
     let of = |kind: &str| sources[kind].as_array().map_or(0, Vec::len);
     (of("clients") + of("peers")).max(1)
 }
 
-fn log(replied: zenoh::Result<()>) {
+fn log_failure(replied: zenoh::Result<()>) {
     if let Err(error) = replied {
-        tracing::debug!("no answer about topics could be sent: {error}");
+        tracing::debug!("cannot send a reply about topics: {error}");
     }
 }
 
 /// The parameters of a query.
 #[derive(Debug, Default, PartialEq, Eq)]
-struct Question {
+struct TopicQuery {
     measure: bool,
     topic: Option<String>,
 }
 
-impl Question {
+impl TopicQuery {
     fn parse(query: &Query) -> Result<Self, String> {
         Self::of(query.parameters().iter())
     }
@@ -195,7 +202,11 @@ impl Question {
             match key {
                 MEASURE => question.measure = true,
                 TOPIC if !value.is_empty() => question.topic = Some(value.to_owned()),
-                TOPIC => return Err(format!("{TOPIC} has no value: write {TOPIC}=arm/angle")),
+                TOPIC => {
+                    return Err(format!(
+                        "{TOPIC} has no value; write for example {TOPIC}=arm/angle"
+                    ))
+                }
                 _ if key.is_empty() || key.starts_with('_') => {}
                 _ => {
                     return Err(format!(
@@ -213,16 +224,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parameters_are_read_or_named() {
-        let of =
-            |parameters: &[(&'static str, &'static str)]| Question::of(parameters.iter().copied());
+    fn parses_parameters_and_names_invalid_ones() {
+        let of = |parameters: &[(&'static str, &'static str)]| {
+            TopicQuery::of(parameters.iter().copied())
+        };
         let question = of(&[("measure", ""), ("topic", "arm/angle"), ("_time", "x")]);
-        let expected = Question {
+        let expected = TopicQuery {
             measure: true,
             topic: Some("arm/angle".to_owned()),
         };
         assert_eq!(question, Ok(expected));
-        assert_eq!(of(&[]), Ok(Question::default()));
+        assert_eq!(of(&[]), Ok(TopicQuery::default()));
         assert!(of(&[("topics", "1")]).is_err_and(|error| error.contains("`topics`")));
         assert!(of(&[("topic", "")]).is_err());
     }

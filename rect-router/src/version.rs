@@ -1,9 +1,9 @@
-//! What this program is made of, as `--version` and the log show it.
+//! Provides the version texts for `--version` and the log.
 
-/// For `-V`. The zenoh in use is pinned in Cargo.toml.
+/// The short version for `-V`. The version of Zenoh is pinned in Cargo.toml.
 pub const SHORT: &str = concat!(env!("CARGO_PKG_VERSION"), " (zenoh 1.10.2)");
 
-/// For `--version`: with what a plugin must have in common with the router.
+/// Returns the long version for `--version`, with the compiler and the features of Zenoh, which must be the same in a plugin.
 pub fn long() -> String {
     format!(
         "{SHORT} built with {}\nzenoh features:{}",

@@ -1,4 +1,4 @@
-//! Who may say what over the air, as the shipped configurations and their README have it:
+//! Tests of the access control in the shipped configurations and in their README:
 //! `cargo test -p rect-router --test access`
 
 mod support;
@@ -15,7 +15,7 @@ use rect::{
         name::Name,
         transfer::{offer::FileName, Checksum, Offer},
     },
-    Error, Options, ReceiveTransfers, Topic,
+    Error, Options, ReceiveOptions, Topic,
 };
 use serde_json::{json, Value};
 use support::{
@@ -24,14 +24,14 @@ use support::{
 use zenoh::{Session, Wait};
 
 #[test]
-fn a_program_with_another_robots_name_or_without_the_login_is_told_so_when_it_joins() {
+fn connecting_with_another_robots_name_or_without_a_login_fails() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let robot = init(root.path(), "wombat-1", &[]);
     let (_router, endpoint) = start(&air, &robot, "wombat-1", "fleet");
     let users = format!("{robot}/users");
     let join = |name: &str, users: &str| {
         let options = Options::new(name).expect("a name").login_file(users);
-        blocking::Robot::join(options.router(&endpoint))
+        blocking::Robot::connect(options.router(&endpoint))
     };
     join("wombat-1", &users).expect("joined");
     let wrong = join("wombat-7", &users).expect_err("another robot's router");
@@ -41,7 +41,7 @@ fn a_program_with_another_robots_name_or_without_the_login_is_told_so_when_it_jo
 }
 
 #[test]
-fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
+fn a_robot_publishes_under_its_own_name_only_and_a_base_station_changes_its_connections() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let robot = init(root.path(), "wombat-1", &[]);
     let users = format!("{robot}/users");
@@ -52,36 +52,36 @@ fn a_robot_speaks_for_itself_only_and_a_base_station_changes_its_settings() {
     for folder in [&other, &base] {
         fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
     }
-    let (_robot, here) = start(&air, &robot, "wombat-1", "fleet");
-    let (_other, there) = start(&air, &other, "wombat-2", "fleet");
+    let (_robot, local) = start(&air, &robot, "wombat-1", "fleet");
+    let (_other, remote) = start(&air, &other, "wombat-2", "fleet");
     let (_base, laptop) = start(&air, &base, "base", "config");
-    let (here, there) = (program(&robot, &here), program(&other, &there));
+    let (local, remote) = (program(&robot, &local), program(&other, &remote));
     let laptop = program(&base, &laptop);
 
-    // Under its own name what it says arrives; under another's, or nobody's, it does not leave its robot.
-    assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
-    let not_its_own = ["rect/wombat-1/arm/angle", "rect/wombat-3/stop", "demo/x"];
-    hears_only(&here, &there, &not_its_own, "rect/wombat-2/mark");
+    // Messages under the robot's own name arrive; messages under other keys do not leave the robot.
+    assert!(arrives(&remote, &local, "rect/wombat-2/arm/angle"));
+    let foreign_keys = ["rect/wombat-1/arm/angle", "rect/wombat-3/stop", "demo/x"];
+    receives_only(&local, &remote, &foreign_keys, "rect/wombat-2/mark");
 
     let settings = "rect/wombat-1/@rect/@config/connections";
-    let read = ask(&laptop, settings).expect("may read them");
+    let read = ask(&laptop, settings).expect("the base station may read them");
     let text = read["text"].as_str().expect("a text").to_owned();
     assert!(text.contains("\"connections\""), "{text}");
     let changed = change(&laptop, settings, &text.replace('[', "[ "));
     let changed = changed.expect("an answer").expect("is taken");
     assert!(changed["revision"].is_string(), "{changed:#}");
     assert!(
-        change(&there, settings, &text).is_none(),
-        "another robot may"
+        change(&remote, settings, &text).is_none(),
+        "another robot may change the connections"
     );
-    let now = ask(&laptop, settings).expect("may read them");
+    let now = ask(&laptop, settings).expect("the base station may read them");
     assert_eq!(now["text"], text.replace('[', "[ "));
 }
 
-/// Of an empty file of that robot's.
+/// Returns the offer of an empty file of that robot.
 fn empty_offer(from: &str) -> Offer {
     Offer {
-        from: Name::new(from).expect("a name"),
+        sender: Name::new(from).expect("a name"),
         topic: Topic::new("maps").expect("a topic"),
         name: FileName::new("map.bin").expect("a file's name"),
         encoding: Encoding::BYTES,
@@ -92,7 +92,7 @@ fn empty_offer(from: &str) -> Offer {
 }
 
 #[test]
-fn a_program_can_not_confirm_a_transfer_in_another_robots_name() {
+fn a_program_cannot_confirm_a_transfer_in_the_name_of_another_robot() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let robot = init(root.path(), "wombat-1", &[]);
     let users = format!("{robot}/users");
@@ -100,14 +100,14 @@ fn a_program_can_not_confirm_a_transfer_in_another_robots_name() {
     let dial =
         json!({ "connections": [{ "name": "robot", "method": "ble", "address": "wombat-1" }] });
     fs::write(format!("{other}/connections.json"), dial.to_string()).expect("written");
-    let (_robot, here) = start(&air, &robot, "wombat-1", "fleet");
-    let (_other, there) = start(&air, &other, "wombat-2", "fleet");
-    let forger = program(&other, &there);
-    // It confirms its own offer, and one in the name of wombat-3.
+    let (_robot, local) = start(&air, &robot, "wombat-1", "fleet");
+    let (_other, remote) = start(&air, &other, "wombat-2", "fleet");
+    let forger = program(&other, &remote);
+    // The forger confirms its own offer, and one in the name of wombat-3.
     let offers = ["wombat-3", "wombat-2"].map(empty_offer);
     let me = Name::new("wombat-1").expect("a name");
     let confirming = offers.clone().map(|offer| {
-        let key = format!("rect/{}/@rect/transfer/{}", offer.from, offer.id(&me));
+        let key = format!("rect/{}/@rect/transfer/{}", offer.sender, offer.id(&me));
         let declared = forger.declare_queryable(key.clone()).complete(true);
         let declared = declared.callback(move |query| {
             query.reply(&key, offer.encode()).wait().expect("replied");
@@ -118,13 +118,16 @@ fn a_program_can_not_confirm_a_transfer_in_another_robots_name() {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(async {
         let options = Options::new("wombat-1").expect("a name").login_file(&users);
-        let robot = options.router(&here).connect().await.expect("joined");
-        let taking = ReceiveTransfers::in_folder(&received, 100);
+        let robot = options.router(&local).connect().await.expect("joined");
+        let taking = ReceiveOptions::in_folder(&received, 100);
         let transfers = robot.receive_transfers("*/**", taking).await;
         let transfers = transfers.expect("declared");
         let deadline = Instant::now() + DEADLINE;
         loop {
-            assert!(Instant::now() < deadline, "its own does not arrive");
+            assert!(
+                Instant::now() < deadline,
+                "the forger's own transfer does not arrive"
+            );
             for offer in &offers {
                 let asked = forger
                     .get("rect/wombat-1/@rect/inbox")
@@ -135,7 +138,7 @@ fn a_program_can_not_confirm_a_transfer_in_another_robots_name() {
             let soon = Duration::from_millis(200);
             if let Ok(got) = tokio::time::timeout(soon, transfers.next()).await {
                 let got = got.expect("open").expect("whole");
-                assert_eq!(got.from.as_str(), "wombat-2");
+                assert_eq!(got.sender.as_str(), "wombat-2");
                 break;
             }
         }
@@ -145,7 +148,7 @@ fn a_program_can_not_confirm_a_transfer_in_another_robots_name() {
     drop(confirming);
 }
 
-/// The base station's access control as the README has it for a star of these robots.
+/// Returns the access control of a base station that holds these robots to their names, as the README describes it.
 fn star(base: &str, robots: &[&str]) -> Value {
     let config = zenoh::Config::from_file(format!("{base}/robot.json5")).expect("valid");
     let mut config = serde_json::to_value(&config).expect("JSON");
@@ -155,7 +158,7 @@ fn star(base: &str, robots: &[&str]) -> Value {
         let all = access[part].as_array_mut().expect("a list");
         all.retain(|one| !is_of_all(one));
     }
-    let readme = fs::read_to_string(repository().join("config/README.md")).expect("there");
+    let readme = fs::read_to_string(repository().join("config/README.md")).expect("exists");
     let (_, shown) = readme
         .split_once("### A base station that holds each robot to its name")
         .expect("the chapter");
@@ -171,29 +174,29 @@ fn star(base: &str, robots: &[&str]) -> Value {
     access
 }
 
-/// Of all that `from` says, `to` hears `mark` and nothing else.
-fn hears_only(to: &Session, from: &Session, not_its_own: &[&str], mark: &str) {
-    let heard = to.declare_subscriber("**").wait().expect("subscribes");
+/// Checks that `to` receives what `from` publishes on `own_key`, but not what it publishes on `foreign_keys`.
+fn receives_only(to: &Session, from: &Session, foreign_keys: &[&str], own_key: &str) {
+    let received = to.declare_subscriber("**").wait().expect("subscribes");
     let deadline = Instant::now() + DEADLINE;
     loop {
         assert!(Instant::now() < deadline, "nothing arrives");
-        for key in not_its_own {
+        for key in foreign_keys {
             from.put(*key, "not mine").wait().expect("a put");
         }
-        from.put(mark, "mine").wait().expect("a put");
-        // In order: had one of the others passed, it would be here first.
-        if let Ok(Some(sample)) = heard.recv_timeout(Duration::from_millis(200)) {
-            assert_eq!(sample.key_expr().as_str(), mark);
+        from.put(own_key, "mine").wait().expect("a put");
+        // Messages arrive in order: if a foreign key had passed, its message would arrive first.
+        if let Ok(Some(sample)) = received.recv_timeout(Duration::from_millis(200)) {
+            assert_eq!(sample.key_expr().as_str(), own_key);
             return;
         }
     }
 }
 
 #[test]
-fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
+fn a_strict_base_station_restricts_a_tampered_robot_to_its_own_name() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let base = init(root.path(), "base", &["--base-station"]);
-    let users = fs::read_to_string(format!("{base}/users")).expect("there");
+    let users = fs::read_to_string(format!("{base}/users")).expect("exists");
     let secret = users.lines().next().expect("a line").to_owned();
     let logins = ["wombat-2:of two", "wombat-3:of three"];
     fs::write(
@@ -201,9 +204,9 @@ fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
         format!("{secret}\n{}\n", logins.join("\n")),
     )
     .expect("written");
-    // It dials nobody, and logs in nowhere.
+    // The base station does not dial, so it needs no login.
     let config = format!("{base}/robot.json5");
-    let text = fs::read_to_string(&config).expect("there");
+    let text = fs::read_to_string(&config).expect("exists");
     let without = text.replace(", login_as: \"config\"", "");
     assert_ne!(without, text);
     fs::write(&config, without).expect("written");
@@ -225,21 +228,21 @@ fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
         let (router, endpoint) = start_with(&air, &folder, name, more);
         (router, program(&folder, &endpoint))
     };
-    // Whoever holds it has taken its rules away, and logs in as what he has the password of.
+    // The attacker has removed the rules of the robot, and logs in as the user whose password it has.
     let no_rules = ["--cfg", "access_control/enabled:false"];
     let tampered = [&["--login-as", "wombat-2"], &no_rules[..]].concat();
     let (_two, two) = robot("wombat-2", logins[0], &tampered);
     let (_three, three) = robot("wombat-3", logins[1], &["--login-as", "wombat-3"]);
 
-    // Both are there, and hear each other by way of the base station.
+    // Both robots are connected, and receive each other's messages through the base station.
     assert!(arrives(&two, &three, "rect/wombat-2/arm/angle"));
     assert!(arrives(&three, &two, "rect/wombat-3/arm/angle"));
     assert!(arrives(&laptop, &two, "rect/base/go"));
-    let not_its_own = ["rect/wombat-3/stop", "rect/base/go", "rect/all"];
+    let foreign_keys = ["rect/wombat-3/stop", "rect/base/go", "rect/all"];
     for to in [&three, &laptop] {
-        hears_only(to, &two, &not_its_own, "rect/wombat-2/mark");
+        receives_only(to, &two, &foreign_keys, "rect/wombat-2/mark");
     }
-    // Nor does it answer for others,
+    // The tampered robot cannot answer requests to other robots either.
     let answer = |key: &'static str| {
         let queryable = two.declare_queryable(key).callback(move |query| {
             let _ = query.reply(key, "1").wait();
@@ -249,7 +252,7 @@ fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
     let _services = ["rect/wombat-9/battery", "rect/wombat-2/battery"].map(answer);
     assert_eq!(ask(&laptop, "rect/wombat-2/battery"), Ok(json!(1)));
     assert!(change(&laptop, "rect/wombat-9/battery", "").is_none());
-    // while all are asked, and each says who is there under its own name.
+    // Each robot answers queries of its status under its own name.
     for (robot, asks) in [("wombat-2", &laptop), ("wombat-3", &two)] {
         let status = ask(asks, &format!("rect/{robot}/@rect/status")).expect("an answer");
         assert!(status["id"].is_string(), "{status:#}");
@@ -257,7 +260,7 @@ fn in_a_star_a_tampered_robot_is_heard_under_its_own_name_only() {
 }
 
 #[test]
-fn in_a_star_who_logs_in_with_the_teams_first_line_is_not_heard() {
+fn a_strict_base_station_ignores_a_robot_with_the_common_login() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let base = init(root.path(), "base", &["--base-station"]);
     let users = format!("{base}/users");
@@ -273,11 +276,11 @@ fn in_a_star_who_logs_in_with_the_teams_first_line_is_not_heard() {
         "--cfg",
         "access_control/enabled:false",
     ];
-    let (_two, there) = start_with(&air, &folder, "wombat-2", &no_rules);
-    let two = program(&folder, &there);
+    let (_two, remote) = start_with(&air, &folder, "wombat-2", &no_rules);
+    let two = program(&folder, &remote);
     let linked = "rect/wombat-2/@rect/connections?name=base";
     answers(&two, linked, |all| all[0]["state"] == "connected");
-    let heard = laptop.declare_subscriber("**").wait().expect("subscribes");
+    let received = laptop.declare_subscriber("**").wait().expect("subscribes");
     assert!(!arrives(&two, &laptop, "rect/wombat-2/arm/angle"));
-    assert!(heard.try_recv().expect("open").is_none());
+    assert!(received.try_recv().expect("open").is_none());
 }

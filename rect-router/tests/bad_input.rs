@@ -1,7 +1,9 @@
-//! What is wrong is said in one clear message on stderr, with a status that is not 0: `cargo test -p rect-router --test bad_input`
+//! Tests that invalid input ends the router with one clear message on stderr and a status other than 0:
+//! `cargo test -p rect-router --test bad_input`
 
 use std::{fs, net::TcpListener, process::Command};
 
+/// Runs the router, which must fail, and returns its status and its message.
 fn refused(args: &[&str]) -> (i32, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_rect-router"))
         .args(args)
@@ -9,23 +11,24 @@ fn refused(args: &[&str]) -> (i32, String) {
         .env_remove("RUST_LOG")
         .output()
         .expect("the router starts");
-    let said = String::from_utf8(output.stderr).expect("text");
-    assert!(!said.contains("panicked"), "{said}");
+    let message = String::from_utf8(output.stderr).expect("text");
+    assert!(!message.contains("panicked"), "{message}");
     (
         output.status.code().expect("an exit, not a signal"),
-        said.trim_end().to_owned(),
+        message.trim_end().to_owned(),
     )
 }
 
-fn assert_refused(args: &[&str], status: i32, message: &str) {
-    let (code, said) = refused(args);
-    assert_eq!((code, said.as_str()), (status, message), "{args:?}");
+/// Checks that the router fails with this status and this message.
+fn assert_refused(args: &[&str], status: i32, expected: &str) {
+    let (code, message) = refused(args);
+    assert_eq!((code, message.as_str()), (status, expected), "{args:?}");
 }
 
 const QUIET: [&str; 2] = ["--no-multicast-scouting", "-ltcp/127.0.0.1:0"];
 
 #[test]
-fn an_id_that_is_not_hexadecimal_is_refused() {
+fn rejects_an_id_that_is_not_hexadecimal() {
     assert_refused(
         &["--id", "wombat"],
         1,
@@ -35,37 +38,37 @@ fn an_id_that_is_not_hexadecimal_is_refused() {
 }
 
 #[test]
-fn an_endpoint_without_protocol_is_refused() {
+fn rejects_an_endpoint_without_protocol() {
     assert_refused(
         &["-l", "7447"],
         1,
         "rect-router: --listen 7447: not an endpoint; write PROTOCOL/ADDRESS, for example tcp/127.0.0.1:7447 or \
          ble/wombat-2: Endpoints must be of the form <protocol>/<address>[?<metadata>][#<config>]: 7447",
     );
-    let (code, said) = refused(&["-e", "wombat-2"]);
+    let (code, message) = refused(&["-e", "wombat-2"]);
     assert_eq!(code, 1);
     assert!(
-        said.starts_with(
+        message.starts_with(
             "rect-router: --connect wombat-2: not an endpoint; write PROTOCOL/ADDRESS"
         ),
-        "{said}"
+        "{message}"
     );
 }
 
 #[test]
-fn an_unknown_protocol_to_listen_on_is_refused() {
-    let (code, said) = refused(&["--no-multicast-scouting", "-l", "pigeon/home"]);
+fn rejects_an_unknown_protocol_to_listen_on() {
+    let (code, message) = refused(&["--no-multicast-scouting", "-l", "pigeon/home"]);
     assert_eq!(
-        (code, said.as_str()),
+        (code, message.as_str()),
         (
             1,
-            "rect-router: can't start: Unicast not supported for pigeon protocol"
+            "rect-router: cannot start: Unicast not supported for pigeon protocol"
         )
     );
 }
 
 #[test]
-fn a_ble_endpoint_that_can_never_work_is_refused_at_once() {
+fn rejects_an_invalid_ble_endpoint_at_the_start() {
     for (flag, endpoint, reason) in [
         (
             "-l",
@@ -79,17 +82,17 @@ fn a_ble_endpoint_that_can_never_work_is_refused_at_once() {
             "`hci0` is an adapter, which can be listened on",
         ),
     ] {
-        let (code, said) = refused(&["--no-multicast-scouting", flag, endpoint]);
-        assert_eq!(code, 1, "{said}");
+        let (code, message) = refused(&["--no-multicast-scouting", flag, endpoint]);
+        assert_eq!(code, 1, "{message}");
         assert!(
-            said.starts_with(&format!("rect-router: {endpoint}: {reason}")),
-            "{said}"
+            message.starts_with(&format!("rect-router: {endpoint}: {reason}")),
+            "{message}"
         );
     }
 }
 
 #[test]
-fn a_ble_endpoint_of_the_configuration_file_is_checked_too() {
+fn rejects_an_invalid_ble_endpoint_of_the_configuration_file() {
     let dir = tempfile::tempdir().expect("a directory");
     let file = dir.path().join("router.json5");
     fs::write(
@@ -97,32 +100,32 @@ fn a_ble_endpoint_of_the_configuration_file_is_checked_too() {
         r#"{ connect: { endpoints: ["ble/wombat-2#mtu=3"] } }"#,
     )
     .expect("written");
-    let (code, said) = refused(&["-c", file.to_str().expect("text")]);
+    let (code, message) = refused(&["-c", file.to_str().expect("text")]);
     assert_eq!(code, 1);
     assert!(
-        said.starts_with("rect-router: ble/wombat-2#mtu=3: option mtu=3"),
-        "{said}"
+        message.starts_with("rect-router: ble/wombat-2#mtu=3: option mtu=3"),
+        "{message}"
     );
 }
 
 #[test]
-fn a_port_that_is_taken_is_an_error_with_its_cause() {
+fn reports_a_port_that_is_in_use_with_the_cause() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let endpoint = format!("tcp/{}", taken.local_addr().expect("an address"));
-    let (code, said) = refused(&["--no-multicast-scouting", "-l", &endpoint]);
+    let (code, message) = refused(&["--no-multicast-scouting", "-l", &endpoint]);
     assert_eq!(code, 1);
     assert!(
-        said.starts_with("rect-router: can't start: Can not create a new TCP listener"),
-        "{said}"
+        message.starts_with("rect-router: cannot start: Can not create a new TCP listener"),
+        "{message}"
     );
     assert!(
-        said.contains("Address already in use") && !said.contains(".rs:"),
-        "{said}"
+        message.contains("Address already in use") && !message.contains(".rs:"),
+        "{message}"
     );
 }
 
 #[test]
-fn a_setting_that_can_not_be_made_is_refused() {
+fn rejects_invalid_settings() {
     assert_refused(
         &["--cfg", "scouting"],
         1,
@@ -139,21 +142,21 @@ fn a_setting_that_can_not_be_made_is_refused() {
         "listen/timeout_ms:\"soon\"",
         "scouting/multicast/enabled:",
     ] {
-        let (code, said) = refused(&["--cfg", setting]);
+        let (code, message) = refused(&["--cfg", setting]);
         assert_eq!(code, 1, "{setting}");
         assert!(
-            said.starts_with(&format!("rect-router: --cfg {setting}: ")),
-            "{said}"
+            message.starts_with(&format!("rect-router: --cfg {setting}: ")),
+            "{message}"
         );
-        assert_eq!(said.lines().count(), 1, "{said}");
+        assert_eq!(message.lines().count(), 1, "{message}");
     }
-    let (code, said) = refused(&["--cfg", ":{mode:1}"]);
+    let (code, message) = refused(&["--cfg", ":{mode:1}"]);
     assert_eq!(code, 1);
-    assert!(said.starts_with("rect-router: --cfg with an empty key gives the whole configuration, and this is none: "), "{said}");
+    assert!(message.starts_with("rect-router: --cfg with an empty key must give a whole configuration, and this value is not one: "), "{message}");
 }
 
 #[test]
-fn a_configuration_file_that_is_missing_empty_or_wrong_is_refused() {
+fn rejects_a_missing_empty_or_invalid_configuration_file() {
     assert_refused(
         &["-c", "/nowhere/router.json5"],
         1,
@@ -169,68 +172,68 @@ fn a_configuration_file_that_is_missing_empty_or_wrong_is_refused() {
     ] {
         let file = dir.path().join(name);
         fs::write(&file, text).expect("written");
-        let (code, said) = refused(&["-c", file.to_str().expect("text")]);
-        assert_eq!(code, 1, "{said}");
+        let (code, message) = refused(&["-c", file.to_str().expect("text")]);
+        assert_eq!(code, 1, "{message}");
         assert!(
-            said.starts_with(&format!(
+            message.starts_with(&format!(
                 "rect-router: configuration file {}: {reason}",
                 file.display()
             )),
-            "{said}"
+            "{message}"
         );
-        assert_eq!(said.lines().count(), 1, "{said}");
+        assert_eq!(message.lines().count(), 1, "{message}");
     }
 }
 
 #[test]
-fn a_plugin_that_is_not_there_is_an_error_and_no_panic() {
+fn reports_a_missing_plugin_without_a_panic() {
     let args = [&QUIET[..], &["-P", "nosuch"]].concat();
-    let (code, said) = refused(&args);
-    let what = "rect-router: can't start: Plugin load failure: Library file 'libzenoh_plugin_nosuch.so' not found";
-    assert!(code == 1 && said.starts_with(what), "{code}: {said}");
-    // And what to do.
+    let (code, message) = refused(&args);
+    let what = "rect-router: cannot start: Plugin load failure: Library file 'libzenoh_plugin_nosuch.so' not found";
+    assert!(code == 1 && message.starts_with(what), "{code}: {message}");
+    // The message contains advice.
     for advice in ["--plugin-search-dir", "scripts/build-plugins"] {
-        assert!(said.contains(advice), "{said}");
+        assert!(message.contains(advice), "{message}");
     }
-    let (code, said) = refused(&[&QUIET[..], &["-P", "nosuch:/nowhere/x.so"]].concat());
+    let (code, message) = refused(&[&QUIET[..], &["-P", "nosuch:/nowhere/x.so"]].concat());
     assert_eq!(code, 1);
     assert!(
-        said.starts_with("rect-router: can't start: Plugin load failure: "),
-        "{said}"
+        message.starts_with("rect-router: cannot start: Plugin load failure: "),
+        "{message}"
     );
 }
 
 #[test]
-fn wrong_flags_end_with_status_2() {
+fn invalid_flags_end_with_status_2() {
     for args in [
         &["--bogus"][..],
         &["--adminspace-permissions", "all"],
         &["-c"],
     ] {
-        let (code, said) = refused(args);
-        assert_eq!(code, 2, "{said}");
-        assert!(said.starts_with("error: "), "{said}");
+        let (code, message) = refused(args);
+        assert_eq!(code, 2, "{message}");
+        assert!(message.starts_with("error: "), "{message}");
     }
 }
 
 #[test]
-fn a_log_filter_that_is_none_is_refused() {
+fn rejects_an_invalid_log_filter() {
     let output = Command::new(env!("CARGO_BIN_EXE_rect-router"))
         .env("RUST_LOG", "zenoh=loud")
         .output()
         .expect("the router starts");
-    let said = String::from_utf8(output.stderr).expect("text");
+    let message = String::from_utf8(output.stderr).expect("text");
     assert_eq!(output.status.code(), Some(1));
     assert!(
-        said.starts_with(
+        message.starts_with(
             "rect-router: RUST_LOG=zenoh=loud is not a log filter; use for example RUST_LOG=info"
         ),
-        "{said}"
+        "{message}"
     );
 }
 
 #[test]
-fn a_login_that_can_not_be_found_is_refused() {
+fn rejects_a_login_that_cannot_be_found() {
     assert_refused(
         &["--login-as", "fleet"],
         1,
@@ -244,18 +247,18 @@ fn a_login_that_can_not_be_found_is_refused() {
         users.display()
     );
     let args = ["--login-as", "fleet", "--cfg", &setting];
-    let (code, said) = refused(&args);
+    let (code, message) = refused(&args);
     assert_eq!(code, 1);
     assert!(
-        said.contains("make one with a line `user:password` in it")
-            && said.contains("No such file"),
-        "{said}"
+        message.contains("create one with a line `user:password`")
+            && message.contains("No such file"),
+        "{message}"
     );
     fs::write(&users, "other:secret\n").expect("written");
-    let (code, said) = refused(&args);
+    let (code, message) = refused(&args);
     assert_eq!(code, 1);
     assert_eq!(
-        said,
+        message,
         format!(
             "rect-router: --login-as fleet: no line `fleet:password` in {}",
             users.display()

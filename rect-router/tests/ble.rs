@@ -1,4 +1,4 @@
-//! Routers with `ble/` links, on the simulated air: `cargo test -p rect-router --test ble`
+//! Tests of routers with `ble/` links on the simulated air: `cargo test -p rect-router --test ble`
 
 mod support;
 
@@ -6,43 +6,43 @@ use serde_json::Value;
 use support::{arrives, ask, client, simulated, Air, Router};
 
 #[test]
-fn two_wombats_exchange_messages_over_ble_and_the_admin_space_shows_the_link() {
+fn exchanges_messages_over_ble_and_shows_the_link_in_the_admin_space() {
     let air = Air::new();
-    let (_one, here) = simulated(&air, 1, &["-i", "a1"]);
-    let (_two, there) = simulated(
+    let (_one, local) = simulated(&air, 1, &["-i", "a1"]);
+    let (_two, remote) = simulated(
         &air,
         2,
         &["-i", "a2", "-e", "ble/wombat-1#adapter=sim-wombat-2"],
     );
-    let (here, there) = (client(&here), client(&there));
-    assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
-    assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
+    let (local, remote) = (client(&local), client(&remote));
+    assert!(arrives(&local, &remote, "rect/wombat-1/arm/angle"));
+    assert!(arrives(&remote, &local, "rect/wombat-2/arm/angle"));
 
-    let about = ask(&here, "@/a1/router").expect("an answer").to_string();
+    let about = ask(&local, "@/a1/router").expect("an answer").to_string();
     assert!(about.contains("ble/"), "no ble link in {about}");
-    let status: Value = ask(&here, "@/a1/router/ble").expect("an answer");
+    let status: Value = ask(&local, "@/a1/router/ble").expect("an answer");
     let link = &status[0]["links"][0];
     assert_eq!(link["peer"], "wombat-2", "{status:#}");
     assert!(link["sent"]["bytes"].as_u64() > Some(100), "{status:#}");
     let lanes = link["lanes"]["lanes"].as_array().expect("lanes in use");
     let data = lanes.iter().find(|lane| lane["priority"] == "Data");
-    let received = &data.expect("messages have gone")["received"];
+    let received = &data.expect("messages were sent")["received"];
     assert!(received["sdus"].as_u64() > Some(0), "{status:#}");
     assert_eq!(status[0]["peers"][0]["links"], 1, "{status:#}");
 }
 
 #[test]
-fn a_wombat_that_comes_back_is_linked_again() {
+fn reconnects_after_peer_restart() {
     let air = Air::new();
-    let (one, here) = simulated(&air, 1, &[]);
+    let (one, local) = simulated(&air, 1, &[]);
     let dial = "ble/wombat-1#adapter=sim-wombat-2";
-    let (_two, there) = simulated(&air, 2, &["-i", "a2", "-e", dial]);
-    let there = client(&there);
-    assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
+    let (_two, remote) = simulated(&air, 2, &["-i", "a2", "-e", dial]);
+    let remote = client(&remote);
+    assert!(arrives(&remote, &client(&local), "rect/wombat-2/x"));
     drop(one);
-    let (_one, here) = simulated(&air, 1, &[]);
-    assert!(arrives(&there, &client(&here), "rect/wombat-2/x"));
-    let status: Value = ask(&there, "@/a2/router/ble").expect("an answer");
+    let (_one, local) = simulated(&air, 1, &[]);
+    assert!(arrives(&remote, &client(&local), "rect/wombat-2/x"));
+    let status: Value = ask(&remote, "@/a2/router/ble").expect("an answer");
     let peer = &status[0]["peers"][0];
     assert_eq!(
         (&peer["peer"], &peer["links"]),
@@ -53,32 +53,36 @@ fn a_wombat_that_comes_back_is_linked_again() {
 }
 
 #[test]
-fn a_ble_listener_without_its_radio_ends_the_router_with_the_links_reason() {
+fn a_ble_listener_without_an_adapter_ends_the_router_with_the_reason() {
     let mut router = Router::start(&["--no-multicast-scouting", "-l", "ble/hci77#name=wombat-1"]);
     assert_eq!(router.exit().code(), Some(1));
     let log = router.full_log();
-    let said = log
+    let message = log
         .lines()
-        .find(|line| line.starts_with("rect-router: can't start: "))
+        .find(|line| line.starts_with("rect-router: cannot start: "))
         .expect("a reason");
-    assert!(!said.contains(".rs:"), "{said}");
-    println!("{said}");
+    assert!(!message.contains(".rs:"), "{message}");
+    println!("{message}");
 }
 
 #[test]
-fn a_router_stops_with_status_0_while_linked_over_ble() {
+fn stops_with_status_0_while_linked_over_ble() {
     let air = Air::new();
-    let (one, here) = simulated(&air, 1, &[]);
-    let (mut two, there) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
-    assert!(arrives(&client(&there), &client(&here), "rect/wombat-2/x"));
+    let (one, local) = simulated(&air, 1, &[]);
+    let (mut two, remote) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    assert!(arrives(
+        &client(&remote),
+        &client(&local),
+        "rect/wombat-2/x"
+    ));
     two.up().signal(nix::sys::signal::Signal::SIGTERM);
     assert_eq!(two.exit().code(), Some(0));
     drop(one);
 }
 
-/// Zenoh waits for its dials before it takes leave of anybody.
+/// Zenoh waits for its dials before it closes its sessions.
 #[test]
-fn a_router_takes_leave_in_time_although_it_dials_who_is_away() {
+fn stops_in_time_while_it_dials_absent_peers() {
     let air = Air::new();
     let file = tempfile::NamedTempFile::new().expect("a file");
     let away = r#"{ connections: [{ name: "away", method: "ble", address: "wombat-8" }] }"#;

@@ -1,4 +1,4 @@
-//! What rect-router does beside being a router: `cargo test -p rect-router --test commands`
+//! Tests of the commands of rect-router: `cargo test -p rect-router --test commands`
 
 mod support;
 
@@ -11,12 +11,12 @@ use std::{
 };
 
 use serde_json::{json, Value};
-use support::{answers, client, init, program, rect_router, said, simulated, start, Air};
+use support::{answers, client, init, program, rect_router, simulated, start, text_of, Air};
 use zenoh::{Session, Wait};
 use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
 
 #[test]
-fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
+fn robots_of_one_team_connect_and_a_robot_of_another_team_is_rejected() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let one = init(root.path(), "wombat-1", &[]);
     let two = init(
@@ -24,24 +24,24 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "wombat-2",
         &["--users", &format!("{one}/users")],
     );
-    let stranger = init(root.path(), "wombat-9", &[]);
+    let foreign = init(root.path(), "wombat-9", &[]);
     let dial =
         json!({ "connections": [{ "name": "first", "method": "ble", "address": "wombat-1" }] });
-    for folder in [&two, &stranger] {
+    for folder in [&two, &foreign] {
         fs::write(format!("{folder}/connections.json"), dial.to_string()).expect("written");
     }
-    let (_one, here) = start(&air, &one, "wombat-1", "fleet");
-    let (_two, there) = start(&air, &two, "wombat-2", "fleet");
-    let (_stranger, elsewhere) = start(&air, &stranger, "wombat-9", "fleet");
+    let (_one, local) = start(&air, &one, "wombat-1", "fleet");
+    let (_two, remote) = start(&air, &two, "wombat-2", "fleet");
+    let (_foreign, elsewhere) = start(&air, &foreign, "wombat-9", "fleet");
 
-    let state = |session: &Session, robot: &str, wanted: &str| {
-        let asked = format!("rect/{robot}/@rect/connections?name=first");
-        answers(session, &asked, |answer| answer[0]["state"] == wanted)
+    let state = |session: &Session, robot: &str, expected: &str| {
+        let query = format!("rect/{robot}/@rect/connections?name=first");
+        answers(session, &query, |answer| answer[0]["state"] == expected)
     };
-    state(&program(&two, &there), "wombat-2", "connected");
-    // The stranger's gets no further than its proof, again and again.
-    let asked = "rect/wombat-9/@rect/connections?name=first";
-    let refused = answers(&program(&stranger, &elsewhere), asked, |answer| {
+    state(&program(&two, &remote), "wombat-2", "connected");
+    // The robot of the other team is rejected at each attempt, because it cannot prove the secret.
+    let query = "rect/wombat-9/@rect/connections?name=first";
+    let refused = answers(&program(&foreign, &elsewhere), query, |answer| {
         answer[0]["failed"].as_u64() > Some(1)
     });
     assert_eq!(refused[0]["linked"], 0, "{refused:#}");
@@ -51,7 +51,9 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "{refused:#}"
     );
     let of_one = "rect/wombat-1/@rect/peers";
-    let peers = answers(&program(&one, &here), of_one, |answer| !answer[0].is_null());
+    let peers = answers(&program(&one, &local), of_one, |answer| {
+        !answer[0].is_null()
+    });
     let robots: Vec<_> = peers
         .as_array()
         .into_iter()
@@ -63,34 +65,34 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "{peers:#}"
     );
 
-    // Access control lets the fleet ask about topics.
+    // Access control lets the robots of the fleet query topics.
     let topics = "rect/wombat-1/@rect/topics?measure";
-    answers(&program(&two, &there), topics, |answer| {
+    answers(&program(&two, &remote), topics, |answer| {
         answer["topics"].is_array()
     });
 
-    // Who is in the air at all, and of whose team.
+    // A scan shows all robots in range with their fleet.
     let mut scan = Command::new(env!("CARGO_BIN_EXE_rect-router"));
     scan.args(["scan", "--adapter", "sim-scan", "--seconds", "2", "--json"]);
     let scan = scan.env(SOCKET_VARIABLE, air.socket()).output();
     let scan = scan.expect("it starts");
-    let heard: Value = serde_json::from_slice(&scan.stdout).unwrap_or_default();
-    let heard = heard.as_array().cloned().unwrap_or_default();
-    assert_eq!(heard.len(), 3, "{}", said(&scan));
+    let discovered: Value = serde_json::from_slice(&scan.stdout).unwrap_or_default();
+    let discovered = discovered.as_array().cloned().unwrap_or_default();
+    assert_eq!(discovered.len(), 3, "{}", text_of(&scan));
     assert!(
-        heard.iter().all(|robot| robot["fleet"] == "rect"),
-        "{heard:?}"
+        discovered.iter().all(|robot| robot["fleet"] == "rect"),
+        "{discovered:?}"
     );
 
-    // The same in a terminal.
+    // The commands show the connections as tables.
     let table = rect_router(&[
         "connections",
         "--router",
-        &there,
+        &remote,
         "--users",
         &format!("{two}/users"),
     ]);
-    let shown = said(&table);
+    let shown = text_of(&table);
     assert!(
         table.status.success() && shown.contains("wombat-2"),
         "{shown}"
@@ -104,9 +106,9 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         "{row}"
     );
     let users = format!("{two}/users");
-    let ask = ["--router", &there, "--users", &users];
+    let ask = ["--router", &remote, "--users", &users];
     let status = rect_router(&[&["status"], &ask[..]].concat());
-    let shown = said(&status);
+    let shown = text_of(&status);
     let row = shown.lines().find(|line| line.contains("wombat-2"));
     assert!(row.is_some_and(|row| row.contains("1 ble")), "{shown}");
     let status = rect_router(&[&["status", "--json", "wombat-1"], &ask[..]].concat());
@@ -116,12 +118,12 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         1
     );
     let nobody = rect_router(&[&["status", "wombat-7"], &ask[..]].concat());
-    assert!(said(&nobody).contains("no robot wombat-7 of fleet rect answers"));
+    assert!(text_of(&nobody).contains("no robot wombat-7 of fleet rect answers"));
     let doctor = rect_router(&[
         "doctor",
         "--json",
         "--router",
-        &there,
+        &remote,
         "--users",
         &format!("{two}/users"),
     ]);
@@ -132,26 +134,26 @@ fn robots_of_one_login_find_each_other_and_another_teams_gets_no_link() {
         .flatten()
         .find(|one| one["about"] == "router");
     assert_eq!(
-        router.expect("looked at")["verdict"],
+        router.expect("a finding")["verdict"],
         "good",
         "{findings:#}"
     );
 }
 
 #[test]
-fn what_is_there_already_is_not_touched_and_secrets_are_private() {
+fn init_keeps_existing_files_and_writes_private_secrets() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = init(root.path(), "wombat-1", &["--fleet", "lions"]);
     let users = format!("{folder}/users");
-    let mode = fs::metadata(&users).expect("there").permissions().mode();
+    let mode = fs::metadata(&users).expect("exists").permissions().mode();
     assert_eq!(mode & 0o777, 0o640);
-    let before = fs::read_to_string(&users).expect("there");
+    let before = fs::read_to_string(&users).expect("exists");
     assert!(
         before.starts_with("fleet:") && before.trim().lines().all(|line| line.len() > 24),
         "{}",
         before.len()
     );
-    let config = fs::read_to_string(format!("{folder}/robot.json5")).expect("there");
+    let config = fs::read_to_string(format!("{folder}/robot.json5")).expect("exists");
     assert!(
         config.contains("\"lions/**\"") && !config.contains("\"rect/"),
         "{config}"
@@ -160,9 +162,9 @@ fn what_is_there_already_is_not_touched_and_secrets_are_private() {
     assert!(loaded.to_string().contains("lions/*/@rect/**"));
 
     let again = rect_router(&["init", "wombat-1", "--folder", &folder]);
-    assert!(!again.status.success() && said(&again).contains("is there already"));
-    assert_eq!(fs::read_to_string(&users).expect("there"), before);
-    for (wrong, named) in [
+    assert!(!again.status.success() && text_of(&again).contains("already exists"));
+    assert_eq!(fs::read_to_string(&users).expect("exists"), before);
+    for (wrong, expected) in [
         ("a b", "' '"),
         ("", "1 to 29"),
         ("hci0", "adapter"),
@@ -171,7 +173,7 @@ fn what_is_there_already_is_not_touched_and_secrets_are_private() {
         let folder = root.path().join("wrong").display().to_string();
         let output = rect_router(&["init", wrong, "--folder", &folder]);
         assert!(
-            !output.status.success() && said(&output).contains(named),
+            !output.status.success() && text_of(&output).contains(expected),
             "{wrong}"
         );
         assert!(!Path::new(&folder).exists(), "{wrong}");
@@ -179,7 +181,7 @@ fn what_is_there_already_is_not_touched_and_secrets_are_private() {
 }
 
 #[test]
-fn a_configuration_is_checked_without_starting_anything() {
+fn check_reports_invalid_configurations_without_starting_anything() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = init(root.path(), "wombat-1", &[]);
     let (config, connections) = (
@@ -187,9 +189,9 @@ fn a_configuration_is_checked_without_starting_anything() {
         format!("{folder}/connections.json"),
     );
     let right = rect_router(&["check", &config]);
-    assert!(right.status.success(), "{}", said(&right));
-    let was = fs::read_to_string(&config).expect("there");
-    for (wrong, named) in [
+    assert!(right.status.success(), "{}", text_of(&right));
+    let was = fs::read_to_string(&config).expect("exists");
+    for (wrong, expected) in [
         (was.replace("listen: {", "listen: ?{"), "robot.json5"),
         (
             was.replace("login_as: \"fleet\"", "login_as: \"nobody\""),
@@ -200,63 +202,63 @@ fn a_configuration_is_checked_without_starting_anything() {
             "psm",
         ),
     ] {
-        assert_ne!(wrong, was, "{named}");
+        assert_ne!(wrong, was, "{expected}");
         fs::write(&config, wrong).expect("written");
         let output = rect_router(&["check", &config]);
         assert!(
-            !output.status.success() && said(&output).contains(named),
+            !output.status.success() && text_of(&output).contains(expected),
             "{}",
-            said(&output)
+            text_of(&output)
         );
     }
     fs::write(&config, was).expect("written");
     fs::write(&connections, "{ \"connections\": [ { } ] }").expect("written");
     let output = rect_router(&["check", &config]);
     assert!(
-        !output.status.success() && said(&output).contains("connections.json"),
+        !output.status.success() && text_of(&output).contains("connections.json"),
         "{}",
-        said(&output)
+        text_of(&output)
     );
 }
 
 #[test]
-fn who_has_no_service_is_not_told_that_it_starts() {
+fn init_with_start_fails_without_an_installed_service() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = root.path().join("etc").display().to_string();
     let output = rect_router(&["init", "wombat-1", "--folder", &folder, "--start"]);
     assert!(
-        !output.status.success() && said(&output).contains("install the package"),
+        !output.status.success() && text_of(&output).contains("install the package"),
         "{}",
-        said(&output)
+        text_of(&output)
     );
     assert!(!Path::new(&folder).exists());
 }
 
 #[test]
-fn there_are_manual_pages_and_completions() {
+fn writes_manual_pages_and_completions() {
     let folder = tempfile::tempdir().expect("a folder");
     let written = rect_router(&["man", &folder.path().display().to_string()]);
-    assert!(written.status.success(), "{}", said(&written));
+    assert!(written.status.success(), "{}", text_of(&written));
     let page = fs::read_to_string(folder.path().join("rect-router-init.1")).expect("a page");
     assert!(
         page.contains("Write a robot") && page.contains("fleet"),
         "{page}"
     );
     let page = fs::read_to_string(folder.path().join("rect-router.1")).expect("a page");
-    for told in [&page, &said(&rect_router(&["--help"]))] {
+    for text in [&page, &text_of(&rect_router(&["--help"]))] {
         assert!(
-            told.contains("Exit status") && told.contains("143"),
-            "{told}"
+            text.contains("Exit status") && text.contains("143"),
+            "{text}"
         );
     }
     let completion = rect_router(&["completion", "bash"]);
-    assert!(said(&completion).contains("--login-as"));
+    assert!(text_of(&completion).contains("--login-as"));
     let nowhere = rect_router(&["man", "/nowhere/at/all"]);
-    assert!(!nowhere.status.success() && said(&nowhere).contains("/nowhere/at/all"));
+    assert!(!nowhere.status.success() && text_of(&nowhere).contains("/nowhere/at/all"));
 }
 
 #[test]
-fn the_doctor_looks_at_the_named_router_with_the_named_login() {
+fn doctor_examines_the_given_router_with_the_given_login() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let folder = init(root.path(), "wombat-1", &[]);
     let (_router, endpoint) = start(&air, &folder, "wombat-1", "fleet");
@@ -265,7 +267,7 @@ fn the_doctor_looks_at_the_named_router_with_the_named_login() {
         let at = ["doctor", "--router", &endpoint, "--users", users];
         rect_router(&[&at, more].concat())
     };
-    let well = said(&doctor(&[], &users));
+    let well = text_of(&doctor(&[], &users));
     for line in [
         "good   login: ",
         "good   router: ",
@@ -274,10 +276,10 @@ fn the_doctor_looks_at_the_named_router_with_the_named_login() {
     ] {
         assert!(well.contains(line), "{line}: {well}");
     }
-    let right = said(&doctor(&["--as", "wombat-1"], &users));
+    let right = text_of(&doctor(&["--as", "wombat-1"], &users));
     assert!(right.contains("good   robot: "), "{right}");
     let wrong = doctor(&["--as", "wombat-7"], &users);
-    let text = said(&wrong);
+    let text = text_of(&wrong);
     assert_eq!(wrong.status.code(), Some(1), "{text}");
     assert!(
         text.contains("WRONG  robot: ") && text.contains("of wombat-1, not of wombat-7"),
@@ -287,7 +289,7 @@ fn the_doctor_looks_at_the_named_router_with_the_named_login() {
     let other = root.path().join("other");
     fs::write(&other, "fleet:not the password\n").expect("written");
     let refused = doctor(&[], &other.display().to_string());
-    let text = said(&refused);
+    let text = text_of(&refused);
     assert_eq!(refused.status.code(), Some(1), "{text}");
     assert!(text.contains("refuses the login fleet of"), "{text}");
     let table = rect_router(&[
@@ -298,11 +300,11 @@ fn the_doctor_looks_at_the_named_router_with_the_named_login() {
         &other.display().to_string(),
     ]);
     assert!(
-        said(&table).contains("refuses the login fleet of"),
+        text_of(&table).contains("refuses the login fleet of"),
         "{}",
-        said(&table)
+        text_of(&table)
     );
-    let without = said(&doctor(&[], "/nowhere/users"));
+    let without = text_of(&doctor(&[], "/nowhere/users"));
     assert!(
         without.contains("refuses programs without a login"),
         "{without}"
@@ -314,13 +316,13 @@ fn the_doctor_looks_at_the_named_router_with_the_named_login() {
     )
     .expect("written");
     let mistaken = doctor(&[], &users);
-    let text = said(&mistaken);
+    let text = text_of(&mistaken);
     assert_eq!(mistaken.status.code(), Some(1), "{text}");
     assert!(text.contains("rejects its connections file: 1:"), "{text}");
 }
 
 #[test]
-fn what_a_robot_reports_cannot_control_the_terminal() {
+fn control_characters_of_a_robot_do_not_reach_the_terminal() {
     let air = Air::new();
     let (mut router, endpoint) = simulated(&air, 1, &[]);
     router.up();
@@ -344,7 +346,7 @@ fn what_a_robot_reports_cannot_control_the_terminal() {
     let connection = json!([{ "name": hostile, "method": "tcp", "address": hostile, "state": "connecting", "last_error": error }]);
     answer("rect/evil/@rect/connections", connection);
     for command in ["status", "connections", "doctor"] {
-        let shown = said(&rect_router(&[command, "--router", &endpoint]));
+        let shown = text_of(&rect_router(&[command, "--router", &endpoint]));
         assert!(shown.contains("evil"), "{command}: {shown}");
         assert!(
             !shown.contains(['\x1b', '\x07', '\u{202e}']),
@@ -357,14 +359,14 @@ fn what_a_robot_reports_cannot_control_the_terminal() {
             "{command}: {shown:?}"
         );
     }
-    let json = said(&rect_router(&["status", "--json", "--router", &endpoint]));
+    let json = text_of(&rect_router(&["status", "--json", "--router", &endpoint]));
     assert!(!json.contains('\u{202e}'), "{json:?}");
     let read: Value = serde_json::from_str(&json).expect("JSON");
     assert_eq!(read["evil"]["version"], hostile);
 }
 
 #[test]
-fn a_reader_that_has_gone_ends_a_command_quietly() {
+fn a_failed_write_to_stdout_ends_a_command_without_a_panic() {
     let full = || fs::File::create("/dev/full").expect("linux");
     for args in [
         &["doctor", "--router", "tcp/127.0.0.1:1"][..],
@@ -376,7 +378,7 @@ fn a_reader_that_has_gone_ends_a_command_quietly() {
             .stdout(full())
             .output();
         let output = output.expect("it starts");
-        let text = said(&output);
+        let text = text_of(&output);
         assert_eq!(output.status.code(), Some(1), "{args:?}: {text}");
         assert!(
             text.contains("cannot write") && !text.contains("panicked"),
@@ -391,7 +393,7 @@ fn a_reader_that_has_gone_ends_a_command_quietly() {
 }
 
 #[test]
-fn simulated_robots_can_be_asked_at_once_and_end_with_their_command() {
+fn simulated_robots_answer_at_once_and_end_with_their_command() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut sim = Command::new(env!("CARGO_BIN_EXE_rect-router"));
     sim.args(["sim", "--port", "0", "--condition", "desk"]);
@@ -413,7 +415,7 @@ fn simulated_robots_can_be_asked_at_once_and_end_with_their_command() {
             .to_owned()
     };
     let (one, two) = (endpoint("wombat-1"), endpoint("wombat-2"));
-    let status = said(&rect_router(&["status", "--router", &one]));
+    let status = text_of(&rect_router(&["status", "--router", &one]));
     for robot in ["wombat-1", "wombat-2"] {
         let row = status.lines().find(|line| line.starts_with(robot));
         assert!(row.is_some_and(|row| row.contains("1 ble")), "{status}");
@@ -435,7 +437,7 @@ fn simulated_robots_can_be_asked_at_once_and_end_with_their_command() {
     assert!(!folder.path().join("air.sock").exists());
 }
 
-/// A command that is ended with its test.
+/// A command that is killed at the end of its test.
 struct Killed(Child);
 
 impl Drop for Killed {
@@ -446,11 +448,11 @@ impl Drop for Killed {
 }
 
 #[test]
-fn without_a_router_the_doctor_and_the_table_say_so() {
+fn doctor_and_connections_report_a_missing_router() {
     let nowhere = ["--router", "tcp/127.0.0.1:1"];
     let doctor = rect_router(&["doctor", nowhere[0], nowhere[1]]);
     assert_eq!(doctor.status.code(), Some(1));
-    let text = said(&doctor);
+    let text = text_of(&doctor);
     assert!(
         text.contains("WRONG  router: no router answers at tcp/127.0.0.1:1"),
         "{text}"
@@ -458,8 +460,8 @@ fn without_a_router_the_doctor_and_the_table_say_so() {
     let table = rect_router(&["connections", nowhere[0], nowhere[1]]);
     assert_eq!(table.status.code(), Some(1));
     assert!(
-        said(&table).contains("no router answers"),
+        text_of(&table).contains("no router answers"),
         "{}",
-        said(&table)
+        text_of(&table)
     );
 }

@@ -1,4 +1,4 @@
-//! The files of `config/` load, and keep strangers out: `cargo test -p rect-router --test config_files`
+//! Tests of the files in `config/`: they load, and require a login: `cargo test -p rect-router --test config_files`
 
 mod support;
 
@@ -20,7 +20,7 @@ fn file(name: &str) -> String {
     repository().join("config").join(name).display().to_string()
 }
 
-/// What zenoh makes of the file.
+/// Returns the file as a configuration of Zenoh.
 fn loaded(name: &str) -> Value {
     let config =
         zenoh::Config::from_file(file(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -28,7 +28,7 @@ fn loaded(name: &str) -> Value {
 }
 
 #[test]
-fn every_file_loads() {
+fn all_files_load() {
     let mut names: Vec<String> = fs::read_dir(repository().join("config"))
         .expect("the directory")
         .map(|entry| {
@@ -51,7 +51,7 @@ fn every_file_loads() {
 }
 
 #[test]
-fn multicast_scouting_is_off_everywhere() {
+fn multicast_scouting_is_off_in_all_files() {
     for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
         assert_eq!(
             loaded(name).pointer("/scouting/multicast/enabled"),
@@ -62,7 +62,7 @@ fn multicast_scouting_is_off_everywhere() {
 }
 
 #[test]
-fn no_listener_is_open_to_the_network() {
+fn no_listener_accepts_connections_from_the_network() {
     for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
         let config = loaded(name);
         let listeners = config
@@ -81,7 +81,7 @@ fn no_listener_is_open_to_the_network() {
 }
 
 #[test]
-fn login_and_access_control_are_on_for_robots_and_base_station() {
+fn robots_and_base_stations_require_logins_and_access_control() {
     for name in WITH_LOGIN {
         let config = loaded(name);
         let at = |pointer| config.pointer(pointer).unwrap_or(&Value::Null);
@@ -93,7 +93,7 @@ fn login_and_access_control_are_on_for_robots_and_base_station() {
         assert_eq!(
             at("/transport/auth/usrpwd/password"),
             &Value::Null,
-            "{name}: a published password is none"
+            "{name}: a shipped file must not contain a password"
         );
         assert_eq!(at("/access_control/enabled"), true, "{name}");
         assert_eq!(at("/access_control/default_permission"), "deny", "{name}");
@@ -101,7 +101,7 @@ fn login_and_access_control_are_on_for_robots_and_base_station() {
 }
 
 #[test]
-fn without_its_login_file_a_robot_does_not_start() {
+fn a_robot_does_not_start_without_its_login_file() {
     if PathBuf::from("/etc/rect/users").exists() {
         return support::skip("this machine has a login file");
     }
@@ -111,16 +111,16 @@ fn without_its_login_file_a_robot_does_not_start() {
         let log = router.full_log();
         assert!(
             log.contains(
-                "rect-router: login file /etc/rect/users (make one with a line `user:password`"
+                "rect-router: cannot read the login file /etc/rect/users (create one with a line `user:password`"
             ),
             "{log}"
         );
     }
 }
 
-/// A router of a shipped file, its own part of the machine put in place of /etc, /run and Bluetooth.
+/// Starts routers with a shipped file, but with a login file and a listener of the test.
 struct Fleet {
-    /// The login file is in it.
+    /// Folder of the login file.
     _dir: tempfile::TempDir,
     login: [String; 2],
 }
@@ -147,13 +147,13 @@ fn logged_in(endpoint: &str, user: &str, password: &str) -> zenoh::Result<Sessio
     client_with(endpoint, &[("transport/auth/usrpwd", &login)])
 }
 
-/// With whom the router of id `abc` has one.
+/// Returns the sessions of the router with identifier `abc`.
 fn sessions(session: &Session) -> String {
     admin(session, "@/abc/router").expect("an answer")
 }
 
 #[test]
-fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
+fn programs_need_a_valid_login_and_then_have_full_access() {
     for name in WITH_LOGIN {
         let fleet = Fleet::new("fleet:secret\n");
         let (_router, endpoint) = fleet.router(name, &["-i", "abc"]);
@@ -171,7 +171,7 @@ fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
             "{name}: let in with an empty password"
         );
         assert!(
-            logged_in(&endpoint, "stranger", "secret").is_err(),
+            logged_in(&endpoint, "unknown", "secret").is_err(),
             "{name}: let in as an unknown user"
         );
 
@@ -193,10 +193,10 @@ fn a_stranger_gets_nothing_and_the_teams_programs_everything() {
     }
 }
 
-/// What the files say of Bluetooth links, said of a test's TCP links.
+/// Applies the rules for Bluetooth links to the TCP links of a test.
 const AS_ROBOTS: &str = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
                          {id:'programs over tcp',link_protocols:['ws']},\
-                         {id:'who may configure',link_protocols:['ws']},\
+                         {id:'configuration users',link_protocols:['ws']},\
                          {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
 
 #[test]
@@ -229,7 +229,7 @@ fn robots_get_the_fleets_data_and_no_more() {
         one.put("rect/wombat-1/mark", "for you")
             .wait()
             .expect("a put");
-        // In order: had the first put passed, it would be here first.
+        // Messages arrive in order: if the first put had passed, its message would arrive first.
         if let Ok(Some(sample)) = all.recv_timeout(Duration::from_millis(200)) {
             assert_eq!(sample.key_expr().as_str(), "rect/wombat-1/mark");
             assert!(config.try_recv().expect("open").is_none());
@@ -239,23 +239,23 @@ fn robots_get_the_fleets_data_and_no_more() {
 }
 
 #[test]
-fn two_routers_meet_if_both_are_of_the_fleet() {
+fn routers_of_one_fleet_link() {
     let fleet = Fleet::new("fleet:secret\n");
     let (_one, endpoint) = fleet.router("base-station.json5", &["-i", "abc"]);
     let (_two, other) = fleet.router(
         "robot.json5",
         &["-e", &endpoint, "--login-as", "fleet", "-i", "def"],
     );
-    let here = logged_in(&endpoint, "fleet", "secret").expect("let in");
-    let there = logged_in(&other, "fleet", "secret").expect("let in");
-    // To these rules a TCP link on this computer is a program's, whoever it is.
-    assert!(arrives(&there, &here, "local/mark"));
-    // So that its absence means something in the tests below.
-    assert!(sessions(&here).contains("def"));
+    let local = logged_in(&endpoint, "fleet", "secret").expect("let in");
+    let remote = logged_in(&other, "fleet", "secret").expect("let in");
+    // The rules treat each TCP link on this computer as the link of a program.
+    assert!(arrives(&remote, &local, "local/mark"));
+    // The tests below rely on the absence of such an entry.
+    assert!(sessions(&local).contains("def"));
 }
 
 #[test]
-fn a_router_of_another_fleet_is_turned_away() {
+fn a_router_of_another_fleet_is_rejected() {
     let (ours, theirs) = (Fleet::new("fleet:secret\n"), Fleet::new("fleet:other\n"));
     let (mut one, endpoint) = ours.router("base-station.json5", &["-i", "abc"]);
     let (mut two, _) = theirs.router(
@@ -266,13 +266,13 @@ fn a_router_of_another_fleet_is_turned_away() {
     let watcher = logged_in(&endpoint, "fleet", "secret").expect("let in");
     assert!(
         !sessions(&watcher).contains("def"),
-        "it is linked all the same"
+        "the routers are linked"
     );
     assert!(!one.drained().iter().any(|line| line.contains("panicked")));
 }
 
 #[test]
-fn a_robot_that_dials_a_router_without_logins_makes_no_link() {
+fn a_robot_does_not_link_to_a_router_without_logins() {
     let mut open = Router::start(&[
         "-l",
         "tcp/127.0.0.1:0",
@@ -288,16 +288,16 @@ fn a_robot_that_dials_a_router_without_logins_makes_no_link() {
     );
     robot.wait_for("Unable to connect");
     let watcher = client_with(&endpoint, &[]).expect("open to all");
-    // The open one sees each try, until the robot ends it; a link would be there for good.
+    // The open router shows each attempt until the robot ends it; a link would stay.
     let deadline = Instant::now() + DEADLINE;
     while sessions(&watcher).contains("def") {
-        assert!(Instant::now() < deadline, "it is linked all the same");
+        assert!(Instant::now() < deadline, "the routers are linked");
         std::thread::sleep(Duration::from_millis(10));
     }
 }
 
 #[test]
-fn an_empty_login_file_is_no_open_door() {
+fn an_empty_login_file_prevents_the_start() {
     let dir = tempfile::tempdir().expect("a directory");
     let [flag, login] = login_file(dir.path(), "\n");
     let mut router = Router::start(&["-c", &file("robot.json5"), &flag, &login]);
@@ -307,9 +307,8 @@ fn an_empty_login_file_is_no_open_door() {
         .contains("is empty; write a line `user:password` into it"));
 }
 
-/// Only what this robot's programs and other robots need, and retried soon.
 #[test]
-fn a_lost_robot_is_dialled_again_within_a_second() {
+fn all_files_retry_lost_connections_within_a_second() {
     for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
         let config = loaded(name);
         let retry = config.pointer("/connect/retry").expect("set");
@@ -331,9 +330,9 @@ fn a_lost_robot_is_dialled_again_within_a_second() {
     }
 }
 
-/// The commands that a file's comment gives, each as one line.
+/// Returns the commands in the comment of a file, each as one line.
 fn documented_commands(name: &str) -> Vec<String> {
-    let text = fs::read_to_string(file(name)).expect("there");
+    let text = fs::read_to_string(file(name)).expect("exists");
     let comment = text
         .lines()
         .map_while(|line| line.strip_prefix("//").map(str::trim));
@@ -345,7 +344,7 @@ fn documented_commands(name: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_documented_simulation_has_two_named_robots_that_are_linked() {
+fn the_documented_commands_start_two_linked_robots() {
     let air = Air::new();
     let commands = documented_commands("simulation.json5");
     assert_eq!(commands.len(), 2, "{commands:?}");

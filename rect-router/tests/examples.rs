@@ -1,5 +1,5 @@
-//! The library's examples, each as two programs at a router: `cargo test -p rect -p rect-router --test examples`, after
-//! `cargo build -p rect --examples`.
+//! Tests of the library's examples, each run as two programs at one router, after `cargo build -p rect --examples`:
+//! `cargo test -p rect -p rect-router --test examples`
 mod support;
 
 use std::{
@@ -13,7 +13,7 @@ use std::{
 
 use support::{built_with, skip, Router, DEADLINE};
 
-/// An example that runs, killed at the end of the test.
+/// A running example, killed at the end of the test.
 struct Example {
     child: Child,
     lines: Receiver<String>,
@@ -33,11 +33,11 @@ impl Example {
             .stdout(Stdio::piped())
             .spawn()
             .expect("it starts");
-        let (said, lines) = mpsc::channel();
+        let (sender, lines) = mpsc::channel();
         let output = child.stdout.take().expect("piped");
         thread::spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
-                if said.send(line).is_err() {
+                if sender.send(line).is_err() {
                     return;
                 }
             }
@@ -45,7 +45,8 @@ impl Example {
         Some(Self { child, lines })
     }
 
-    fn says(&self, text: &str) {
+    /// Waits until the example prints a line with this text.
+    fn wait_for(&self, text: &str) {
         let deadline = Instant::now() + DEADLINE;
         let mut all = Vec::new();
         loop {
@@ -53,7 +54,7 @@ impl Example {
             match self.lines.recv_timeout(left) {
                 Ok(line) if line.contains(text) => return,
                 Ok(line) => all.push(line),
-                Err(_) => panic!("it does not say {text:?}: {all:#?}"),
+                Err(_) => panic!("the example does not print {text:?}: {all:#?}"),
             }
         }
     }
@@ -66,7 +67,7 @@ impl Drop for Example {
     }
 }
 
-/// A router, and a folder to be in.
+/// A router, and a working folder for the examples.
 struct Stage {
     endpoint: String,
     folder: tempfile::TempDir,
@@ -89,26 +90,26 @@ impl Stage {
 }
 
 #[test]
-fn telemetry_of_each_is_heard_by_the_other() {
+fn telemetry_is_exchanged_in_both_directions() {
     let stage = Stage::new();
     let Some(one) = stage.start("telemetry", &["wombat-1"]) else {
         return;
     };
     let other = stage.start("telemetry", &["wombat-2"]).expect("built");
-    other.says("wombat-1: Telemetry { angle_deg");
-    one.says("wombat-2: Telemetry { angle_deg");
+    other.wait_for("wombat-1: Telemetry { angle_deg");
+    one.wait_for("wombat-2: Telemetry { angle_deg");
 }
 
 #[test]
-fn teleoperation_steers_the_other() {
+fn teleoperation_controls_the_other_robot() {
     let stage = Stage::new();
     let Some(driven) = stage.start("teleoperation", &["wombat-1"]) else {
         return;
     };
     let driver = stage.start("teleoperation", &["laptop", "wombat-1"]);
-    driven.says("laptop says Drive { left: ");
+    driven.wait_for("laptop: Drive { left: ");
     drop(driver);
-    driven.says("nobody steers");
+    driven.wait_for("no commands, stopping");
 }
 
 #[test]
@@ -117,19 +118,19 @@ fn a_request_is_answered() {
     let Some(serving) = stage.start("request", &["wombat-1"]) else {
         return;
     };
-    serving.says("serves");
+    serving.wait_for("serves");
     let deadline = Instant::now() + DEADLINE;
-    // That the service is there takes a moment to be known at the router.
+    // It takes a moment until the service is known at the router.
     let asking = loop {
         let asking = stage.start("request", &["wombat-2", "wombat-1"]);
         let mut asking = asking.expect("built");
         if asking.child.wait().expect("our child").success() {
             break asking;
         }
-        assert!(Instant::now() < deadline, "nobody answers");
+        assert!(Instant::now() < deadline, "the request is not answered");
     };
-    asking.says("wombat-1: {\"cell\":1,\"volt\":3.6}");
-    asking.says("there are the cells 1 and 2");
+    asking.wait_for("wombat-1: {\"cell\":1,\"volt\":3.6}");
+    asking.wait_for("the cell must be 1 or 2");
 }
 
 #[test]
@@ -139,7 +140,7 @@ fn a_camera_is_watched() {
         return;
     };
     let watching = stage.start("camera", &["laptop", "wombat-1"]);
-    watching.expect("built").says("320x240");
+    watching.expect("built").wait_for("320x240");
 }
 
 #[test]
@@ -149,8 +150,8 @@ fn a_file_is_transferred() {
     let Some(taking) = stage.start("transfer", &["wombat-1"]) else {
         return;
     };
-    taking.says("takes files");
+    taking.wait_for("receives files");
     let sending = stage.start("transfer", &["wombat-2", "wombat-1", "map.bin"]);
-    sending.expect("built").says("is there, whole");
-    taking.says("map.bin of wombat-2");
+    sending.expect("built").wait_for("map.bin: complete");
+    taking.wait_for("map.bin from wombat-2");
 }

@@ -1,6 +1,8 @@
-//! `init` and then the command that it prints, wherever rect-router comes from: `cargo test -p rect-router --test first_start`
+//! Tests of `init` and the start command that it prints, for several kinds of installation:
+//! `cargo test -p rect-router --test first_start`
 //!
-//! The package's own route, with systemd, is `packaging/test/guest`; the wheel's is `rect-py/tests/test_first_start.py`.
+//! The installation by the package, with systemd, is tested by `packaging/test/guest`; the installation by the wheel is
+//! tested by `rect-py/tests/test_first_start.py`.
 
 mod support;
 
@@ -17,18 +19,19 @@ use std::{
 };
 
 use nix::unistd::geteuid;
-use support::{free_socket, program, said, DEADLINE};
+use support::{free_socket, program, text_of, DEADLINE};
 
-/// Somebody who is not root, as the system's `nobody`.
+/// ID of a user other than root: the system's `nobody`.
 const NOBODY: u32 = 65534;
 
 struct Installation {
-    /// Where it is run.
+    /// Working folder of the program.
     folder: PathBuf,
-    /// How it is called there.
+    /// Path of the program.
     program: PathBuf,
-    /// Instead of this process's own.
+    /// Folder to put first in `PATH`.
     path: Option<PathBuf>,
+    /// User and group to run as, if not those of this process.
     user: Option<u32>,
 }
 
@@ -60,12 +63,12 @@ impl Installation {
         output.expect("it starts")
     }
 
-    /// Runs `init` with these arguments, `check`, and what `init` says, from another folder; then a program logs in over
-    /// TCP and, where there is one, over the socket file. Returns the command.
+    /// Runs `init` with these arguments, then `check`, then the command that `init` prints, from another folder. Checks that a
+    /// program can log in over TCP and, if there is one, over the socket file. Returns the command.
     fn starts(&self, robot: &Path, more: &[&str]) -> String {
         let port = free_socket().rsplit_once(':').expect("a port").1.to_owned();
         let given = robot.to_str().expect("text");
-        // No radio of this computer's.
+        // A simulated adapter, so that no Bluetooth is needed.
         let init = [
             "init",
             "wombat-1",
@@ -75,9 +78,9 @@ impl Installation {
             &port,
         ];
         let made = self.run(&[&init[..], &["--folder", given], more].concat());
-        let told = said(&made);
-        assert!(made.status.success(), "{told}");
-        let command = told
+        let output = text_of(&made);
+        assert!(made.status.success(), "{output}");
+        let command = output
             .lines()
             .find_map(|line| line.strip_prefix("start it with: "))
             .expect("a command");
@@ -85,7 +88,7 @@ impl Installation {
         let robot = self.folder.join(robot);
         let config = robot.join("robot.json5");
         let checked = self.run(&["check", config.to_str().expect("text")]);
-        assert!(checked.status.success(), "{}", said(&checked));
+        assert!(checked.status.success(), "{}", text_of(&checked));
 
         let log = robot.join("log");
         let mut shell = self.command(Path::new("sh"));
@@ -114,7 +117,7 @@ impl Installation {
     }
 }
 
-/// Killed at the end of the test.
+/// A process that is killed at the end of the test.
 struct Ended(std::process::Child);
 
 impl Drop for Ended {
@@ -125,7 +128,7 @@ impl Drop for Ended {
 }
 
 #[test]
-fn built_from_source_it_starts_in_any_folder() {
+fn a_router_built_from_source_starts_with_any_folder() {
     let root = tempfile::tempdir().expect("a folder");
     let source = Installation::at(root.path());
     let own = env!("CARGO_BIN_EXE_rect-router");
@@ -146,7 +149,7 @@ fn built_from_source_it_starts_in_any_folder() {
 }
 
 #[test]
-fn found_by_the_shell_it_is_called_by_its_name() {
+fn a_router_in_path_is_started_by_its_name() {
     let root = tempfile::tempdir().expect("a folder");
     let bin = root.path().join("bin");
     fs::create_dir(&bin).expect("a folder");
@@ -162,7 +165,7 @@ fn found_by_the_shell_it_is_called_by_its_name() {
 }
 
 #[test]
-fn unpacked_by_any_user_it_starts_in_a_folder_of_that_user() {
+fn an_unpacked_router_starts_with_a_folder_of_its_user() {
     let root = tempfile::tempdir().expect("a folder");
     let unpacked = root.path().join("rect-0.1.0");
     fs::create_dir(&unpacked).expect("a folder");
@@ -180,57 +183,57 @@ fn unpacked_by_any_user_it_starts_in_a_folder_of_that_user() {
     };
     archive.starts(Path::new("../robot"), &[]);
 
-    // Where the user may not write, that is what it says.
+    // If the user may not write to the folder, the error gives advice.
     if user.is_some() {
         let refused = archive.run(&["init", "wombat-1", "--folder", "/nobodys/rect"]);
         assert!(!refused.status.success());
         assert!(
-            said(&refused).contains("--folder ~/rect"),
+            text_of(&refused).contains("--folder ~/rect"),
             "{}",
-            said(&refused)
+            text_of(&refused)
         );
     }
 }
 
 #[test]
-fn a_folder_that_a_configuration_cannot_hold_is_refused_before_anything_is_written() {
+fn init_rejects_folders_that_a_configuration_cannot_contain() {
     let root = tempfile::tempdir().expect("a folder");
     let source = Installation::at(root.path());
     for wrong in ["a#b", "a?b", "a;b", "a\nb"] {
         let refused = source.run(&["init", "wombat-1", "--folder", wrong]);
-        let told = said(&refused);
+        let output = text_of(&refused);
         assert!(
-            !refused.status.success() && told.contains("choose another"),
-            "{told}"
+            !refused.status.success() && output.contains("choose another"),
+            "{output}"
         );
         assert!(!root.path().join(wrong).exists(), "{wrong}");
     }
 }
 
 #[test]
-fn check_names_a_socket_folder_that_is_missing_and_a_login_file_that_all_can_read() {
+fn check_reports_a_missing_socket_folder_and_an_exposed_login_file() {
     let root = tempfile::tempdir().expect("a folder");
     let source = Installation::at(root.path());
     let made = source.run(&["init", "wombat-1", "--folder", "robot"]);
-    assert!(made.status.success(), "{}", said(&made));
+    assert!(made.status.success(), "{}", text_of(&made));
     let (config, users) = (
         root.path().join("robot/robot.json5"),
         root.path().join("robot/users"),
     );
     fs::set_permissions(&users, fs::Permissions::from_mode(0o644)).expect("set");
     let checked = source.run(&["check", "robot/robot.json5"]);
-    let told = said(&checked);
+    let output = text_of(&checked);
     assert!(
-        checked.status.success() && told.contains("chmod o-rw"),
-        "{told}"
+        checked.status.success() && output.contains("chmod o-rw"),
+        "{output}"
     );
 
-    let text = fs::read_to_string(&config).expect("there");
+    let text = fs::read_to_string(&config).expect("exists");
     let missing = text.replace("/router.sock", "/missing/router.sock");
     assert_ne!(missing, text);
     fs::write(&config, missing).expect("written");
     let checked = source.run(&["check", "robot/robot.json5"]);
-    let told = said(&checked);
-    assert_eq!(checked.status.code(), Some(1), "{told}");
-    assert!(told.contains("/missing does not exist"), "{told}");
+    let output = text_of(&checked);
+    assert_eq!(checked.status.code(), Some(1), "{output}");
+    assert!(output.contains("/missing does not exist"), "{output}");
 }

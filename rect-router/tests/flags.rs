@@ -1,4 +1,4 @@
-//! Every flag of zenohd's, with zenohd's effect: `cargo test -p rect-router --test flags`
+//! Tests that each flag of zenohd has the same effect in rect-router: `cargo test -p rect-router --test flags`
 
 mod support;
 
@@ -10,7 +10,7 @@ use zenoh::Wait;
 
 const LISTEN: &str = "tcp/127.0.0.1:0";
 
-/// Flags, the part of the configuration they set, and what it then is.
+/// Returns rows of flags, the part of the configuration that they set, and its expected value.
 fn table(config: &str, yaml: &str) -> Vec<(Vec<String>, &'static str, Value)> {
     let row = |args: &[&str], pointer, value| {
         (
@@ -139,7 +139,7 @@ fn files() -> (tempfile::TempDir, String, String) {
 }
 
 #[test]
-fn every_flag_sets_what_it_sets_in_zenohd() {
+fn each_flag_sets_its_part_of_the_configuration() {
     let (_dir, json5, yaml) = files();
     for (args, pointer, expected) in table(&json5, &yaml) {
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
@@ -153,7 +153,7 @@ fn every_flag_sets_what_it_sets_in_zenohd() {
 }
 
 #[test]
-fn stock_zenohd_makes_the_same_configuration_of_every_flag() {
+fn stock_zenohd_has_the_same_configuration_for_each_flag() {
     let zenohd = cache().join("stock-zenohd/bin/zenohd");
     if !zenohd.exists() {
         return skip(&format!(
@@ -171,7 +171,7 @@ fn stock_zenohd_makes_the_same_configuration_of_every_flag() {
 }
 
 #[test]
-fn the_id_of_the_flag_is_the_id_of_the_router() {
+fn the_id_flag_sets_the_id_of_the_router() {
     let mut router = Router::start(&["-l", LISTEN, "-i", "abc", "--no-multicast-scouting"]);
     let session = client(&router.listener());
     let routers: Vec<String> = session
@@ -187,7 +187,7 @@ fn the_id_of_the_flag_is_the_id_of_the_router() {
 }
 
 #[test]
-fn no_timestamp_leaves_data_without_one() {
+fn the_no_timestamp_flag_disables_timestamps() {
     for (flags, stamped) in [(&[][..], true), (&["--no-timestamp"][..], false)] {
         let mut router =
             Router::start(&[&["-l", LISTEN, "--no-multicast-scouting"], flags].concat());
@@ -211,7 +211,7 @@ fn no_timestamp_leaves_data_without_one() {
 }
 
 #[test]
-fn the_admin_space_is_open_as_far_as_the_flag_says() {
+fn the_permissions_flag_controls_the_admin_space() {
     for (permissions, readable) in [("r", true), ("w", false), ("rw", true), ("none", false)] {
         let mut router = Router::start(&[
             "-l",
@@ -237,16 +237,16 @@ fn the_admin_space_is_open_as_far_as_the_flag_says() {
 }
 
 #[test]
-fn two_routers_meet_by_connect() {
+fn the_connect_flag_links_two_routers() {
     let mut one = Router::start(&["-l", LISTEN, "--no-multicast-scouting"]);
     let endpoint = one.listener();
     let mut two = Router::start(&["-l", LISTEN, "-e", &endpoint, "--no-multicast-scouting"]);
-    let (here, there) = (client(&endpoint), client(&two.listener()));
-    assert!(support::arrives(&here, &there, "rect/a/hello"));
+    let (local, remote) = (client(&endpoint), client(&two.listener()));
+    assert!(support::arrives(&local, &remote, "rect/a/hello"));
 }
 
 #[test]
-fn the_log_shows_no_password() {
+fn the_log_contains_no_password() {
     let mut router = Router::start(&[
         "-l",
         LISTEN,
@@ -266,8 +266,8 @@ fn the_log_shows_no_password() {
 }
 
 #[test]
-fn the_version_says_what_a_plugin_must_be_built_with() {
-    let said = |flag| {
+fn the_version_contains_the_requirements_of_plugins() {
+    let output_of = |flag| {
         let output = Command::new(env!("CARGO_BIN_EXE_rect-router"))
             .arg(flag)
             .output()
@@ -276,8 +276,11 @@ fn the_version_says_what_a_plugin_must_be_built_with() {
         String::from_utf8(output.stdout).expect("text")
     };
     let own = env!("CARGO_PKG_VERSION");
-    assert_eq!(said("-V"), format!("rect-router {own} (zenoh 1.10.2)\n"));
-    let long = said("--version");
+    assert_eq!(
+        output_of("-V"),
+        format!("rect-router {own} (zenoh 1.10.2)\n")
+    );
+    let long = output_of("--version");
     assert!(
         long.starts_with(&format!(
             "rect-router {own} (zenoh 1.10.2) built with rustc 1."
@@ -288,7 +291,7 @@ fn the_version_says_what_a_plugin_must_be_built_with() {
 }
 
 #[test]
-fn the_version_named_is_the_zenoh_in_use() {
+fn the_version_names_the_zenoh_in_use() {
     let mut router = Router::start(&["-l", LISTEN, "-i", "ad", "--no-multicast-scouting"]);
     let session = client(&router.listener());
     let reply = session

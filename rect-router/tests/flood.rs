@@ -1,5 +1,5 @@
-//! A flood of small messages over a slow link delays the next message of its priority by little, and other priorities
-//! not at all: `cargo test -p rect-router --test flood`
+//! Tests that a flood of small messages over a slow link delays the next message of its priority only briefly, and other
+//! priorities not at all: `cargo test -p rect-router --test flood`
 mod support;
 
 use std::{
@@ -18,18 +18,18 @@ use zenoh::{
 };
 use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
 
-/// How long a program floods: at a few megabytes a second, much longer than the link takes to send it.
+/// Duration of the flood. At a few megabytes per second, the link would need much longer to send it.
 const FLOOD: Duration = Duration::from_secs(4);
-/// How long an urgent message may take, on a machine that is busy with six floods.
+/// Maximum delay of an urgent message on a machine that is busy with six floods.
 const URGENT: Duration = Duration::from_millis(1500);
-/// How long the next message of the same priority may take.
+/// Maximum delay of the next message of the same priority.
 const NEXT: Duration = Duration::from_millis(2500);
 
-/// Two linked robots on an air as slow as a Raspberry Pi 3B's, and where the programs of each reach their router.
+/// Two linked robots on an air as slow as a Raspberry Pi 3B's radio, with the endpoints of their routers.
 struct Pair {
     _routers: [Router; 2],
-    here: String,
-    there: String,
+    local: String,
+    remote: String,
     _air: Air,
 }
 
@@ -39,57 +39,57 @@ impl Pair {
             pdu: LlPayload::Bytes27,
             ..AirOptions::default()
         });
-        let (one, here) = simulated(&air, 1, &[]);
-        let (two, there) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+        let (one, local) = simulated(&air, 1, &[]);
+        let (two, remote) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
         Self {
             _routers: [one, two],
-            here,
-            there,
+            local,
+            remote,
             _air: air,
         }
     }
 }
 
-/// A program that publishes 128 bytes over and over, as fast as its router takes them.
+/// A program that publishes messages of 128 bytes as fast as its router accepts them.
 struct Flood(Arc<AtomicBool>);
 
 impl Flood {
     fn start(router: &str) -> Self {
-        // By default a client that has waited for its router for 5 s gives the router up.
+        // By default a client closes its session if its router accepts no message for 5 s.
         const WAIT: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
         let session = client_with(router, &[(WAIT, "60000000")]).expect("a session");
-        let is_over = Arc::new(AtomicBool::new(false));
-        let over = Arc::clone(&is_over);
-        // Not joined: at the end of the test it may still wait for the router.
+        let is_finished = Arc::new(AtomicBool::new(false));
+        let finished = Arc::clone(&is_finished);
+        // The thread is not joined, because it may still wait for the router at the end of the test.
         thread::spawn(move || {
             let publisher = session.declare_publisher("rect/wombat-1/flood");
             let publisher = publisher.congestion_control(CongestionControl::Block);
             let publisher = publisher.wait().expect("a publisher");
-            while !over.load(Ordering::Relaxed) && publisher.put([7; 128]).wait().is_ok() {}
+            while !finished.load(Ordering::Relaxed) && publisher.put([7; 128]).wait().is_ok() {}
         });
-        Self(is_over)
+        Self(is_finished)
     }
 
-    /// Publishes no more. What the program's connection to its router holds still follows.
+    /// Stops publishing. Messages that are queued in the program's session are still sent.
     fn stop(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 }
 
-/// Arrival of another program's messages during a flood.
+/// The delays of another program's messages.
 struct Outcome {
-    /// How long each took that was published during the flood.
+    /// Delays of the messages published during the flood.
     during: Vec<Duration>,
-    /// How long the one took that was published right after it; `None`: it did not arrive within [`DEADLINE`].
+    /// Delay of the message published right after it; `None` if it did not arrive within [`DEADLINE`].
     after: Option<Duration>,
 }
 
-/// Lets that many programs of robot 1 flood the link, while another one publishes messages of that priority, one after
-/// the other.
+/// Lets `programs` programs of robot 1 flood the link while another one publishes messages of `priority`, one after the
+/// other.
 fn beside_floods(programs: usize, priority: Priority) -> Outcome {
     let pair = Pair::start();
-    let (from, to) = (client(&pair.here), client(&pair.there));
-    // It takes what arrives at once: one that does not would hold up the whole program.
+    let (from, to) = (client(&pair.local), client(&pair.remote));
+    // The callback discards messages at once: a full queue would block the whole session.
     let flooded = to.declare_subscriber("rect/wombat-1/flood");
     let _flooded = flooded.callback(|_| {}).wait().expect("subscribed");
     let key = "rect/wombat-1/next";
@@ -108,9 +108,9 @@ fn beside_floods(programs: usize, priority: Priority) -> Outcome {
         let sample = arrived.recv_timeout(DEADLINE).expect("a session");
         sample.map(|_| published.elapsed())
     };
-    assert!(next().is_some(), "nothing else is under way");
+    assert!(next().is_some(), "a message arrives without a flood");
 
-    let floods: Vec<_> = (0..programs).map(|_| Flood::start(&pair.here)).collect();
+    let floods: Vec<_> = (0..programs).map(|_| Flood::start(&pair.local)).collect();
     let (begun, mut during) = (Instant::now(), Vec::new());
     while begun.elapsed() < FLOOD {
         during.extend(next());
@@ -125,7 +125,7 @@ fn beside_floods(programs: usize, priority: Priority) -> Outcome {
 }
 
 #[test]
-fn next_message_of_the_same_priority_arrives_soon_after_a_flood() {
+fn a_message_of_the_same_priority_arrives_soon_after_a_flood() {
     let outcome = beside_floods(1, Priority::Data);
     assert!(
         outcome.after.is_some_and(|after| after < NEXT),
@@ -138,7 +138,7 @@ fn next_message_of_the_same_priority_arrives_soon_after_a_flood() {
 fn urgent_messages_arrive_at_once_while_six_programs_flood() {
     let outcome = beside_floods(6, Priority::RealTime);
     let slow = outcome.during.iter().filter(|took| **took > URGENT).count();
-    // A busy machine may hold up one of them.
+    // A busy machine may delay some of them.
     assert!(slow * 20 <= outcome.during.len(), "{:?}", outcome.during);
     assert!(
         outcome.after.is_some_and(|after| after < URGENT),

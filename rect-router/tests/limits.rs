@@ -1,4 +1,5 @@
-//! How many may connect to a router, and that they keep nobody else out: `cargo test -p rect-router --test limits`
+//! Tests of the limits of sessions, and that no program can use up the sessions of others:
+//! `cargo test -p rect-router --test limits`
 
 mod support;
 
@@ -15,10 +16,10 @@ use support::{
 };
 use zenoh::Session;
 
-/// Of these, 3 are kept for Bluetooth; of the other 9, one login may have 5.
+/// Allows 12 sessions. 3 of them are reserved for Bluetooth; one login may have 5 of the other 9.
 const SESSIONS: [&str; 2] = ["--cfg", "transport/unicast/max_sessions:12"];
 
-/// The second user of the team's login file.
+/// Opens a session as the second user of the team's login file.
 fn other_user(folder: &str, endpoint: &str) -> Session {
     let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
     let (user, password) = users
@@ -31,7 +32,7 @@ fn other_user(folder: &str, endpoint: &str) -> Session {
 }
 
 #[test]
-fn connections_that_do_not_log_in_keep_no_program_out() {
+fn idle_connections_without_login_do_not_block_programs() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let folder = init(root.path(), "wombat-1", &[]);
     let (mut router, endpoint) = start(&air, &folder, "wombat-1", "fleet");
@@ -43,14 +44,14 @@ fn connections_that_do_not_log_in_keep_no_program_out() {
     let session = program(&folder, &endpoint);
     let status = ask(&session, "rect/wombat-1/@rect/status").expect("an answer");
     assert!(status["id"].is_string(), "{status:#}");
-    // Sooner than the connections that are idle run into a timeout.
+    // The session was opened before the handshakes of the idle connections timed out.
     assert!(begun.elapsed() < Duration::from_secs(3));
     router.wait_for("refused a connection from a program on this computer");
     drop(idle);
 }
 
 #[test]
-fn a_login_with_many_sessions_keeps_no_robot_and_no_other_login_out() {
+fn a_login_with_many_sessions_does_not_block_robots_and_other_logins() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let one = init(root.path(), "wombat-1", &[]);
     let users = format!("{one}/users");
@@ -58,7 +59,7 @@ fn a_login_with_many_sessions_keeps_no_robot_and_no_other_login_out() {
     let dial = file(&[ble("first", "wombat-1")]).to_string();
     fs::write(format!("{two}/connections.json"), dial).expect("written");
     let flags = [&SESSIONS[..], &["--login-as", "fleet"]].concat();
-    let (mut router, here) = start_with(&air, &one, "wombat-1", &flags);
+    let (mut router, local) = start_with(&air, &one, "wombat-1", &flags);
 
     let login = fs::read_to_string(&users).expect("a login file");
     let (user, password) = login
@@ -68,32 +69,32 @@ fn a_login_with_many_sessions_keeps_no_robot_and_no_other_login_out() {
         .expect("a login");
     let login = json!({ "user": user, "password": password }).to_string();
     let greedy: Vec<_> = (0..16)
-        .filter_map(|_| client_with(&here, &[("transport/auth/usrpwd", &login)]).ok())
+        .filter_map(|_| client_with(&local, &[("transport/auth/usrpwd", &login)]).ok())
         .collect();
     assert!(greedy.len() >= 5, "{}", greedy.len());
-    router.wait_for("has all 5 sessions that one login may have");
+    router.wait_for("already has all 5 sessions that one login may have");
 
-    let (_two, there) = start(&air, &two, "wombat-2", "fleet");
+    let (_two, remote) = start(&air, &two, "wombat-2", "fleet");
     let asked = "rect/wombat-2/@rect/connections?name=first";
-    answers(&program(&two, &there), asked, |answer| {
+    answers(&program(&two, &remote), asked, |answer| {
         answer[0]["state"] == "connected"
     });
-    let laptop = other_user(&one, &here);
-    // The greedy one tries again and again, so this may take a moment to be seen.
+    let laptop = other_user(&one, &local);
+    // The greedy program keeps retrying, so the count may take a moment to settle.
     answers(&laptop, "rect/wombat-1/@rect/connections/count", |count| {
         count["methods"]["tcp"]["connected"] == 6
     });
 }
 
 #[test]
-fn without_logins_programs_leave_room_for_robots() {
+fn programs_without_logins_leave_sessions_for_robots() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
-    // One of the four is kept for Bluetooth.
+    // One of the four sessions is reserved for Bluetooth.
     let few = ["--cfg", "transport/unicast/max_sessions:4"];
-    let (mut router, here) = simulated(&air, 1, &few);
+    let (mut router, local) = simulated(&air, 1, &few);
     router.up();
     let greedy: Vec<_> = (0..8)
-        .filter_map(|_| client_with(&here, &[]).ok())
+        .filter_map(|_| client_with(&local, &[]).ok())
         .collect();
     assert_eq!(greedy.len(), 3);
     router.wait_for("refused a connection from a program on this computer");

@@ -1,4 +1,4 @@
-//! The log never blocks the router, even if nothing reads it: `cargo test -p rect-router --test logging`
+//! Tests that the log never blocks the router, even if nothing reads it: `cargo test -p rect-router --test logging`
 
 mod support;
 
@@ -17,10 +17,10 @@ use nix::{
 use support::{arrives, client_with, free_socket, DEADLINE};
 use zenoh::Session;
 
-/// A router that a test has given a log of its own; killed at the end.
-struct Running(Child);
+/// A router whose stdout and stderr are chosen by the test; killed at the end.
+struct RunningRouter(Child);
 
-impl Running {
+impl RunningRouter {
     fn start(endpoint: &str, filter: Option<&str>, stdout: Stdio, stderr: Stdio) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rect-router"));
         command.args(["--no-multicast-scouting", "-l", endpoint]);
@@ -39,20 +39,23 @@ impl Running {
             if let Some(status) = self.0.try_wait().expect("our child") {
                 return status;
             }
-            assert!(Instant::now() < deadline, "{signal} does not end it");
+            assert!(
+                Instant::now() < deadline,
+                "{signal} does not end the router"
+            );
             thread::sleep(Duration::from_millis(5));
         }
     }
 }
 
-impl Drop for Running {
+impl Drop for RunningRouter {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// A session, as soon as the router listens.
+/// Opens a session as soon as the router listens.
 fn session(endpoint: &str) -> Session {
     let deadline = Instant::now() + DEADLINE;
     loop {
@@ -69,9 +72,9 @@ fn endpoint() -> String {
 }
 
 #[test]
-fn a_signal_ends_it_when_nobody_reads_its_log_any_more() {
+fn a_signal_ends_the_router_after_the_log_was_closed() {
     let endpoint = endpoint();
-    let mut router = Running::start(&endpoint, None, Stdio::piped(), Stdio::piped());
+    let mut router = RunningRouter::start(&endpoint, None, Stdio::piped(), Stdio::piped());
     let (log, errors) = (router.0.stdout.take(), router.0.stderr.take());
     let mut lines = BufReader::new(log.expect("piped")).lines();
     lines
@@ -85,23 +88,23 @@ fn a_signal_ends_it_when_nobody_reads_its_log_any_more() {
 }
 
 #[test]
-fn a_full_disk_under_the_log_keeps_it_neither_from_starting_nor_from_ending() {
+fn the_router_starts_and_ends_although_the_log_cannot_be_written() {
     let endpoint = endpoint();
     let full = || -> Stdio {
         let full = OpenOptions::new().write(true).open("/dev/full");
         full.expect("Linux has it").into()
     };
-    let mut router = Running::start(&endpoint, None, full(), full());
+    let mut router = RunningRouter::start(&endpoint, None, full(), full());
     let (one, two) = (session(&endpoint), session(&endpoint));
     assert!(arrives(&one, &two, "demo/x"));
     assert_eq!(router.end_at(Signal::SIGTERM).code(), Some(0));
 }
 
 #[test]
-fn a_reader_that_has_stopped_holds_up_neither_its_work_nor_its_end() {
+fn the_router_works_and_ends_although_the_log_is_not_read() {
     let endpoint = endpoint();
-    // Far more than a pipe holds, and nobody reads it.
-    let mut router = Running::start(&endpoint, Some("trace"), Stdio::piped(), Stdio::piped());
+    // This level logs far more than a pipe holds, and nothing reads the pipe.
+    let mut router = RunningRouter::start(&endpoint, Some("trace"), Stdio::piped(), Stdio::piped());
     let (one, two) = (session(&endpoint), session(&endpoint));
     for _ in 0..5 {
         assert!(arrives(&one, &two, "demo/x"));
@@ -110,11 +113,11 @@ fn a_reader_that_has_stopped_holds_up_neither_its_work_nor_its_end() {
 }
 
 #[test]
-fn a_log_in_a_file_has_no_colours_and_no_page_of_configuration() {
+fn a_log_file_has_no_colours_and_no_long_lines() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("log");
     let (endpoint, log) = (endpoint(), File::create(&path).expect("created"));
-    let mut router = Running::start(&endpoint, None, log.into(), Stdio::null());
+    let mut router = RunningRouter::start(&endpoint, None, log.into(), Stdio::null());
     drop(session(&endpoint));
     let deadline = Instant::now() + DEADLINE;
     let text = || std::fs::read_to_string(&path).expect("text");

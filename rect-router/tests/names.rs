@@ -1,14 +1,15 @@
-//! Which robot a link leads to, and two robots with one name, over TCP: `cargo test -p rect-router --test names`
+//! Tests of robots' names over TCP: the robot of each link, and two robots with one name:
+//! `cargo test -p rect-router --test names`
 
 mod support;
 
 use std::time::{Duration, Instant};
 
 use serde_json::{json, Value};
-use support::{answers, client, rect_router, said, Router, DEADLINE};
+use support::{answers, client, rect_router, text_of, Router, DEADLINE};
 use zenoh::Wait;
 
-/// A robot's router on loopback, connected to these.
+/// Starts the router of a robot on loopback, connected to these endpoints.
 fn robot(name: &str, connect: &[&str]) -> (Router, String) {
     let settings = format!("plugins/rect:{}", json!({ "robot": name }));
     let mut args = vec!["-l", "tcp/127.0.0.1:0", "--no-multicast-scouting"];
@@ -21,17 +22,17 @@ fn robot(name: &str, connect: &[&str]) -> (Router, String) {
 }
 
 #[test]
-fn a_new_link_is_published_with_its_robot_and_never_without() {
-    let (_one, here) = robot("wombat-1", &[]);
-    let session = client(&here);
+fn a_new_link_is_always_published_with_its_robot() {
+    let (_one, local) = robot("wombat-1", &[]);
+    let session = client(&local);
     let own = session.zid().to_string();
     let published = session
         .declare_subscriber("rect/wombat-1/@rect/connections")
         .wait()
         .expect("subscribes");
-    // It comes, goes and comes again.
+    // The robot connects and disconnects several times.
     for _ in 0..3 {
-        let (_two, _) = robot("wombat-2", &[&here]);
+        let (_two, _) = robot("wombat-2", &[&local]);
         let deadline = Instant::now() + DEADLINE;
         loop {
             assert!(Instant::now() < deadline, "the link is not published");
@@ -53,22 +54,22 @@ fn a_new_link_is_published_with_its_robot_and_never_without() {
 }
 
 #[test]
-fn a_second_robot_of_the_same_name_is_reported_by_both() {
-    let (mut one, here) = robot("wombat-1", &[]);
-    let (mut two, there) = robot("wombat-1", &[&here]);
-    for (router, endpoint) in [(&mut one, &here), (&mut two, &there)] {
+fn both_robots_report_a_name_conflict() {
+    let (mut one, local) = robot("wombat-1", &[]);
+    let (mut two, remote) = robot("wombat-1", &[&local]);
+    for (router, endpoint) in [(&mut one, &local), (&mut two, &remote)] {
         router.wait_for("has this robot's name");
         let session = client(endpoint);
         answers(&session, "rect/wombat-1/@rect/status", |status| {
             status["same_name"].as_array().map(Vec::len) == Some(1)
         });
     }
-    let doctor = rect_router(&["doctor", "--router", &here]);
-    let told = said(&doctor);
+    let doctor = rect_router(&["doctor", "--router", &local]);
+    let output = text_of(&doctor);
     assert!(
-        told.contains("more than one robot is called wombat-1"),
-        "{told}"
+        output.contains("more than one robot is called wombat-1"),
+        "{output}"
     );
     drop(two);
-    one.wait_for("with this robot's name is gone");
+    one.wait_for("with this robot's name has disappeared");
 }

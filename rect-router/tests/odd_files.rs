@@ -1,4 +1,5 @@
-//! Files that are not what they should be, and what a killed router leaves: `cargo test -p rect-router --test odd_files`
+//! Tests of unusual files: pipes, symbolic links, wrong permissions, and leftovers of a killed router:
+//! `cargo test -p rect-router --test odd_files`
 
 mod support;
 
@@ -11,7 +12,7 @@ use std::{
 use nix::{sys::stat::Mode, unistd::mkfifo};
 use serde_json::json;
 use support::{
-    answers, change, client, file, init, login_file, rect_router, said, tcp, Air, Router, Wombat,
+    answers, change, client, file, init, login_file, rect_router, tcp, text_of, Air, Router, Wombat,
 };
 
 fn pipe_at(path: &Path) {
@@ -19,7 +20,7 @@ fn pipe_at(path: &Path) {
 }
 
 #[test]
-fn a_pipe_in_place_of_the_login_file_ends_the_start() {
+fn a_pipe_as_login_file_prevents_the_start() {
     let folder = tempfile::tempdir().expect("a folder");
     let login = login_file(folder.path(), "fleet:secret\n");
     fs::remove_file(folder.path().join("users")).expect("removed");
@@ -33,7 +34,7 @@ fn a_pipe_in_place_of_the_login_file_ends_the_start() {
 }
 
 #[test]
-fn a_pipe_in_place_of_the_connections_is_an_error_until_there_is_a_file() {
+fn a_pipe_as_connections_file_is_reported_until_it_is_replaced() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let mut one = Wombat::start(&air, &folder, 1, &file(&[]));
     let pipe = folder.path().join("pipe");
@@ -45,7 +46,7 @@ fn a_pipe_in_place_of_the_connections_is_an_error_until_there_is_a_file() {
 }
 
 #[test]
-fn a_login_file_that_every_user_can_read_is_in_the_log() {
+fn warns_of_a_login_file_that_every_user_can_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let login = login_file(folder.path(), "fleet:secret\n");
     let users = folder.path().join("users");
@@ -58,7 +59,7 @@ fn a_login_file_that_every_user_can_read_is_in_the_log() {
 }
 
 #[test]
-fn a_symbolic_link_to_the_connections_stays_one() {
+fn a_change_replaces_the_target_of_a_symbolic_link() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let real = folder.path().join("real");
     fs::create_dir(&real).expect("a folder");
@@ -75,11 +76,11 @@ fn a_symbolic_link_to_the_connections_stays_one() {
     let settings = "rect/wombat-1/@rect/@config/connections";
     let text = file(&[tcp("base", 1)]).to_string();
     let changed = change(&session, settings, &text).expect("an answer");
-    changed.expect("taken");
-    assert!(fs::symlink_metadata(&link).expect("there").is_symlink());
-    assert_eq!(fs::read_to_string(&target).expect("there"), text);
+    changed.expect("accepted");
+    assert!(fs::symlink_metadata(&link).expect("exists").is_symlink());
+    assert_eq!(fs::read_to_string(&target).expect("exists"), text);
 
-    // And a change where it leads to takes effect.
+    // A change of the link's target takes effect, too.
     let new = real.join("new");
     fs::write(&new, file(&[tcp("other", 1)]).to_string()).expect("written");
     fs::rename(&new, &target).expect("renamed");
@@ -92,17 +93,17 @@ fn a_symbolic_link_to_the_connections_stays_one() {
 }
 
 #[test]
-fn what_a_killed_router_left_is_removed_at_the_next_start() {
+fn removes_leftovers_of_a_killed_router_at_the_next_start() {
     let root = tempfile::tempdir().expect("a folder");
     let (air, folder) = (Air::new(), init(root.path(), "wombat-1", &[]));
     let left = Path::new(&folder).join(".new-connections.json-abcdef");
     fs::write(&left, "half a te").expect("written");
-    // To check a configuration changes nothing.
+    // Checking a configuration changes nothing.
     let checked = rect_router(&["check", &format!("{folder}/robot.json5")]);
     assert!(
         checked.status.success() && left.exists(),
         "{}",
-        said(&checked)
+        text_of(&checked)
     );
     let (_router, _) = support::start(&air, &folder, "wombat-1", "fleet");
     assert!(!left.exists());

@@ -1,15 +1,17 @@
-//! RECT as a plugin of an unmodified zenohd, on the simulated air: `cargo test -p rect-router --test plugin`
+//! Tests of RECT as a plugin of an unmodified zenohd, on the simulated air: `cargo test -p rect-router --test plugin`
 //!
-//! Needs `RECT_PROFILE=quick scripts/build-plugins` and `scripts/build-stock-zenohd`.
+//! Requires `RECT_PROFILE=quick scripts/build-plugins` and `scripts/build-stock-zenohd`.
 
 mod support;
 
 use std::path::PathBuf;
 
 use serde_json::{json, Value};
-use support::{answers, arrives, built_with, cache, client, free_socket, got, skip, Air, Router};
+use support::{
+    answers, arrives, built_with, cache, client, free_socket, http_get, skip, Air, Router,
+};
 
-/// Who carries RECT.
+/// The host of RECT.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Host {
     RectRouter,
@@ -17,7 +19,7 @@ enum Host {
 }
 use Host::{RectRouter, StockZenohd};
 
-/// A stock zenohd and the plugin.
+/// Returns the paths of a stock zenohd and of the plugin, or `None` if they have not been built.
 fn zenohd_and_plugin() -> Option<(PathBuf, PathBuf)> {
     let profile = std::env::var("RECT_PROFILE").unwrap_or_else(|_| "quick".to_owned());
     let zenohd = cache().join("stock-zenohd/bin/zenohd");
@@ -26,14 +28,14 @@ fn zenohd_and_plugin() -> Option<(PathBuf, PathBuf)> {
         return Some((zenohd, plugin));
     }
     skip(&format!(
-        "no {} or {}; see this file's beginning",
+        "no {} or {}; see the beginning of this file",
         zenohd.display(),
         plugin.display()
     ));
     None
 }
 
-/// The same settings for both hosts. The endpoint is for programs.
+/// Starts a robot with the same settings in either host, and returns it with the endpoint for programs.
 fn wombat(air: &Air, host: Host, number: u32, more: &Value) -> (Router, String) {
     let mut settings = json!({
         "robot": format!("wombat-{number}"),
@@ -57,7 +59,7 @@ fn wombat(air: &Air, host: Host, number: u32, more: &Value) -> (Router, String) 
     };
     let endpoint = router.listener();
     if host == RectRouter {
-        // The one of Bluetooth is logged first.
+        // The Bluetooth listener is logged first.
         return match endpoint.starts_with("tcp/") {
             true => (router, endpoint),
             false => {
@@ -69,7 +71,7 @@ fn wombat(air: &Air, host: Host, number: u32, more: &Value) -> (Router, String) 
     (router, endpoint)
 }
 
-/// As flags, one by one: `-P` has put something there too.
+/// Returns the settings as one flag each. A single flag for all would overwrite what `-P` sets.
 fn cfg(settings: &Value) -> Vec<String> {
     let fields = settings.as_object().into_iter().flatten();
     let flag = |(key, value): (&String, &Value)| {
@@ -78,7 +80,7 @@ fn cfg(settings: &Value) -> Vec<String> {
     fields.flat_map(flag).collect()
 }
 
-/// A file of one connection, to `wombat-1` by Bluetooth.
+/// Writes a connections file with one connection to `wombat-1` by Bluetooth, and returns the setting for it.
 fn to_first(folder: &tempfile::TempDir) -> Value {
     let path = folder.path().join("connections.json");
     let connections = json!({ "connections": [
@@ -89,7 +91,7 @@ fn to_first(folder: &tempfile::TempDir) -> Value {
 }
 
 #[test]
-fn every_pairing_of_hosts_exchanges_messages_and_tells_of_its_connections() {
+fn all_pairs_of_hosts_exchange_messages_and_report_their_connections() {
     if zenohd_and_plugin().is_none() {
         return;
     }
@@ -101,31 +103,31 @@ fn every_pairing_of_hosts_exchanges_messages_and_tells_of_its_connections() {
     ] {
         println!("{first:?} and {second:?}");
         let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
-        let (_one, here) = wombat(&air, first, 1, &json!({}));
-        let (_two, there) = wombat(&air, second, 2, &to_first(&folder));
-        let (here, there) = (client(&here), client(&there));
-        assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
-        assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
-        // Each side is asked from the other one.
+        let (_one, local) = wombat(&air, first, 1, &json!({}));
+        let (_two, remote) = wombat(&air, second, 2, &to_first(&folder));
+        let (local, remote) = (client(&local), client(&remote));
+        assert!(arrives(&local, &remote, "rect/wombat-1/arm/angle"));
+        assert!(arrives(&remote, &local, "rect/wombat-2/arm/angle"));
+        // Query each side from the other one.
         let is_linked = |answer: &Value| {
             answer[0]["state"] == "connected" && answer[0]["peer"]["robot"].is_string()
         };
         let asked = |robot: &str| format!("rect/{robot}/@rect/connections?method=ble");
-        let of_second = answers(&here, &asked("wombat-2"), is_linked);
+        let of_second = answers(&local, &asked("wombat-2"), is_linked);
         assert_eq!(of_second[0]["name"], "first", "{of_second:#}");
         assert_eq!(of_second[0]["peer"]["robot"], "wombat-1", "{of_second:#}");
-        let of_first = answers(&there, &asked("wombat-1"), is_linked);
+        let of_first = answers(&remote, &asked("wombat-1"), is_linked);
         assert_eq!(of_first[0]["peer"]["robot"], "wombat-2", "{of_first:#}");
-        // Programs on the host's own listener are connections too, and the kernel counts what they say.
+        // Programs at the host's own listener are connections, too; the kernel counts their traffic.
         let programs = "rect/wombat-2/@rect/connections?method=tcp";
-        answers(&here, programs, |answer| {
+        answers(&local, programs, |answer| {
             answer[0]["received"]["bytes"].as_u64() > Some(0)
         });
     }
 }
 
 #[test]
-fn the_stock_rest_plugin_beside_ours_shows_the_registry() {
+fn the_stock_rest_plugin_shows_the_registry() {
     let Some((zenohd, plugin)) = zenohd_and_plugin() else {
         return;
     };
@@ -149,10 +151,10 @@ fn the_stock_rest_plugin_beside_ours_shows_the_registry() {
     let settings = settings.iter().map(String::as_str);
     let args: Vec<_> = args.into_iter().chain(rest).chain(settings).collect();
     let _host = Router::start_program_on(&air, &zenohd, &args);
-    let count = got(&socket, "/rect/wombat-1/@rect/connections/count");
+    let count = http_get(&socket, "/rect/wombat-1/@rect/connections/count");
     assert!(count.contains("\"ble\""), "{count}");
-    // And the host tells of the plugin's router.
-    let status = got(&socket, "/@/abc/router/**");
+    // The host's admin space reports the plugin's router.
+    let status = http_get(&socket, "/@/abc/router/**");
     assert!(
         status.contains("/plugins/rect/router") && status.contains("trouble"),
         "{status}"
@@ -160,25 +162,29 @@ fn the_stock_rest_plugin_beside_ours_shows_the_registry() {
 }
 
 #[test]
-fn either_side_may_restart() {
+fn reconnects_after_either_side_restarts() {
     if zenohd_and_plugin().is_none() {
         return;
     }
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let settings = to_first(&folder);
     let (one, _) = wombat(&air, StockZenohd, 1, &json!({}));
-    let (two, there) = wombat(&air, StockZenohd, 2, &settings);
-    let session = client(&there);
+    let (two, remote) = wombat(&air, StockZenohd, 2, &settings);
+    let session = client(&remote);
     drop(one);
-    let (_one, here) = wombat(&air, StockZenohd, 1, &json!({}));
-    assert!(arrives(&session, &client(&here), "rect/wombat-2/x"));
+    let (_one, local) = wombat(&air, StockZenohd, 1, &json!({}));
+    assert!(arrives(&session, &client(&local), "rect/wombat-2/x"));
     drop((session, two));
-    let (_two, there) = wombat(&air, StockZenohd, 2, &settings);
-    assert!(arrives(&client(&here), &client(&there), "rect/wombat-1/x"));
+    let (_two, remote) = wombat(&air, StockZenohd, 2, &settings);
+    assert!(arrives(
+        &client(&local),
+        &client(&remote),
+        "rect/wombat-1/x"
+    ));
 }
 
 #[test]
-fn what_keeps_the_plugin_from_starting_is_said_and_the_host_runs_on() {
+fn reports_why_the_plugin_cannot_start_and_keeps_the_host_running() {
     let Some((zenohd, plugin)) = zenohd_and_plugin() else {
         return;
     };
@@ -194,19 +200,19 @@ fn what_keeps_the_plugin_from_starting_is_said_and_the_host_runs_on() {
     let tcp = "listen/endpoints:['tcp/127.0.0.1:0']";
     let mut wrong = start(&json!({ "robot": "a", "listen": ["ble/nowhere"] }), tcp);
     let endpoint = wrong.listener();
-    let said = wrong.wait_for("rect: can't start: ");
-    assert!(said.contains("`nowhere` is not an adapter"), "{said}");
+    let message = wrong.wait_for("rect: cannot start: ");
+    assert!(message.contains("`nowhere` is not an adapter"), "{message}");
     client(&endpoint);
     let mut alone = start(&json!({ "robot": "a" }), "listen/endpoints:[]");
-    let said = alone.wait_for("rect: this zenohd listens nowhere");
-    assert!(said.contains("-l tcp/127.0.0.1:7447"), "{said}");
-    // A plugin that is required and can't even read its settings ends zenohd, as any other does.
+    let message = alone.wait_for("rect: this zenohd has no listener");
+    assert!(message.contains("-l tcp/127.0.0.1:7447"), "{message}");
+    // A required plugin with invalid settings ends zenohd, like any other required plugin that fails.
     let mut unread = start(&json!({ "robot": "a b" }), tcp);
     unread.exit();
     assert!(unread.full_log().contains("robot: the name \"a b\""));
 }
 
-/// Its bytes with one thing in their place.
+/// Returns the bytes of the plugin with each `is` replaced by `becomes`.
 fn patched(plugin: &[u8], is: &str, becomes: &str) -> Vec<u8> {
     let mut bytes = plugin.to_vec();
     let places: Vec<_> = (0..bytes.len() - is.len())
@@ -220,7 +226,7 @@ fn patched(plugin: &[u8], is: &str, becomes: &str) -> Vec<u8> {
 }
 
 #[test]
-fn a_plugin_of_another_build_is_refused_and_told_which_is_needed() {
+fn rejects_a_plugin_of_another_build_and_names_both_versions() {
     let Some((zenohd, plugin)) = zenohd_and_plugin() else {
         return;
     };
@@ -236,7 +242,7 @@ fn a_plugin_of_another_build_is_refused_and_told_which_is_needed() {
         let settings = "plugins/rect/robot:\"wombat-1\"";
         let args = ["-P", &plugin, "-l", "tcp/127.0.0.1:0", "--cfg", settings];
         let mut router = Router::start_program(&zenohd, &args);
-        assert!(!router.exit().success(), "{another} is taken");
+        assert!(!router.exit().success(), "{another} is accepted");
         let log = router.full_log();
         assert!(log.contains(ours) && log.contains(another), "{log}");
     }

@@ -1,5 +1,5 @@
-//! A login that somebody has recorded opens nothing: `cargo test -p rect-router --test replay`. (Over Bluetooth: the link
-//! contract, `an_opening_that_is_played_back_is_refused`.)
+//! Tests that a recorded login cannot be replayed: `cargo test -p rect-router --test replay`. (The same is tested for
+//! Bluetooth links by the link contract in `zenoh-link-ble/tests`.)
 
 mod support;
 
@@ -19,11 +19,12 @@ const LOGIN: (&str, &str) = (
     "{ user: 'fleet', password: 'secret' }",
 );
 
-/// Passes one connection on to `to` and back; gives what the client said, up to its end.
+/// Forwards one connection to `to` and back. Returns the endpoint to connect to, and a channel for the bytes that the
+/// client has sent, once it disconnects.
 fn recorder(to: &str) -> (String, mpsc::Receiver<Vec<u8>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let endpoint = format!("tcp/{}", listener.local_addr().expect("an address"));
-    let (to, (told, recording)) = (to.to_owned(), mpsc::channel());
+    let (to, (recorded, recording)) = (to.to_owned(), mpsc::channel());
     thread::spawn(move || {
         let (mut client, _) = listener.accept().expect("a client");
         let mut router = TcpStream::connect(to).expect("the router");
@@ -32,25 +33,25 @@ fn recorder(to: &str) -> (String, mpsc::Receiver<Vec<u8>>) {
             client.try_clone().expect("a handle"),
         );
         thread::spawn(move || std::io::copy(&mut back, &mut to_client));
-        let (mut said, mut buffer) = (Vec::new(), [0; 4096]);
+        let (mut sent, mut buffer) = (Vec::new(), [0; 4096]);
         while let Ok(size @ 1..) = client.read(&mut buffer) {
-            said.extend_from_slice(&buffer[..size]);
+            sent.extend_from_slice(&buffer[..size]);
             if router.write_all(&buffer[..size]).is_err() {
                 break;
             }
         }
-        let _ = told.send(said);
+        let _ = recorded.send(sent);
     });
     (endpoint, recording)
 }
 
-/// The sessions that the router tells of.
+/// Returns the sessions that the router reports.
 fn sessions(watcher: &Session) -> String {
     admin(watcher, "@/abc/router").expect("an answer")
 }
 
 #[test]
-fn a_recorded_login_that_is_played_back_is_no_session() {
+fn rejects_a_replayed_login() {
     let folder = tempfile::tempdir().expect("a folder");
     let [flag, logins] = login_file(folder.path(), "fleet:secret\n");
     let mut router = Router::start(&[
@@ -71,28 +72,31 @@ fn a_recorded_login_that_is_played_back_is_no_session() {
     let id = client.zid().to_string();
     assert!(
         sessions(&watcher).contains(&id),
-        "so that its absence tells"
+        "an open session is reported"
     );
     client.close().wait().expect("closed");
     drop(client);
-    let said = recording.recv_timeout(DEADLINE).expect("ends");
-    assert!(said.len() > 100, "{} bytes", said.len());
-    // The router takes a moment to let it go.
+    let sent = recording.recv_timeout(DEADLINE).expect("ends");
+    assert!(sent.len() > 100, "{} bytes", sent.len());
+    // The router takes a moment to remove the session.
     let deadline = Instant::now() + DEADLINE;
     while sessions(&watcher).contains(&id) {
-        assert!(Instant::now() < deadline, "it stays");
+        assert!(Instant::now() < deadline, "the session stays");
     }
 
     let mut again = TcpStream::connect(address).expect("connects");
     again.set_read_timeout(Some(DEADLINE)).expect("set");
-    again.write_all(&said).expect("sends");
+    again.write_all(&sent).expect("sends");
     let mut answer = Vec::new();
-    // The router ends it, with or without a word.
+    // The router closes the connection, with or without a message.
     let ended = again.read_to_end(&mut answer);
     let timed_out = ended.is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock);
-    assert!(!timed_out, "it is kept open");
-    assert!(!sessions(&watcher).contains(&id), "it is a session");
-    // And those who know the password are let in as before.
+    assert!(!timed_out, "the connection is kept open");
+    assert!(
+        !sessions(&watcher).contains(&id),
+        "the replay opened a session"
+    );
+    // Clients with the password are still accepted.
     let honest = client_with(&endpoint, &[LOGIN]).expect("let in");
     sessions(&honest);
 }

@@ -1,4 +1,4 @@
-//! A router at work and its end: `cargo test -p rect-router --test running`
+//! Tests of a running router and of its end: `cargo test -p rect-router --test running`
 
 mod support;
 
@@ -11,13 +11,13 @@ use zenoh::Wait;
 const ARGS: [&str; 3] = ["-l", "tcp/127.0.0.1:0", "--no-multicast-scouting"];
 
 #[test]
-fn a_put_reaches_a_subscriber_and_a_get_its_queryable() {
+fn routes_publications_and_queries() {
     let mut router = Router::start(&ARGS);
     let endpoint = router.listener();
-    let (here, there) = (client(&endpoint), client(&endpoint));
-    assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
+    let (local, remote) = (client(&endpoint), client(&endpoint));
+    assert!(arrives(&local, &remote, "rect/wombat-1/arm/angle"));
 
-    let _service = there
+    let _service = remote
         .declare_queryable("rect/wombat-2/sum")
         .callback(|query| {
             let _ = query.reply("rect/wombat-2/sum", "42").wait();
@@ -27,7 +27,7 @@ fn a_put_reaches_a_subscriber_and_a_get_its_queryable() {
     let deadline = std::time::Instant::now() + support::DEADLINE;
     loop {
         assert!(std::time::Instant::now() < deadline, "no reply");
-        let replies = here
+        let replies = local
             .get("rect/wombat-2/sum")
             .timeout(Duration::from_secs(2))
             .wait()
@@ -50,8 +50,8 @@ fn a_put_reaches_a_subscriber_and_a_get_its_queryable() {
 fn stops_with_status_0_at(signal: Signal) {
     let mut router = Router::start(&ARGS);
     let endpoint = router.listener();
-    let (here, there) = (client(&endpoint), client(&endpoint));
-    assert!(arrives(&here, &there, "rect/a/b"));
+    let (local, remote) = (client(&endpoint), client(&endpoint));
+    assert!(arrives(&local, &remote, "rect/a/b"));
     router.up().signal(signal);
     let status = router.exit();
     assert_eq!(status.code(), Some(0), "{}", router.full_log());
@@ -63,18 +63,18 @@ fn stops_with_status_0_at(signal: Signal) {
 }
 
 #[test]
-fn sigterm_ends_it_with_status_0_while_clients_are_connected() {
+fn sigterm_ends_the_router_with_status_0_while_clients_are_connected() {
     stops_with_status_0_at(Signal::SIGTERM);
 }
 
 #[test]
-fn sigint_ends_it_with_status_0_while_clients_are_connected() {
+fn sigint_ends_the_router_with_status_0_while_clients_are_connected() {
     stops_with_status_0_at(Signal::SIGINT);
 }
 
 #[test]
-fn a_signal_is_heard_while_the_router_still_waits_for_a_peer() {
-    // A connection that must be there, tried without end.
+fn a_signal_ends_the_router_while_it_waits_for_a_required_peer() {
+    // The connection is required, and retried without a limit.
     let mut router = Router::start(&[
         "-l",
         "tcp/127.0.0.1:0",

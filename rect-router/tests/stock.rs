@@ -1,8 +1,8 @@
-//! Stock Zenoh with RECT and RECT with stock Zenoh: its REST plugin in rect-router, `ble/` in the published zenohd.
+//! Tests of RECT together with stock Zenoh: Zenoh's REST plugin in rect-router, and `ble/` in the published zenohd.
 //!
-//! Needs release builds, made by `scripts/build-plugins`, `scripts/build-stock-zenohd` and
-//! `scripts/build-stock-zenohd-with-ble`: `cargo test -p rect-router --test stock` (RECT_PROFILE, as given to the scripts, if
-//! not `release`)
+//! Requires release builds by `scripts/build-plugins`, `scripts/build-stock-zenohd` and
+//! `scripts/build-stock-zenohd-with-ble`: `cargo test -p rect-router --test stock`. If the scripts were run with another
+//! RECT_PROFILE than `release`, set the same here.
 
 mod support;
 
@@ -12,15 +12,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use support::{arrives, built_with, cache, client, free_socket, got, skip, Air, Router};
+use support::{arrives, built_with, cache, client, free_socket, http_get, skip, Air, Router};
 use zenoh::{bytes::Encoding, Wait};
 
-/// What the router was built with.
+/// Returns the profile with which the router was built.
 fn profile() -> String {
     std::env::var("RECT_PROFILE").unwrap_or_else(|_| "release".to_owned())
 }
 
-/// The router and the plugin as built together.
+/// Returns the router and Zenoh's REST plugin that were built together, or `None` if there are none.
 fn router_and_plugin() -> Option<(PathBuf, PathBuf)> {
     let dir = built_with(&profile());
     let built = (dir.join("rect-router"), dir.join("libzenoh_plugin_rest.so"));
@@ -43,15 +43,15 @@ fn the_released_router_has_the_features_of_a_stock_zenohd() {
         .arg("--version")
         .output()
         .expect("it starts");
-    let said = String::from_utf8(output.stdout).expect("text");
-    // What zenohd 1.10.2 of a plain `cargo install` has (its own test says so).
+    let version = String::from_utf8(output.stdout).expect("text");
+    // The features of zenohd 1.10.2 as installed by `cargo install` without options.
     assert!(
-        said.ends_with(
+        version.ends_with(
             "\nzenoh features: zenoh/auth_pubkey zenoh/auth_usrpwd zenoh/transport_multilink zenoh/transport_quic \
              zenoh/transport_tcp zenoh/transport_tls zenoh/transport_udp zenoh/transport_unixsock-stream \
              zenoh/transport_ws zenoh/unstable zenoh/default\n"
         ),
-        "{said}"
+        "{version}"
     );
 }
 
@@ -89,8 +89,8 @@ fn the_stock_rest_plugin_serves_a_key_and_the_admin_space() {
         .wait()
         .expect("a queryable");
 
-    assert!(got(&socket, "/rect/wombat-1/battery").contains("7.4"));
-    let about = got(&socket, "/@/abc/router");
+    assert!(http_get(&socket, "/rect/wombat-1/battery").contains("7.4"));
+    let about = http_get(&socket, "/@/abc/router");
     assert!(
         about.contains("\"zid\"") && about.contains("abc"),
         "{about}"
@@ -101,7 +101,7 @@ fn the_stock_rest_plugin_serves_a_key_and_the_admin_space() {
 }
 
 #[test]
-fn a_rest_socket_that_is_none_is_an_error_and_no_panic() {
+fn reports_an_invalid_rest_socket_without_a_panic() {
     let Some((program, plugin)) = router_and_plugin() else {
         return;
     };
@@ -121,11 +121,11 @@ fn a_rest_socket_that_is_none_is_an_error_and_no_panic() {
     let status = router.exit();
     let log = router.full_log();
     assert_eq!(status.code(), Some(1), "{log}");
-    assert!(log.contains("rect-router: can't start: "), "{log}");
+    assert!(log.contains("rect-router: cannot start: "), "{log}");
 }
 
 #[test]
-fn a_published_zenohd_built_with_our_link_speaks_ble_to_rect_router() {
+fn a_published_zenohd_with_the_ble_link_communicates_with_rect_router() {
     let zenohd = cache().join("zenohd-ble/bin/zenohd");
     if !zenohd.exists() {
         return skip(&format!(
@@ -145,7 +145,7 @@ fn a_published_zenohd_built_with_our_link_speaks_ble_to_rect_router() {
             "--no-multicast-scouting",
         ],
     );
-    let here = client(&stock.listener());
+    let local = client(&stock.listener());
     let mut ours = Router::start_on(
         &air,
         &[
@@ -158,11 +158,11 @@ fn a_published_zenohd_built_with_our_link_speaks_ble_to_rect_router() {
             "--no-multicast-scouting",
         ],
     );
-    let there = client(&ours.listener());
-    assert!(arrives(&here, &there, "rect/wombat-1/arm/angle"));
-    assert!(arrives(&there, &here, "rect/wombat-2/arm/angle"));
+    let remote = client(&ours.listener());
+    assert!(arrives(&local, &remote, "rect/wombat-1/arm/angle"));
+    assert!(arrives(&remote, &local, "rect/wombat-2/arm/angle"));
 
-    let _service = here
+    let _service = local
         .declare_queryable("rect/wombat-1/battery")
         .callback(|query| {
             let _ = query.reply("rect/wombat-1/battery", "7.4").wait();
@@ -172,7 +172,7 @@ fn a_published_zenohd_built_with_our_link_speaks_ble_to_rect_router() {
     let deadline = Instant::now() + support::DEADLINE;
     loop {
         assert!(Instant::now() < deadline, "no reply over ble");
-        let replies = there
+        let replies = remote
             .get("rect/wombat-1/battery")
             .timeout(Duration::from_secs(5))
             .wait()
@@ -184,10 +184,10 @@ fn a_published_zenohd_built_with_our_link_speaks_ble_to_rect_router() {
     }
 }
 
-/// Compared is what a robot loses while the router runs, `Memory::own_kb`. How much of a program's text is resident beside
-/// that depends on how it was built and on what the system had read ahead, and goes when memory is short; it is printed.
+/// Compares `Memory::own_kb`, the memory that is not available to other programs while the router runs. The resident part of
+/// the program's text is only printed: it depends on the build and on the system's read-ahead, and can be dropped.
 #[test]
-fn the_memory_of_its_own_when_idle_is_that_of_a_stock_zenohd_and_not_1_mb_more() {
+fn idle_memory_is_at_most_1_mb_above_that_of_a_stock_zenohd() {
     let ours = built_with(&profile()).join("rect-router");
     let stock = cache().join("stock-zenohd/bin/zenohd");
     for (program, how) in [
@@ -204,7 +204,7 @@ fn the_memory_of_its_own_when_idle_is_that_of_a_stock_zenohd_and_not_1_mb_more()
             &["-l", "tcp/127.0.0.1:0", "--no-multicast-scouting"],
         );
         let session = client(&router.listener());
-        // Once it answers it has settled.
+        // When the router answers, its start is complete.
         let _ = session.get("@/*/router").wait().expect("a query").recv();
         session.close().wait().expect("closed");
         router.memory()

@@ -1,7 +1,7 @@
-//! Streams over two routers and the simulated air: `cargo test -p rect-router --test stream`
+//! Tests of streams over two routers and the simulated air: `cargo test -p rect-router --test stream`
 //!
-//! The air is as slow as a Pi 3B's radio, with link-layer packets of 27 bytes: 34 to 37 kB/s. The figures that are wanted
-//! are measured by `benches/stream.py`; the bounds here leave room for a busy machine.
+//! The air is as slow as a Pi 3B's radio, with link-layer packets of 27 bytes: 34 to 37 kB/s. `benches/stream.py` measures the
+//! exact figures; the bounds here leave a margin for a busy machine.
 
 mod support;
 
@@ -12,7 +12,7 @@ use std::{
 };
 
 use rect::{
-    core::stream::ladder::{Coding, Level, PICTURES},
+    core::stream::ladder::{Coding, Step, PICTURES},
     Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
 };
 use support::{joined, simulated, Air, Router, DEADLINE};
@@ -20,7 +20,7 @@ use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
 
 const PIXELS: usize = 320 * 240;
 
-/// Two robots' routers, and where their programs reach them.
+/// The routers of two linked robots, with their endpoints for programs.
 struct Robots {
     _air: Air,
     _routers: [Router; 2],
@@ -32,12 +32,12 @@ fn robots() -> Robots {
         pdu: LlPayload::Bytes27,
         ..AirOptions::default()
     });
-    let (one, here) = simulated(&air, 1, &[]);
-    let (two, there) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let (one, local) = simulated(&air, 1, &[]);
+    let (two, remote) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
     Robots {
         _air: air,
         _routers: [one, two],
-        endpoints: [here, there],
+        endpoints: [local, remote],
     }
 }
 
@@ -50,15 +50,15 @@ async fn stream(sender: &Robot) -> Arc<Stream> {
     Arc::new(stream.expect("a stream"))
 }
 
-/// A camera of 20 Hz, until the session ends, on a thread of its own: what photographs take, about.
+/// Sends frames at 20 Hz from a thread until the session ends, with sizes like those of photographs.
 fn camera(stream: Arc<Stream>) {
     thread::spawn(move || {
         let started = Instant::now();
         for n in 0.. {
             let due = started + n * Duration::from_millis(50);
             thread::sleep(due.saturating_duration_since(Instant::now()));
-            let sent = stream.send_with(PIXELS, |level| Ok(picture(level.expect("adaptive"), n)));
-            // The test is over.
+            let sent = stream.send_with(PIXELS, |step| Ok(picture(step.expect("adaptive"), n)));
+            // The test has ended.
             if sent.is_err() {
                 return;
             }
@@ -66,24 +66,24 @@ fn camera(stream: Arc<Stream>) {
     });
 }
 
-fn picture(level: Level, n: u32) -> Payload {
-    let (per_pixel, encoding) = match level.coding {
+fn picture(step: Step, n: u32) -> Payload {
+    let (per_pixel, encoding) = match step.coding {
         Coding::Lossless => (1.5, Encoding::PNG),
         Coding::Lossy(quality) => (0.02 + f64::from(quality) / 400.0, Encoding::JPEG),
     };
-    let area = (f64::from(level.quarters) / 4.0).powi(2);
-    let sways = 0.9 + f64::from(n % 5) * 0.05;
+    let area = (f64::from(step.quarters) / 4.0).powi(2);
+    let variation = 0.9 + f64::from(n % 5) * 0.05;
     Payload::new(
-        vec![7; (PIXELS as f64 * per_pixel * area * sways) as usize],
+        vec![7; (PIXELS as f64 * per_pixel * area * variation) as usize],
         encoding,
     )
 }
 
-/// What came within that time.
+/// Returns the frames that arrive within `lasts`.
 async fn frames(watch: &Watch, lasts: Duration) -> Vec<Frame> {
     let (started, mut frames) = (Instant::now(), Vec::new());
     while let Some(left) = lasts.checked_sub(started.elapsed()) {
-        match tokio::time::timeout(left, watch.recv()).await {
+        match tokio::time::timeout(left, watch.next()).await {
             Ok(frame) => frames.push(frame.expect("the session lives")),
             Err(_) => break,
         }
@@ -91,44 +91,45 @@ async fn frames(watch: &Watch, lasts: Duration) -> Vec<Frame> {
     frames
 }
 
-fn most_of(mut values: Vec<Duration>) -> Duration {
+/// Returns the 99th percentile.
+fn p99_of(mut values: Vec<Duration>) -> Duration {
     values.sort();
     values[(values.len() * 99 / 100).min(values.len() - 1)]
 }
 
 async fn first(watch: &Watch) -> Frame {
-    let frame = tokio::time::timeout(DEADLINE, watch.recv()).await;
+    let frame = tokio::time::timeout(DEADLINE, watch.next()).await;
     frame.expect("in time").expect("the session lives")
 }
 
 #[test]
-fn over_a_slow_link_frames_are_fresh_and_urgent_messages_of_the_same_program_in_time() {
+fn a_slow_link_carries_fresh_frames_and_timely_urgent_messages() {
     let robots = robots();
     runtime().block_on(one_camera(&robots.endpoints));
 }
 
-async fn one_camera([here, there]: &[String; 2]) {
+async fn one_camera([local, remote]: &[String; 2]) {
     let (sender, receiver) = (
-        joined("wombat-1", here).await,
-        joined("wombat-2", there).await,
+        joined("wombat-1", local).await,
+        joined("wombat-2", remote).await,
     );
     let stream = stream(&sender).await;
     let watch = receiver.watch("wombat-1", "camera").await.expect("watched");
     let begun = Instant::now();
-    let late: Arc<Mutex<Vec<Duration>>> = Arc::default();
-    let heard = late.clone();
+    let ages: Arc<Mutex<Vec<Duration>>> = Arc::default();
+    let received_ages = ages.clone();
     let _urgent = receiver
         .on_message("wombat-1/stop", move |message| {
             let sent_us: u64 = message.payload.value().expect("a number");
             let age = begun.elapsed() - Duration::from_micros(sent_us);
-            heard.lock().expect("whole").push(age);
+            received_ages.lock().expect("unpoisoned").push(age);
         })
         .await
         .expect("subscribed");
     camera(stream.clone());
     first(&watch).await;
     frames(&watch, Duration::from_secs(6)).await;
-    late.lock().expect("whole").clear();
+    ages.lock().expect("unpoisoned").clear();
     let urgent = tokio::spawn(async move {
         let sender = sender.urgent();
         let mut ticks = tokio::time::interval(Duration::from_millis(100));
@@ -147,13 +148,17 @@ async fn one_camera([here, there]: &[String; 2]) {
 
     let status = stream.status();
     let bytes: usize = seen.iter().map(|frame| frame.payload.bytes.len()).sum();
-    let oldest = most_of(seen.iter().map(|frame| frame.age.expect("told")).collect());
-    let late = late.lock().expect("whole").clone();
+    let oldest = p99_of(
+        seen.iter()
+            .map(|frame| frame.age.expect("a known age"))
+            .collect(),
+    );
+    let ages = ages.lock().expect("unpoisoned").clone();
     println!(
         "{} frames, {} kB/s, age p99 {oldest:?}, urgent p99 {:?}",
         seen.len(),
         bytes / 10_000,
-        most_of(late.clone())
+        p99_of(ages.clone())
     );
     assert!(
         seen.len() >= 50,
@@ -162,25 +167,25 @@ async fn one_camera([here, there]: &[String; 2]) {
     );
     assert!(bytes >= 200_000, "{bytes} bytes in 10 s: {status:?}");
     assert!(oldest < Duration::from_secs(1), "{oldest:?}: {status:?}");
-    assert_eq!(late.len(), 100, "urgent messages");
+    assert_eq!(ages.len(), 100, "urgent messages");
     assert!(
-        most_of(late.clone()) < Duration::from_millis(250),
-        "{late:?}"
+        p99_of(ages.clone()) < Duration::from_millis(250),
+        "{ages:?}"
     );
 }
 
 #[test]
-fn a_laptop_at_the_senders_router_gets_it_lossless_while_a_robot_on_bluetooth_gets_what_fits() {
+fn a_local_watcher_gets_lossless_frames_while_a_bluetooth_watcher_gets_smaller_ones() {
     let robots = robots();
     runtime().block_on(two_watchers(&robots.endpoints));
 }
 
-async fn two_watchers([here, there]: &[String; 2]) {
-    let sender = joined("wombat-1", here).await;
-    let robot = joined("wombat-2", there).await;
-    // Another robot's router, on purpose.
+async fn two_watchers([local, remote]: &[String; 2]) {
+    let sender = joined("wombat-1", local).await;
+    let robot = joined("wombat-2", remote).await;
+    // The laptop connects to the robot's router directly, so the names differ.
     let laptop = Options::new("laptop").expect("a name").login_file("/none");
-    let laptop = laptop.router(here).allow_name_mismatch().connect().await;
+    let laptop = laptop.router(local).allow_name_mismatch().connect().await;
     let laptop = laptop.expect("joined");
     let stream = stream(&sender).await;
     let slow = robot.watch("wombat-1", "camera").await.expect("watched");
@@ -210,8 +215,8 @@ async fn two_watchers([here, there]: &[String; 2]) {
     );
     assert!(
         status.groups[1]
-            .level
-            .is_some_and(|level| level != PICTURES[0]),
+            .step
+            .is_some_and(|step| step != PICTURES[0]),
         "{status:?}"
     );
 }

@@ -1,4 +1,4 @@
-//! The systemd unit is one that systemd takes: `cargo test -p rect-router --test systemd_unit`
+//! Tests of the systemd unit: `cargo test -p rect-router --test systemd_unit`
 
 mod support;
 
@@ -14,10 +14,10 @@ fn unit() -> String {
 }
 
 #[test]
-fn systemd_finds_nothing_wrong_with_it() {
+fn systemd_accepts_the_unit() {
     let dir = tempfile::tempdir().expect("a directory");
     let file = dir.path().join("rect-router.service");
-    // The program is not installed here; the unit must name one that is.
+    // The unit must name an existing program, so the path of the installed one is replaced.
     fs::write(
         &file,
         unit().replace(INSTALLED, env!("CARGO_BIN_EXE_rect-router")),
@@ -31,13 +31,13 @@ fn systemd_finds_nothing_wrong_with_it() {
         Ok(output) => output,
         Err(error) => return skip(&format!("systemd-analyze: {error}")),
     };
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{said}");
-    assert!(!said.contains("rect-router.service"), "{said}");
+    let messages = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{messages}");
+    assert!(!messages.contains("rect-router.service"), "{messages}");
 }
 
 #[test]
-fn it_says_what_the_router_needs_and_no_more() {
+fn the_unit_grants_only_the_required_privileges() {
     let unit = unit();
     let settings: BTreeMap<&str, &str> = unit
         .lines()
@@ -58,7 +58,7 @@ fn it_says_what_the_router_needs_and_no_more() {
 }
 
 #[test]
-fn the_router_understands_its_command_line() {
+fn the_router_accepts_the_command_line_of_the_unit() {
     let unit = unit();
     let line = unit
         .lines()
@@ -66,7 +66,7 @@ fn the_router_understands_its_command_line() {
         .expect("a command");
     let mut words = line.split(' ');
     assert_eq!(words.next(), Some(INSTALLED));
-    // `--version` ends it once the flags are read.
+    // `--version` ends the router once the flags are parsed.
     let output = Command::new(env!("CARGO_BIN_EXE_rect-router"))
         .args(words)
         .arg("--version")

@@ -1,4 +1,4 @@
-//! The `rect` command at two robots' routers, linked by the simulated air: `cargo test --workspace --test tool`
+//! Tests of the `rect` command with two robots, linked over the simulated air: `cargo test --workspace --test tool`
 mod support;
 
 use std::{
@@ -9,17 +9,17 @@ use std::{
 use serde_json::Value;
 use support::{built_with, file, skip, Air, Wombat, DEADLINE};
 
-/// A command that is ended with its test.
-struct Running(Child);
+/// A command that is killed at the end of its test.
+struct RunningCommand(Child);
 
-impl Drop for Running {
+impl Drop for RunningCommand {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// `rect` at that robot's router.
+/// Returns a `rect` command that connects to the router of a robot.
 fn rect(at: &Wombat, arguments: &[&str]) -> Command {
     let mut command = Command::new(built_with("dev").join("rect"));
     command.args(arguments).stdin(Stdio::null());
@@ -27,20 +27,20 @@ fn rect(at: &Wombat, arguments: &[&str]) -> Command {
     command
 }
 
-fn ran(at: &Wombat, arguments: &[&str]) -> Output {
+fn run(at: &Wombat, arguments: &[&str]) -> Output {
     rect(at, arguments).output().expect("it runs")
 }
 
-fn said(output: &Output) -> String {
+fn text_of(output: &Output) -> String {
     let both = [output.stdout.as_slice(), &output.stderr].concat();
     String::from_utf8_lossy(&both).into_owned()
 }
 
-/// What it says, as soon as that has the text in it.
-fn says(at: &Wombat, arguments: &[&str], text: &str) -> String {
+/// Repeats a command until its stdout contains `text`, and returns its stdout.
+fn wait_for(at: &Wombat, arguments: &[&str], text: &str) -> String {
     let deadline = Instant::now() + DEADLINE;
     loop {
-        let output = ran(at, arguments);
+        let output = run(at, arguments);
         let shown = String::from_utf8_lossy(&output.stdout);
         if shown.contains(text) {
             return shown.into_owned();
@@ -48,46 +48,46 @@ fn says(at: &Wombat, arguments: &[&str], text: &str) -> String {
         assert!(
             Instant::now() < deadline,
             "{arguments:?}: {}",
-            said(&output)
+            text_of(&output)
         );
     }
 }
 
 #[test]
-fn robots_are_connected_by_name_shown_and_measured() {
+fn connects_shows_and_measures_robots() {
     if !built_with("dev").join("rect").exists() {
         return skip("needs the tool: cargo build --workspace");
     }
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let [one, two] = [1, 2].map(|number| Wombat::start(&air, &folder, number, &file(&[])));
-    let alone = said(&ran(&two, &["peers"]));
+    let alone = text_of(&run(&two, &["peers"]));
     assert!(
         alone.contains("no other robot of the fleet rect"),
         "{alone}"
     );
 
-    let connected = ran(
+    let connected = run(
         &two,
         &["connect", "radio", "ble", "wombat-1", "--option", "mtu=512"],
     );
-    assert!(connected.status.success(), "{}", said(&connected));
-    let table = says(&two, &["connections"], "connected");
+    assert!(connected.status.success(), "{}", text_of(&connected));
+    let table = wait_for(&two, &["connections"], "connected");
     assert!(
         table.contains("radio") && table.contains("wombat-1"),
         "{table}"
     );
-    let peers = says(&two, &["peers"], "wombat-1");
+    let peers = wait_for(&two, &["peers"], "wombat-1");
     assert!(peers.contains("ble") && peers.contains("dBm"), "{peers}");
-    // The other has not named it.
-    let other = says(&one, &["connections", "wombat-2", "--json"], "radio");
+    // The other robot has no name for the connection.
+    let other = wait_for(&one, &["connections", "wombat-2", "--json"], "radio");
     let other: Value = serde_json::from_str(&other).expect("JSON");
     assert_eq!(other[0]["method"], "ble", "{other:#}");
 
     let serving = rect(&one, &["bench", "--serve"])
         .stderr(Stdio::null())
         .spawn();
-    let _serving = Running(serving.expect("it runs"));
-    let measured = says(
+    let _serving = RunningCommand(serving.expect("it runs"));
+    let measured = wait_for(
         &two,
         &["bench", "wombat-1", "--duration", "1s", "--json"],
         "goodput_kb_s",
@@ -105,47 +105,47 @@ fn robots_are_connected_by_name_shown_and_measured() {
     ] {
         assert!(figure.as_f64() > Some(0.0), "{measured:#}");
     }
-    // The radio has measured it meanwhile.
-    says(&two, &["peers"], " ms");
+    // The round trip has been measured in the meantime.
+    wait_for(&two, &["peers"], " ms");
 
-    // The commands of `rect` that the router's program does.
-    let status = says(&two, &["status"], "wombat-1");
+    // Commands of `rect` that rect-router implements.
+    let status = wait_for(&two, &["status"], "wombat-1");
     assert!(
         status.contains("wombat-2") && status.contains("1 ble"),
         "{status}"
     );
-    let other = ran(
+    let other = run(
         &two,
         &["doctor", "--router", &one.endpoint, "--as", "wombat-2"],
     );
     assert!(
-        said(&other).contains("of wombat-1, not of wombat-2"),
+        text_of(&other).contains("of wombat-1, not of wombat-2"),
         "{}",
-        said(&other)
+        text_of(&other)
     );
-    let help = said(&ran(&two, &["init", "--help"]));
+    let help = text_of(&run(&two, &["init", "--help"]));
     assert!(
         help.contains("rect init") && !help.contains("rect-router init"),
         "{help}"
     );
 
-    // Another robot's topics, as its own router measures them.
-    let speaking = ["pub", "arm/angle", "12.5", "--every", "100ms"];
-    let speaking = rect(&one, &speaking).stderr(Stdio::null()).spawn();
-    let _speaking = Running(speaking.expect("it runs"));
-    let topics = says(&two, &["topic", "list", "wombat-1"], "application/json");
+    // The topics of another robot, measured by its own router.
+    let publishing = ["pub", "arm/angle", "12.5", "--every", "100ms"];
+    let publishing = rect(&one, &publishing).stderr(Stdio::null()).spawn();
+    let _publishing = RunningCommand(publishing.expect("it runs"));
+    let topics = wait_for(&two, &["topic", "list", "wombat-1"], "application/json");
     assert!(
         topics.contains("wombat-1/arm/angle") && topics.contains(" Hz"),
         "{topics}"
     );
-    let info = ran(&two, &["topic", "info", "wombat-1/arm/angle", "--json"]);
+    let info = run(&two, &["topic", "info", "wombat-1/arm/angle", "--json"]);
     let info: Value = serde_json::from_slice(&info.stdout).expect("JSON");
     assert_eq!(
         (&info["publishers"], &info["last_bytes"]),
         (&1.into(), &4.into()),
         "{info:#}"
     );
-    let rate = said(&ran(
+    let rate = text_of(&run(
         &two,
         &["topic", "hz", "wombat-1/arm/angle", "--count", "1"],
     ));
@@ -153,19 +153,23 @@ fn robots_are_connected_by_name_shown_and_measured() {
         rate.contains(" Hz, ") && rate.contains("ms apart"),
         "{rate}"
     );
-    let nothing = ran(&two, &["topic", "info", "wombat-1/nothing"]);
+    let nothing = run(&two, &["topic", "info", "wombat-1/nothing"]);
     assert_eq!(nothing.status.code(), Some(1));
     assert!(
-        said(&nothing).contains("rect topic list wombat-1"),
+        text_of(&nothing).contains("rect topic list wombat-1"),
         "{}",
-        said(&nothing)
+        text_of(&nothing)
     );
 
-    let gone = ran(&two, &["disconnect", "radio"]);
-    assert!(gone.status.success(), "{}", said(&gone));
-    let again = ran(&two, &["disconnect", "radio"]);
+    let gone = run(&two, &["disconnect", "radio"]);
+    assert!(gone.status.success(), "{}", text_of(&gone));
+    let again = run(&two, &["disconnect", "radio"]);
     assert_eq!(again.status.code(), Some(1));
-    assert!(said(&again).contains("there are: none"), "{}", said(&again));
-    let wrong = said(&ran(&two, &["connect", "x", "tcp", "10.0.0.2"]));
+    assert!(
+        text_of(&again).contains("there are: none"),
+        "{}",
+        text_of(&again)
+    );
+    let wrong = text_of(&run(&two, &["connect", "x", "tcp", "10.0.0.2"]));
     assert!(wrong.contains("tcp needs a port"), "{wrong}");
 }

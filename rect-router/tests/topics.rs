@@ -1,4 +1,4 @@
-//! The router's answers about its robot's topics: `cargo test -p rect-router --test topics`
+//! Tests of queries about the topics of a robot: `cargo test -p rect-router --test topics`
 mod support;
 
 use std::{
@@ -10,16 +10,16 @@ use serde_json::Value;
 use support::{answers, ask, ble, client, file, Air, Wombat, DEADLINE};
 use zenoh::{bytes::Encoding, Session, Wait};
 
-const ASKED: &str = "rect/wombat-1/@rect/topics";
+const TOPICS_KEY: &str = "rect/wombat-1/@rect/topics";
 
-/// The row of a topic in an answer.
+/// Returns the row of a topic in a reply.
 fn row<'a>(answer: &'a Value, topic: &str) -> Option<&'a Value> {
     let mut topics = answer["topics"].as_array()?.iter();
     topics.find(|row| row[0] == topic)
 }
 
-/// Whether somebody subscribes to what the publisher publishes.
-fn is_heard(publisher: &zenoh::pubsub::Publisher<'_>) -> bool {
+/// Returns whether the publisher has a subscriber.
+fn has_subscriber(publisher: &zenoh::pubsub::Publisher<'_>) -> bool {
     publisher
         .matching_status()
         .wait()
@@ -27,15 +27,15 @@ fn is_heard(publisher: &zenoh::pubsub::Publisher<'_>) -> bool {
         .matching()
 }
 
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     let deadline = Instant::now() + DEADLINE;
-    while !is_so() {
+    while !condition() {
         assert!(Instant::now() < deadline, "{what}");
         thread::sleep(Duration::from_millis(20));
     }
 }
 
-/// All bytes that a robot's router has sent over its links by radio.
+/// Returns the number of bytes that wombat-1 has sent over its Bluetooth links.
 fn sent_by_radio(session: &Session) -> u64 {
     let answer = ask(session, "rect/wombat-1/@rect/connections?method=ble").expect("an answer");
     let links = answer.as_array().into_iter().flatten();
@@ -45,33 +45,38 @@ fn sent_by_radio(session: &Session) -> u64 {
 }
 
 #[test]
-fn topics_are_listed_and_measured_by_the_robots_own_router() {
+fn the_robots_own_router_lists_and_measures_its_topics() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let one = Wombat::start(&air, &folder, 1, &file(&[]));
     let two = Wombat::start(&air, &folder, 2, &file(&[ble("first", "wombat-1")]));
-    let (here, there) = (client(&one.endpoint), client(&two.endpoint));
+    let (local, remote) = (client(&one.endpoint), client(&two.endpoint));
     let linked = "rect/wombat-2/@rect/connections?name=first";
-    answers(&there, linked, |answer| answer[0]["state"] == "connected");
+    answers(&remote, linked, |answer| answer[0]["state"] == "connected");
 
-    let publisher = here
+    let publisher = local
         .declare_publisher("rect/wombat-1/arm/angle")
         .wait()
         .expect("declared");
-    let listed = answers(&there, ASKED, |answer| row(answer, "arm/angle").is_some());
+    let listed = answers(&remote, TOPICS_KEY, |answer| {
+        row(answer, "arm/angle").is_some()
+    });
     let angle = row(&listed, "arm/angle").expect("listed");
     assert_eq!(
         (&listed["window_s"], &angle[1]),
         (&0.0.into(), &1.into()),
         "{listed}"
     );
-    assert!(!is_heard(&publisher), "a list alone makes nobody publish");
+    assert!(
+        !has_subscriber(&publisher),
+        "listing topics does not subscribe to them"
+    );
 
-    // 50 messages of 1 kB a second; a subscriber far away would take 50 kB a second over the air.
+    // 50 messages of 1 kB per second. A remote subscriber would cause 50 kB/s over the air.
     let payload = vec![b'1'; 1000];
-    let asked = format!("{ASKED}?measure");
-    ask(&there, &asked).expect("an answer");
-    wait_until("nobody counts", || is_heard(&publisher));
-    let before = sent_by_radio(&here);
+    let asked = format!("{TOPICS_KEY}?measure");
+    ask(&remote, &asked).expect("an answer");
+    wait_until("no messages are counted", || has_subscriber(&publisher));
+    let before = sent_by_radio(&local);
     let start = Instant::now();
     while start.elapsed() < Duration::from_secs(2) {
         let put = publisher
@@ -80,8 +85,8 @@ fn topics_are_listed_and_measured_by_the_robots_own_router() {
         put.wait().expect("published");
         thread::sleep(Duration::from_millis(20));
     }
-    let measured = ask(&there, &asked).expect("an answer");
-    let sent = sent_by_radio(&here) - before;
+    let measured = ask(&remote, &asked).expect("an answer");
+    let sent = sent_by_radio(&local) - before;
     let angle = row(&measured, "arm/angle").expect("listed");
     assert!(angle[3].as_f64() > Some(5.0), "{measured}");
     assert_eq!(
@@ -91,7 +96,7 @@ fn topics_are_listed_and_measured_by_the_robots_own_router() {
     );
     assert!(sent < 10_000, "{sent} bytes went over the air");
 
-    wait_until("it counts without end", || !is_heard(&publisher));
-    let wrong = ask(&there, &format!("{ASKED}?mesure")).expect_err("unknown");
+    wait_until("the counting does not end", || !has_subscriber(&publisher));
+    let wrong = ask(&remote, &format!("{TOPICS_KEY}?mesure")).expect_err("unknown");
     assert!(wrong.contains("`mesure`"), "{wrong}");
 }

@@ -1,4 +1,4 @@
-//! Transfers between programs of two robots that are linked by Bluetooth, on the simulated air:
+//! Tests of transfers between programs of two robots that are linked over the simulated air:
 //! `cargo test -p rect-router --test transfer`
 
 mod support;
@@ -12,23 +12,24 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{ReceiveTransfers, Robot, Transfers};
+use rect::{ReceiveOptions, Robot, Transfers};
 use support::{joined, simulated, Air, Router, DEADLINE};
 use tokio::time::{sleep, timeout};
 
+/// Two linked routers, and a program at each.
 struct Pair {
     _routers: [Router; 2],
     one: Robot,
     other: Robot,
 }
 
-/// Programs of two robots whose routers are linked over the air.
+/// Starts two linked routers and connects a program to each.
 async fn pair(air: &Air) -> Pair {
-    let (first, here) = simulated(air, 1, &[]);
-    let (second, there) = simulated(air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let (first, local) = simulated(air, 1, &[]);
+    let (second, remote) = simulated(air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
     let (one, other) = (
-        joined("wombat-1", &here).await,
-        joined("wombat-2", &there).await,
+        joined("wombat-1", &local).await,
+        joined("wombat-2", &remote).await,
     );
     Pair {
         _routers: [first, second],
@@ -37,12 +38,13 @@ async fn pair(air: &Air) -> Pair {
     }
 }
 
-/// The air has a runtime of its own, which must not be inside another one.
+/// Runs a test in a runtime that does not contain the runtime of the air: runtimes must not be nested.
 fn run(test: impl Future<Output = ()>) {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(test);
 }
 
+/// Returns pseudorandom bytes, which cannot be compressed.
 fn noise(length: usize) -> Vec<u8> {
     let mut state = 0x9E37_79B9_7F4A_7C15u64;
     let next = |_| {
@@ -54,8 +56,9 @@ fn noise(length: usize) -> Vec<u8> {
     (0..length).map(next).collect()
 }
 
+/// Receives transfers in memory.
 async fn receiving(robot: &Robot) -> Transfers {
-    let options = ReceiveTransfers::in_memory(1 << 30);
+    let options = ReceiveOptions::in_memory(1 << 30);
     robot
         .receive_transfers("*/**", options)
         .await
@@ -63,7 +66,7 @@ async fn receiving(robot: &Robot) -> Transfers {
 }
 
 #[test]
-fn a_transfer_fills_the_radio_and_what_is_urgent_overtakes_it() {
+fn a_transfer_uses_the_whole_link_and_urgent_messages_overtake_it() {
     let air = Air::new();
     run(fill(&air));
 }
@@ -82,7 +85,7 @@ async fn fill(air: &Air) {
         .await
         .expect("subscribed");
 
-    // The links and routes are there once a small one has gone.
+    // A small transfer first, after which all links and routes exist.
     let first = pair
         .one
         .transfer("wombat-2", "first", vec![1])
@@ -92,36 +95,36 @@ async fn fill(air: &Air) {
         .expect("in time")
         .expect("sent");
     let bytes = noise(300_000);
-    // What one put brings, which has the radio for itself.
+    // The throughput of a single publication without other traffic.
     let bulk = pair.one.bulk();
     let start = Instant::now();
-    bulk.publish("put", &bytes[..]).await.expect("said");
-    timeout(DEADLINE * 2, puts.recv())
+    bulk.publish("put", &bytes[..]).await.expect("published");
+    timeout(DEADLINE * 2, puts.next())
         .await
         .expect("in time")
         .expect("open");
     let raw = start.elapsed();
 
     let start = Instant::now();
-    let is_over = Arc::new(AtomicBool::new(false));
-    let (urgent, over) = (pair.one.urgent(), is_over.clone());
-    let said = tokio::spawn(async move {
-        let mut said = Vec::new();
-        while !over.load(Ordering::SeqCst) {
-            said.push(Instant::now());
+    let is_finished = Arc::new(AtomicBool::new(false));
+    let (urgent, finished) = (pair.one.urgent(), is_finished.clone());
+    let publishing = tokio::spawn(async move {
+        let mut published = Vec::new();
+        while !finished.load(Ordering::SeqCst) {
+            published.push(Instant::now());
             urgent
-                .publish("stop", [said.len() as u8; 16])
+                .publish("stop", [published.len() as u8; 16])
                 .await
-                .expect("said");
+                .expect("published");
             sleep(Duration::from_millis(50)).await;
         }
-        said
+        published
     });
-    let heard = Arc::new(Mutex::new(Vec::new()));
-    let hearing = heard.clone();
+    let arrivals = Arc::new(Mutex::new(Vec::new()));
+    let recording = arrivals.clone();
     let listening = tokio::spawn(async move {
-        while stops.recv().await.is_some() {
-            hearing.lock().expect("whole").push(Instant::now());
+        while stops.next().await.is_some() {
+            recording.lock().expect("unpoisoned").push(Instant::now());
         }
     });
     let sent = pair
@@ -133,36 +136,36 @@ async fn fill(air: &Air) {
         .expect("in time")
         .expect("sent");
     let took = start.elapsed();
-    is_over.store(true, Ordering::SeqCst);
-    let said = said.await.expect("no panic");
+    is_finished.store(true, Ordering::SeqCst);
+    let published = publishing.await.expect("no panic");
     sleep(Duration::from_millis(500)).await;
     listening.abort();
-    let heard = heard.lock().expect("whole").clone();
-    assert_eq!(said.len(), heard.len(), "each arrived");
-    let mut late: Vec<_> = said
+    let arrivals = arrivals.lock().expect("unpoisoned").clone();
+    assert_eq!(published.len(), arrivals.len(), "each message arrived");
+    let mut ages: Vec<_> = published
         .iter()
-        .zip(&heard)
-        .map(|(said, heard)| *heard - *said)
+        .zip(&arrivals)
+        .map(|(published, arrived)| *arrived - *published)
         .collect();
-    late.sort();
-    let (typical, most) = (late[late.len() / 2], late[late.len() * 99 / 100]);
-    let part = raw.as_secs_f64() / took.as_secs_f64();
+    ages.sort();
+    let (p50, p99) = (ages[ages.len() / 2], ages[ages.len() * 99 / 100]);
+    let share = raw.as_secs_f64() / took.as_secs_f64();
     println!(
-        "{} bytes: one put {raw:?}, transfer {took:?} with 20 urgent messages a second ({part:.2} of the put); urgent p50 \
-         {typical:?} p99 {most:?} of {}",
+        "{} bytes: one put {raw:?}, transfer {took:?} with 20 urgent messages per second ({share:.2} of the put); urgent p50 \
+         {p50:?} p99 {p99:?} of {}",
         bytes.len(),
-        late.len()
+        ages.len()
     );
     for _ in 0..2 {
         assert!(received.next().await.expect("open").is_ok());
     }
-    // Without the urgent messages, and of a megabyte, it is 0.93; the beginning takes 0.2 s.
-    assert!(part > 0.8, "{part}");
-    assert!(most < Duration::from_millis(250), "{most:?}");
+    // Without urgent messages and for one megabyte, the share is 0.93; the start of a transfer takes 0.2 s.
+    assert!(share > 0.8, "{share}");
+    assert!(p99 < Duration::from_millis(250), "{p99:?}");
 }
 
 #[test]
-fn a_transfer_goes_on_after_the_radio_was_cut() {
+fn a_transfer_resumes_after_the_radio_is_cut() {
     let air = Air::new();
     run(cut(&air));
 }
@@ -171,21 +174,23 @@ async fn cut(air: &Air) {
     let pair = pair(air).await;
     let received = receiving(&pair.other).await;
     let bytes = noise(200_000);
-    let held = Arc::new(AtomicU64::new(0));
-    let told = held.clone();
+    let received_bytes = Arc::new(AtomicU64::new(0));
+    let progress_bytes = received_bytes.clone();
     let sent = pair
         .one
         .transfer("wombat-2", "map", bytes.clone())
         .expect("named");
-    let sent = sent.on_progress(move |progress| told.store(progress.held_bytes, Ordering::SeqCst));
+    let sent = sent.on_progress(move |progress| {
+        progress_bytes.store(progress.received_bytes, Ordering::SeqCst)
+    });
     let sent = tokio::spawn(sent.into_future());
     for part in 1..4 {
-        let there = async {
-            while held.load(Ordering::SeqCst) < part * 50_000 {
+        let progress = async {
+            while received_bytes.load(Ordering::SeqCst) < part * 50_000 {
                 sleep(Duration::from_millis(5)).await;
             }
         };
-        timeout(DEADLINE, there).await.expect("in time");
+        timeout(DEADLINE, progress).await.expect("in time");
         air.air().cut();
         sleep(Duration::from_secs(1)).await;
         air.air().restore();

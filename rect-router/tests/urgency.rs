@@ -1,4 +1,5 @@
-//! What is more urgent overtakes what is not, from the program to the other robot's: `cargo test --workspace --test urgency`
+//! Tests that urgent messages overtake less urgent ones all the way from one program to another robot's:
+//! `cargo test --workspace --test urgency`
 mod support;
 
 use std::{
@@ -13,35 +14,35 @@ use rect::Json;
 use support::{joined, simulated, Air, DEADLINE};
 use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
 
-/// How long bulk is said as fast as the router takes it.
+/// Time for which bulk messages are published as fast as the router accepts them.
 const FLOOD: Duration = Duration::from_secs(6);
 
 #[test]
-fn a_program_that_floods_the_radio_with_bulk_is_still_heard_and_answered_at_once() {
-    // As slow as a Pi 3B's.
+fn urgent_messages_and_requests_are_fast_during_a_flood_of_bulk_messages() {
+    // As slow as the radio of a Pi 3B.
     let air = Air::with(AirOptions {
         pdu: LlPayload::Bytes27,
         ..AirOptions::default()
     });
-    let (_one, here) = simulated(&air, 1, &[]);
-    let (_two, there) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
+    let (_one, local) = simulated(&air, 1, &[]);
+    let (_two, remote) = simulated(&air, 2, &["-e", "ble/wombat-1#adapter=sim-wombat-2"]);
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    runtime.block_on(flood(&here, &there));
+    runtime.block_on(flood(&local, &remote));
 }
 
-async fn flood(here: &str, there: &str) {
+async fn flood(local: &str, remote: &str) {
     let (one, two) = (
-        joined("wombat-1", here).await,
-        joined("wombat-2", there).await,
+        joined("wombat-1", local).await,
+        joined("wombat-2", remote).await,
     );
     let begun = Instant::now();
-    let late: Arc<Mutex<Vec<Duration>>> = Arc::default();
-    let heard = late.clone();
+    let ages: Arc<Mutex<Vec<Duration>>> = Arc::default();
+    let received_ages = ages.clone();
     let _stops = two
         .on_message("wombat-1/stop", move |message| {
             let sent_us: u64 = message.payload.value().expect("a number");
             let age = begun.elapsed() - Duration::from_micros(sent_us);
-            heard.lock().expect("whole").push(age);
+            received_ages.lock().expect("unpoisoned").push(age);
         })
         .await
         .expect("subscribed");
@@ -55,40 +56,45 @@ async fn flood(here: &str, there: &str) {
         assert!(begun.elapsed() < DEADLINE, "the service is known");
     }
 
-    let is_over = Arc::new(AtomicBool::new(false));
-    let (bulk, over) = (one.bulk(), is_over.clone());
+    let is_finished = Arc::new(AtomicBool::new(false));
+    let (bulk, finished) = (one.bulk(), is_finished.clone());
     let flooding = tokio::spawn(async move {
-        while !over.load(Ordering::Relaxed) {
-            bulk.publish("map", vec![7u8; 4096]).await.expect("said");
+        while !finished.load(Ordering::Relaxed) {
+            bulk.publish("map", vec![7u8; 4096])
+                .await
+                .expect("published");
         }
     });
     let urgent = one.urgent();
-    let (mut said, mut answered) = (0, Vec::new());
+    let (mut published, mut answered) = (0, Vec::new());
     let flood = Instant::now();
     while flood.elapsed() < FLOOD {
         let sent_us = u64::try_from(begun.elapsed().as_micros()).expect("short");
-        urgent.publish("stop", Json(sent_us)).await.expect("said");
-        said += 1;
-        if said % 10 == 0 {
+        urgent
+            .publish("stop", Json(sent_us))
+            .await
+            .expect("published");
+        published += 1;
+        if published % 10 == 0 {
             let asked = Instant::now();
             ask().await.expect("answered");
             answered.push(asked.elapsed());
         }
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    is_over.store(true, Ordering::Relaxed);
+    is_finished.store(true, Ordering::Relaxed);
     tokio::time::sleep(Duration::from_millis(500)).await;
-    let mut late = late.lock().expect("whole").clone();
-    late.sort();
+    let mut ages = ages.lock().expect("unpoisoned").clone();
+    ages.sort();
     answered.sort();
-    let most = late[late.len() * 99 / 100 - 1];
+    let p99 = ages[ages.len() * 99 / 100 - 1];
     println!(
-        "urgent p50 {:?} p99 {most:?} of {said}; answers at most {:?}",
-        late[late.len() / 2],
+        "urgent p50 {:?} p99 {p99:?} of {published}; answers at most {:?}",
+        ages[ages.len() / 2],
         answered.last()
     );
-    assert_eq!(late.len(), said, "each arrived");
-    assert!(most < Duration::from_millis(250), "{late:?}");
+    assert_eq!(ages.len(), published, "each message arrived");
+    assert!(p99 < Duration::from_millis(250), "{ages:?}");
     assert!(
         answered.last() < Some(&Duration::from_secs(1)),
         "{answered:?}"

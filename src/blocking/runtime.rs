@@ -1,4 +1,4 @@
-//! Owns what blocking calls wait on.
+//! Runs the asynchronous API for blocking calls.
 use std::{
     future::Future,
     io,
@@ -10,52 +10,57 @@ use std::{
 
 use tokio::runtime::{Builder, Runtime as Tokio};
 
-/// One thread for the library's own tasks, and the waiting for them on any other.
+/// An asynchronous runtime with one thread for the library's tasks, on which any other thread can wait.
 #[derive(Debug)]
 pub struct Runtime(Option<Tokio>);
 
 impl Runtime {
-    /// Starts it.
+    /// Starts the runtime.
     ///
     /// # Errors
-    /// The system has no thread for it.
+    /// Returns the error of the operating system if the thread cannot be started.
     pub fn start() -> io::Result<Self> {
         let mut builder = Builder::new_multi_thread();
         let built = builder.worker_threads(1).thread_name("rect").enable_all();
         Ok(Self(Some(built.build()?)))
     }
 
-    /// Waits for something, on the thread that calls.
+    /// Blocks the calling thread until `future` is complete, and returns its output.
     ///
     /// # Panics
-    /// On a thread of an async runtime, which it would hold up.
-    pub fn wait<T>(&self, what: impl Future<Output = T>) -> T {
-        // Pinned here: tokio moves what it is given several times.
-        self.tokio().block_on(pin!(what))
+    /// Panics on a thread of an asynchronous runtime, which the call would block.
+    pub fn wait<T>(&self, future: impl Future<Output = T>) -> T {
+        // Pinned here, because tokio moves its argument several times.
+        self.tokio().block_on(pin!(future))
     }
 
-    /// The same of what is mostly done at once, and needs no runtime before it has to wait, as [`crate::Robot::publish`]. Then
-    /// the runtime is not entered, which would be a good part of the work.
+    /// Blocks the calling thread until `future` is complete, for futures that are usually ready at once and need no runtime
+    /// until they have to wait, such as [`crate::Robot::publish`]. A ready future skips entering the runtime, which would be
+    /// a considerable part of the work.
     ///
     /// # Panics
-    /// As [`wait`](Self::wait), where it has to wait.
-    pub fn complete<T>(&self, what: impl Future<Output = T>) -> T {
-        let mut what = pin!(what);
-        match what.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+    /// Panics on a thread of an asynchronous runtime if the future is not ready at once.
+    pub fn complete<T>(&self, future: impl Future<Output = T>) -> T {
+        let mut future = pin!(future);
+        match future
+            .as_mut()
+            .poll(&mut Context::from_waker(Waker::noop()))
+        {
             Poll::Ready(done) => done,
-            Poll::Pending => self.wait(what),
+            Poll::Pending => self.wait(future),
         }
     }
 
-    /// Calls `call` with what comes, on the thread that calls this, until nothing comes any more or it returns `false`.
-    /// It may wait for things itself.
+    /// Calls `call` on the calling thread with each item of `next`, until `next` returns `None` or `call` returns `false`.
+    /// `call` may block.
     pub fn for_each<T, N: Future<Output = Option<T>>>(
         &self,
         next: impl Fn() -> N,
         mut call: impl FnMut(T) -> bool,
     ) {
-        // Beside the runtime, not in it: to come out of it for each call takes longer than the call of many a program.
-        let _reachable = self.tokio().enter();
+        // The thread parks itself instead of using `block_on`: leaving the runtime for each call would take longer than many a
+        // callback.
+        let _entered = self.tokio().enter();
         let waker = Waker::from(Arc::new(Unpark(thread::current())));
         let mut context = Context::from_waker(&waker);
         while let Some(item) = parked(next(), &mut context) {
@@ -66,15 +71,15 @@ impl Runtime {
     }
 
     fn tokio(&self) -> &Tokio {
-        self.0.as_ref().expect("there until it is dropped")
+        self.0.as_ref().expect("present until dropped")
     }
 }
 
-/// Sleeps until it is done. `context`: that wakes this thread.
-fn parked<T>(what: impl Future<Output = T>, context: &mut Context<'_>) -> T {
-    let mut what = pin!(what);
+/// Parks the thread until `future` is complete. The waker of `context` has to unpark this thread.
+fn parked<T>(future: impl Future<Output = T>, context: &mut Context<'_>) -> T {
+    let mut future = pin!(future);
     loop {
-        if let Poll::Ready(done) = what.as_mut().poll(context) {
+        if let Poll::Ready(done) = future.as_mut().poll(context) {
             return done;
         }
         thread::park();
@@ -95,7 +100,7 @@ impl Wake for Unpark {
 
 impl Drop for Runtime {
     fn drop(&mut self) {
-        // Not waited for: the last that needs it may be dropped on its own thread, by a callback.
+        // Does not wait for the runtime's thread: a callback on that thread may drop the last handle.
         if let Some(runtime) = self.0.take() {
             runtime.shutdown_background();
         }

@@ -1,13 +1,12 @@
-//! Owns streams in blocking form.
+//! Implements streams in blocking form.
 use std::{sync::Arc, time::Duration};
 
-use tokio::time::timeout;
-
 use super::{Robot, Runtime};
-use crate::{session, Error, Frame, Name, Receiving, Stream, StreamOptions, Topic};
+use crate::{session, Error, Frame, Name, QueueOptions, Stream, StreamOptions, Topic};
 
-/// The frames of a stream, the newest when one is asked for; an iterator that waits for the next. It ends when the session is
-/// closed.
+/// Receives the frames of a stream; created by [`Robot::watch`].
+///
+/// The iterator blocks until the next frame, by default the newest one, and ends when the session is closed.
 #[derive(Debug)]
 pub struct Frames {
     watch: session::Watch,
@@ -15,17 +14,17 @@ pub struct Frames {
 }
 
 impl Robot {
-    /// A stream of which the newest frame counts.
+    /// Declares a stream of frames of which the newest counts: a slow link drops older ones.
     ///
     /// ```no_run
-    /// # fn streamed(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// # fn stream(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
     /// let distance = robot.stream("distance", rect::StreamOptions::sensor())?;
     /// distance.send([12, 34])?;
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// As [`crate::Robot::stream`].
+    /// Returns the same errors as [`crate::Robot::stream`].
     pub fn stream<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -37,18 +36,18 @@ impl Robot {
         self.runtime.wait(self.robot.stream(topic, options))
     }
 
-    /// Watches a robot's stream: the newest frame waits until it is taken.
+    /// Receives the stream `topic` of `robot`. Only the newest frame is kept until the program reads it.
     ///
     /// ```no_run
-    /// # fn watched(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// # fn watch(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
     /// for frame in robot.watch("wombat-2", "camera")? {
-    ///     println!("frame {}, {:?} old, after {} others", frame.number, frame.age, frame.skipped);
+    ///     println!("frame {}, {:?} old, {} skipped", frame.number, frame.age, frame.skipped);
     /// }
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// As [`crate::Robot::watch`].
+    /// Returns the same errors as [`crate::Robot::watch`].
     pub fn watch<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -61,20 +60,20 @@ impl Robot {
         Ok(self.frames(watch))
     }
 
-    /// The same, with a say in how frames wait.
+    /// Receives the stream `topic` of `robot`, with other settings of the receive queue.
     ///
     /// # Errors
-    /// As [`crate::Robot::watch_with`].
+    /// Returns the same errors as [`crate::Robot::watch_with`].
     pub fn watch_with<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
         topic: T,
-        receiving: Receiving,
+        queue: QueueOptions,
     ) -> Result<Frames, Error>
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        let watched = self.robot.watch_with(robot, topic, receiving);
+        let watched = self.robot.watch_with(robot, topic, queue);
         let watch = self.runtime.wait(watched)?;
         Ok(self.frames(watch))
     }
@@ -86,13 +85,13 @@ impl Robot {
 }
 
 impl Frames {
-    /// The next frame; `None`: there was none within that time, or the session was closed.
-    pub fn next_within(&mut self, time: Duration) -> Option<Frame> {
-        let next = async { timeout(time, self.watch.recv()).await };
+    /// Blocks until the next frame; returns `None` if none arrives within `timeout`, or if the session is closed.
+    pub fn next_timeout(&mut self, timeout: Duration) -> Option<Frame> {
+        let next = async { tokio::time::timeout(timeout, self.watch.next()).await };
         self.runtime.wait(next).ok().flatten()
     }
 
-    /// What a small message takes to the sender and back, once it has answered one.
+    /// Returns the round trip of a small message to the sender; `None` until the first one has been measured.
     pub fn round_trip(&self) -> Option<Duration> {
         self.watch.round_trip()
     }
@@ -102,6 +101,6 @@ impl Iterator for Frames {
     type Item = Frame;
 
     fn next(&mut self) -> Option<Frame> {
-        self.runtime.wait(self.watch.recv())
+        self.runtime.wait(self.watch.next())
     }
 }

@@ -1,4 +1,4 @@
-//! Owns callbacks for messages, each on a thread of its own.
+//! Runs callbacks for messages, each on a separate thread.
 use std::{
     sync::{
         atomic::{AtomicBool, Ordering},
@@ -9,18 +9,19 @@ use std::{
 
 use super::{no_thread, Runtime};
 use crate::{
-    session::{called, Subscriber},
+    session::{call, Subscriber},
     Error, Message,
 };
 
-/// A callback that is called for each message, until this is dropped.
+/// A subscription with a callback; created by [`Robot::on_message`](super::Robot::on_message). Dropping it ends the
+/// subscription.
 #[derive(Debug)]
-pub struct Subscription(Arc<Called>);
+pub struct Subscription(Arc<Shared>);
 
 #[derive(Debug)]
-struct Called {
+struct Shared {
     subscriber: Subscriber,
-    is_over: AtomicBool,
+    is_ended: AtomicBool,
 }
 
 impl Subscription {
@@ -29,32 +30,32 @@ impl Subscription {
         subscriber: Subscriber,
         mut callback: impl FnMut(Message) + Send + 'static,
     ) -> Result<Self, Error> {
-        let listening = Arc::new(Called {
+        let shared = Arc::new(Shared {
             subscriber,
-            is_over: AtomicBool::new(false),
+            is_ended: AtomicBool::new(false),
         });
-        let heard = listening.clone();
+        let of_thread = shared.clone();
         let run = move || {
-            let call = |message: Message| {
-                let goes_on = !heard.is_over.load(Ordering::Relaxed);
-                if goes_on {
+            let on_message = |message: Message| {
+                let is_active = !of_thread.is_ended.load(Ordering::Relaxed);
+                if is_active {
                     let topic = message.topic.clone();
-                    called(topic.as_str(), || callback(message));
+                    call(topic.as_str(), || callback(message));
                 }
-                goes_on
+                is_active
             };
-            runtime.for_each(|| heard.subscriber.recv(), call);
+            runtime.for_each(|| of_thread.subscriber.next(), on_message);
         };
         let thread = thread::Builder::new().name("rect-callback".into());
         thread.spawn(run).map_err(no_thread)?;
-        Ok(Self(listening))
+        Ok(Self(shared))
     }
 }
 
 impl Drop for Subscription {
     fn drop(&mut self) {
-        let Self(listening) = self;
-        listening.is_over.store(true, Ordering::Relaxed);
-        listening.subscriber.close();
+        let Self(shared) = self;
+        shared.is_ended.store(true, Ordering::Relaxed);
+        shared.subscriber.close();
     }
 }

@@ -1,14 +1,14 @@
-//! Owns transfers in blocking form.
+//! Implements transfers in blocking form.
 use std::{sync::Arc, time::Duration};
-
-use tokio::time::timeout;
 
 use super::{Robot, Runtime};
 use crate::{
-    session, Error, Name, Pattern, ReceiveTransfers, Received, Topic, Transfer, TransferSource,
+    session, Error, Name, Pattern, ReceiveOptions, Received, Topic, Transfer, TransferSource,
 };
 
-/// The transfers that come; an iterator that waits for the next one that ends. It ends when the session is closed.
+/// Receives transfers; created by [`Robot::receive_transfers`].
+///
+/// The iterator blocks until the next transfer ends, and ends when the session is closed. Dropping it stops receiving.
 #[derive(Debug)]
 pub struct Transfers {
     transfers: session::Transfers,
@@ -16,36 +16,47 @@ pub struct Transfers {
 }
 
 impl Robot {
-    /// Sends a file or bytes of any size; [`Transfer::wait`] begins it, and waits until the robot has all of it.
+    /// Prepares a transfer of a file or buffer of any size to `robot`. [`Transfer::wait`] starts it, and blocks until the
+    /// receiver has verified the whole content.
     ///
     /// ```no_run
-    /// # fn sent(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// # fn send(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
     /// robot.transfer("wombat-2", "maps/hall", std::path::Path::new("hall.png"))?.wait()?;
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// As [`crate::Robot::transfer`].
+    /// Returns the same errors as [`crate::Robot::transfer`].
     pub fn transfer<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
-        to: N,
+        robot: N,
         topic: T,
         source: impl Into<TransferSource>,
     ) -> Result<Transfer, Error>
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        self.robot.transfer(to, topic, source)
+        self.robot.transfer(robot, topic, source)
     }
 
-    /// Takes what robots send of a pattern.
+    /// Receives the transfers to this robot that match `pattern`, such as `*/maps/*`.
+    ///
+    /// ```no_run
+    /// # fn receive(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// let options = rect::ReceiveOptions::in_folder("/var/lib/maps", 100 << 20);
+    /// for map in robot.receive_transfers("*/maps/*", options)? {
+    ///     let map = map?;
+    ///     println!("{} of {}: {:?}", map.topic, map.sender, map.content);
+    /// }
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// As [`crate::Robot::receive_transfers`].
+    /// Returns the same errors as [`crate::Robot::receive_transfers`].
     pub fn receive_transfers<P: TryInto<Pattern>>(
         &self,
         pattern: P,
-        options: ReceiveTransfers,
+        options: ReceiveOptions,
     ) -> Result<Transfers, Error>
     where
         Error: From<P::Error>,
@@ -59,9 +70,13 @@ impl Robot {
 }
 
 impl Transfers {
-    /// The next one that ends; `None`: none did within that time, or the session was closed.
-    pub fn next_within(&mut self, time: Duration) -> Option<Result<Received, Error>> {
-        let next = async { timeout(time, self.transfers.next()).await };
+    /// Blocks until the next transfer ends, and returns it; returns `None` if none ends within `timeout`, or if the session
+    /// is closed.
+    ///
+    /// # Errors
+    /// [`Error::TransferFailed`] if the transfer failed. Further calls return the other transfers.
+    pub fn next_timeout(&mut self, timeout: Duration) -> Option<Result<Received, Error>> {
+        let next = async { tokio::time::timeout(timeout, self.transfers.next()).await };
         self.runtime.wait(next).ok().flatten()
     }
 }

@@ -1,5 +1,5 @@
-//! Owns numeric arrays: numbers of one type in up to 8 dimensions, little endian, the last index running fastest, and how
-//! they are sent: `application/octet-stream;array;f32;480x640`.
+//! Defines numeric arrays: numbers of one type in up to 8 dimensions, little endian, with the last index varying
+//! fastest. They are sent with the encoding `application/octet-stream;array;f32;480x640`.
 use bytes::Bytes;
 
 use super::{
@@ -9,10 +9,10 @@ use super::{
 };
 
 const KIND: &str = "array";
-/// The most dimensions.
+/// The maximum number of dimensions.
 pub const MAX_DIMENSIONS: usize = 8;
 
-/// Numbers of one type. Cloning shares them.
+/// An array of numbers of one type. Clones share the numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Array {
     element: Element,
@@ -20,13 +20,13 @@ pub struct Array {
     bytes: Bytes,
 }
 
-/// A Rust type that arrays may have.
+/// A Rust type that can be the element of an array.
 pub trait Number: Copy + sealed::Sealed {
-    /// What it is called.
+    /// The element type.
     const ELEMENT: Element;
-    /// Appends it, little endian.
+    /// Appends the number, little endian.
     fn write(self, bytes: &mut Vec<u8>);
-    /// Reads one of exactly [`Element::bytes`].
+    /// Reads a number from exactly [`Element::bytes`] bytes. Returns `None` if there are more or fewer.
     fn read(bytes: &[u8]) -> Option<Self>;
 }
 
@@ -36,22 +36,22 @@ mod sealed {
 
 macro_rules! elements {
     ($($name:ident $rust:ident),*) => {
-        /// The type of an array's numbers.
+        /// The element type of an array.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Element {
             $(#[doc = concat!("`", stringify!($rust), "`.")] $name,)*
         }
 
         impl Element {
-            /// All there are.
+            /// All element types.
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// As in an encoding.
+            /// Returns the name that encodings use.
             pub fn as_str(self) -> &'static str {
                 match self { $(Self::$name => stringify!($rust),)* }
             }
 
-            /// How many bytes one takes.
+            /// Returns the size of one number, in bytes.
             pub fn bytes(self) -> usize {
                 match self { $(Self::$name => size_of::<$rust>(),)* }
             }
@@ -82,10 +82,11 @@ impl Element {
 }
 
 impl Array {
-    /// Of bytes, little endian.
+    /// Creates an array from the bytes of its numbers, little endian.
     ///
     /// # Errors
-    /// Not one to eight dimensions, or not the number of bytes that they make ([`CodecError::Damaged`]).
+    /// Returns [`CodecError::Damaged`] if there are not one to eight dimensions, or if the number of bytes does not
+    /// match them.
     pub fn new(
         element: Element,
         shape: &[usize],
@@ -94,7 +95,7 @@ impl Array {
         let bytes = bytes.into();
         if size(element, shape, &Limits::any())? != bytes.len() {
             let text = text(element, shape);
-            let reason = format!("{} bytes are not the numbers of {text}", bytes.len());
+            let reason = format!("{} bytes are not the size of {text}", bytes.len());
             return Err(damaged(reason));
         }
         let shape = shape.to_vec();
@@ -105,32 +106,33 @@ impl Array {
         })
     }
 
-    /// Of numbers.
+    /// Creates an array from numbers.
     ///
     /// # Errors
-    /// Not one to eight dimensions, or not as many numbers as they make ([`CodecError::Damaged`]).
+    /// Returns [`CodecError::Damaged`] if there are not one to eight dimensions, or if the count of numbers does not
+    /// match them.
     pub fn of<T: Number>(shape: &[usize], numbers: &[T]) -> Result<Self, CodecError> {
         let mut bytes = Vec::with_capacity(size_of_val(numbers));
         numbers.iter().for_each(|number| number.write(&mut bytes));
         Self::new(T::ELEMENT, shape, bytes)
     }
 
-    /// The type of its numbers.
+    /// Returns the element type.
     pub fn element(&self) -> Element {
         self.element
     }
 
-    /// Its dimensions, the one that runs slowest first.
+    /// Returns the dimensions. The index of the last one varies fastest.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
 
-    /// Its numbers, little endian.
+    /// Returns the bytes of the numbers, little endian.
     pub fn bytes(&self) -> &Bytes {
         &self.bytes
     }
 
-    /// Its numbers; `None`: they are of another type.
+    /// Returns the numbers. `None` if they are of another type than `T`.
     pub fn numbers<T: Number>(&self) -> Option<Vec<T>> {
         if self.element != T::ELEMENT {
             return None;
@@ -139,7 +141,7 @@ impl Array {
         numbers.map(T::read).collect()
     }
 
-    /// A raw one; `None`: the payload is something else.
+    /// Reads a raw array. Returns `None` if the payload is something else.
     pub(super) fn raw(payload: &Payload, limits: &Limits) -> Option<Result<Self, CodecError>> {
         let schema = payload.encoding.schema()?.strip_prefix(KIND)?;
         let schema = schema.strip_prefix(';')?;
@@ -154,7 +156,7 @@ impl Array {
         };
         Some(match described() {
             None => Err(damaged(format!(
-                "{schema:?} does not say how its numbers lie"
+                "{schema:?} is not a valid element type and shape"
             ))),
             Some((element, shape)) => size(element, &shape, limits)
                 .and_then(|_| Self::new(element, &shape, payload.bytes.clone())),
@@ -167,7 +169,7 @@ impl Array {
     }
 }
 
-/// The bytes of an array of this shape, if it may be.
+/// Returns the size of an array of this shape in bytes, if the limits allow it.
 pub(super) fn size(
     element: Element,
     shape: &[usize],
@@ -176,10 +178,10 @@ pub(super) fn size(
     if !(1..=MAX_DIMENSIONS).contains(&shape.len()) {
         let found = shape.len();
         return Err(damaged(format!(
-            "it has {found} dimensions, and may have 1 to {MAX_DIMENSIONS}"
+            "it has {found} dimensions, but must have 1 to {MAX_DIMENSIONS}"
         )));
     }
-    // One of no length is empty; the others are to be possible all the same.
+    // An array with an empty dimension has no bytes, but its other dimensions must be within the limits nevertheless.
     let lengths = shape.iter().map(|&length| length.max(1) as u64);
     let bytes = lengths.fold(element.bytes() as u64, u64::saturating_mul);
     let bytes = limits.bytes(KIND, bytes)?;
@@ -209,15 +211,16 @@ impl ToPayload for Array {
 }
 
 impl Payload {
-    /// As an array: a raw or a quantised one.
+    /// Reads the payload as an array, raw or quantised.
     ///
     /// # Errors
-    /// It is something else ([`PayloadError::Other`]), damaged or too large ([`PayloadError::Codec`]).
+    /// Returns [`PayloadError::Mismatch`] if the payload is something else, and [`PayloadError::Codec`] if it is
+    /// damaged or too large.
     pub fn array(&self, limits: &Limits) -> Result<Array, PayloadError> {
         if self.encoding.as_str() == quantised::ENCODING {
             return Ok(quantised::read(&self.bytes, limits)?);
         }
-        Ok(Array::raw(self, limits).ok_or_else(|| self.other("an array"))??)
+        Ok(Array::raw(self, limits).ok_or_else(|| self.mismatch("an array"))??)
     }
 }
 

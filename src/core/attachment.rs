@@ -1,44 +1,45 @@
-//! Owns the attachment: what goes with a message beside its payload, in 4 to 14 bytes.
+//! Encodes the attachment of a message: 4 to 14 bytes of metadata beside the payload.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
-//! | 1 | `0xF8` and three flags; no text in UTF-8 begins with such a byte, so that a stock program's attachment is not taken for one |
-//! | 2 | the source: a number that each publisher draws when it starts, little endian |
+//! | 1 | `0xF8` plus three flags. No text in UTF-8 begins with such a byte, so that attachments of other Zenoh programs are not mistaken for RECT's |
+//! | 2 | the source: a random number that each publisher chooses when it starts, little endian |
 //! | 1 to 5 | the sequence number of the message at that source, LEB128 |
-//! | 6 | with flag 1: when it was sent, milliseconds since 1970 by the sender's clock, little endian |
-//! | 2 | with flag 2 instead: the low 16 bits of that; a stream's frames, of which the age counts and not the day |
+//! | 6 | with flag 1: the time of sending in milliseconds since 1970 by the sender's clock, little endian |
+//! | 2 | with flag 2 instead: the low 16 bits of that time; for frames of a stream, of which only the age matters |
 
 const MARK: u8 = 0xF8;
 const TIME: u8 = 1;
 const SHORT_TIME: u8 = 2;
 
-/// The longest, in bytes.
+/// The maximum length of an attachment, in bytes.
 pub const MAX_BYTES: usize = 14;
 
-/// When a message was sent.
+/// The time at which a message was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// Not said.
+    /// The attachment contains no time.
     Unknown,
-    /// Milliseconds since 1970, by the sender's clock; 48 bits.
+    /// Milliseconds since 1970 by the sender's clock; 48 bits.
     At(u64),
-    /// The low 16 bits of that.
+    /// The low 16 bits of the same number.
     Low(u16),
 }
 
-/// What goes with a message.
+/// The metadata that is sent with the payload of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attachment {
-    /// Which publisher it is of: two programs of a robot may speak about the same, and a program may have been restarted.
+    /// The source: a random number that identifies one run of a publisher. Two programs of a robot may publish the same
+    /// topic, and a program may be restarted.
     pub source: u16,
-    /// Its number there; after the highest, 0.
+    /// The sequence number of the message at its source, modulo 2^32.
     pub sequence: u32,
-    /// When it was sent.
+    /// The time at which the message was sent.
     pub sent: Sent,
 }
 
 impl Attachment {
-    /// As bytes.
+    /// Encodes the attachment.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(MAX_BYTES);
         bytes.push(match self.sent {
@@ -61,7 +62,8 @@ impl Attachment {
         bytes
     }
 
-    /// From bytes; `None`: they are something else, such as a stock program's own attachment.
+    /// Decodes an attachment. Returns `None` if the bytes are something else, such as the attachment of another Zenoh
+    /// program.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (&flags, rest) = bytes.split_first()?;
         let (source, mut rest) = rest.split_first_chunk()?;
@@ -98,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_comes_back_and_is_as_short_as_said() {
+    fn attachments_round_trip_in_few_bytes() {
         let cases = [
             (0, Sent::Unknown, 4),
             (127, Sent::Low(65535), 6),
@@ -118,19 +120,19 @@ mod tests {
                 assert_eq!(Attachment::decode(&encoded[..cut]), None, "cut to {cut}");
             }
             let longer = [encoded.as_slice(), &[0]].concat();
-            assert_eq!(Attachment::decode(&longer), None, "one more");
+            assert_eq!(Attachment::decode(&longer), None, "one byte too many");
         }
     }
 
     #[test]
-    fn what_others_attach_is_theirs() {
+    fn attachments_of_other_programs_are_rejected() {
         for other in ["", "text", "{\"a\":1}", "ÿþ", "日本"] {
             assert_eq!(Attachment::decode(other.as_bytes()), None, "{other}");
         }
         assert_eq!(
             Attachment::decode(&[MARK | 4, 0, 0, 0]),
             None,
-            "of a later version"
+            "a later version"
         );
         assert_eq!(
             Attachment::decode(&[MARK, 0, 0, 255, 255, 255, 255, 127]),

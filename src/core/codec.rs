@@ -1,11 +1,11 @@
-//! Owns what all codecs have in common: [`Codec`], which turns a payload into a smaller one and back, the [`Limits`] of a
-//! decoder, and the choice of one: by the user's words ([`parse`]) or by a payload's encoding ([`decode`]).
+//! Defines [`Codec`], which encodes payloads into smaller ones and decodes them, the [`Limits`] of decoders, and the
+//! choice of a codec: by a specification of the user ([`parse`]) or by a payload's encoding ([`decode`]).
 //!
-//! | spec | takes | makes |
+//! | specification | input | output |
 //! |---|---|---|
-//! | `none` | anything | the same |
-//! | `zstd[:level]`, 1 to 19, default 3 | anything | `<encoding>;zstd` |
-//! | [`Packed`](dictionary::Packed), made of a dictionary | anything | `<encoding>;zstd` |
+//! | `none` | any payload | the same payload |
+//! | `zstd[:level]`, 1 to 19, default 3 | any payload | `<encoding>;zstd` |
+//! | [`DictionaryCodec`](dictionary::DictionaryCodec), created from a dictionary | any payload | `<encoding>;zstd` |
 //! | `png` | raw pictures | `image/png` |
 //! | `jpeg[:quality]`, 1 to 100, default 80 | raw pictures | `image/jpeg` |
 //! | `webp[:quality]`, 1 to 100, default 80 | raw pictures | `image/webp` |
@@ -22,31 +22,31 @@ pub mod quantised;
 pub mod webp;
 pub mod zstd;
 
-/// A way to make payloads smaller. Lossless ones ("packings") add a part to the encoding, and are undone before a program
-/// sees the payload; those of pictures and arrays have an encoding of their own.
+/// Makes payloads smaller. Lossless codecs append a part to the encoding, and are decoded before a program receives the
+/// payload; codecs for pictures and arrays produce an encoding of their own.
 pub trait Codec: fmt::Debug + Send + Sync {
-    /// What the user calls it, with its options, as [`parse`] reads it: `zstd:3`.
+    /// Returns the name with all options, in the form that [`parse`] reads: `zstd:3`.
     fn name(&self) -> String;
 
-    /// Makes it smaller.
+    /// Encodes a payload.
     ///
     /// # Errors
-    /// The payload is of a kind that this codec is not for, or too large.
+    /// Returns an error if the codec does not support this kind of payload, or if the payload is too large.
     fn encode(&self, payload: &Payload) -> Result<Payload, CodecError>;
 
-    /// Undoes it, for what has an encoding that this codec makes.
+    /// Decodes a payload whose encoding is one that this codec produces.
     ///
     /// # Errors
-    /// The bytes are not what the encoding says, or there is more in them than `limits` allow.
+    /// Returns an error if the bytes are invalid, or if the result would exceed `limits`.
     fn decode(&self, payload: &Payload, limits: &Limits) -> Result<Payload, CodecError>;
 }
 
-/// What a decoder may take, whatever a peer sends.
+/// The limits of a decoder, which protect a receiver against malicious peers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// The most bytes that come out of one payload; default 64 MiB.
+    /// Maximum size of a decoded payload, in bytes. Default: 64 MiB.
     pub max_bytes: usize,
-    /// The most pixels of one picture; default 16 million.
+    /// Maximum number of pixels of a picture. Default: 16 million.
     pub max_pixels: usize,
 }
 
@@ -59,81 +59,86 @@ impl Default for Limits {
     }
 }
 
-/// A codec can't do it.
+/// A codec cannot be created, or cannot encode or decode a payload.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CodecError {
-    /// No codec of that name. The text lists them.
-    #[error("there is no codec {name:?}; there are: {known}")]
+    /// There is no codec of that name. The message lists those that exist.
+    #[error("there is no codec {name:?}; available codecs: {available}")]
     Unknown {
-        /// What was given.
+        /// The name that was given.
         name: String,
-        /// Those there are, with their options.
-        known: &'static str,
+        /// The available codecs, with their options.
+        available: &'static str,
     },
-    /// An option that the codec does not have, or a value out of its range.
-    #[error("{codec}: {value:?} is not its option: {wanted}")]
+    /// The codec does not have the option, or its value is out of range.
+    #[error("{codec}: invalid option {value:?}: expected {expected}")]
     Option {
-        /// Which codec.
+        /// The name of the codec.
         codec: &'static str,
-        /// What was given.
+        /// The value that was given.
         value: String,
-        /// What it takes.
-        wanted: &'static str,
+        /// The expected option.
+        expected: &'static str,
     },
-    /// It is not for such payloads.
-    #[error("{codec} is not for {found}: it is for {wanted}")]
+    /// The codec does not support this kind of payload.
+    #[error("{codec} cannot process {found}: it requires {expected}")]
     Kind {
-        /// Which codec.
+        /// The name of the codec.
         codec: &'static str,
-        /// What the payload is.
+        /// The encoding of the payload.
         found: Encoding,
-        /// What it takes.
-        wanted: &'static str,
+        /// The supported payloads.
+        expected: &'static str,
     },
-    /// The bytes are wrong or cut off.
-    #[error("this is no valid {format}: {reason}")]
+    /// The bytes are invalid or truncated.
+    #[error("invalid {format}: {reason}")]
     Damaged {
-        /// Which format.
+        /// The format.
         format: &'static str,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
-    /// There is more in it than may come out.
-    #[error("this {format} holds {found}, and {limit} is the limit")]
+    /// The decoded payload would exceed a limit.
+    #[error("this {format} is too large: {found}; the limit is {limit}")]
     TooLarge {
-        /// Which format.
+        /// The format.
         format: &'static str,
-        /// How much it would be, with its unit, as far as known.
+        /// The decoded size with its unit, as far as it is known.
         found: String,
-        /// How much may be, with its unit.
+        /// The limit with its unit.
         limit: String,
     },
-    /// The dictionary that it was made with is not here (yet).
-    #[error("made with the dictionary {id}, which is not known here: the sender's program has it")]
+    /// The payload was encoded with a dictionary that this program does not have (yet).
+    #[error("encoded with the dictionary {id}, which this program does not have: the sender must share it")]
     Dictionary {
-        /// Its id.
+        /// The id of the dictionary.
         id: u32,
     },
-    /// It could not be written, mostly for want of memory.
-    #[error("{codec} could not write it: {reason}")]
+    /// Encoding failed, in most cases because there is not enough memory.
+    #[error("{codec} failed: {reason}")]
     Failed {
-        /// Which codec.
+        /// The name of the codec.
         codec: &'static str,
-        /// What the library says.
+        /// The reason that the library reports.
         reason: String,
     },
 }
 
-const KNOWN: &str =
+const AVAILABLE: &str =
     "none, zstd[:1 to 19], png, jpeg[:1 to 100], webp[:1 to 100], quantised:<largest error>";
 
-/// Packings within one another: deeper ones have no use but to keep a receiver busy.
+/// The maximum number of nested compressed frames. Deeper nesting serves no purpose and would keep a receiver busy.
 const MAX_NESTING: usize = 2;
 
-/// The codec of a spec, such as `jpeg:60`; the module's table lists them.
+/// Creates the codec of a specification such as `jpeg:60`. The module's table lists them.
+///
+/// ```
+/// assert_eq!(rect::core::codec::parse("zstd")?.name(), "zstd:3");
+/// # Ok::<(), rect::core::codec::CodecError>(())
+/// ```
 ///
 /// # Errors
-/// [`CodecError::Unknown`], [`CodecError::Option`].
+/// Returns [`CodecError::Unknown`] or [`CodecError::Option`].
 pub fn parse(spec: &str) -> Result<Arc<dyn Codec>, CodecError> {
     let (name, option) = match spec.split_once(':') {
         Some((name, option)) => (name, Some(option)),
@@ -147,22 +152,22 @@ pub fn parse(spec: &str) -> Result<Arc<dyn Codec>, CodecError> {
         webp::NAME => Arc::new(webp::Webp::parse(option)?),
         quantised::NAME => Arc::new(quantised::Quantised::parse(option)?),
         _ => {
-            let (name, known) = (shown(spec), KNOWN);
-            return Err(CodecError::Unknown { name, known });
+            let (name, available) = (shown(spec), AVAILABLE);
+            return Err(CodecError::Unknown { name, available });
         }
     })
 }
 
-/// Whether there are packings to undo.
-pub fn is_packed(encoding: &Encoding) -> bool {
-    encoding.unpacked(zstd::NAME).is_some()
+/// Returns whether a payload with this encoding must be decoded with [`decode`].
+pub fn is_encoded(encoding: &Encoding) -> bool {
+    encoding.without_suffix(zstd::NAME).is_some()
 }
 
-/// Undoes the packings of what a peer sent. Pictures and arrays stay as they are ([`Payload::picture`],
-/// [`Payload::array`]), and so does what has an encoding that is not known here.
+/// Decodes the lossless codecs of a payload. Pictures and arrays stay as they are (see [`Payload::picture`] and
+/// [`Payload::array`]), and so do payloads of unknown encodings.
 ///
 /// # Errors
-/// What is packed is damaged, too large, or made with a dictionary that is not in `dictionaries`.
+/// Returns a [`CodecError`] if the payload is damaged or too large, or if its dictionary is not among `dictionaries`.
 pub fn decode(
     payload: &Payload,
     limits: &Limits,
@@ -170,23 +175,23 @@ pub fn decode(
 ) -> Result<Payload, CodecError> {
     let mut payload = payload.clone();
     let mut depth = 0;
-    while let Some(encoding) = payload.encoding.unpacked(zstd::NAME) {
+    while let Some(encoding) = payload.encoding.without_suffix(zstd::NAME) {
         depth += 1;
         if depth > MAX_NESTING {
             return Err(CodecError::TooLarge {
                 format: zstd::NAME,
-                found: format!("more than {MAX_NESTING} packings in one another"),
+                found: format!("more than {MAX_NESTING} nested frames"),
                 limit: MAX_NESTING.to_string(),
             });
         }
-        let bytes = zstd::unpack(&payload.bytes, limits.max_bytes, dictionaries)?;
+        let bytes = zstd::decompress(&payload.bytes, limits.max_bytes, dictionaries)?;
         payload = Payload::new(bytes, encoding);
     }
     Ok(payload)
 }
 
 impl Limits {
-    /// For what is here already, such as a program's own.
+    /// No limits, for data that is already in memory.
     pub(super) fn any() -> Self {
         Self {
             max_bytes: isize::MAX as usize,
@@ -194,7 +199,7 @@ impl Limits {
         }
     }
 
-    /// The bytes of a picture of these dimensions, if it may be.
+    /// Returns the size in bytes of a picture of these dimensions, if the limits allow it.
     pub(super) fn picture(
         &self,
         format: &'static str,
@@ -215,7 +220,7 @@ impl Limits {
         self.bytes(format, pixels.saturating_mul(channels as u64))
     }
 
-    /// So many bytes, if they may be.
+    /// Returns `bytes` if the limits allow it.
     pub(super) fn bytes(&self, format: &'static str, bytes: u64) -> Result<usize, CodecError> {
         match usize::try_from(bytes) {
             Ok(bytes) if bytes <= self.max_bytes => Ok(bytes),
@@ -233,30 +238,30 @@ fn damaged(format: &'static str, reason: impl fmt::Display) -> CodecError {
     CodecError::Damaged { format, reason }
 }
 
-/// What a user wrote, not repeated whole if it is long.
+/// Returns the beginning of a user's input, for an error message.
 fn shown(text: &str) -> String {
     text.chars().take(60).collect()
 }
 
-/// For codecs without options.
+/// Rejects an option, for codecs that have none.
 fn no_option(codec: &'static str, option: Option<&str>) -> Result<(), CodecError> {
     match option {
         None => Ok(()),
         Some(value) => Err(CodecError::Option {
             codec,
             value: shown(value),
-            wanted: "it has none",
+            expected: "none",
         }),
     }
 }
 
-/// A whole number out of a range, or the default.
+/// Parses a whole number within a range, or returns the default.
 fn number(
     codec: &'static str,
     option: Option<&str>,
     range: std::ops::RangeInclusive<u8>,
     default: u8,
-    wanted: &'static str,
+    expected: &'static str,
 ) -> Result<u8, CodecError> {
     let Some(text) = option else {
         return Ok(default);
@@ -267,7 +272,7 @@ fn number(
         _ => Err(CodecError::Option {
             codec,
             value: shown(text),
-            wanted,
+            expected,
         }),
     }
 }

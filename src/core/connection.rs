@@ -1,25 +1,24 @@
-//! Owns connections as a router's registry tells of them (docs/registry.md; the router writes these), and what is news
-//! among them.
+//! Defines connections as a router's registry reports them (docs/registry.md), and derives events from their changes.
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use super::name::Name;
 
-/// Whether a connection carries messages.
+/// The state of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ConnectionState {
-    /// It does.
+    /// The connection has a link and carries messages.
     Connected,
-    /// It is wanted, and dialled until it does.
+    /// The router is dialling the peer.
     Connecting,
-    /// A robot of the fleet is heard by Bluetooth, and not linked.
+    /// A robot of the fleet whose Bluetooth advertisement was received, and to which there is no link.
     Discovered,
 }
 
 impl ConnectionState {
-    /// By its name.
+    /// Parses the name of a state.
     pub fn parse(text: &str) -> Option<Self> {
         match text {
             "connected" => Some(Self::Connected),
@@ -33,36 +32,36 @@ impl ConnectionState {
 /// A connection of a robot's router.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Connection {
-    /// As the file of connections names it, if it does.
+    /// Name in the connections file, if it has one.
     pub name: Option<String>,
-    /// `ble`, `tcp`, `udp`, ...
+    /// Method of the link: `ble`, `tcp`, `udp` and so on.
     pub method: String,
-    /// Whom or where, without the method.
+    /// Address of the peer, without the method.
     pub address: String,
-    /// Whether it carries messages.
+    /// State of the connection.
     pub state: ConnectionState,
-    /// Who is at the other end, once that is known.
+    /// The peer, once it is known.
     pub peer: Option<PeerId>,
-    /// For how long it has been there, in seconds.
+    /// How long the link has been up, in seconds.
     pub up_s: Option<f64>,
-    /// What went out, where it is counted.
+    /// Sent traffic, if it is counted.
     pub sent: Option<Traffic>,
-    /// What came, where it is counted.
+    /// Received traffic, if it is counted.
     pub received: Option<Traffic>,
-    /// There and back, in milliseconds, where it is measured.
+    /// Round trip in milliseconds, if it is measured.
     pub round_trip_ms: Option<f64>,
-    /// How strong its signal is, in dBm, where it was heard within a minute.
+    /// Signal strength in dBm, if an advertisement was received within the last minute.
     pub rssi_dbm: Option<i16>,
-    /// How often it was made.
+    /// How often the connection was established.
     pub linked: Option<u64>,
-    /// Attempts that came to nothing since then.
+    /// Attempts that have failed since it was last established.
     pub failed: Option<u64>,
-    /// What went wrong last.
-    pub last_error: Option<Trouble>,
+    /// The last failure.
+    pub last_error: Option<Failure>,
 }
 
 impl Connection {
-    /// One of which no more is known.
+    /// Creates a connection of which nothing else is known.
     pub fn of(method: &str, address: &str, state: ConnectionState) -> Self {
         Self {
             name: None,
@@ -82,21 +81,21 @@ impl Connection {
     }
 }
 
-/// Somebody at the other end.
+/// The router or program at the other end of a connection.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PeerId {
-    /// Zenoh's id of its router or program.
+    /// Zenoh id of the router or program.
     pub id: String,
-    /// The robot, where it is one of RECT.
+    /// Name of the robot, if the peer uses RECT.
     pub robot: Option<String>,
 }
 
-/// What went one way.
+/// Traffic in one direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Traffic {
-    /// Batches of Zenoh: one or more messages each, or a part of one. `None`: only bytes are counted.
+    /// Zenoh batches: one or more messages each, or a fragment of one. `None` if only bytes are counted.
     pub batches: Option<u64>,
-    /// Their bytes.
+    /// Bytes of these batches.
     pub bytes: u64,
 }
 
@@ -120,60 +119,61 @@ impl std::ops::Add for Traffic {
     }
 }
 
-/// What went wrong.
+/// A failure of a connection.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Trouble {
-    /// In words.
+pub struct Failure {
+    /// Description of the failure.
     pub what: String,
-    /// How long ago, in seconds.
+    /// Age of the failure, in seconds.
     pub ago_s: f64,
 }
 
-/// Something has changed about who can be reached.
+/// A change of the links, the reachable robots, or the router.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Event {
-    /// A robot of the fleet is there.
+    /// A robot of the fleet can be reached.
     PeerUp {
-        /// Which.
+        /// The robot.
         robot: Name,
     },
-    /// It is gone, or cannot be reached any more.
+    /// A robot of the fleet cannot be reached any more.
     PeerDown {
-        /// Which.
+        /// The robot.
         robot: Name,
     },
-    /// This robot has a link more. It comes again, with the robot, if the link turns out to lead to one later on.
+    /// This robot has a new link. The event is repeated, with the robot, when it becomes known which robot the link
+    /// leads to.
     LinkUp(Link),
-    /// It has one less.
+    /// A link of this robot has ended.
     LinkDown(Link),
-    /// This program has its router (again).
+    /// The program has connected to its router, or reconnected.
     RouterUp,
-    /// This program has lost its router. Zenoh looks for it by itself.
+    /// The program has lost its router. Zenoh reconnects by itself.
     RouterDown,
 }
 
-/// A link of this robot's router; without a router, of this program.
+/// A link of this robot's router or, without a router, of this program.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Link {
-    /// Over which radio or wire: `ble`, `tcp`, `udp`, ...
+    /// Method of the link: `ble`, `tcp`, `udp` and so on.
     pub method: String,
-    /// Where it leads.
+    /// Address of the peer.
     pub address: String,
-    /// To which robot, where that is known.
+    /// Name of the peer's robot, if it is known.
     pub robot: Option<Name>,
 }
 
-/// The links there are, to tell what is news.
+/// Keeps track of the current links, to report changes as events.
 #[derive(Debug, Default)]
 pub struct Links {
-    /// By method and address: the robot at the other end, once that is known.
+    /// The robot at the other end, if it is known, by method and address.
     links: BTreeMap<(String, String), Option<Name>>,
 }
 
 impl Links {
-    /// Returns what has changed, given all connections as they are now. Which robot a link leads to is known a moment after
-    /// the link, and forgotten a moment before its end: neither is a link less.
+    /// Returns the events since the previous call, given all current connections. The robot of a link becomes known
+    /// shortly after the link comes up, and unknown shortly before it ends; neither counts as the end of the link.
     pub fn on_connections(&mut self, connections: &[Connection]) -> Vec<Event> {
         let mut now: BTreeMap<_, Option<Name>> = BTreeMap::new();
         let connected = |one: &&Connection| one.state == ConnectionState::Connected;
@@ -187,29 +187,29 @@ impl Links {
             *known = known.take().or(robot);
         }
         let before = std::mem::take(&mut self.links);
-        let (mut gone, mut new) = (Vec::new(), Vec::new());
+        let (mut down, mut up) = (Vec::new(), Vec::new());
         for (ends, robot) in &mut now {
             match (before.get(ends), robot.as_ref()) {
                 (Some(before), None) => robot.clone_from(before),
                 (Some(Some(before)), Some(robot)) if before == robot => {}
                 (Some(Some(before)), Some(_)) => {
-                    gone.push(Event::LinkDown(Link::between(ends, Some(before))));
-                    new.push(Event::LinkUp(Link::between(ends, robot.as_ref())));
+                    down.push(Event::LinkDown(Link::between(ends, Some(before))));
+                    up.push(Event::LinkUp(Link::between(ends, robot.as_ref())));
                 }
                 (Some(None) | None, _) => {
-                    new.push(Event::LinkUp(Link::between(ends, robot.as_ref())));
+                    up.push(Event::LinkUp(Link::between(ends, robot.as_ref())));
                 }
             }
         }
         for (ends, robot) in before.iter().filter(|(ends, _)| !now.contains_key(*ends)) {
-            gone.push(Event::LinkDown(Link::between(ends, robot.as_ref())));
+            down.push(Event::LinkDown(Link::between(ends, robot.as_ref())));
         }
         self.links = now;
-        gone.append(&mut new);
-        gone
+        down.append(&mut up);
+        down
     }
 
-    /// By what a robot is linked with this one; `None`: not at all, or by several methods.
+    /// Returns the method of the links to a robot. `None` if there is no link, or if the links have several methods.
     pub fn method(&self, robot: &Name) -> Option<&str> {
         let its = self
             .links
@@ -243,30 +243,30 @@ impl Link {
     }
 }
 
-/// The robots there are, by what says that they are: a robot is there as long as one of its routers or programs is.
+/// Keeps track of the reachable robots. A robot is reachable while at least one of its routers or programs is.
 #[derive(Debug, Default)]
 pub struct Presence {
-    there: BTreeMap<Name, std::collections::BTreeSet<String>>,
+    present: BTreeMap<Name, std::collections::BTreeSet<String>>,
 }
 
 impl Presence {
-    /// One of a robot's has come.
+    /// Handles a new router or program of a robot, identified by `id`.
     pub fn on_up(&mut self, robot: &Name, id: &str) -> Option<Event> {
-        let ids = self.there.entry(robot.clone()).or_default();
+        let ids = self.present.entry(robot.clone()).or_default();
         let first = ids.is_empty();
         ids.insert(id.to_owned());
         let robot = robot.clone();
         first.then_some(Event::PeerUp { robot })
     }
 
-    /// One of a robot's is gone.
+    /// Handles the end of a router or program of a robot.
     pub fn on_down(&mut self, robot: &Name, id: &str) -> Option<Event> {
-        let ids = self.there.get_mut(robot)?;
+        let ids = self.present.get_mut(robot)?;
         ids.remove(id);
         if !ids.is_empty() {
             return None;
         }
-        self.there.remove(robot);
+        self.present.remove(robot);
         let robot = robot.clone();
         Some(Event::PeerDown { robot })
     }
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_new_and_what_is_gone_is_news_once() {
+    fn reports_each_change_of_links_once() {
         use ConnectionState::{Connected, Connecting};
         let mut links = Links::default();
         let both = [
@@ -298,23 +298,23 @@ mod tests {
         ];
         assert_eq!(links.on_connections(&both).len(), 2);
         assert_eq!(links.on_connections(&both), []);
-        let b = Name::new("b").expect("a name");
+        let b = Name::new("b").expect("valid name");
         assert_eq!(links.method(&b), Some("ble"));
         let more = [both[0].clone(), connection("tcp", "b", Connected)];
-        let news = links.on_connections(&more);
+        let events = links.on_connections(&more);
         assert!(
-            matches!(&news[0], Event::LinkDown(link) if link.address == "to-c"),
-            "{news:?}"
+            matches!(&events[0], Event::LinkDown(link) if link.address == "to-c"),
+            "{events:?}"
         );
         assert!(
-            matches!(&news[1], Event::LinkUp(link) if link.method == "tcp"),
-            "{news:?}"
+            matches!(&events[1], Event::LinkUp(link) if link.method == "tcp"),
+            "{events:?}"
         );
-        assert_eq!(links.method(&b), None, "by two methods");
+        assert_eq!(links.method(&b), None, "two methods");
     }
 
     #[test]
-    fn a_link_whose_robot_becomes_known_later_is_not_lost() {
+    fn a_link_keeps_its_robot_while_that_is_unknown() {
         use ConnectionState::Connected;
         let named = connection("ble", "b", Connected);
         let unnamed = Connection {
@@ -324,25 +324,25 @@ mod tests {
         let link = |robot: Option<&str>| Link {
             method: "ble".to_owned(),
             address: "to-b".to_owned(),
-            robot: robot.map(|robot| Name::new(robot).expect("a name")),
+            robot: robot.map(|robot| Name::new(robot).expect("valid name")),
         };
         let mut links = Links::default();
-        // A reconnect, again and again: the link, its robot, its robot forgotten, its end.
+        // Reconnects twice: the link comes up, its robot becomes known and unknown again, the link ends.
         for _ in 0..2 {
-            let news = links.on_connections(std::slice::from_ref(&unnamed));
-            assert_eq!(news, [Event::LinkUp(link(None))]);
-            let news = links.on_connections(std::slice::from_ref(&named));
-            assert_eq!(news, [Event::LinkUp(link(Some("b")))]);
+            let events = links.on_connections(std::slice::from_ref(&unnamed));
+            assert_eq!(events, [Event::LinkUp(link(None))]);
+            let events = links.on_connections(std::slice::from_ref(&named));
+            assert_eq!(events, [Event::LinkUp(link(Some("b")))]);
             assert_eq!(links.on_connections(std::slice::from_ref(&unnamed)), []);
-            let b = Name::new("b").expect("a name");
+            let b = Name::new("b").expect("valid name");
             assert_eq!(links.method(&b), Some("ble"));
-            let news = links.on_connections(&[]);
-            assert_eq!(news, [Event::LinkDown(link(Some("b")))]);
+            let events = links.on_connections(&[]);
+            assert_eq!(events, [Event::LinkDown(link(Some("b")))]);
         }
     }
 
     #[test]
-    fn another_robot_at_the_same_address_is_another_link() {
+    fn reports_a_new_link_if_the_robot_at_an_address_changes() {
         use ConnectionState::Connected;
         let first = connection("tcp", "b", Connected);
         let second = Connection {
@@ -354,16 +354,16 @@ mod tests {
         };
         let mut links = Links::default();
         assert_eq!(links.on_connections(&[first]).len(), 1);
-        let news = links.on_connections(&[second]);
+        let events = links.on_connections(&[second]);
         assert!(
-            matches!(&news[..], [Event::LinkDown(_), Event::LinkUp(_)]),
-            "{news:?}"
+            matches!(&events[..], [Event::LinkDown(_), Event::LinkUp(_)]),
+            "{events:?}"
         );
     }
 
     #[test]
-    fn a_robot_is_there_as_long_as_one_of_its_own_is() {
-        let b = Name::new("b").expect("a name");
+    fn a_robot_is_reachable_while_one_of_its_programs_is() {
+        let b = Name::new("b").expect("valid name");
         let mut presence = Presence::default();
         assert!(presence.on_down(&b, "1").is_none());
         assert!(presence.on_up(&b, "1").is_some());

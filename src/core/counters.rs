@@ -1,29 +1,29 @@
-//! Owns what a program has said and heard, as numbers.
+//! Counts the messages and bytes that a program has sent and received.
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::Serialize;
 
-/// What a program has said and heard, since it joined.
+/// How many messages and bytes a program has sent and received since it joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counters {
-    /// Messages said, answers and requests not counted.
+    /// Messages sent, without requests and replies.
     pub sent: u64,
-    /// Their payloads, in bytes, as they were sent.
+    /// Payload bytes of these messages, after encoding with a codec.
     pub sent_bytes: u64,
-    /// Messages heard, each subscription's.
+    /// Messages received, counted for each subscription.
     pub received: u64,
-    /// Their payloads, in bytes, as they came.
+    /// Payload bytes of these messages, before decoding.
     pub received_bytes: u64,
-    /// Messages that did not arrive, by their numbers.
+    /// Messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
-    /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters, more
-    /// than 200 bytes, reserved parts).
+    /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
+    /// more than 200 bytes, reserved parts).
     pub rejected: u64,
 }
 
-/// The counters where they are counted, by any thread.
+/// Counters that any thread can update.
 #[derive(Debug, Default)]
-pub struct Counting {
+pub struct AtomicCounters {
     sent: AtomicU64,
     sent_bytes: AtomicU64,
     received: AtomicU64,
@@ -32,26 +32,27 @@ pub struct Counting {
     rejected: AtomicU64,
 }
 
-impl Counting {
-    /// A message of so many bytes was said.
+impl AtomicCounters {
+    /// Counts a sent message with a payload of `bytes` bytes.
     pub fn on_sent(&self, bytes: usize) {
         add(&self.sent, 1);
         add(&self.sent_bytes, bytes as u64);
     }
 
-    /// One was heard, and so many before it were not.
+    /// Counts a received message with a payload of `bytes` bytes, and the `missed` messages before it that did not
+    /// arrive.
     pub fn on_received(&self, bytes: usize, missed: u32) {
         add(&self.received, 1);
         add(&self.received_bytes, bytes as u64);
         add(&self.missed, missed.into());
     }
 
-    /// A message with an invalid topic was dropped.
+    /// Counts a message that was dropped because of its invalid topic.
     pub fn on_rejected(&self) {
         add(&self.rejected, 1);
     }
 
-    /// As they are now.
+    /// Returns the current values.
     pub fn read(&self) -> Counters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         Counters {

@@ -1,8 +1,10 @@
-//! Owns dictionaries: what many small messages have in common, kept once at both ends instead of sent with each.
+//! Trains and stores dictionaries: the content that many small messages have in common is kept at both ends instead of
+//! being sent with each message.
 //!
-//! A [`Dictionary`] is a standard zstd one. Its id is made from its content, so that the same content has the same id
-//! everywhere, and frames name it in two bytes: `32768 + crc32(all after the id) mod 32768`. A dictionary that another
-//! program made gets that id, too; [`Dictionary::write`] writes it so that `zstd -D` reads RECT's frames.
+//! A [`Dictionary`] is a standard zstd dictionary. Its id is derived from its content, so that equal content has the
+//! same id everywhere: `32768 + crc32(everything after the id) mod 32768`. Frames refer to it in two bytes. A
+//! dictionary that another program made is assigned that id, too; [`Dictionary::write`] writes it in a form with which
+//! `zstd -D` decompresses RECT's frames.
 use std::{
     collections::{BTreeMap, VecDeque},
     fmt,
@@ -15,86 +17,89 @@ use zstd::zstd_safe::{self, CDict, DDict};
 
 use super::name::Name;
 
-/// The largest dictionary, in bytes: larger ones help no more, and each takes up to ten times as much memory.
+/// The maximum size of a dictionary, in bytes. Larger ones do not compress better, and each takes up to ten times its
+/// size in memory.
 pub const MAX_BYTES: usize = 128 << 10;
-/// The smallest that training may make, in bytes.
+/// The minimum size that training accepts, in bytes.
 pub const MIN_BYTES: usize = 512;
-/// The most of the samples that training looks at, in bytes.
+/// The maximum amount of samples that training reads, in bytes.
 pub const MAX_SAMPLE_BYTES: usize = 64 << 20;
 
 const MAGIC: [u8; 4] = [0x37, 0xA4, 0x30, 0xEC];
-/// The magic number and the id.
+/// The length of the magic number and the id.
 const HEAD_BYTES: usize = 8;
 const LOWEST_ID: u32 = 0x8000;
-/// Higher ones gain a hundredth of small messages, for ten times the time.
+/// The compression level. Higher ones make small messages one percent smaller, in ten times the time.
 const LEVEL: i32 = 3;
 
-/// What many messages have in common.
+/// A zstd dictionary for messages of similar content.
 pub struct Dictionary {
     bytes: Vec<u8>,
     id: u32,
     prepared: Prepared,
 }
 
-/// The dictionary as zstd wants it: made once, used for every message.
+/// The dictionary in zstd's internal form, which is computed once and used for every message.
 pub(super) struct Prepared {
     compress: CDict<'static>,
     decompress: DDict<'static>,
 }
 
-/// It can't be a dictionary, or can't be had.
+/// A dictionary cannot be read, trained or stored.
 #[derive(Debug, thiserror::Error)]
 pub enum DictionaryError {
-    /// Not a zstd dictionary.
-    #[error("this is no zstd dictionary: {0}")]
+    /// The bytes are not a zstd dictionary.
+    #[error("not a zstd dictionary: {0}")]
     Damaged(&'static str),
-    /// Too large.
-    #[error("a dictionary may have {MAX_BYTES} bytes, and this one has more")]
+    /// The dictionary is larger than [`MAX_BYTES`].
+    #[error("the dictionary is too large: at most {MAX_BYTES} bytes are allowed")]
     TooLarge,
-    /// A size out of the range.
-    #[error("a dictionary may be made {MIN_BYTES} to {MAX_BYTES} bytes large, not {0}")]
+    /// The requested size is out of range.
+    #[error("the size of a dictionary must be {MIN_BYTES} to {MAX_BYTES} bytes, not {0}")]
     Size(usize),
-    /// Too few or too uniform samples. Some hundred real messages are wanted, ten times the dictionary's size together.
-    #[error("{samples} samples of {bytes} bytes together make no dictionary ({reason}): give more, and different ones")]
+    /// There are too few samples, or they are too uniform. Use several hundred real messages whose total size is ten
+    /// times that of the dictionary.
+    #[error("cannot train a dictionary on {samples} samples of {bytes} bytes in total ({reason}): use more samples, and more varied ones")]
     Samples {
-        /// How many there were.
+        /// The number of samples.
         samples: usize,
-        /// How large they were together.
+        /// Their total size, in bytes.
         bytes: usize,
-        /// What zstd says.
+        /// The reason that zstd reports.
         reason: &'static str,
     },
-    /// Another dictionary has the same id, which one pair in 32768 has: train it anew, with other samples.
-    #[error("there is another dictionary with the id {0}: train it anew, with other samples")]
-    Taken(u32),
-    /// The file can't be read or written.
+    /// Another dictionary has the same id, with a probability of 1 in 32768. Train the dictionary again with other
+    /// samples.
+    #[error("another dictionary has the id {0}: train it again, with other samples")]
+    IdTaken(u32),
+    /// The file cannot be read or written.
     #[error("the dictionary {}: {source}", path.display())]
     File {
-        /// Which file.
+        /// The path of the file.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
 
 impl Dictionary {
-    /// Reads a zstd dictionary. Its id becomes the one that its content has here.
+    /// Reads a zstd dictionary, and replaces its id by the one derived from its content.
     ///
     /// # Errors
-    /// [`DictionaryError::Damaged`], [`DictionaryError::TooLarge`].
+    /// Returns [`DictionaryError::Damaged`] or [`DictionaryError::TooLarge`].
     pub fn new(bytes: impl Into<Vec<u8>>) -> Result<Self, DictionaryError> {
         let mut bytes = bytes.into();
         if bytes.len() > MAX_BYTES {
             return Err(DictionaryError::TooLarge);
         }
         if !bytes.starts_with(&MAGIC) || bytes.len() <= HEAD_BYTES {
-            let reason = "it does not begin as one does";
+            let reason = "it does not begin with the magic number";
             return Err(DictionaryError::Damaged(reason));
         }
         let id = LOWEST_ID + (crc32fast::hash(&bytes[HEAD_BYTES..]) & (LOWEST_ID - 1));
         bytes[MAGIC.len()..HEAD_BYTES].copy_from_slice(&id.to_le_bytes());
         let prepared =
-            Prepared::new(&bytes).ok_or(DictionaryError::Damaged("zstd can't read its tables"))?;
+            Prepared::new(&bytes).ok_or(DictionaryError::Damaged("zstd cannot read its tables"))?;
         Ok(Self {
             bytes,
             id,
@@ -102,10 +107,11 @@ impl Dictionary {
         })
     }
 
-    /// Makes one, at most `size` bytes large, of messages like those to come: 4 to 16 kB is good for JSON.
+    /// Trains a dictionary of at most `size` bytes on messages like those that will be sent. For JSON, 4 to 16 kB is a
+    /// good size.
     ///
     /// # Errors
-    /// [`DictionaryError::Size`], [`DictionaryError::Samples`].
+    /// Returns [`DictionaryError::Size`] or [`DictionaryError::Samples`].
     pub fn train<S: AsRef<[u8]>>(samples: &[S], size: usize) -> Result<Self, DictionaryError> {
         if !(MIN_BYTES..=MAX_BYTES).contains(&size) {
             return Err(DictionaryError::Size(size));
@@ -120,26 +126,27 @@ impl Dictionary {
             all.extend_from_slice(sample);
             sizes.push(sample.len());
         }
-        let refused = |reason| DictionaryError::Samples {
+        let rejected = |reason| DictionaryError::Samples {
             samples: sizes.len(),
             bytes: all.len(),
             reason,
         };
-        // zstd learns from three quarters, tries on the rest, and reads beyond the end of less than a few bytes.
+        // zstd trains on three quarters of the samples and tests on the rest. If there are fewer than a few bytes, it
+        // reads out of bounds.
         let learned: usize = sizes[..sizes.len() / 4 * 3].iter().sum();
         if learned < MIN_BYTES {
-            return Err(refused("too few"));
+            return Err(rejected("too few"));
         }
         let mut bytes = Vec::with_capacity(size);
         zstd_safe::train_from_buffer(&mut bytes, &all, &sizes)
-            .map_err(|code| refused(zstd_safe::get_error_name(code)))?;
+            .map_err(|code| rejected(zstd_safe::get_error_name(code)))?;
         Self::new(bytes)
     }
 
-    /// Reads a file.
+    /// Reads a dictionary from a file.
     ///
     /// # Errors
-    /// [`DictionaryError::File`], and what [`Dictionary::new`] says of its bytes.
+    /// Returns [`DictionaryError::File`] if the file cannot be read, and the errors of [`Dictionary::new`].
     pub fn read(path: impl AsRef<Path>) -> Result<Self, DictionaryError> {
         let path = path.as_ref();
         let mut bytes = Vec::new();
@@ -149,21 +156,21 @@ impl Dictionary {
         Self::new(bytes)
     }
 
-    /// Writes a file, which the `zstd` command reads, too.
+    /// Writes the dictionary to a file, which the `zstd` command can also read.
     ///
     /// # Errors
-    /// [`DictionaryError::File`].
+    /// Returns [`DictionaryError::File`] if the file cannot be written.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<(), DictionaryError> {
         let path = path.as_ref();
         std::fs::write(path, &self.bytes).map_err(|source| file_error(path, source))
     }
 
-    /// What frames call it, 32768 to 65535.
+    /// Returns the id by which frames refer to the dictionary, 32768 to 65535.
     pub fn id(&self) -> u32 {
         self.id
     }
 
-    /// The standard zstd dictionary.
+    /// Returns the bytes of the standard zstd dictionary.
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -203,80 +210,88 @@ fn file_error(path: &Path, source: io::Error) -> DictionaryError {
     DictionaryError::File { path, source }
 }
 
-/// The dictionaries that are known here, at most [`Dictionaries::MOST`]: one more, and the one that came first is
-/// forgotten. Cloning shares the dictionaries themselves.
+/// The dictionaries that can be used for decoding, at most [`Dictionaries::MAX`]. Adding one more removes the oldest.
+/// Clones share the dictionaries themselves.
 #[derive(Clone, Debug, Default)]
 pub struct Dictionaries(VecDeque<Arc<Dictionary>>);
 
 impl Dictionaries {
-    /// How many are kept.
-    pub const MOST: usize = 16;
+    /// The maximum number of dictionaries.
+    pub const MAX: usize = 16;
 
-    /// This one alone.
+    /// Creates a collection with a single dictionary.
     pub fn of(dictionary: Arc<Dictionary>) -> Self {
         Self([dictionary].into())
     }
 
-    /// Adds one; one that is there already changes nothing.
+    /// Adds a dictionary. Adding one that is already present has no effect.
     ///
     /// # Errors
-    /// [`DictionaryError::Taken`].
+    /// Returns [`DictionaryError::IdTaken`] if another dictionary has the same id.
     pub fn add(&mut self, dictionary: Arc<Dictionary>) -> Result<(), DictionaryError> {
         match self.get(dictionary.id) {
             Some(same) if same.bytes == dictionary.bytes => return Ok(()),
-            Some(_) => return Err(DictionaryError::Taken(dictionary.id)),
+            Some(_) => return Err(DictionaryError::IdTaken(dictionary.id)),
             None => {}
         }
-        if self.0.len() == Self::MOST {
+        if self.0.len() == Self::MAX {
             self.0.pop_front();
         }
         self.0.push_back(dictionary);
         Ok(())
     }
 
-    /// The one that frames call so.
+    /// Returns the dictionary with that id.
     pub fn get(&self, id: u32) -> Option<&Arc<Dictionary>> {
         self.0.iter().find(|dictionary| dictionary.id == id)
     }
 
-    /// All, the oldest first.
+    /// Returns all dictionaries, the oldest first.
     pub fn iter(&self) -> impl Iterator<Item = &Arc<Dictionary>> {
         self.0.iter()
     }
 }
 
-/// The dictionaries of several robots. Each robot's messages are unpacked with that robot's own dictionaries: an id of two
-/// bytes is easily found for other content, so that one robot could change or spoil what is read of another's messages.
+/// The dictionaries of several robots. The messages of each robot are decoded with that robot's own dictionaries: an id
+/// has only two bytes, so that a robot could easily create a dictionary with the id of another one and falsify another
+/// robot's messages.
 #[derive(Debug, Default)]
 pub struct RobotDictionaries(BTreeMap<Name, Dictionaries>);
 
 impl RobotDictionaries {
-    /// How many are kept of all robots together; of one robot, [`Dictionaries::MOST`].
-    pub const MOST: usize = 64;
+    /// The maximum number of dictionaries of all robots together. For each robot it is [`Dictionaries::MAX`].
+    pub const MAX: usize = 64;
 
-    /// The dictionaries of that robot.
+    /// Returns the dictionaries of a robot.
     pub fn of(&self, robot: &Name) -> &Dictionaries {
         static NONE: Dictionaries = Dictionaries(VecDeque::new());
         self.0.get(robot).unwrap_or(&NONE)
     }
 
-    /// Adds one of that robot's, in place of one with the same id. With too many, the robot that has most loses its oldest.
+    /// Adds a dictionary of a robot, replacing one with the same id. If there are too many, the robot that has most
+    /// loses its oldest.
     pub fn add(&mut self, robot: &Name, dictionary: Arc<Dictionary>) {
-        let known = self.0.entry(robot.clone()).or_default();
-        known.0.retain(|known| known.id != dictionary.id);
-        if known.0.len() == Dictionaries::MOST {
-            known.0.pop_front();
+        let dictionaries = self.0.entry(robot.clone()).or_default();
+        dictionaries.0.retain(|known| known.id != dictionary.id);
+        if dictionaries.0.len() == Dictionaries::MAX {
+            dictionaries.0.pop_front();
         }
-        known.0.push_back(dictionary);
-        while self.len() > Self::MOST {
-            let most = self.0.values_mut().max_by_key(|known| known.0.len());
-            most.and_then(|known| known.0.pop_front());
-            self.0.retain(|_, known| !known.0.is_empty());
+        dictionaries.0.push_back(dictionary);
+        while self.len() > Self::MAX {
+            let largest = self
+                .0
+                .values_mut()
+                .max_by_key(|dictionaries| dictionaries.0.len());
+            largest.and_then(|dictionaries| dictionaries.0.pop_front());
+            self.0.retain(|_, dictionaries| !dictionaries.0.is_empty());
         }
     }
 
     fn len(&self) -> usize {
-        self.0.values().map(|known| known.0.len()).sum()
+        self.0
+            .values()
+            .map(|dictionaries| dictionaries.0.len())
+            .sum()
     }
 }
 

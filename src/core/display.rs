@@ -1,16 +1,16 @@
-//! Makes text that came from outside safe to show on a terminal: topics, payloads, errors of services, what a router
-//! reports. Both programs pass every such text through one of these functions before they print it.
+//! Makes text from other robots and programs safe to print on a terminal: topics, payloads, errors of services, reports
+//! of a router. Both programs pass every such text through one of these functions.
 //!
-//! A terminal obeys control characters, and the bidirectional and invisible format characters of Unicode make a line read
-//! as something else than it is. Neither can be allowed to a peer.
+//! A terminal interprets control characters, and Unicode's bidirectional and invisible format characters make text read
+//! differently. A peer must be able to use neither.
 use std::{borrow::Cow, fmt::Write as _};
 
-/// Takes the place of each character that is not shown.
+/// Replaces each character that must not be printed.
 const REPLACEMENT: char = '\u{fffd}';
-/// Begins every line of a paragraph except the first, so that none can be mistaken for a line of the program's own.
+/// Begins every line of a paragraph except the first, so that no line can be mistaken for one of the program itself.
 const INDENT: &str = "\n    ";
 
-/// Returns `text` as one line: each character that a terminal would obey, and each line break, becomes U+FFFD.
+/// Returns `text` as one line. Each harmful character and each line break becomes U+FFFD.
 pub fn line(text: &str) -> Cow<'_, str> {
     if !text.contains(is_harmful) {
         return Cow::Borrowed(text);
@@ -19,7 +19,8 @@ pub fn line(text: &str) -> Cow<'_, str> {
     Cow::Owned(text.chars().map(shown).collect())
 }
 
-/// Returns `text` with its line breaks and tabs. All lines but the first are indented.
+/// Returns `text` with its line breaks and tabs. All lines but the first are indented; harmful characters become
+/// U+FFFD.
 pub fn paragraph(text: &str) -> Cow<'_, str> {
     if !text.contains(is_harmful) {
         return Cow::Borrowed(text);
@@ -40,8 +41,8 @@ pub fn paragraph(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Returns serialised JSON of the same value in which each such character is an escape sequence. Line breaks between the
-/// parts of the JSON stay.
+/// Returns JSON of the same value in which each harmful character is an escape sequence. Line breaks between the parts
+/// of the JSON stay.
 pub fn json(json: &str) -> Cow<'_, str> {
     let is_escaped = |c: char| c != '\n' && is_harmful(c);
     if !json.contains(is_escaped) {
@@ -61,8 +62,8 @@ pub fn json(json: &str) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// Returns whether a terminal would obey the character, or show something else than what is there because of it. The joiners
-/// U+200C and U+200D belong to ordinary text and are allowed. Topics may not contain such a character.
+/// Returns whether a terminal would interpret the character, or display other text because of it. The joiners U+200C
+/// and U+200D are part of ordinary text and are allowed. Topics must not contain harmful characters.
 pub fn is_harmful(c: char) -> bool {
     c.is_control()
         || matches!(c,
@@ -80,7 +81,7 @@ pub fn is_harmful(c: char) -> bool {
 mod tests {
     use super::*;
 
-    /// Sets the window's title, clears the screen and writes a second message of another robot.
+    /// Sets the title of the window, clears the screen, and imitates a message of another robot.
     const ATTACK: &str = "a\x1b]0;pwned\x07\x1b[2Jb\nfake/c: 12.5";
 
     #[test]
@@ -132,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn json_keeps_its_value_and_loses_its_teeth() {
+    fn escaped_json_keeps_its_value() {
         let value = serde_json::json!({ "topic": ATTACK, "name": "a\u{202e}b\u{9b}\u{e0041}" });
         let pretty = format!("{value:#}");
         let shown = json(&pretty);

@@ -1,28 +1,30 @@
-//! Owns the encodings: what a payload is, in the words that Zenoh's tools show, and how it is packed.
+//! Defines the encodings of payloads: what the bytes are, in the form that Zenoh's tools display, and how they are
+//! compressed.
 //!
-//! An encoding is a media type and, after `;`, what more there is to say of it. Parts after `;` are separated by `;` too;
-//! the last may name a packing: `application/json;zstd` is JSON in one zstd frame.
+//! An encoding is a media type, optionally followed by further parts, each after a `;`. The last part may name a
+//! lossless codec: `application/json;zstd` is JSON in one zstd frame.
 use std::{borrow::Cow, fmt};
 
-/// The longest encoding that can be sent, in bytes. Zenoh allows 255 in a schema; the rest is for what RECT adds to it.
+/// The maximum length of an encoding that can be sent, in bytes. Zenoh allows 255; the rest is reserved for the parts
+/// that RECT appends.
 pub const MAX_BYTES: usize = 200;
 
-/// How much of an encoding that is too long an error shows, in characters.
+/// How many characters of an encoding that is too long an error message quotes.
 const SHOWN_CHARACTERS: usize = 40;
 
-/// The encoding is longer than [`MAX_BYTES`]. Shorten it, or put what it says into the payload.
+/// The encoding is longer than [`MAX_BYTES`]. Shorten it, or move part of its content into the payload.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the encoding {beginning:?}... is {bytes} bytes long, and an encoding has at most {MAX_BYTES}"
+    "the encoding {beginning:?}... is {bytes} bytes long, but an encoding has at most {MAX_BYTES} bytes"
 )]
 pub struct TooLong {
-    /// How it begins.
+    /// The beginning of the encoding.
     pub beginning: String,
-    /// Its length, in bytes.
+    /// The length of the encoding, in bytes.
     pub bytes: usize,
 }
 
-/// What a payload is.
+/// The encoding of a payload.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Encoding(Cow<'static, str>);
 
@@ -35,16 +37,16 @@ impl Encoding {
     pub const JSON: Self = Self(Cow::Borrowed("application/json"));
     /// CBOR, RFC 8949.
     pub const CBOR: Self = Self(Cow::Borrowed("application/cbor"));
-    /// A picture, PNG.
+    /// A PNG picture.
     pub const PNG: Self = Self(Cow::Borrowed("image/png"));
-    /// A picture, JPEG.
+    /// A JPEG picture.
     pub const JPEG: Self = Self(Cow::Borrowed("image/jpeg"));
-    /// A picture, WebP.
+    /// A WebP picture.
     pub const WEBP: Self = Self(Cow::Borrowed("image/webp"));
-    /// Bytes with a layout that the rest of the encoding tells: raw pictures, arrays.
+    /// The media type of raw pictures and arrays, whose layout the rest of the encoding describes.
     pub const RAW: &'static str = "application/octet-stream";
 
-    /// As a peer or a program wrote it. A payload with one of more than [`MAX_BYTES`] can't be sent.
+    /// Creates an encoding from any text. A payload whose encoding is longer than [`MAX_BYTES`] cannot be sent.
     pub fn new(text: impl Into<Cow<'static, str>>) -> Self {
         Self(text.into())
     }
@@ -52,7 +54,7 @@ impl Encoding {
     /// Checks that a payload with this encoding can be sent.
     ///
     /// # Errors
-    /// [`TooLong`].
+    /// Returns [`TooLong`] if the encoding is longer than [`MAX_BYTES`].
     pub fn check_length(&self) -> Result<(), TooLong> {
         let bytes = self.0.len();
         if bytes <= MAX_BYTES {
@@ -62,35 +64,35 @@ impl Encoding {
         Err(TooLong { beginning, bytes })
     }
 
-    /// As text.
+    /// Returns the encoding as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// The media type, without what is after `;`.
+    /// Returns the media type: the part before the first `;`.
     pub fn media_type(&self) -> &str {
         self.0.split(';').next().unwrap_or_default()
     }
 
-    /// What is after the first `;`, if anything.
+    /// Returns the part after the first `;`, if there is one.
     pub fn schema(&self) -> Option<&str> {
         self.0.split_once(';').map(|(_, schema)| schema)
     }
 
-    /// Whether it is text, as JSON is too.
+    /// Returns whether the payload is text, which includes JSON.
     pub fn is_text(&self) -> bool {
         self.0.starts_with("text/") || *self == Self::JSON
     }
 
-    /// The same, packed by what `packing` names.
+    /// Appends `;<suffix>`, for example the name of the codec that compressed the payload.
     #[must_use]
-    pub fn packed(&self, packing: &str) -> Self {
-        Self(format!("{};{packing}", self.0).into())
+    pub fn with_suffix(&self, suffix: &str) -> Self {
+        Self(format!("{};{suffix}", self.0).into())
     }
 
-    /// What it is once `packing` is undone; `None` if it is not packed so.
-    pub fn unpacked(&self, packing: &str) -> Option<Self> {
-        let rest = self.0.strip_suffix(packing)?.strip_suffix(';')?;
+    /// Removes a trailing `;<suffix>`. Returns `None` if there is none.
+    pub fn without_suffix(&self, suffix: &str) -> Option<Self> {
+        let rest = self.0.strip_suffix(suffix)?.strip_suffix(';')?;
         Some(Self(rest.to_owned().into()))
     }
 }
@@ -112,23 +114,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_packing_is_the_last_part() {
-        let packed = Encoding::JSON.packed("zstd");
-        assert_eq!(packed.as_str(), "application/json;zstd");
+    fn a_codec_is_the_last_part_of_an_encoding() {
+        let encoded = Encoding::JSON.with_suffix("zstd");
+        assert_eq!(encoded.as_str(), "application/json;zstd");
         assert_eq!(
-            (packed.media_type(), packed.schema()),
+            (encoded.media_type(), encoded.schema()),
             ("application/json", Some("zstd"))
         );
-        assert_eq!(packed.unpacked("zstd"), Some(Encoding::JSON));
-        assert_eq!(packed.unpacked("std"), None);
-        assert_eq!(Encoding::JSON.unpacked("json"), None);
+        assert_eq!(encoded.without_suffix("zstd"), Some(Encoding::JSON));
+        assert_eq!(encoded.without_suffix("std"), None);
+        assert_eq!(Encoding::JSON.without_suffix("json"), None);
     }
 
     #[test]
     fn an_encoding_of_more_than_200_bytes_is_rejected_before_it_is_sent() {
         let longest = Encoding::new("x".repeat(MAX_BYTES));
         assert_eq!(longest.check_length(), Ok(()));
-        assert!(longest.packed("zstd").check_length().is_err());
+        assert!(longest.with_suffix("zstd").check_length().is_err());
         let long = Encoding::new("ä".repeat(MAX_BYTES));
         let error = long.check_length().expect_err("too long");
         assert_eq!(error.bytes, 2 * MAX_BYTES);

@@ -1,29 +1,30 @@
-//! Reads the endpoint of a router as people write it, and knows the one of programs that name none.
+//! Parses the endpoint of a router as people write it, and determines the default.
 
-/// The environment variable that names the router of programs that name none.
+/// The environment variable that names the router, for programs that do not set one.
 pub const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
 
-/// Where a robot's router serves its programs unless told otherwise.
+/// The endpoint at which a robot's router serves its programs by default.
 pub const DEFAULT_ROUTER: &str = "tcp/127.0.0.1:7447";
 
-/// The protocol of an endpoint that names none.
+/// The protocol of an endpoint without one.
 const DEFAULT_PROTOCOL: &str = "tcp";
 
-/// The text is no endpoint. Write it as `tcp/127.0.0.1:7447`.
+/// The text is not a valid endpoint. Write it as `tcp/127.0.0.1:7447`.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not an endpoint: write <protocol>/<address>, such as tcp/127.0.0.1:7447")]
 pub struct EndpointError(String);
 
-/// Returns the router of programs that name none: `given`, the value of [`ROUTER_VARIABLE`], else [`DEFAULT_ROUTER`].
+/// Returns the router of programs that do not set one: `given`, the value of [`ROUTER_VARIABLE`], or else
+/// [`DEFAULT_ROUTER`].
 pub fn default_router(given: Option<String>) -> String {
     let given = given.filter(|given| !given.is_empty());
     given.unwrap_or_else(|| DEFAULT_ROUTER.to_owned())
 }
 
-/// Returns the endpoint that `text` means. A host and a port without a protocol, `127.0.0.1:7447`, are those of TCP.
+/// Parses an endpoint. A host and port without a protocol, such as `127.0.0.1:7447`, mean TCP.
 ///
 /// # Errors
-/// [`EndpointError`].
+/// Returns an [`EndpointError`] if the text is not a valid endpoint.
 pub fn parse(text: &str) -> Result<String, EndpointError> {
     let wrong = || EndpointError(text.chars().take(100).collect());
     let (protocol, address) = text.split_once('/').unwrap_or(("", text));
@@ -52,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_without_a_protocol_is_one_of_tcp() {
+    fn the_default_protocol_is_tcp() {
         for (text, endpoint) in [
             ("127.0.0.1:7447", "tcp/127.0.0.1:7447"),
             ("laptop.local:7447", "tcp/laptop.local:7447"),
@@ -69,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_an_error_that_shows_how_to_write_it() {
+    fn invalid_endpoints_are_rejected_with_an_example() {
         for wrong in [
             "",
             "7447",

@@ -1,68 +1,70 @@
-//! Owns the counting of what did not arrive: each publisher numbers its messages, and a number that is left out is a message
-//! that was lost on the way (over UDP), or while a link was down. Nothing is asked for again.
+//! Counts messages that did not arrive. Each publisher numbers its messages; a gap in the numbers means that messages
+//! were lost in transit (over UDP) or while a link was down. Lost messages are not requested again.
 use std::collections::{BTreeMap, HashMap};
 
 use super::name::Name;
 
-/// The most publishers that are followed at a time; of more, those not heard for longest are forgotten.
+/// The maximum number of publishers that are tracked. Beyond it, the ones that have been inactive for longest are
+/// forgotten.
 pub const MAX_SOURCES: usize = 1024;
 
-/// What a message's number says.
+/// The information that the sequence number of a message provides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Gap {
-    /// So many before this one have not arrived.
+    /// The number of messages directly before this one that have not arrived.
     pub missed: u32,
-    /// It arrives after one that was sent later (UDP may do that), and had been counted as missed.
+    /// Whether a message that was sent later arrived before this one (possible over UDP). It had been counted as
+    /// missed.
     pub late: bool,
 }
 
-/// What arrived of one robot.
+/// How many messages of one sender were received and missed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Tally {
-    /// Messages that arrived.
+pub struct SenderCounts {
+    /// The number of messages that arrived.
     pub received: u64,
-    /// Messages that did not, by their numbers.
+    /// The number of messages that did not arrive, according to the sequence numbers.
     pub missed: u64,
 }
 
 #[derive(Debug)]
 struct Source {
     last: u32,
-    heard: u64,
+    last_used: u64,
 }
 
-/// Follows the numbers of all publishers.
+/// Tracks the sequence numbers of all publishers.
 #[derive(Debug, Default)]
 pub struct Gaps {
     sources: HashMap<(Name, u16), Source>,
-    tallies: BTreeMap<Name, Tally>,
+    counts_by_sender: BTreeMap<Name, SenderCounts>,
     clock: u64,
 }
 
 impl Gaps {
-    /// A message has come that is number `sequence` of `source` at `robot`.
+    /// Handles the message with number `sequence` of publisher `source` on `robot`.
     pub fn on_message(&mut self, robot: &Name, source: u16, sequence: u32) -> Gap {
         self.clock += 1;
-        let heard = self.clock;
+        let last_used = self.clock;
         let gap = match self.sources.get_mut(&(robot.clone(), source)) {
             None => {
-                // What was sent before one listened is not missed.
+                // Messages that were sent before the subscription are not missed.
                 self.make_room();
                 let last = sequence;
                 let key = (robot.clone(), source);
-                self.sources.insert(key, Source { last, heard });
+                self.sources.insert(key, Source { last, last_used });
                 Gap::default()
             }
-            Some(known) => {
-                known.heard = heard;
-                let ahead = sequence.wrapping_sub(known.last);
+            Some(source) => {
+                source.last_used = last_used;
+                let ahead = sequence.wrapping_sub(source.last);
                 if ahead == 0 || ahead > u32::MAX / 2 {
                     Gap {
                         missed: 0,
                         late: true,
                     }
                 } else {
-                    known.last = sequence;
+                    source.last = sequence;
                     Gap {
                         missed: ahead - 1,
                         late: false,
@@ -70,40 +72,47 @@ impl Gaps {
                 }
             }
         };
-        let tally = self.tally(robot);
-        tally.received += 1;
+        let counts = self.counts_of(robot);
+        counts.received += 1;
         if gap.late {
-            tally.missed = tally.missed.saturating_sub(1);
+            counts.missed = counts.missed.saturating_sub(1);
         }
-        tally.missed += u64::from(gap.missed);
+        counts.missed += u64::from(gap.missed);
         gap
     }
 
-    /// A message without a number has come, of a stock program.
+    /// Handles a message without a sequence number, from a program that does not use RECT.
     pub fn on_unnumbered(&mut self, robot: &Name) {
-        self.tally(robot).received += 1;
+        self.counts_of(robot).received += 1;
     }
 
-    /// What arrived of each robot.
-    pub fn tallies(&self) -> impl Iterator<Item = (&Name, Tally)> {
-        self.tallies.iter().map(|(robot, tally)| (robot, *tally))
+    /// Returns how many messages of each robot were received and missed.
+    pub fn counts_by_sender(&self) -> impl Iterator<Item = (&Name, SenderCounts)> {
+        self.counts_by_sender
+            .iter()
+            .map(|(robot, counts)| (robot, *counts))
     }
 
-    fn tally(&mut self, robot: &Name) -> &mut Tally {
-        if self.tallies.len() >= MAX_SOURCES && !self.tallies.contains_key(robot) {
-            self.tallies.pop_first();
+    fn counts_of(&mut self, robot: &Name) -> &mut SenderCounts {
+        if self.counts_by_sender.len() >= MAX_SOURCES && !self.counts_by_sender.contains_key(robot)
+        {
+            self.counts_by_sender.pop_first();
         }
-        self.tallies.entry(robot.clone()).or_default()
+        self.counts_by_sender.entry(robot.clone()).or_default()
     }
 
     fn make_room(&mut self) {
         if self.sources.len() < MAX_SOURCES {
             return;
         }
-        let mut heard: Vec<u64> = self.sources.values().map(|source| source.heard).collect();
-        let (_, middle, _) = heard.select_nth_unstable(MAX_SOURCES / 2);
+        let mut last_used: Vec<u64> = self
+            .sources
+            .values()
+            .map(|source| source.last_used)
+            .collect();
+        let (_, middle, _) = last_used.select_nth_unstable(MAX_SOURCES / 2);
         let middle = *middle;
-        self.sources.retain(|_, source| source.heard > middle);
+        self.sources.retain(|_, source| source.last_used > middle);
     }
 }
 
@@ -112,11 +121,11 @@ mod tests {
     use super::*;
 
     fn name(text: &str) -> Name {
-        Name::new(text).expect("a name")
+        Name::new(text).expect("valid name")
     }
 
     #[test]
-    fn what_is_left_out_is_missed_and_what_comes_late_is_not() {
+    fn counts_gaps_as_missed_and_late_messages_as_received() {
         let (mut gaps, a) = (Gaps::default(), name("a"));
         let missed = |missed| Gap {
             missed,
@@ -125,7 +134,7 @@ mod tests {
         assert_eq!(
             gaps.on_message(&a, 1, 7),
             missed(0),
-            "the first that is heard"
+            "the first received message"
         );
         assert_eq!(gaps.on_message(&a, 1, 8), missed(0));
         assert_eq!(gaps.on_message(&a, 1, 11), missed(2));
@@ -137,11 +146,11 @@ mod tests {
             }
         );
         assert_eq!(gaps.on_message(&a, 1, 12), missed(0));
-        assert_eq!(gaps.on_message(&a, 2, 900), missed(0), "another program");
-        let tallies: Vec<_> = gaps.tallies().map(|(_, tally)| tally).collect();
+        assert_eq!(gaps.on_message(&a, 2, 900), missed(0), "another publisher");
+        let counts_by_sender: Vec<_> = gaps.counts_by_sender().map(|(_, counts)| counts).collect();
         assert_eq!(
-            tallies,
-            [Tally {
+            counts_by_sender,
+            [SenderCounts {
                 received: 6,
                 missed: 1
             }]
@@ -149,20 +158,20 @@ mod tests {
     }
 
     #[test]
-    fn after_the_highest_number_comes_0() {
+    fn sequence_numbers_wrap_around() {
         let (mut gaps, a) = (Gaps::default(), name("a"));
         gaps.on_message(&a, 1, u32::MAX - 1);
         assert_eq!(gaps.on_message(&a, 1, 1).missed, 2);
     }
 
     #[test]
-    fn who_makes_up_publishers_takes_no_more_memory() {
+    fn memory_is_bounded_with_invented_publishers() {
         let mut gaps = Gaps::default();
         for n in 0..100_000u32 {
             let robot = name(&format!("r{}", n / 60_000));
             gaps.on_message(&robot, n as u16, n);
             gaps.on_message(&name(&format!("x{n}")), 0, 0);
         }
-        assert!(gaps.sources.len() <= MAX_SOURCES && gaps.tallies.len() <= MAX_SOURCES);
+        assert!(gaps.sources.len() <= MAX_SOURCES && gaps.counts_by_sender.len() <= MAX_SOURCES);
     }
 }

@@ -1,73 +1,75 @@
-//! Owns the keys: how fleet, robot and topic make a Zenoh key, and what a key says of a message.
+//! Builds and parses Zenoh keys, which consist of fleet, robot and topic.
 //!
-//! | what | key |
+//! | purpose | key |
 //! |---|---|
-//! | to all, a service | `<fleet>/<robot>/<topic>` |
-//! | to one robot | `<fleet>/<robot>/to/<other>/<topic>` |
-//! | RECT's own | `<fleet>/<robot>/@rect/...` |
+//! | published messages, services | `<fleet>/<robot>/<topic>` |
+//! | messages to one robot | `<fleet>/<robot>/to/<recipient>/<topic>` |
+//! | internal keys of RECT | `<fleet>/<robot>/@rect/...` |
 use super::{
     name::Name,
     topic::{Pattern, Topic, TO},
 };
 
-/// The part under which RECT's own keys are; wildcards do not match it.
+/// The part of a key below which RECT's internal keys are. Wildcards do not match it.
 pub const OWN: &str = "@rect";
 
-/// Who speaks: the place of a program's keys.
+/// The keys of one robot of a fleet.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Place {
-    /// The team.
+pub struct KeySpace {
+    /// The name of the fleet.
     pub fleet: Name,
-    /// The robot.
+    /// The name of the robot.
     pub robot: Name,
 }
 
 /// Why a key is not that of a message to this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NoMessage {
-    /// It belongs to another fleet, is sent to another robot alone, or is not a message's key.
-    Elsewhere,
-    /// It is one but for its topic, which RECT does not allow (see [`Topic`]): only other Zenoh programs publish there.
+pub enum AddressError {
+    /// The key belongs to another fleet, addresses another robot, or is not the key of a message.
+    NotForThisRobot,
+    /// The key is that of a message except for its topic, which RECT does not allow (see [`Topic`]). Only other Zenoh
+    /// programs publish there.
     InvalidTopic {
-        /// Whether it is sent to this robot alone.
+        /// Whether the message was sent to this robot alone.
         directed: bool,
     },
 }
 
-/// What a key says of a message.
+/// The parts of a message's key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Address {
-    /// Who sent it.
-    pub from: Name,
-    /// To whom alone; `None`: to all.
-    pub to: Option<Name>,
-    /// About what.
+    /// The robot that sent the message.
+    pub sender: Name,
+    /// The one robot that the message was sent to. `None` if it was published to all robots.
+    pub recipient: Option<Name>,
+    /// The topic of the message.
     pub topic: Topic,
 }
 
-impl Place {
-    /// The key of what this robot says to all about `topic`; also that of its service of that name.
+impl KeySpace {
+    /// Returns the key of messages that this robot publishes on `topic`, and of its service of that name.
     pub fn publication(&self, topic: &Topic) -> String {
         format!("{}/{}/{topic}", self.fleet, self.robot)
     }
 
-    /// The key of what it says to `robot` alone.
+    /// Returns the key of messages that this robot sends to `robot` alone.
     pub fn message(&self, robot: &Name, topic: &Topic) -> String {
         format!("{}/{}/{TO}/{robot}/{topic}", self.fleet, self.robot)
     }
 
-    /// The key of a service of `robot`, or of all that have one (`None`).
+    /// Returns the key of a service of `robot`, or the key expression of that service of all robots (`None`).
     pub fn service(&self, robot: Option<&Name>, topic: &Topic) -> String {
         format!("{}/{}/{topic}", self.fleet, robot.map_or("*", Name::as_str))
     }
 
-    /// A key of RECT's own, of `robot` or of all.
+    /// Returns an internal key, `@rect/<rest>`, of `robot` or of all robots (`None`).
     pub fn own(&self, robot: Option<&Name>, rest: &str) -> String {
         let robot = robot.map_or("*", Name::as_str);
         format!("{}/{robot}/{OWN}/{rest}", self.fleet)
     }
 
-    /// The two key expressions of what a pattern means here: what is said to all, and what is said to this robot alone.
+    /// Returns the two key expressions that a pattern subscribes to: published messages, and messages to this robot
+    /// alone.
     pub fn subscriptions(&self, pattern: &Pattern) -> [String; 2] {
         let Self { fleet, robot } = self;
         let from = pattern.robot().map_or("*", Name::as_str);
@@ -78,42 +80,46 @@ impl Place {
         ]
     }
 
-    /// Whose a key of this fleet is, a message's or one of RECT's own.
+    /// Returns the robot that a key of this fleet belongs to, be it a message's key or an internal one.
     pub fn robot_of(&self, key: &str) -> Option<Name> {
         let rest = key.strip_prefix(self.fleet.as_str())?.strip_prefix('/')?;
         let (robot, _) = rest.split_once('/')?;
         Name::new(robot).ok()
     }
 
-    /// What a key of this fleet says; `None` for one that is no message's, or is for another robot alone (which a
-    /// subscription with `**` receives, too).
+    /// Returns the address that a key contains. `None` if it is not the key of a message, or of one to another robot
+    /// (which a subscription to `**` also receives).
     pub fn address(&self, key: &str) -> Option<Address> {
-        self.read(key).ok()
+        self.parse(key).ok()
     }
 
-    /// Reads a key that a subscription delivered.
+    /// Parses a key that a subscription delivered.
     ///
     /// # Errors
-    /// [`NoMessage`]: it is not the key of a message to this robot.
-    pub fn read(&self, key: &str) -> Result<Address, NoMessage> {
-        let from = self.robot_of(key).ok_or(NoMessage::Elsewhere)?;
-        let rest = &key[self.fleet.as_str().len() + from.as_str().len() + 2..];
+    /// Returns an [`AddressError`] if it is not the key of a message to this robot.
+    pub fn parse(&self, key: &str) -> Result<Address, AddressError> {
+        let sender = self.robot_of(key).ok_or(AddressError::NotForThisRobot)?;
+        let rest = &key[self.fleet.as_str().len() + sender.as_str().len() + 2..];
         let directed = rest
             .strip_prefix(TO)
             .and_then(|rest| rest.strip_prefix('/'));
-        let (to, topic) = match directed {
+        let (recipient, topic) = match directed {
             Some(rest) => {
-                let (to, topic) = rest.split_once('/').ok_or(NoMessage::Elsewhere)?;
+                let (to, topic) = rest.split_once('/').ok_or(AddressError::NotForThisRobot)?;
                 if self.robot != to {
-                    return Err(NoMessage::Elsewhere);
+                    return Err(AddressError::NotForThisRobot);
                 }
                 (Some(self.robot.clone()), topic)
             }
             None => (None, rest),
         };
-        let directed = to.is_some();
-        let topic = Topic::new(topic).map_err(|_| NoMessage::InvalidTopic { directed })?;
-        Ok(Address { from, to, topic })
+        let directed = recipient.is_some();
+        let topic = Topic::new(topic).map_err(|_| AddressError::InvalidTopic { directed })?;
+        Ok(Address {
+            sender,
+            recipient,
+            topic,
+        })
     }
 }
 
@@ -121,36 +127,36 @@ impl Place {
 mod tests {
     use super::*;
 
-    fn place() -> Place {
-        let name = |text| Name::new(text).expect("a name");
+    fn keys() -> KeySpace {
+        let name = |text| Name::new(text).expect("valid name");
         let (fleet, robot) = (name("rect"), name("wombat-1"));
-        Place { fleet, robot }
+        KeySpace { fleet, robot }
     }
 
     #[test]
-    fn a_key_and_what_it_says_are_each_others_inverse() {
-        let (me, other) = (place(), Name::new("wombat-2").expect("a name"));
-        let there = Place {
+    fn keys_round_trip() {
+        let (me, other) = (keys(), Name::new("wombat-2").expect("valid name"));
+        let recipient = KeySpace {
             robot: other.clone(),
             ..me.clone()
         };
-        let topic = Topic::new("arm/angle").expect("a topic");
-        let all = there.address(&me.publication(&topic)).expect("a message");
+        let topic = Topic::new("arm/angle").expect("valid topic");
+        let all = recipient.address(&me.publication(&topic)).expect("address");
         assert_eq!(
-            (all.from.as_str(), all.to, &all.topic),
+            (all.sender.as_str(), all.recipient, &all.topic),
             ("wombat-1", None, &topic)
         );
-        let one = there
+        let one = recipient
             .address(&me.message(&other, &topic))
-            .expect("a message");
+            .expect("address");
         assert_eq!(
-            (one.from.as_str(), one.to, &one.topic),
+            (one.sender.as_str(), one.recipient, &one.topic),
             ("wombat-1", Some(other), &topic)
         );
     }
 
     #[test]
-    fn what_is_for_another_robot_or_no_message_is_left() {
+    fn rejects_keys_of_other_robots_and_of_no_message() {
         for key in [
             "rect/a/to/wombat-2/x",
             "rect/a/@rect/status",
@@ -161,14 +167,14 @@ mod tests {
             "rectx/a/x",
             "",
         ] {
-            assert_eq!(place().address(key), None, "{key}");
+            assert_eq!(keys().address(key), None, "{key}");
         }
     }
 
     #[test]
-    fn a_pattern_means_what_is_said_to_all_and_to_me() {
-        let pattern = Pattern::new("*/arm/*").expect("a pattern");
+    fn a_pattern_subscribes_to_published_and_direct_messages() {
+        let pattern = Pattern::new("*/arm/*").expect("valid pattern");
         let expected = ["rect/*/arm/*", "rect/*/to/wombat-1/arm/*"];
-        assert_eq!(place().subscriptions(&pattern), expected);
+        assert_eq!(keys().subscriptions(&pattern), expected);
     }
 }

@@ -1,22 +1,23 @@
-//! Owns the lines of a login file (Zenoh's `transport/auth/usrpwd/dictionary_file`): `user:password`, one a line; and what a
-//! program logs in with.
+//! Parses login files (Zenoh's `transport/auth/usrpwd/dictionary_file`), which have one `user:password` per line, and
+//! holds the login of a program.
 
-/// The environment variable that names the login file for all programs that do not name one.
+/// The environment variable that names the login file, for programs that do not set one.
 pub const FILE_VARIABLE: &str = "RECT_LOGIN";
 
-/// Where `rect-router init` puts the logins.
+/// The path at which `rect-router init` stores the logins.
 pub const DEFAULT_FILE: &str = "/etc/rect/users";
 
-/// A user and the password, as a line of the file has them.
+/// A user and the password, as in one line of the file.
 pub type Line<'a> = (&'a str, &'a str);
 
-/// All that are in the text, in order; lines of another form are passed over.
+/// Returns all logins in the text, in order. Lines of another form are skipped.
 pub fn logins(text: &str) -> impl Iterator<Item = Line<'_>> {
     let lines = text.lines().filter_map(|line| line.split_once(':'));
     lines.map(|(user, password)| (user.trim(), password.trim()))
 }
 
-/// Returns the login file of programs that name none: `given`, the value of [`FILE_VARIABLE`], else [`DEFAULT_FILE`].
+/// Returns the login file of programs that do not set one: `given`, the value of [`FILE_VARIABLE`], or else
+/// [`DEFAULT_FILE`].
 pub fn default_file(given: Option<String>) -> String {
     let given = given.filter(|given| !given.is_empty());
     given.unwrap_or_else(|| DEFAULT_FILE.to_owned())
@@ -26,7 +27,7 @@ pub fn default_file(given: Option<String>) -> String {
 #[derive(Clone, PartialEq, Eq)]
 pub struct Login {
     credentials: Option<(String, String)>,
-    /// Where the credentials are from, or why there are none.
+    /// The origin of the credentials, or the reason why there are none.
     source: Source,
 }
 
@@ -38,22 +39,22 @@ enum Source {
     Empty { file: String },
 }
 
-/// The router asks for a login, and the program's is missing or wrong.
+/// The router requires a login, and the program's is missing or wrong.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the router at {endpoint} {what}. Give it the login file of its team by the environment variable {FILE_VARIABLE} \
-     (`rect` also takes `--users`, a program the options `login_file` and `login`); on the robot itself, members of the \
+    "the router at {endpoint} {refusal}. Specify the team's login file with the environment variable {FILE_VARIABLE}, the \
+     option `--users` of `rect`, or the options `login_file` and `login` of a program. On the robot itself, members of the \
      group rect may read {DEFAULT_FILE}: `sudo usermod -aG rect $USER`"
 )]
 pub struct LoginRefused {
-    /// Where the router is.
+    /// The endpoint of the router.
     pub endpoint: String,
-    /// The refusal, and the origin of the program's login.
-    pub what: String,
+    /// The refusal, with the origin of the program's login.
+    pub refusal: String,
 }
 
 impl Login {
-    /// A user and password that the program names.
+    /// Creates a login from a user and password that the program specifies.
     pub fn given(user: impl Into<String>, password: impl Into<String>) -> Self {
         Self {
             credentials: Some((user.into(), password.into())),
@@ -61,7 +62,8 @@ impl Login {
         }
     }
 
-    /// The first login of a file; `text`: what is in it, or why it can't be read.
+    /// Creates a login from the first line of a login file. `text` is the content of the file, or the reason why it
+    /// cannot be read.
     pub fn of_file(file: impl Into<String>, text: Result<&str, String>) -> Self {
         let file = file.into();
         let first = text.map(|text| logins(text).next());
@@ -79,16 +81,16 @@ impl Login {
         }
     }
 
-    /// User and password, if there are any.
+    /// Returns the user and password, if there are any.
     pub fn credentials(&self) -> Option<(&str, &str)> {
         let (user, password) = self.credentials.as_ref()?;
         Some((user, password))
     }
 
-    /// Returns the error to report if the router at `endpoint` refuses it.
+    /// Returns the error to report if the router at `endpoint` refuses the login.
     pub fn refused_by(&self, endpoint: &str) -> LoginRefused {
         let user = self.credentials().map_or("", |(user, _)| user);
-        let what = match &self.source {
+        let refusal = match &self.source {
             Source::Given => {
                 format!("refused the login of user {user}: the user or the password is wrong")
             }
@@ -98,21 +100,21 @@ impl Login {
                 )
             }
             Source::Unreadable { file, reason } => {
-                format!("asks for a login, and the login file {file} can't be read: {reason}")
+                format!("requires a login, but the login file {file} cannot be read: {reason}")
             }
             Source::Empty { file } => {
-                format!("asks for a login, and the login file {file} has no line `user:password`")
+                format!("requires a login, but the login file {file} has no line `user:password`")
             }
         };
         LoginRefused {
             endpoint: endpoint.to_owned(),
-            what,
+            refusal,
         }
     }
 }
 
 impl std::fmt::Debug for Login {
-    /// Without the password.
+    /// Omits the password.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let user = self.credentials().map(|(user, _)| user);
         write!(f, "Login({user:?}, {:?})", self.source)
@@ -124,27 +126,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_a_login_and_a_password_may_hold_colons() {
+    fn each_line_is_a_login_and_passwords_may_contain_colons() {
         let text = "\nwombat-1: a:b \nno login\n config:c";
         let all: Vec<_> = logins(text).collect();
         assert_eq!(all, [("wombat-1", "a:b"), ("config", "c")]);
     }
 
     #[test]
-    fn the_login_of_a_file_is_its_first_line() {
+    fn uses_the_first_login_of_a_file() {
         let login = Login::of_file("users", Ok("fleet:a:b\nconfig:c\n"));
         assert_eq!(login.credentials(), Some(("fleet", "a:b")));
         assert!(!format!("{login:?}").contains("a:b"));
         for none in [
             Login::of_file("users", Ok("nothing")),
-            Login::of_file("users", Err("gone".to_owned())),
+            Login::of_file("users", Err("no such file".to_owned())),
         ] {
             assert_eq!(none.credentials(), None);
         }
     }
 
     #[test]
-    fn an_empty_variable_names_no_file() {
+    fn an_empty_variable_selects_the_default_file() {
         assert_eq!(default_file(None), DEFAULT_FILE);
         assert_eq!(default_file(Some(String::new())), DEFAULT_FILE);
         assert_eq!(default_file(Some("/tmp/users".to_owned())), "/tmp/users");

@@ -1,11 +1,11 @@
-//! Owns what a robot or a fleet may be called.
+//! Defines the names of robots and fleets.
 use std::{fmt, str::FromStr, sync::Arc};
 
-/// The longest name, in bytes: what fits a Bluetooth scan response.
+/// The maximum length of a name, in bytes: the capacity of a Bluetooth scan response.
 pub const MAX_BYTES: usize = 29;
 
-/// The name of a robot, or of a fleet: 1 to 29 letters, digits, `-`, `_` or `.`; not `.` or `..`, and not that of a
-/// Bluetooth adapter (`hci0`, `sim...`), since `ble/<name>` and `ble/<adapter>` are told apart by it.
+/// The name of a robot or a fleet: 1 to 29 letters, digits, `-`, `_` or `.`. It must not be `.` or `..`, nor look like
+/// a Bluetooth adapter (`hci0`, `sim...`), because that distinguishes `ble/<name>` from `ble/<adapter>`.
 ///
 /// ```
 /// use rect::core::name::Name;
@@ -16,36 +16,38 @@ pub const MAX_BYTES: usize = 29;
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name(Arc<str>);
 
-/// The text can't name a robot or a fleet. Choose another.
+/// The text is not a valid name. Choose another one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
-    /// Empty, or too long.
-    #[error("the name {0:?} is to be 1 to {MAX_BYTES} bytes long")]
+    /// The name is empty or too long.
+    #[error("the name {0:?} must be 1 to {MAX_BYTES} bytes long")]
     Length(String),
-    /// A character that is not for names.
-    #[error("the name {name:?} has {found:?} in it: letters (a to z), digits, `-`, `_` and `.` are for names")]
+    /// The name contains a character that is not allowed.
+    #[error(
+        "the name {name:?} contains {found:?}: use only letters (a to z), digits, `-`, `_` and `.`"
+    )]
     Character {
-        /// What was given.
+        /// The rejected name.
         name: String,
         /// The first such character.
         found: char,
     },
-    /// What every folder calls itself or the one above it: a name may become a file's.
-    #[error("{0:?} is what file systems call a folder: choose another name")]
+    /// The name is `.` or `..`, which have a meaning in file systems; names are also used for folders.
+    #[error("{0:?} has a special meaning in file systems: choose another name")]
     Folder(String),
-    /// That of a Bluetooth adapter.
-    #[error("{0:?} is what a Bluetooth adapter is called: choose another name")]
+    /// The name looks like a Bluetooth adapter.
+    #[error("{0:?} looks like the name of a Bluetooth adapter: choose another name")]
     Adapter(String),
 }
 
 impl Name {
-    /// Checks a text.
+    /// Creates a name after checking the text.
     ///
     /// # Errors
-    /// [`NameError`]: what is wrong with it.
+    /// Returns a [`NameError`] that explains why the text is not a valid name.
     pub fn new(text: &str) -> Result<Self, NameError> {
         if !(1..=MAX_BYTES).contains(&text.len()) {
-            // A long one is not repeated whole.
+            // Long names are not quoted in full.
             return Err(NameError::Length(text.chars().take(MAX_BYTES).collect()));
         }
         let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
@@ -62,13 +64,13 @@ impl Name {
         Ok(Self(text.into()))
     }
 
-    /// As text.
+    /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
-/// As the `ble/` link reads locators: `hci` and a number, or `sim...`.
+/// Matches the locators of the `ble/` link: `hci` and a number, or `sim...`.
 fn is_adapter(text: &str) -> bool {
     let number = text.strip_prefix("hci");
     let hci =
@@ -147,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_what_can_be_advertised_and_is_one_part_of_a_key() {
+    fn names_can_be_advertised_and_are_one_part_of_a_key() {
         for good in [
             "a",
             "wombat-1",
@@ -177,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn errors_name_the_invalid_character() {
         let error = Name::new("my robot").expect_err("a space").to_string();
         assert!(
             error.contains("my robot") && error.contains("' '"),

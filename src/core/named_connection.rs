@@ -1,11 +1,11 @@
-//! Owns a named connection as a program gives it to a router (`config/connections.schema.json`); what is wrong with one, the
-//! router says.
+//! Defines a named connection as a program sends it to a router (`config/connections.schema.json`). The router
+//! validates it.
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 use serde_json::Value;
 
-/// A connection that a robot's router is to have from now on.
+/// A named connection that a robot's router is asked to keep connected.
 ///
 /// ```
 /// use rect::NamedConnection;
@@ -28,8 +28,8 @@ pub struct NamedConnection {
 }
 
 impl NamedConnection {
-    /// `method`: `ble`, `tcp`, `udp`, or any other of Zenoh's protocols; `address`: for `ble` a robot's name or its Bluetooth
-    /// address, else a host.
+    /// Creates a named connection. `method` is `ble`, `tcp`, `udp` or any other protocol of Zenoh. `address` is a
+    /// robot's name or Bluetooth address for `ble`, and a host for the other methods.
     pub fn new(
         name: impl Into<String>,
         method: impl Into<String>,
@@ -45,7 +45,7 @@ impl NamedConnection {
         }
     }
 
-    /// For methods with one.
+    /// Sets the port, for methods that have one.
     #[must_use]
     pub fn port(self, port: u16) -> Self {
         Self {
@@ -54,7 +54,7 @@ impl NamedConnection {
         }
     }
 
-    /// For `ble`: the L2CAP channel's number; left out, the advertised one.
+    /// Sets the number of the L2CAP channel, for `ble`. Default: the advertised number.
     #[must_use]
     pub fn psm(self, psm: u16) -> Self {
         Self {
@@ -63,24 +63,25 @@ impl NamedConnection {
         }
     }
 
-    /// An option of the method's locator, as `mtu` of `ble`: text, a number, true or false.
+    /// Adds an option of the method's locator, such as `mtu` for `ble`. The value is text, a number, or a boolean.
     #[must_use]
     pub fn option(mut self, key: impl Into<String>, value: impl Into<Value>) -> Self {
         self.options.insert(key.into(), value.into());
         self
     }
 
-    /// What the router takes.
+    /// Returns the JSON document that the router accepts.
     pub fn to_json(&self) -> String {
-        // Text and numbers, with text for keys: always JSON.
+        // This cannot fail: text, numbers and text keys are always valid JSON.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
-/// Where a router's connections are read and changed, below [`own`](super::key::Place::own); to change them is for programs
-/// of the robot itself, and for whom its access control lists.
+/// The key of the config service, below [`own`](super::key::KeySpace::own), which reads and changes a router's
+/// connections. Changes are accepted from programs of the same robot, and from the clients that the router's access
+/// control lists.
 pub const CONFIG: &str = "@config/connections";
-/// The parameter of a question there that adds the connection of its payload.
+/// The parameter of a request that adds the connection in the payload.
 pub const ADD: &str = "add";
-/// The one that removes the connection of which the payload is the name.
+/// The parameter of a request that removes the connection whose name is the payload.
 pub const REMOVE: &str = "remove";

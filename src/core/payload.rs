@@ -1,4 +1,4 @@
-//! Owns payloads: bytes and what they are, and how a program's values become one and back.
+//! Defines payloads, and converts a program's values into payloads and back.
 use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
@@ -7,64 +7,72 @@ use super::{
     encoding::{Encoding, TooLong},
 };
 
-/// Bytes, and what they are. Cloning shares them.
+/// Bytes with their encoding. Clones share the bytes.
+///
+/// ```
+/// use rect::core::payload::{Json, ToPayload};
+/// let payload = Json(vec![1, 2, 3]).to_payload()?;
+/// assert_eq!(payload.encoding.as_str(), "application/json");
+/// assert_eq!(payload.value::<Vec<u8>>()?, [1, 2, 3]);
+/// # Ok::<(), rect::core::payload::PayloadError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Payload {
     /// The bytes.
     pub bytes: Bytes,
-    /// What they are.
+    /// The encoding of the bytes.
     pub encoding: Encoding,
 }
 
-/// A value and its encoding do not fit.
+/// A value cannot be converted into a payload, or a payload into a value.
 #[derive(Debug, thiserror::Error)]
 pub enum PayloadError {
-    /// The value can't be written in that form (a map with keys that are not text in JSON, for example).
-    #[error("this value can't be written as {what}: {reason}")]
+    /// The value cannot be written in this format (in JSON, for example, a map with keys that are not text).
+    #[error("this value cannot be written as {format}: {reason}")]
     Write {
-        /// `JSON`, `CBOR`, ...
-        what: &'static str,
-        /// What the serializer says.
+        /// The format: `JSON`, `CBOR` and so on.
+        format: &'static str,
+        /// The reason that the serializer reports.
         reason: String,
     },
-    /// The payload is not what was asked for. [`Payload::encoding`] says what it is.
-    #[error("the payload is {found}, not {wanted}")]
-    Other {
-        /// What was asked for.
-        wanted: &'static str,
-        /// What it is.
+    /// The payload has another encoding than the call expects. Check [`Payload::encoding`] first.
+    #[error("the payload is {found}, but {expected} is required")]
+    Mismatch {
+        /// The expected kind of payload.
+        expected: &'static str,
+        /// The actual encoding.
         found: Encoding,
     },
-    /// It says that it is, and can't be read as such.
-    #[error(
-        "the payload says that it is {what}, and is not, or not of the wanted shape: {reason}"
-    )]
+    /// The payload has the expected encoding, but its bytes are not valid, or do not have the shape of the requested
+    /// type.
+    #[error("the payload is not valid {format}, or does not have the required shape: {reason}")]
     Read {
-        /// `JSON`, `CBOR`, ...
-        what: &'static str,
-        /// What the parser says.
+        /// The format: `JSON`, `CBOR` and so on.
+        format: &'static str,
+        /// The reason that the parser reports.
         reason: String,
     },
-    /// The encoding can't be sent.
+    /// The encoding is too long to be sent.
     #[error(transparent)]
     Encoding(#[from] TooLong),
-    /// The picture or array in it can't be had.
+    /// The picture or array in the payload cannot be decoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
 }
 
-/// What can be sent. Text, bytes and JSON values go as they are; [`Json`] and [`Cbor`] take anything of serde's.
+/// A value that can be sent. Text, bytes and JSON values are sent as they are; [`Json`] and [`Cbor`] send any type that
+/// serde can serialize.
 pub trait ToPayload {
-    /// The value as bytes.
+    /// Converts the value into a payload.
     ///
     /// # Errors
-    /// [`PayloadError::Write`]: it can't be written so.
+    /// Returns [`PayloadError::Write`] if the value cannot be written in its format.
     fn to_payload(&self) -> Result<Payload, PayloadError>;
 
-    /// The same of a value that is not needed any more: bytes that it owns are not copied.
+    /// Converts the value into a payload and consumes it, so that bytes that it owns are not copied.
     ///
     /// # Errors
-    /// As [`to_payload`](Self::to_payload).
+    /// Fails like [`to_payload`](Self::to_payload).
     fn into_payload(self) -> Result<Payload, PayloadError>
     where
         Self: Sized,
@@ -73,16 +81,16 @@ pub trait ToPayload {
     }
 }
 
-/// Sends a value of serde's as JSON: `Json(&reading)`.
+/// Sends a value as JSON: `Json(&reading)`.
 #[derive(Clone, Copy, Debug)]
 pub struct Json<T>(pub T);
 
-/// Sends a value of serde's as CBOR: shorter than JSON, and not readable by eye.
+/// Sends a value as CBOR, which is shorter than JSON, but not readable by people.
 #[derive(Clone, Copy, Debug)]
 pub struct Cbor<T>(pub T);
 
 impl Payload {
-    /// Bytes that say what they are.
+    /// Creates a payload.
     pub fn new(bytes: impl Into<Bytes>, encoding: Encoding) -> Self {
         Self {
             bytes: bytes.into(),
@@ -93,36 +101,38 @@ impl Payload {
     /// Returns the payload if it can be sent.
     ///
     /// # Errors
-    /// [`PayloadError::Encoding`]: its encoding is too long.
+    /// Returns [`PayloadError::Encoding`] if its encoding is too long.
     pub fn sendable(self) -> Result<Self, PayloadError> {
         self.encoding.check_length()?;
         Ok(self)
     }
 
-    /// As text.
+    /// Returns the payload as text.
     ///
     /// # Errors
-    /// It is something else ([`PayloadError::Other`]), or no UTF-8.
+    /// Returns [`PayloadError::Mismatch`] if the encoding is not one of text, and [`PayloadError::Read`] if the bytes
+    /// are not UTF-8.
     pub fn text(&self) -> Result<&str, PayloadError> {
         if !self.encoding.is_text() {
-            return Err(self.other("text"));
+            return Err(self.mismatch("text"));
         }
         std::str::from_utf8(&self.bytes).map_err(|error| read("text", error))
     }
 
-    /// As a value of serde's, by its encoding: JSON or CBOR.
+    /// Deserializes the payload from JSON or CBOR, depending on its encoding.
     ///
     /// # Errors
-    /// It is neither ([`PayloadError::Other`]), or not of this shape ([`PayloadError::Read`]).
+    /// Returns [`PayloadError::Mismatch`] if it is neither, and [`PayloadError::Read`] if it does not have the shape of
+    /// `T`.
     pub fn value<T: DeserializeOwned>(&self) -> Result<T, PayloadError> {
         if self.is(&Encoding::JSON) || self.encoding.as_str() == "text/json" {
             serde_json::from_slice(&self.bytes).map_err(|error| read("JSON", error))
         } else if self.is(&Encoding::CBOR) {
-            // Nested deeper than this it is not read: a peer could fill the stack.
+            // Deeper nesting is rejected, because a peer could overflow the stack with it.
             ciborium::de::from_reader_with_recursion_limit(&*self.bytes, MAX_DEPTH)
                 .map_err(|error| read("CBOR", error))
         } else {
-            Err(self.other("JSON or CBOR"))
+            Err(self.mismatch("JSON or CBOR"))
         }
     }
 
@@ -130,23 +140,23 @@ impl Payload {
         self.encoding == *encoding
     }
 
-    pub(super) fn other(&self, wanted: &'static str) -> PayloadError {
+    pub(super) fn mismatch(&self, expected: &'static str) -> PayloadError {
         let found = self.encoding.clone();
-        PayloadError::Other { wanted, found }
+        PayloadError::Mismatch { expected, found }
     }
 }
 
-/// As deep as serde_json reads.
+/// The maximum nesting of CBOR; the same as serde_json's.
 const MAX_DEPTH: usize = 128;
 
-fn read(what: &'static str, error: impl std::fmt::Display) -> PayloadError {
+fn read(format: &'static str, error: impl std::fmt::Display) -> PayloadError {
     let reason = error.to_string();
-    PayloadError::Read { what, reason }
+    PayloadError::Read { format, reason }
 }
 
-fn write(what: &'static str, error: impl std::fmt::Display) -> PayloadError {
+fn write(format: &'static str, error: impl std::fmt::Display) -> PayloadError {
     let reason = error.to_string();
-    PayloadError::Write { what, reason }
+    PayloadError::Write { format, reason }
 }
 
 impl<T: Serialize> ToPayload for Json<T> {
@@ -248,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn values_come_back_as_they_were() {
+    fn values_round_trip() {
         let reading = Reading {
             angle_deg: 12.5,
             name: "arm".into(),
@@ -267,19 +277,16 @@ mod tests {
     }
 
     #[test]
-    fn what_it_is_not_it_is_not_read_as() {
+    fn payloads_of_another_encoding_or_shape_are_rejected() {
         let bytes = [1u8].to_payload().expect("bytes");
-        assert!(matches!(bytes.text(), Err(PayloadError::Other { .. })));
+        assert!(matches!(bytes.text(), Err(PayloadError::Mismatch { .. })));
         assert!(matches!(
             bytes.value::<u8>(),
-            Err(PayloadError::Other { .. })
+            Err(PayloadError::Mismatch { .. })
         ));
         for wrong in ["", "{", "[1,", "\u{1}"] {
             let wrong = Payload::new(wrong, Encoding::JSON);
-            let error = wrong
-                .value::<Reading>()
-                .expect_err("no reading")
-                .to_string();
+            let error = wrong.value::<Reading>().expect_err("invalid").to_string();
             assert!(error.contains("JSON"), "{error}");
         }
         let map = BTreeMap::from([((1, 2), 3)]);
@@ -290,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn nesting_does_not_fill_the_stack() {
+    fn deep_nesting_does_not_overflow_the_stack() {
         let json = Payload::new("[".repeat(1_000_000), Encoding::JSON);
         assert!(json.value::<serde_json::Value>().is_err());
         let cbor = Payload::new(vec![0x81; 1_000_000], Encoding::CBOR);

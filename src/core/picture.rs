@@ -1,4 +1,4 @@
-//! Owns raw pictures: rows of pixels without gaps, from the upper left, and how they are sent:
+//! Defines raw pictures: rows of pixels without padding, from top left. They are sent with the encoding
 //! `application/octet-stream;picture;rgb8;640x480`.
 use bytes::Bytes;
 use fast_image_resize::{
@@ -14,18 +14,18 @@ use super::{
 
 const KIND: &str = "picture";
 
-/// What a pixel is; 8 bits each.
+/// The format of a pixel, 8 bits per channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Format {
     /// Grey.
     Grey8,
     /// Red, green, blue.
     Rgb8,
-    /// Red, green, blue, and how opaque it is; not multiplied with that.
+    /// Red, green, blue and opacity (not premultiplied).
     Rgba8,
 }
 
-/// A picture as a camera gives it. Cloning shares the pixels.
+/// A raw picture. Clones share the pixels.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     width: u32,
@@ -35,7 +35,7 @@ pub struct Picture {
 }
 
 impl Format {
-    /// Bytes of a pixel.
+    /// Returns the number of bytes per pixel.
     pub fn channels(self) -> usize {
         match self {
             Self::Grey8 => 1,
@@ -44,7 +44,7 @@ impl Format {
         }
     }
 
-    /// As in an encoding.
+    /// Returns the name that encodings use.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Grey8 => "grey8",
@@ -60,10 +60,10 @@ impl Format {
 }
 
 impl Picture {
-    /// Of pixels, `width * height * channels` bytes.
+    /// Creates a picture from `width * height * channels` bytes.
     ///
     /// # Errors
-    /// Another number of bytes, or none ([`CodecError::Damaged`]).
+    /// Returns [`CodecError::Damaged`] if the number of bytes differs, or if there are no pixels.
     pub fn new(
         width: u32,
         height: u32,
@@ -72,10 +72,10 @@ impl Picture {
     ) -> Result<Self, CodecError> {
         let pixels = pixels.into();
         let area = u64::from(width) * u64::from(height);
-        let wanted = area.checked_mul(format.channels() as u64);
-        if area == 0 || wanted != Some(pixels.len() as u64) {
+        let expected = area.checked_mul(format.channels() as u64);
+        if area == 0 || expected != Some(pixels.len() as u64) {
             let (name, found) = (format.as_str(), pixels.len());
-            let reason = format!("{found} bytes are not the pixels of {width}x{height} {name}");
+            let reason = format!("{found} bytes are not the size of {width}x{height} {name}");
             return Err(CodecError::Damaged {
                 format: KIND,
                 reason,
@@ -89,30 +89,31 @@ impl Picture {
         })
     }
 
-    /// Pixels of a row.
+    /// Returns the width in pixels.
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Rows.
+    /// Returns the height in pixels.
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// What a pixel is.
+    /// Returns the format of the pixels.
     pub fn format(&self) -> Format {
         self.format
     }
 
-    /// All rows, from above.
+    /// Returns the bytes of all rows, from the top.
     pub fn pixels(&self) -> &Bytes {
         &self.pixels
     }
 
-    /// The same in another size; each pixel of a smaller one is the mean of those that it stands for.
+    /// Returns the picture scaled to another size. Each pixel of a smaller picture is the mean of the pixels that it
+    /// replaces.
     ///
     /// # Errors
-    /// No pixel, or more than [`Limits`] have by default.
+    /// Returns a [`CodecError`] if the size is zero, or exceeds the default [`Limits`].
     pub fn scaled(&self, width: u32, height: u32) -> Result<Self, CodecError> {
         let size = [width, height];
         Limits::default().picture(KIND, size, self.format.channels())?;
@@ -140,7 +141,7 @@ impl Picture {
         Self::new(width, height, self.format, to.into_vec())
     }
 
-    /// A raw one; `None`: the payload is something else.
+    /// Reads a raw picture. Returns `None` if the payload is something else.
     pub(super) fn raw(payload: &Payload, limits: &Limits) -> Option<Result<Self, CodecError>> {
         let schema = payload.encoding.schema()?.strip_prefix(KIND)?;
         let schema = schema.strip_prefix(';')?;
@@ -156,7 +157,7 @@ impl Picture {
         Some(match described() {
             None => Err(CodecError::Damaged {
                 format: KIND,
-                reason: format!("{schema:?} does not say how its pixels lie"),
+                reason: format!("{schema:?} is not a valid pixel format and size"),
             }),
             Some((format, width, height)) => limits
                 .picture(KIND, [width, height], format.channels())
@@ -164,13 +165,13 @@ impl Picture {
         })
     }
 
-    /// A raw one, for a codec that takes nothing else.
-    pub(super) fn wanted_by(codec: &'static str, payload: &Payload) -> Result<Self, CodecError> {
+    /// Reads a raw picture for a codec that accepts nothing else.
+    pub(super) fn for_codec(codec: &'static str, payload: &Payload) -> Result<Self, CodecError> {
         Self::raw(payload, &Limits::any()).unwrap_or_else(|| {
             Err(CodecError::Kind {
                 codec,
                 found: payload.encoding.clone(),
-                wanted: "raw pictures",
+                expected: "raw pictures",
             })
         })
     }
@@ -194,17 +195,18 @@ impl ToPayload for Picture {
 }
 
 impl Payload {
-    /// As a picture: a raw one, PNG, JPEG or WebP.
+    /// Decodes the payload as a picture: raw, PNG, JPEG or WebP.
     ///
     /// # Errors
-    /// It is something else ([`PayloadError::Other`]), damaged or too large ([`PayloadError::Codec`]).
+    /// Returns [`PayloadError::Mismatch`] if the payload is something else, and [`PayloadError::Codec`] if it is
+    /// damaged or too large.
     pub fn picture(&self, limits: &Limits) -> Result<Picture, PayloadError> {
         let bytes = &self.bytes;
         let picture = match self.encoding.media_type() {
             "image/png" => png::read(bytes, limits),
             "image/jpeg" => jpeg::read(bytes, limits),
             "image/webp" => webp::read(bytes, limits),
-            _ => Picture::raw(self, limits).ok_or_else(|| self.other("a picture"))?,
+            _ => Picture::raw(self, limits).ok_or_else(|| self.mismatch("a picture"))?,
         };
         Ok(picture?)
     }

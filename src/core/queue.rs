@@ -1,38 +1,38 @@
-//! Owns the queue between what arrives and the program that takes it: bounded, with a stated rule for what happens when it is
-//! full, and a count of what was dropped.
+//! Implements the bounded queue between the network and the program, with a rule for the case that it is full and a
+//! count of dropped items.
 use std::collections::VecDeque;
 
-/// How many messages wait unless the program says otherwise.
+/// The default number of items that a queue holds.
 pub const DEFAULT_CAPACITY: usize = 256;
 
-/// What happens when a message comes and the queue is full.
+/// The rule for a receive queue that is full when an item arrives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "snake_case")]
 pub enum WhenFull {
-    /// The oldest is dropped: what the program gets is fresh.
+    /// Drops the oldest item, so that the program receives recent ones. The default.
     #[default]
-    NewestWins,
-    /// The new one is dropped: what the program gets has no gap before it is full.
-    OldestWins,
-    /// Whoever sends waits. Nothing is dropped, and a program that does not read holds up everything of that urgency that
-    /// comes over the same connection.
-    Wait,
+    DropOldest,
+    /// Drops the new item, so that the items in the queue stay contiguous.
+    DropNewest,
+    /// Blocks the sender until there is room. Nothing is dropped, but a program that does not read holds up everything
+    /// of that urgency that arrives over the same connection.
+    Block,
 }
 
-/// What became of a message.
+/// The outcome of [`Queue::push`].
 #[derive(Debug, PartialEq, Eq)]
 pub enum Pushed<T> {
-    /// It waits.
+    /// The item is in the queue.
     Kept,
-    /// It waits, and the oldest is gone.
+    /// The item is in the queue; the oldest one, this, was dropped for it.
     DroppedOldest(T),
-    /// It is gone.
+    /// The item was dropped.
     DroppedNewest(T),
-    /// There is no room; to be tried again when something was taken.
+    /// The queue is full. Push the item again after one was taken.
     Full(T),
 }
 
-/// The queue.
+/// A bounded queue.
 #[derive(Debug)]
 pub struct Queue<T> {
     waiting: VecDeque<T>,
@@ -42,7 +42,7 @@ pub struct Queue<T> {
 }
 
 impl<T> Queue<T> {
-    /// For at most `capacity` messages, at least one.
+    /// Creates a queue for at most `capacity` items. A capacity of 0 becomes 1.
     pub fn new(capacity: usize, when_full: WhenFull) -> Self {
         Self {
             waiting: VecDeque::new(),
@@ -52,16 +52,16 @@ impl<T> Queue<T> {
         }
     }
 
-    /// A message has come.
+    /// Adds an item, or applies the rule of a full queue.
     pub fn push(&mut self, item: T) -> Pushed<T> {
         if self.waiting.len() < self.capacity {
             self.waiting.push_back(item);
             return Pushed::Kept;
         }
         let oldest = match self.when_full {
-            WhenFull::Wait => return Pushed::Full(item),
-            WhenFull::NewestWins => self.waiting.pop_front(),
-            WhenFull::OldestWins => None,
+            WhenFull::Block => return Pushed::Full(item),
+            WhenFull::DropOldest => self.waiting.pop_front(),
+            WhenFull::DropNewest => None,
         };
         self.dropped += 1;
         match oldest {
@@ -73,27 +73,27 @@ impl<T> Queue<T> {
         }
     }
 
-    /// The oldest that waits.
+    /// Removes and returns the oldest item.
     pub fn pop(&mut self) -> Option<T> {
         self.waiting.pop_front()
     }
 
-    /// How many were dropped so far.
+    /// Returns the number of items dropped so far.
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// How many wait.
+    /// Returns the number of items in the queue.
     pub fn len(&self) -> usize {
         self.waiting.len()
     }
 
-    /// Whether the next one finds no room.
+    /// Returns whether there is no room for another item.
     pub fn is_full(&self) -> bool {
         self.waiting.len() >= self.capacity
     }
 
-    /// Whether none waits.
+    /// Returns whether the queue is empty.
     pub fn is_empty(&self) -> bool {
         self.waiting.is_empty()
     }
@@ -111,15 +111,15 @@ mod tests {
     }
 
     #[test]
-    fn when_it_is_full_the_stated_one_goes() {
+    fn a_full_queue_follows_its_rule() {
         use Pushed::{DroppedNewest, DroppedOldest, Full, Kept};
-        let (pushed, left, dropped) = filled(WhenFull::NewestWins);
+        let (pushed, left, dropped) = filled(WhenFull::DropOldest);
         assert_eq!(pushed, [Kept, Kept, DroppedOldest(1), DroppedOldest(2)]);
         assert_eq!((left, dropped), (vec![3, 4], 2));
-        let (pushed, left, dropped) = filled(WhenFull::OldestWins);
+        let (pushed, left, dropped) = filled(WhenFull::DropNewest);
         assert_eq!(pushed, [Kept, Kept, DroppedNewest(3), DroppedNewest(4)]);
         assert_eq!((left, dropped), (vec![1, 2], 2));
-        let (pushed, left, dropped) = filled(WhenFull::Wait);
+        let (pushed, left, dropped) = filled(WhenFull::Block);
         assert_eq!(pushed, [Kept, Kept, Full(3), Full(4)]);
         assert_eq!((left, dropped), (vec![1, 2], 0));
     }

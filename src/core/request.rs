@@ -1,68 +1,68 @@
-//! Owns what goes with a request beside its payload: who asks, and until when the answer is of use; and what goes with an
-//! error: who answers so, since Zenoh gives errors no key.
+//! Encodes the metadata of requests and error replies: the header of a request (sender and timeout), and the robot in
+//! an error reply, because Zenoh's error replies have no key.
 use super::{
     encoding::Encoding,
     name::{Name, MAX_BYTES},
     payload::Payload,
 };
 
-/// Not one of the marks of [`super::attachment`], and no beginning of a text in UTF-8 either.
+/// Differs from the marks of [`super::attachment`], and cannot begin a text in UTF-8.
 const MARK: u8 = 0xFC;
 
-/// As long as a service may take where the asker does not say; Zenoh's own default.
+/// The timeout of a request without a header, in milliseconds. Zenoh's own default.
 pub const DEFAULT_TIMEOUT_MS: u32 = 10_000;
 
-/// What goes with a request, in at most 34 bytes: `0xFC`, the time-out in milliseconds (4 bytes, little endian), and the
-/// asker's name.
+/// The attachment of a request, at most 34 bytes: `0xFC`, the timeout in milliseconds (4 bytes, little endian), and the
+/// name of the robot that sent the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Asking {
-    /// Who asks.
-    pub from: Name,
-    /// For how long it waits, in milliseconds from when it asked.
+pub struct RequestHeader {
+    /// The robot that sent the request.
+    pub sender: Name,
+    /// How long the sender waits for a reply, in milliseconds from sending the request.
     pub timeout_ms: u32,
 }
 
-impl Asking {
-    /// As bytes.
+impl RequestHeader {
+    /// Encodes the header.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(5 + MAX_BYTES);
         bytes.push(MARK);
         bytes.extend_from_slice(&self.timeout_ms.to_le_bytes());
-        bytes.extend_from_slice(self.from.as_str().as_bytes());
+        bytes.extend_from_slice(self.sender.as_str().as_bytes());
         bytes
     }
 
-    /// From bytes; `None`: a stock program asks.
+    /// Decodes a header. Returns `None` if the bytes are something else, because the sender does not use RECT.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (&MARK, rest) = bytes.split_first()? else {
             return None;
         };
         let (timeout, name) = rest.split_first_chunk()?;
-        let from = Name::new(std::str::from_utf8(name).ok()?).ok()?;
+        let sender = Name::new(std::str::from_utf8(name).ok()?).ok()?;
         let timeout_ms = u32::from_le_bytes(*timeout);
-        Some(Self { from, timeout_ms })
+        Some(Self { sender, timeout_ms })
     }
 }
 
-/// The last part of an error's encoding, before the name of who answers so: `text/plain;from=wombat-2`.
+/// The last part of an error reply's encoding, before the name of the replying robot: `text/plain;from=wombat-2`.
 const FROM: &str = "from=";
 
-/// An error as an answer.
-pub fn error_to_payload(from: &Name, error: Payload) -> Payload {
-    let encoding = error.encoding.packed(&format!("{FROM}{from}"));
+/// Returns the error reply of `robot`: `error`, with the robot in its encoding.
+pub fn error_to_payload(robot: &Name, error: Payload) -> Payload {
+    let encoding = error.encoding.with_suffix(&format!("{FROM}{robot}"));
     Payload { encoding, ..error }
 }
 
-/// An error that came as an answer, and who answered so; `None`: a stock program.
-pub fn error_from_payload(answer: Payload) -> (Option<Name>, Payload) {
-    let from = answer.encoding.as_str().rsplit_once(';');
+/// Splits an error reply into the robot that sent it (`None` if it does not use RECT) and the error.
+pub fn error_from_payload(reply: Payload) -> (Option<Name>, Payload) {
+    let from = reply.encoding.as_str().rsplit_once(';');
     let from = from.and_then(|(what, from)| Some((what, from.strip_prefix(FROM)?)));
     match from.and_then(|(what, from)| Some((what.to_owned(), Name::new(from).ok()?))) {
         Some((what, from)) => {
             let encoding = Encoding::new(what);
-            (Some(from), Payload { encoding, ..answer })
+            (Some(from), Payload { encoding, ..reply })
         }
-        None => (None, answer),
+        None => (None, reply),
     }
 }
 
@@ -71,27 +71,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_comes_back_and_nothing_else_is_taken_for_it() {
-        let from = Name::new("wombat-1").expect("a name");
-        let asking = Asking {
-            from,
+    fn headers_round_trip_and_other_attachments_are_rejected() {
+        let from = Name::new("wombat-1").expect("valid name");
+        let header = RequestHeader {
+            sender: from,
             timeout_ms: 1500,
         };
-        let bytes = asking.encode();
-        assert_eq!(Asking::decode(&bytes), Some(asking));
+        let bytes = header.encode();
+        assert_eq!(RequestHeader::decode(&bytes), Some(header));
         for wrong in [&b""[..], b"text", &bytes[..5], &[MARK, 0, 0, 0, 0, b'/']] {
-            assert_eq!(Asking::decode(wrong), None, "{wrong:?}");
+            assert_eq!(RequestHeader::decode(wrong), None, "{wrong:?}");
         }
         assert_eq!(super::super::attachment::Attachment::decode(&bytes), None);
     }
 
     #[test]
-    fn an_error_says_who_answers_so() {
-        let from = Name::new("wombat-2").expect("a name");
+    fn error_replies_name_the_robot() {
+        let from = Name::new("wombat-2").expect("valid name");
         let error = Payload::new("the arm is stuck", Encoding::TEXT);
-        let answer = error_to_payload(&from, error.clone());
-        assert_eq!(answer.encoding.as_str(), "text/plain;from=wombat-2");
-        assert_eq!(error_from_payload(answer), (Some(from), error.clone()));
+        let reply = error_to_payload(&from, error.clone());
+        assert_eq!(reply.encoding.as_str(), "text/plain;from=wombat-2");
+        assert_eq!(error_from_payload(reply), (Some(from), error.clone()));
         for stock in ["text/plain", "text/plain;utf-8", "text/plain;from=a b"] {
             let stock = Payload {
                 encoding: Encoding::new(stock),

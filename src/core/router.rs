@@ -1,27 +1,28 @@
-//! Decides how a program joins a router: when to try again, why it can't join, and whether the router serves the robot that
-//! the program joins as. It is given the time and what Zenoh answers; sessions do the I/O.
+//! Decides how a program joins a router: when to retry, why joining failed, and whether the router serves the robot
+//! that the program joins as. It is given the time and Zenoh's error messages; the sessions do the I/O.
 use std::time::Duration;
 
 use super::{
-    key::{Place, OWN},
+    humanize,
+    key::{KeySpace, OWN},
     login::{Login, LoginRefused},
     name::Name,
-    wording,
 };
 
-/// How long to wait for the router's answer about the robot that it serves. A router answers within a millisecond; one whose
-/// access control forbids the question does not answer.
+/// How long to wait for the router's answer about the robot that it serves. A router answers within a millisecond,
+/// unless its access control forbids the question.
 pub const ROBOT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The minimum time for an attempt, even at the end of the timeout, so that a timeout of 0 joins a router that is there.
+/// The minimum duration of an attempt, even at the end of the timeout, so that a timeout of 0 suffices to join a router
+/// that is running.
 const SHORTEST_ATTEMPT: Duration = Duration::from_millis(100);
-/// The pause after the first failed attempt; each further one is twice as long.
+/// The pause after the first failed attempt. It doubles after each further one.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
 /// The attempts to join one router.
 #[derive(Debug)]
-pub struct Joining {
+pub struct JoinAttempts {
     endpoint: String,
     login: Login,
     timeout: Duration,
@@ -29,30 +30,30 @@ pub struct Joining {
     uses_login: bool,
 }
 
-/// Why a program can't join a router.
+/// Why a program cannot join a router.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum JoinError {
     /// No router answers within the timeout.
     NoRouter {
-        /// Why the last attempt failed.
+        /// The reason why the last attempt failed.
         reason: String,
     },
-    /// The router asks for a login, and this program's is missing or wrong.
+    /// The router requires a login, and the program's is missing or wrong.
     Login(LoginRefused),
 }
 
-/// What Zenoh's reason for a failed attempt means.
+/// The meaning of Zenoh's reason for a failed attempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Refusal {
     Login,
-    /// The router asks for no login, and Zenoh's client insists on giving one.
-    NoLoginsThere,
+    /// The router does not require a login, and Zenoh's client insists on sending one.
+    NoLoginRequired,
     Full,
     Other,
 }
 
-impl Joining {
-    /// For the router at `endpoint`, which may take up to `timeout` to answer.
+impl JoinAttempts {
+    /// Creates the state for joining the router at `endpoint` within `timeout`.
     pub fn new(endpoint: impl Into<String>, login: Login, timeout: Duration) -> Self {
         Self {
             endpoint: endpoint.into(),
@@ -68,16 +69,16 @@ impl Joining {
         self.login.credentials().filter(|_| self.uses_login)
     }
 
-    /// Returns how long the next attempt may take, `elapsed` after the first one began.
+    /// Returns how long the next attempt may take. `elapsed` is the time since the first attempt began.
     pub fn limit(&self, elapsed: Duration) -> Duration {
         self.remaining(elapsed).max(SHORTEST_ATTEMPT)
     }
 
-    /// Handles a failed attempt: returns the pause before the next one. `reason` is what Zenoh reports, `None` if the
-    /// attempt took longer than [`limit`](Self::limit); `elapsed` is the time since the first attempt began.
+    /// Handles a failed attempt, and returns the pause before the next one. `reason` is what Zenoh reports, or `None`
+    /// if the attempt exceeded [`limit`](Self::limit). `elapsed` is the time since the first attempt began.
     ///
     /// # Errors
-    /// [`JoinError`]: further attempts are pointless, or the time is over.
+    /// Returns a [`JoinError`] if further attempts are pointless or the timeout has passed.
     pub fn on_failure(
         &mut self,
         elapsed: Duration,
@@ -88,7 +89,7 @@ impl Joining {
             Refusal::Login => {
                 return Err(JoinError::Login(self.login.refused_by(&self.endpoint)));
             }
-            Refusal::NoLoginsThere if self.uses_login => {
+            Refusal::NoLoginRequired if self.uses_login => {
                 self.uses_login = false;
                 return Ok(Duration::ZERO);
             }
@@ -114,16 +115,17 @@ impl Joining {
                 (transport/unicast/max_sessions in its configuration)"
                 .to_owned(),
             (_, Some(reason)) => {
-                system_error(reason).unwrap_or_else(|| wording::on_one_line(reason))
+                system_error(reason).unwrap_or_else(|| humanize::on_one_line(reason))
             }
-            (_, None) => format!("no answer within {}", wording::duration(self.timeout)),
+            (_, None) => format!("no answer within {}", humanize::duration(self.timeout)),
         }
     }
 }
 
 impl Refusal {
-    /// Reads the reason that Zenoh 1.10 gives for a session that does not open. Its routers close the link of a client without
-    /// a login in answer to the first message (InitSyn), that of a client with a wrong one in answer to the second (OpenSyn).
+    /// Interprets the reason that Zenoh 1.10 gives when a session does not open. Its routers close the link of a client
+    /// without a login in response to the first message (InitSyn), and that of a client with a wrong login in response
+    /// to the second (OpenSyn).
     fn of(reason: &str) -> Self {
         let closed = |why: &str, message: &str| {
             reason.contains(&format!(
@@ -136,27 +138,28 @@ impl Refusal {
         } else if closed("INVALID", "OpenSyn") {
             Self::Full
         } else if reason.contains("UsrPwd extension") || reason.contains("Auth extension") {
-            Self::NoLoginsThere
+            Self::NoLoginRequired
         } else {
             Self::Other
         }
     }
 }
 
-/// Returns what the system says is wrong, if Zenoh quotes it: "Connection refused".
+/// Returns the operating system's error, if Zenoh quotes one: "Connection refused".
 fn system_error(reason: &str) -> Option<String> {
     let (before, _) = reason.split_once(" (os error ")?;
-    let said = before.rsplit([':', '[', ',']).next()?.trim();
-    (!said.is_empty()).then(|| said.to_owned())
+    let text = before.rsplit([':', '[', ',']).next()?.trim();
+    (!text.is_empty()).then(|| text.to_owned())
 }
 
-/// Returns the key expression of the liveliness tokens that name the robot of the router with that Zenoh id, in any fleet.
+/// Returns the key expression of the liveliness tokens that name the robot of the router with that Zenoh id, in any
+/// fleet.
 pub fn robot_of_router(id: &str) -> String {
     format!("*/*/{OWN}/alive/{id}")
 }
 
-/// The router serves another robot than the program joins as. A router with `rect-router init`'s access control passes on
-/// what its own robot says and drops the rest, without an error to the sender.
+/// The router serves another robot than the program joins as. A router with the access control of `rect-router init`
+/// forwards only what its own robot publishes, and drops the rest without an error to the sender.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the router at {endpoint} serves {}, but this program joins as {}: the router's access control may drop whatever it \
@@ -166,34 +169,34 @@ pub fn robot_of_router(id: &str) -> String {
     serves = .serves.robot, joins = .joins.robot
 )]
 pub struct WrongRobot {
-    /// Where the router is.
+    /// The endpoint of the router.
     pub endpoint: String,
     /// The robot and fleet that the router serves.
-    pub serves: Place,
+    pub serves: KeySpace,
     /// The robot and fleet that the program joins as.
-    pub joins: Place,
+    pub joins: KeySpace,
 }
 
-impl Place {
-    /// Checks the keys of the liveliness tokens under [`robot_of_router`]: a router without any serves no robot, and accepts
-    /// all names.
+impl KeySpace {
+    /// Checks the keys of the liveliness tokens that match [`robot_of_router`]. A router without such tokens serves no
+    /// robot, and accepts all names.
     ///
     /// # Errors
-    /// [`WrongRobot`]: there are some, and none is of this robot.
+    /// Returns [`WrongRobot`] if there are tokens, and none is of this robot.
     pub fn check_router<T: AsRef<str>>(
         &self,
         endpoint: &str,
         tokens: impl IntoIterator<Item = T>,
     ) -> Result<(), WrongRobot> {
         let mut other = None;
-        for place in tokens
+        for keys in tokens
             .into_iter()
             .filter_map(|key| Self::of_key(key.as_ref()))
         {
-            if place == *self {
+            if keys == *self {
                 return Ok(());
             }
-            other = other.or(Some(place));
+            other = other.or(Some(keys));
         }
         other.map_or(Ok(()), |serves| {
             Err(WrongRobot {
@@ -204,7 +207,7 @@ impl Place {
         })
     }
 
-    /// Returns whose a key of any fleet is.
+    /// Returns the fleet and robot of a key of any fleet.
     fn of_key(key: &str) -> Option<Self> {
         let mut parts = key.split('/').map(Name::new);
         let (fleet, robot) = (parts.next()?.ok()?, parts.next()?.ok()?);
@@ -236,14 +239,14 @@ mod tests {
     const FULL: &str = "Received a close message (reason INVALID) in response to an OpenSyn on: TransportLinkUnicast";
     const NO_LOGINS: &str = "UsrPwd extension - Recv InitSyn. Decoding error. at /x/usrpwd.rs:304.";
 
-    fn joining(login: Login) -> Joining {
-        Joining::new("tcp/127.0.0.1:9", login, Duration::from_secs(3))
+    fn attempts(login: Login) -> JoinAttempts {
+        JoinAttempts::new("tcp/127.0.0.1:9", login, Duration::from_secs(3))
     }
 
-    fn place(fleet: &str, robot: &str) -> Place {
-        let name = |text| Name::new(text).expect("a name");
+    fn keys(fleet: &str, robot: &str) -> KeySpace {
+        let name = |text| Name::new(text).expect("valid name");
         let (fleet, robot) = (name(fleet), name(robot));
-        Place { fleet, robot }
+        KeySpace { fleet, robot }
     }
 
     fn ms(ms: u64) -> Duration {
@@ -251,11 +254,11 @@ mod tests {
     }
 
     #[test]
-    fn an_absent_router_is_tried_again_until_the_timeout_and_no_longer() {
-        let mut joining = joining(Login::given("fleet", "x"));
+    fn retries_until_the_timeout_if_no_router_answers() {
+        let mut attempts = attempts(Login::given("fleet", "x"));
         let (mut elapsed, mut pauses) = (Duration::ZERO, Vec::new());
         let error = loop {
-            match joining.on_failure(elapsed, Some(REFUSED)) {
+            match attempts.on_failure(elapsed, Some(REFUSED)) {
                 Ok(pause) => {
                     pauses.push(pause);
                     elapsed += pause;
@@ -270,29 +273,32 @@ mod tests {
     }
 
     #[test]
-    fn a_router_that_does_not_answer_is_reported_with_the_timeout() {
-        let error = joining(Login::given("fleet", "x")).on_failure(ms(3000), None);
+    fn reports_the_timeout_if_the_router_does_not_answer() {
+        let error = attempts(Login::given("fleet", "x")).on_failure(ms(3000), None);
         let reason = "no answer within 3 s".to_owned();
         assert_eq!(error, Err(JoinError::NoRouter { reason }));
     }
 
     #[test]
-    fn a_refused_login_ends_the_attempts_at_once() {
+    fn does_not_retry_after_a_refused_login() {
         let unreadable = Login::of_file("/etc/rect/users", Err("Permission denied".to_owned()));
         let wrong = Login::of_file("/etc/rect/users", Ok("fleet:x"));
-        for (login, reason, said) in [
+        for (login, reason, expected) in [
             (
                 unreadable,
                 NO_LOGIN,
-                "/etc/rect/users can't be read: Permission denied",
+                "/etc/rect/users cannot be read: Permission denied",
             ),
             (wrong, WRONG_LOGIN, "of user fleet in /etc/rect/users"),
             (Login::given("me", "x"), WRONG_LOGIN, "of user me"),
         ] {
-            match joining(login).on_failure(ms(1), Some(reason)) {
+            match attempts(login).on_failure(ms(1), Some(reason)) {
                 Err(JoinError::Login(refused)) => {
                     let text = refused.to_string();
-                    assert!(text.contains(said) && text.contains("RECT_LOGIN"), "{text}");
+                    assert!(
+                        text.contains(expected) && text.contains("RECT_LOGIN"),
+                        "{text}"
+                    );
                 }
                 other => panic!("{reason}: {other:?}"),
             }
@@ -300,21 +306,21 @@ mod tests {
     }
 
     #[test]
-    fn a_router_without_logins_is_joined_without_one() {
-        let mut joining = joining(Login::given("fleet", "x"));
-        assert_eq!(joining.credentials(), Some(("fleet", "x")));
+    fn retries_without_a_login_if_none_is_required() {
+        let mut attempts = attempts(Login::given("fleet", "x"));
+        assert_eq!(attempts.credentials(), Some(("fleet", "x")));
         assert_eq!(
-            joining.on_failure(ms(1), Some(NO_LOGINS)),
+            attempts.on_failure(ms(1), Some(NO_LOGINS)),
             Ok(Duration::ZERO)
         );
-        assert_eq!(joining.credentials(), None);
+        assert_eq!(attempts.credentials(), None);
     }
 
     #[test]
-    fn a_router_without_room_is_tried_again_and_reported_as_such() {
-        let mut joining = joining(Login::given("fleet", "x"));
-        assert_eq!(joining.on_failure(ms(1), Some(FULL)), Ok(FIRST_PAUSE));
-        match joining.on_failure(ms(3000), Some(FULL)) {
+    fn retries_if_the_router_has_too_many_sessions() {
+        let mut attempts = attempts(Login::given("fleet", "x"));
+        assert_eq!(attempts.on_failure(ms(1), Some(FULL)), Ok(FIRST_PAUSE));
+        match attempts.on_failure(ms(3000), Some(FULL)) {
             Err(JoinError::NoRouter { reason }) => {
                 assert!(reason.contains("max_sessions"), "{reason}");
             }
@@ -323,8 +329,8 @@ mod tests {
     }
 
     #[test]
-    fn the_robot_of_the_router_is_compared_with_the_programs() {
-        let me = place("rect", "wombat-7");
+    fn compares_the_routers_robot_with_the_programs() {
+        let me = keys("rect", "wombat-7");
         let check = |tokens: &[&str]| me.check_router("tcp/127.0.0.1:7447", tokens);
         assert_eq!(check(&[]), Ok(()));
         assert_eq!(check(&["rect/wombat-7/@rect/alive/ab12"]), Ok(()));

@@ -1,19 +1,19 @@
-//! Streams: pictures of a camera, values of a sensor, of which the newest counts. What is old, a slow link drops; an
-//! adaptive stream fits quality, size and rate of its frames to what gets through.
+//! Streams: a camera's pictures or a sensor's values, of which only the newest matters. A slow link drops older frames;
+//! an adaptive stream adjusts the quality, size and rate of its frames to the capacity of the links.
 //!
-//! | what | key |
+//! | purpose | key |
 //! |---|---|
-//! | frames for all that keep up | `<fleet>/<sender>/<topic>`: the picture as it is, so that every Zenoh tool shows it |
-//! | smaller ones, for those that do not | `<fleet>/<sender>/@rect/slow/<topic>` |
-//! | what the sender says of it: [`notice`] | `<fleet>/<sender>/@rect/stream/<topic>`, asked for and put |
-//! | what a receiver says: [`feedback`] | `<fleet>/<receiver>/@rect/feedback/<sender>/<topic>` |
+//! | frames for the main group | `<fleet>/<sender>/<topic>`: the picture without further framing, so that every Zenoh tool can display it |
+//! | smaller frames, for the slow group | `<fleet>/<sender>/@rect/slow/<topic>` |
+//! | the sender's description of the stream: [`notice`] | `<fleet>/<sender>/@rect/stream/<topic>`, queried and published |
+//! | a receiver's report: [`feedback`] | `<fleet>/<receiver>/@rect/feedback/<sender>/<topic>` |
 //!
-//! A frame's attachment is its source (drawn anew for each of the two keys), its number there and the low 16 bits of its
-//! time. The [`receiver`] knows from the small question for the notice how the clocks differ ([`offset`]), thus the age of
-//! each frame, thus at what *pace* the frame came through: its bytes by the time that they took. The pace tells the rate
-//! of the slowest link without filling it, so that the [`rate`] of the sender stays where it is instead of swinging
-//! around the link's. The [`sender`] chooses the step of its [`ladder`] by that rate, spaces the frames
-//! ([`pacer`]), and parts receivers of very different links into [`groups`].
+//! The attachment of a frame contains its source (a random number for each of the two keys), its sequence number and
+//! the low 16 bits of the time of sending. From the replies to its queries for the notice, the [`receiver`] learns the
+//! offset between the clocks ([`offset`]), and with it the age of each frame. The *pace* of a frame is its size divided
+//! by the time that it spent in transit. It shows the rate of the slowest link without filling that link, so that the
+//! sender's [`rate`] stays constant instead of oscillating. The [`sender`] chooses the step of its [`ladder`] by that
+//! rate, spaces the frames ([`pacer`]), and separates receivers with very different links into [`groups`].
 pub mod feedback;
 pub mod groups;
 pub mod ladder;
@@ -32,12 +32,12 @@ mod simulation;
 mod tests;
 
 use super::{
-    key::{Place, OWN},
+    key::{KeySpace, OWN},
     name::Name,
     topic::Topic,
 };
 
-/// To whom a frame goes.
+/// The receivers of a stream that get the same frames.
 #[derive(
     Clone,
     Copy,
@@ -53,22 +53,22 @@ use super::{
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Group {
-    /// All that keep up with each other; stock programs too.
+    /// Receivers with links of similar speed, and all other Zenoh programs.
     #[default]
     Main,
-    /// Those that get much less through than the others.
+    /// Receivers whose links are much slower than those of the others.
     Slow,
 }
 
 impl Group {
-    /// Both.
+    /// Both groups.
     pub const ALL: [Self; 2] = [Self::Main, Self::Slow];
 
-    /// The key of its frames.
-    pub fn key(self, place: &Place, topic: &Topic) -> String {
+    /// Returns the key of the group's frames.
+    pub fn key(self, keys: &KeySpace, topic: &Topic) -> String {
         match self {
-            Self::Main => place.publication(topic),
-            Self::Slow => place.own(Some(&place.robot), &format!("slow/{topic}")),
+            Self::Main => keys.publication(topic),
+            Self::Slow => keys.own(Some(&keys.robot), &format!("slow/{topic}")),
         }
     }
 
@@ -80,24 +80,24 @@ impl Group {
     }
 }
 
-/// The key of what the sender at `place` says of a stream.
-pub fn notice_key(place: &Place, topic: &Topic) -> String {
-    place.own(Some(&place.robot), &format!("stream/{topic}"))
+/// Returns the key of the notice of the sender `keys`.
+pub fn notice_key(keys: &KeySpace, topic: &Topic) -> String {
+    keys.own(Some(&keys.robot), &format!("stream/{topic}"))
 }
 
-/// The key of what the receiver at `place` says of the stream of `sender`.
-pub fn feedback_key(place: &Place, sender: &Name, topic: &Topic) -> String {
-    place.own(Some(&place.robot), &format!("feedback/{sender}/{topic}"))
+/// Returns the key of the feedback of the receiver `keys` about a stream of `sender`.
+pub fn feedback_key(keys: &KeySpace, sender: &Name, topic: &Topic) -> String {
+    keys.own(Some(&keys.robot), &format!("feedback/{sender}/{topic}"))
 }
 
-/// The key expression of what all receivers say of the stream of the sender at `place`.
-pub fn feedback_keys(place: &Place, topic: &Topic) -> String {
-    place.own(None, &format!("feedback/{}/{topic}", place.robot))
+/// Returns the key expression of the feedback of all receivers about a stream of the sender `keys`.
+pub fn feedback_keys(keys: &KeySpace, topic: &Topic) -> String {
+    keys.own(None, &format!("feedback/{}/{topic}", keys.robot))
 }
 
-/// Who wrote a key that [`feedback_keys`] matches.
-pub fn feedback_from(place: &Place, key: &str) -> Option<Name> {
-    let rest = key.strip_prefix(place.fleet.as_str())?.strip_prefix('/')?;
+/// Returns the robot that published a key that [`feedback_keys`] matches.
+pub fn feedback_from(keys: &KeySpace, key: &str) -> Option<Name> {
+    let rest = key.strip_prefix(keys.fleet.as_str())?.strip_prefix('/')?;
     let (name, rest) = rest.split_once('/')?;
     rest.strip_prefix(OWN)?.strip_prefix("/feedback/")?;
     Name::new(name).ok()

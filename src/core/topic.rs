@@ -1,4 +1,4 @@
-//! Owns what a message may be about ([`Topic`]), and what one may subscribe to ([`Pattern`]).
+//! Defines [`Topic`], the subject of a message, and [`Pattern`], which subscriptions match against.
 use std::{fmt, str::FromStr, sync::Arc};
 
 use zenoh_keyexpr::{canon::Canonize, keyexpr};
@@ -8,71 +8,84 @@ use super::{
     name::{Name, NameError},
 };
 
-/// The longest topic, in bytes: it goes over the air with every message that has no declared key.
+/// The maximum length of a topic, in bytes. The topic is sent with every message whose key is not declared.
 pub const MAX_BYTES: usize = 200;
 
-/// The part of a key that says that the next is a robot to whom the message goes.
+/// The part of a key that precedes the recipient of a message to one robot.
 pub(super) const TO: &str = "to";
 
-/// What a message is about: parts with `/` between them, such as `arm/angle`; no wildcards, no part that begins with `@`
-/// (those are Zenoh's and RECT's own), and the first part is not `to`.
+/// The topic of a message: one or more parts separated by `/`, such as `arm/angle`. It has no wildcards, no part begins
+/// with `@` (Zenoh and RECT use such parts internally), and the first part is not `to`.
+///
+/// ```
+/// use rect::core::topic::Topic;
+/// assert!(Topic::new("arm/angle").is_ok());
+/// assert!(Topic::new("arm/*").is_err());
+/// ```
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Topic(Arc<str>);
 
-/// The messages that one wants: of whom, and about what.
+/// Selects messages by sender and topic.
 ///
-/// As text, `<robot>/<topic>`, both with Zenoh's wildcards: `wombat-2/arm/angle`, `*/arm/*` (any robot, anything of its
-/// arm), `wombat-2/**` (all that it says).
+/// As text, it is `<robot>/<topic>`, both with Zenoh's wildcards: `wombat-2/arm/angle`, `*/arm/*` (topics of two parts
+/// that begin with `arm`, from any robot), `wombat-2/**` (everything that wombat-2 publishes).
+///
+/// ```
+/// use rect::core::topic::Pattern;
+/// let pattern = Pattern::new("*/arm/*")?;
+/// assert_eq!((pattern.robot(), pattern.topic()), (None, "arm/*"));
+/// # Ok::<(), rect::core::topic::TopicError>(())
+/// ```
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Pattern {
     robot: Option<Name>,
     topic: Arc<str>,
 }
 
-/// The text can't be a topic or a pattern.
+/// The text is not a valid topic or pattern.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TopicError {
-    /// Empty, or too long.
-    #[error("a topic is 1 to {MAX_BYTES} bytes long, such as `arm/angle`")]
+    /// The topic is empty or too long.
+    #[error("a topic must be 1 to {MAX_BYTES} bytes long, such as `arm/angle`")]
     Length,
-    /// Zenoh does not take it as a key.
-    #[error("the topic {topic:?} is not one: {reason}")]
+    /// Zenoh does not accept the topic as part of a key.
+    #[error("{topic:?} is not a valid topic: {reason}")]
     Invalid {
-        /// What was given.
+        /// The rejected topic.
         topic: String,
-        /// What Zenoh says of it.
+        /// The reason that Zenoh gives.
         reason: String,
     },
-    /// A wildcard where one thing is to be named.
-    #[error("the topic {0:?} has a wildcard in it: a message is about one thing; wildcards are for subscribing")]
+    /// The topic of a message contains a wildcard.
+    #[error("the topic {0:?} contains a wildcard: only subscriptions may use wildcards")]
     Wildcard(String),
-    /// A character that a terminal would obey, or that makes a line read as something else than it is: control characters,
-    /// invisible characters, and the marks that change the direction of text.
+    /// The topic contains a character that a terminal would interpret or that makes text read differently: control
+    /// characters, invisible characters, and the marks that change the direction of text.
     #[error(
-        "the topic {topic:?} has the character U+{:04X} in it: control characters, invisible characters and marks of text \
+        "the topic {topic:?} contains the character U+{:04X}: control characters, invisible characters and marks of text \
          direction are not allowed in topics; use letters, digits, `_`, `-` and `/`",
         u32::from(*.found)
     )]
     Character {
-        /// The rejected text.
+        /// The rejected topic.
         topic: String,
         /// The first such character.
         found: char,
     },
-    /// A part that belongs to Zenoh or RECT.
-    #[error("the topic {topic:?} has the part {part:?} in it, which is for RECT's own messages")]
+    /// The topic contains a part that Zenoh or RECT uses internally.
+    #[error("the topic {topic:?} contains the part {part:?}, which is reserved for internal messages of RECT and Zenoh")]
     Reserved {
-        /// What was given.
+        /// The rejected topic.
         topic: String,
-        /// Which part.
+        /// The reserved part.
         part: String,
     },
-    /// The robot of a pattern.
+    /// The text is not of the form `<robot>/<topic>`.
     #[error(
-        "a pattern is `<robot>/<topic>`, such as `wombat-2/arm/angle` or `*/arm/*`: {0:?} is not"
+        "{0:?} is not a pattern: write `<robot>/<topic>`, such as `wombat-2/arm/angle` or `*/arm/*`"
     )]
     Pattern(String),
-    /// The robot of a pattern has no possible name.
+    /// The robot of the pattern is not a valid name.
     #[error(transparent)]
     Robot(#[from] NameError),
 }
@@ -84,10 +97,10 @@ impl From<std::convert::Infallible> for TopicError {
 }
 
 impl Topic {
-    /// Checks a text.
+    /// Creates a topic after checking the text.
     ///
     /// # Errors
-    /// [`TopicError`]: what is wrong with it.
+    /// Returns a [`TopicError`] that explains why the text is not a valid topic.
     pub fn new(text: &str) -> Result<Self, TopicError> {
         let key = checked(text)?;
         if key.contains('*') {
@@ -96,17 +109,17 @@ impl Topic {
         Ok(Self(text.into()))
     }
 
-    /// As text.
+    /// Returns the topic as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
 impl Pattern {
-    /// Reads `<robot>/<topic>`.
+    /// Parses `<robot>/<topic>`.
     ///
     /// # Errors
-    /// [`TopicError`]: what is wrong with it.
+    /// Returns a [`TopicError`] that explains why the text is not a valid pattern.
     pub fn new(text: &str) -> Result<Self, TopicError> {
         let no_pattern = || TopicError::Pattern(text.chars().take(MAX_BYTES).collect());
         let (robot, topic) = text.split_once('/').ok_or_else(no_pattern)?;
@@ -117,16 +130,16 @@ impl Pattern {
         Self::of(robot, topic)
     }
 
-    /// Of that robot, or of any; `topic` may have wildcards.
+    /// Creates a pattern for messages of `robot`, or of any robot (`None`). `topic` may contain wildcards.
     ///
     /// # Errors
-    /// [`TopicError`]: what is wrong with the topic.
+    /// Returns a [`TopicError`] that explains why the topic is not valid.
     pub fn of(robot: Option<Name>, topic: &str) -> Result<Self, TopicError> {
         if topic.len() > MAX_BYTES {
             return Err(TopicError::Length);
         }
         let mut canonical = topic.to_owned();
-        // zenoh-keyexpr 1.10.2 reads beyond the end of one that ends in these.
+        // zenoh-keyexpr 1.10.2 reads out of bounds when it canonizes a text that ends in these.
         while canonical.contains("$*$*") {
             canonical = canonical.replace("$*$*", "$*");
         }
@@ -136,12 +149,12 @@ impl Pattern {
         Ok(Self { robot, topic })
     }
 
-    /// Of whom; `None`: anyone.
+    /// Returns the sender that the pattern selects. `None` if it selects any robot.
     pub fn robot(&self) -> Option<&Name> {
         self.robot.as_ref()
     }
 
-    /// About what, perhaps with wildcards.
+    /// Returns the topic that the pattern selects, which may contain wildcards.
     pub fn topic(&self) -> &str {
         &self.topic
     }
@@ -160,8 +173,8 @@ fn checked(text: &str) -> Result<&keyexpr, TopicError> {
         topic: topic(),
         reason: error.to_string(),
     })?;
-    let own = |(n, part): &(usize, &str)| part.starts_with('@') || (*n == 0 && *part == TO);
-    match text.split('/').enumerate().find(own) {
+    let is_reserved = |(n, part): &(usize, &str)| part.starts_with('@') || (*n == 0 && *part == TO);
+    match text.split('/').enumerate().find(is_reserved) {
         Some((_, part)) => Err(TopicError::Reserved {
             topic: topic(),
             part: part.to_owned(),
@@ -248,7 +261,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_topic_names_one_thing() {
+    fn topics_have_no_wildcards_and_no_reserved_parts() {
         for good in ["a", "arm/angle", "arm/to/x", "a b", "ä/ö", "to-do"] {
             assert_eq!(Topic::new(good).expect(good).as_str(), good);
         }
@@ -269,7 +282,7 @@ mod tests {
             .chain([0x200e, 0x200f, 0x61c]);
         for c in controls.chain(directions.filter_map(char::from_u32)) {
             let text = format!("arm/{c}angle");
-            let error = Topic::new(&text).expect_err("a topic");
+            let error = Topic::new(&text).expect_err("invalid topic");
             assert!(
                 matches!(&error, TopicError::Character { found, .. } if *found == c),
                 "{error}"
@@ -287,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pattern_says_of_whom_and_about_what() {
+    fn patterns_select_robot_and_topic() {
         let pattern = Pattern::new("wombat-2/arm/*").expect("good");
         assert_eq!(pattern.robot().map(Name::as_str), Some("wombat-2"));
         assert_eq!(pattern.topic(), "arm/*");

@@ -1,5 +1,5 @@
-//! Counts the messages of a robot's topics, for its router, and holds the answer that the router gives about them. Given the
-//! time; docs/registry.md has the form of the answer.
+//! Counts the messages of a robot's topics for its router, and builds the router's answers about them. It is given the
+//! time. docs/registry.md describes the form of the answers.
 use std::{
     collections::{BTreeMap, VecDeque},
     time::{Duration, Instant},
@@ -7,33 +7,33 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-/// Rates are those of this time before the question.
+/// The time before a question over which rates are measured.
 pub const WINDOW: Duration = Duration::from_secs(5);
-/// The most topics that are counted; messages of more only count as such.
+/// The maximum number of topics that are counted individually. For further topics, only their existence is reported.
 pub const MAX_TOPICS: usize = 256;
-/// The parts into which the window is divided.
-const SLOTS: u32 = 10;
-const SLOT: Duration = Duration::from_millis(500);
-/// The longest encoding that is kept, in bytes.
+/// The number of parts into which the window is divided.
+const BUCKETS: u32 = 10;
+const BUCKET: Duration = Duration::from_millis(500);
+/// The maximum length of an encoding in a report, in bytes.
 const MAX_ENCODING_BYTES: usize = 64;
-/// The longest topic that is counted, in bytes.
+/// The maximum length of a topic that is counted, in bytes.
 const MAX_TOPIC_BYTES: usize = 220;
 
-/// The part of RECT's own keys under which a router answers about its robot's topics.
+/// The part of RECT's internal keys under which a router answers questions about its robot's topics.
 pub const TOPICS: &str = "topics";
-/// The parameter of a question there that makes the router count messages.
+/// The parameter of a question that makes the router count messages.
 pub const MEASURE: &str = "measure";
-/// The parameter that selects one topic.
+/// The parameter that selects a single topic.
 pub const TOPIC: &str = "topic";
 
 /// A router's answer about the topics of its robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Topics {
-    /// For how long messages have been counted, at most [`WINDOW`], in seconds; 0: not at all.
+    /// The time over which messages have been counted, in seconds, at most [`WINDOW`]. 0 if messages are not counted.
     pub window_s: f64,
-    /// Each topic.
+    /// The topics.
     pub topics: Vec<TopicReport>,
-    /// How many topics there are beside these.
+    /// The number of topics that are not in the list.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub more: usize,
 }
@@ -42,27 +42,27 @@ fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
-/// One topic. As JSON it is a list of the fields in this order, to be short.
+/// The report about one topic. In JSON it is an array of the fields in this order, to save bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Row", into = "Row")]
 pub struct TopicReport {
-    /// The key below the robot's name.
+    /// The topic: the key below the robot's name.
     pub topic: String,
-    /// How many publishers are declared.
+    /// The number of declared publishers.
     pub publishers: usize,
-    /// The encoding of the last message; empty if none was counted.
+    /// The encoding of the last message. Empty if no message was counted.
     pub encoding: String,
-    /// Messages a second.
+    /// Messages per second.
     pub hz: f64,
-    /// Payload bytes a second.
+    /// Payload bytes per second.
     pub bytes_per_s: u64,
-    /// The payload of the last message, in bytes.
+    /// The size of the last payload, in bytes.
     pub last_bytes: u64,
-    /// The shortest and the longest time between two messages, in milliseconds.
+    /// The shortest and the longest interval between two messages, in milliseconds.
     pub interval_ms: Option<(f64, f64)>,
 }
 
-/// With the intervals, or without.
+/// A report with the intervals, or without them.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 enum Row {
@@ -110,18 +110,18 @@ impl From<TopicReport> for Row {
     }
 }
 
-/// Counts messages from when it is made.
+/// Counts messages from its creation on.
 #[derive(Debug)]
 pub struct Counter {
     start: Instant,
     topics: BTreeMap<String, Counted>,
-    /// Messages of topics that there was no room for.
+    /// The number of messages whose topic could not be counted individually.
     uncounted: u64,
 }
 
 #[derive(Debug, Default)]
 struct Counted {
-    slots: VecDeque<Slot>,
+    buckets: VecDeque<Bucket>,
     encoding: String,
     last_bytes: u64,
     last: Option<Instant>,
@@ -129,18 +129,18 @@ struct Counted {
 
 /// The messages within one part of the window.
 #[derive(Clone, Copy, Debug, Default)]
-struct Slot {
+struct Bucket {
     number: u128,
-    /// When its first message came.
+    /// The time of its first message.
     first: Option<Instant>,
     messages: u64,
     bytes: u64,
-    /// The shortest and the longest time to the message before.
+    /// The shortest and the longest interval that ended in this part.
     intervals: Option<(Duration, Duration)>,
 }
 
 impl Counter {
-    /// Begins to count.
+    /// Creates a counter.
     pub fn new(now: Instant) -> Self {
         Self {
             start: now,
@@ -151,13 +151,13 @@ impl Counter {
 
     /// Counts a message.
     pub fn on_message(&mut self, now: Instant, topic: &str, payload_bytes: usize, encoding: &str) {
-        let number = self.slot(now);
-        let known = self.topics.contains_key(topic);
-        if !known && (self.topics.len() >= MAX_TOPICS || topic.len() > MAX_TOPIC_BYTES) {
+        let number = self.bucket(now);
+        let is_counted = self.topics.contains_key(topic);
+        if !is_counted && (self.topics.len() >= MAX_TOPICS || topic.len() > MAX_TOPIC_BYTES) {
             self.uncounted += 1;
             return;
         }
-        if !known {
+        if !is_counted {
             self.topics.insert(topic.to_owned(), Counted::default());
         }
         if let Some(counted) = self.topics.get_mut(topic) {
@@ -165,8 +165,8 @@ impl Counter {
         }
     }
 
-    /// The answer at `now`, with the publishers of each topic that are declared. `topic` selects one; only then are the
-    /// intervals a part of the answer.
+    /// Returns the answer at `now`. `publishers` holds the number of declared publishers by topic. `topic` selects a
+    /// single topic; only then does the answer include the intervals.
     pub fn report(
         &self,
         now: Instant,
@@ -174,7 +174,7 @@ impl Counter {
         topic: Option<&str>,
     ) -> Topics {
         let window = now.saturating_duration_since(self.start).min(WINDOW);
-        let oldest = self.slot(now).saturating_sub(u128::from(SLOTS));
+        let oldest = self.bucket(now).saturating_sub(u128::from(BUCKETS));
         let counted = self.topics.iter().map(|(topic, counted)| {
             let publishers = publishers.get(topic).copied().unwrap_or_default();
             counted.report(topic, publishers, now, window, oldest)
@@ -193,12 +193,12 @@ impl Counter {
         )
     }
 
-    fn slot(&self, now: Instant) -> u128 {
-        now.saturating_duration_since(self.start).as_millis() / SLOT.as_millis()
+    fn bucket(&self, now: Instant) -> u128 {
+        now.saturating_duration_since(self.start).as_millis() / BUCKET.as_millis()
     }
 }
 
-/// The answer while no messages are counted.
+/// Returns the answer while no messages are counted.
 pub fn report_declared(publishers: &BTreeMap<String, usize>, topic: Option<&str>) -> Topics {
     let topics = publishers
         .iter()
@@ -238,23 +238,27 @@ fn listed(
 
 impl Counted {
     fn on_message(&mut self, now: Instant, number: u128, bytes: u64, encoding: &str) {
-        if self.slots.back().is_none_or(|slot| slot.number != number) {
-            self.slots.push_back(Slot {
+        if self
+            .buckets
+            .back()
+            .is_none_or(|bucket| bucket.number != number)
+        {
+            self.buckets.push_back(Bucket {
                 number,
-                ..Slot::default()
+                ..Bucket::default()
             });
-            // The one that is being filled, and those of the window before it.
-            while self.slots.len() > SLOTS as usize + 1 {
-                self.slots.pop_front();
+            // The part that is being filled, and those of the window before it.
+            while self.buckets.len() > BUCKETS as usize + 1 {
+                self.buckets.pop_front();
             }
         }
         let interval = self.last.map(|last| now.saturating_duration_since(last));
-        if let Some(slot) = self.slots.back_mut() {
-            slot.first.get_or_insert(now);
-            slot.messages += 1;
-            slot.bytes += bytes;
-            slot.intervals = match (slot.intervals, interval) {
-                (Some((least, most)), Some(one)) => Some((least.min(one), most.max(one))),
+        if let Some(bucket) = self.buckets.back_mut() {
+            bucket.first.get_or_insert(now);
+            bucket.messages += 1;
+            bucket.bytes += bytes;
+            bucket.intervals = match (bucket.intervals, interval) {
+                (Some((min, max)), Some(one)) => Some((min.min(one), max.max(one))),
                 (None, Some(one)) => Some((one, one)),
                 (known, None) => known,
             };
@@ -276,17 +280,17 @@ impl Counted {
         window: Duration,
         oldest: u128,
     ) -> TopicReport {
-        let slots = || self.slots.iter().filter(|slot| slot.number >= oldest);
-        let messages: u64 = slots().map(|slot| slot.messages).sum();
-        let bytes: u64 = slots().map(|slot| slot.bytes).sum();
-        let intervals = slots().filter_map(|slot| slot.intervals);
+        let buckets = || self.buckets.iter().filter(|bucket| bucket.number >= oldest);
+        let messages: u64 = buckets().map(|bucket| bucket.messages).sum();
+        let bytes: u64 = buckets().map(|bucket| bucket.bytes).sum();
+        let intervals = buckets().filter_map(|bucket| bucket.intervals);
         let intervals = intervals.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
-        // A rate over less than one slot would be that of a single message.
-        let seconds = window.max(SLOT).as_secs_f64();
-        let hz = match (slots().find_map(|slot| slot.first), self.last) {
+        // Over less than one part, the rate would be that of a single message.
+        let seconds = window.max(BUCKET).as_secs_f64();
+        let hz = match (buckets().find_map(|bucket| bucket.first), self.last) {
             (Some(first), Some(last)) if messages > 1 && last > first => {
                 let mean = (last - first).div_f64((messages - 1) as f64);
-                // One that has gone quiet has not published at that rate until now.
+                // The rate of a topic that has stopped publishing decreases from then on.
                 let is_quiet = now.saturating_duration_since(last) > 2 * mean;
                 if is_quiet {
                     messages as f64 / seconds
@@ -303,7 +307,7 @@ impl Counted {
             hz: tenths(hz),
             bytes_per_s: (bytes as f64 / seconds).round() as u64,
             last_bytes: self.last_bytes,
-            interval_ms: intervals.map(|(least, most)| (tenths_ms(least), tenths_ms(most))),
+            interval_ms: intervals.map(|(min, max)| (tenths_ms(min), tenths_ms(max))),
         }
     }
 }
@@ -326,7 +330,7 @@ mod tests {
         BTreeMap::new()
     }
 
-    /// A counter that has counted a message of 24 bytes every 100 ms for that time.
+    /// Returns a counter that has counted a message of 24 bytes every 100 ms for that time.
     fn counted(ms: u32) -> (Counter, Instant) {
         let start = Instant::now();
         let mut counter = Counter::new(start);
@@ -337,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_is_that_of_the_last_seconds() {
+    fn reports_the_rate_of_the_last_seconds() {
         for ms in [2_000, 5_000, 60_000] {
             let (counter, now) = counted(ms);
             let report = counter.report(now, &none(), None);
@@ -352,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_topic_that_has_gone_quiet_has_no_rate() {
+    fn a_topic_that_stopped_publishing_has_no_rate() {
         let (counter, now) = counted(3_000);
         let report = counter.report(now + 2 * WINDOW, &none(), None);
         assert_eq!(
@@ -362,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_of_a_slow_topic_is_that_of_its_intervals() {
+    fn the_rate_of_a_slow_topic_follows_from_its_intervals() {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for second in 1..=4 {
@@ -370,11 +374,11 @@ mod tests {
         }
         let hz = |ms: u32| counter.report(start + ms * MS, &none(), None).topics[0].hz;
         assert_eq!(hz(4_400), 1.0);
-        assert!(hz(8_500) < 0.5, "it has gone quiet");
+        assert!(hz(8_500) < 0.5, "stopped publishing");
     }
 
     #[test]
-    fn intervals_are_told_of_a_single_topic() {
+    fn reports_intervals_only_for_a_selected_topic() {
         let (mut counter, now) = counted(2_000);
         counter.on_message(now + 250 * MS, "arm/angle", 24, "application/json");
         let report = counter.report(now + 300 * MS, &none(), Some("arm/angle"));
@@ -403,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_remembered_is_bounded() {
+    fn memory_is_bounded() {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for n in 0..2 * MAX_TOPICS {
@@ -419,7 +423,7 @@ mod tests {
         assert!(counter
             .topics
             .values()
-            .all(|one| one.slots.len() <= SLOTS as usize + 1));
+            .all(|one| one.buckets.len() <= BUCKETS as usize + 1));
         assert!(counter
             .topics
             .values()
@@ -427,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_about_ten_topics_is_short_and_comes_back() {
+    fn an_answer_about_ten_topics_is_short_and_round_trips() {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for n in 0..10 {
@@ -438,7 +442,7 @@ mod tests {
         assert!(json.len() < 500, "{} bytes: {json}", json.len());
         let back = |report: &Topics| {
             let json = serde_json::to_string(report).expect("JSON");
-            serde_json::from_str::<Topics>(&json).expect("the same")
+            serde_json::from_str::<Topics>(&json).expect("valid JSON")
         };
         assert_eq!(back(&report), report);
         counter.on_message(start + 1000 * MS, "sensor/1", 24, "application/json");

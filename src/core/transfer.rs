@@ -1,27 +1,29 @@
-//! Owns transfers: bytes of any size from one robot to another, in pieces, resumed where they stopped.
+//! Transfers: data of any size from one robot to another, sent in pieces, verified at the end and resumed after an
+//! interruption.
 //!
-//! An offer names its sender itself, so the receiver first asks that robot on its own key whether it makes the offer
-//! ([`inbox`]). Then the receiver pulls. The sender offers (a query to the receiver's inbox, repeated until it is settled) and answers
-//! requests for ranges without remembering anything, so that it may be restarted at any time; the receiver knows what it
-//! holds, asks for what is missing with several requests on their way at once, and keeps what it holds on disk if it is to.
-//! Who pulls sets the pace, so that a slow link never has more of a transfer in its queues than it needs to stay busy
-//! ([`window`]), and a cut costs at most what was on its way.
+//! The sender offers the transfer: it queries the receiver, and repeats the query until the transfer has ended. Because
+//! an offer contains the name of its sender, the receiver first asks that robot, on that robot's own key, whether it
+//! makes the offer ([`admission`]). Then the receiver requests pieces. The sender replies to these requests without
+//! keeping state, so that it may be restarted at any time. The receiver keeps track of what it has received, keeps
+//! several requests for missing pieces in flight, and optionally stores its state on disk. Because the receiver sets
+//! the pace, a slow link never has more of a transfer in its queues than it needs to stay busy ([`window`]), and an
+//! interruption loses at most what was in flight.
 //!
-//! | key | a query there | its payload | the reply |
+//! | key | purpose of a query | its payload | the reply |
 //! |---|---|---|---|
-//! | `<fleet>/<receiver>/@rect/inbox` | offers | [`Offer`] | [`Answer`] |
-//! | `<fleet>/<sender>/@rect/transfer/<id>` | asks whether it is offered | [`Request`] | the [`Offer`] |
-//! | the same | asks for a range, or says that it ended | [`Request`] | the bytes alone, or an error with a [`Fault`] |
+//! | `<fleet>/<receiver>/@rect/`[`OFFERS`] | offers a transfer | [`Offer`] | [`Answer`] |
+//! | `<fleet>/<sender>/@rect/transfer/<id>` | asks for confirmation of an offer | [`Request`] | the [`Offer`] |
+//! | the same | requests a piece, or reports the end | [`Request`] | the bytes alone, or an error with a [`Fault`] |
 //!
-//! | part | what it decides |
+//! | module | responsibility |
 //! |---|---|
-//! | [`sender`] | when to offer again, and when it is over |
-//! | [`inbox`] | which offers are taken |
-//! | [`receiver`] | what to ask for, and when |
-//! | [`window`] | how much at once, and in pieces of which size |
-//! | [`ranges`], [`record`] | what is there, also after a restart |
+//! | [`sender`] | decides when to repeat the offer, and when the transfer has finished |
+//! | [`admission`] | decides which offers to accept |
+//! | [`receiver`] | decides which pieces to request, and when |
+//! | [`window`] | decides how much may be in flight, and the size of pieces |
+//! | [`ranges`], [`record`] | keep track of what was received, also across restarts |
+pub mod admission;
 pub mod answer;
-pub mod inbox;
 pub mod offer;
 pub mod progress;
 pub mod ranges;
@@ -41,13 +43,13 @@ pub use offer::{Checksum, Offer, OfferError, TransferId};
 pub use progress::Progress;
 pub use request::Request;
 
-/// The largest piece, in bytes: what a sender answers one request with at most.
+/// The maximum size of a piece, in bytes: the longest reply to a request.
 pub const MAX_PIECE_BYTES: u32 = 256 * 1024;
 
-/// What goes after a robot's `@rect/` for its inbox.
-pub const INBOX: &str = "inbox";
+/// The part of the key after `@rect/` at which a robot receives offers.
+pub const OFFERS: &str = "inbox";
 
-/// What goes after a robot's `@rect/` for a transfer that it sends.
+/// Returns the part of the key after `@rect/` at which a sender replies to requests for a transfer.
 pub fn source(id: TransferId) -> String {
     format!("transfer/{id}")
 }

@@ -1,6 +1,6 @@
-//! Owns how urgent a message is, in plain words.
+//! Defines the urgency of messages, and its translation into Zenoh's quality of service.
 
-/// How urgent a message is. More urgent ones overtake the others, on every link and in every queue on their way.
+/// The urgency of a message. More urgent messages overtake less urgent ones on every link and in every queue.
 #[derive(
     Clone,
     Copy,
@@ -16,29 +16,30 @@
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Urgency {
-    /// It may take as long as it takes: pictures to keep, logs, files. Zenoh's `Background`.
+    /// For data that may take any time: pictures to keep, logs, files. Zenoh's `Background`.
     Bulk,
-    /// What there is no reason to call otherwise. Zenoh's `Data`.
+    /// The default. Zenoh's `Data`.
     #[default]
     Normal,
-    /// It has to be there now: stop, steering. Small ones only: two dozen a second of 16 bytes are 1 kB/s of a Bluetooth
-    /// link's 34. Zenoh's `InteractiveHigh`, sent at once (`express`).
+    /// For messages that must arrive immediately, such as stop and steering. Keep them small and rare: 24 messages of
+    /// 16 bytes per second take 1 kB/s of the 34 kB/s of a Bluetooth link. Zenoh's `InteractiveHigh`, sent without
+    /// batching (`express`).
     Urgent,
 }
 
-/// How Zenoh is to treat a message.
+/// Zenoh's quality of service for a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Qos {
     /// Zenoh's priority, 1 (`RealTime`) to 7 (`Background`).
     pub priority: u8,
-    /// Sent without waiting for more to share the packet with.
+    /// Whether the message is sent without waiting for others that could share its packet.
     pub express: bool,
-    /// Dropped where there is no room, instead of waiting for it.
+    /// Whether the message is dropped, instead of waiting, if a queue is full.
     pub droppable: bool,
 }
 
 impl Urgency {
-    /// For a message of which each counts.
+    /// Returns the quality of service of a message that must not be dropped.
     pub fn qos(self) -> Qos {
         let (priority, express) = match self {
             Self::Urgent => (2, true),
@@ -52,14 +53,16 @@ impl Urgency {
         }
     }
 
-    /// Whether it has a connection of its own to the router, which takes in one connection in order: where bulk waits for
-    /// room on a radio, a stop command behind it on the same one would wait, too.
-    pub fn goes_apart(self) -> bool {
+    /// Returns whether messages of this urgency use a Zenoh session of their own with the router. The router reads each
+    /// session in order: if a bulk message waits for room on a radio link, a stop command behind it on the same session
+    /// would wait too.
+    pub fn uses_separate_session(self) -> bool {
         self != Self::Normal
     }
 
-    /// Of a message that came at that priority of Zenoh's; a stock program may use any.
-    pub fn of(priority: u8) -> Self {
+    /// Returns the urgency of a message that arrived with a priority of Zenoh. Other Zenoh programs may use any
+    /// priority.
+    pub fn from_priority(priority: u8) -> Self {
         match priority {
             0..=3 => Self::Urgent,
             4..=5 => Self::Normal,
@@ -69,9 +72,10 @@ impl Urgency {
 }
 
 impl Qos {
-    /// For a stream's frames: the next one replaces what had no room.
+    /// Makes the message droppable, for the frames of a stream: the next frame replaces one for which there was no
+    /// room.
     #[must_use]
-    pub fn newest_wins(self) -> Self {
+    pub fn drop_when_congested(self) -> Self {
         Self {
             droppable: true,
             ..self
@@ -84,13 +88,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_more_urgent_the_higher_zenohs_priority() {
+    fn urgencies_map_to_zenohs_priorities_in_order() {
         let all = [Urgency::Urgent, Urgency::Normal, Urgency::Bulk].map(|u| u.qos().priority);
         assert!(all.is_sorted(), "{all:?}");
         assert!(all.iter().all(|p| (1..=7).contains(p)));
         for urgency in [Urgency::Urgent, Urgency::Normal, Urgency::Bulk] {
-            assert_eq!(Urgency::of(urgency.qos().priority), urgency);
+            assert_eq!(Urgency::from_priority(urgency.qos().priority), urgency);
         }
-        assert!(Urgency::Normal.qos().newest_wins().droppable);
+        assert!(Urgency::Normal.qos().drop_when_congested().droppable);
     }
 }

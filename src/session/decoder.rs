@@ -1,4 +1,5 @@
-//! Owns undoing what a sender's codec has packed, and fetching the dictionaries for that from whoever made them.
+//! Decodes payloads that a sender's codec has encoded, fetches the dictionaries for that from the senders, and serves this
+//! program's own dictionaries.
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -10,9 +11,9 @@ use zenoh::{qos::Priority, query::Query, query::Queryable, Session, Wait};
 use super::robot::Robot;
 use crate::{
     core::{
-        codec::{self, dictionary::Packed, CodecError, Limits},
+        codec::{self, dictionary::DictionaryCodec, CodecError, Limits},
         dictionary::{Dictionary, RobotDictionaries},
-        key::Place,
+        key::KeySpace,
         message::Message,
         name::Name,
         payload::Payload,
@@ -20,85 +21,84 @@ use crate::{
     error::Error,
 };
 
-/// How long a dictionary may take to come: 100 kB at 34 kB/s, and what else is on the link.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// Who did not have it is asked again after this time at the earliest, so that a stream of messages of that kind does not
-/// wait for each.
-const ASK_AGAIN: Duration = Duration::from_secs(30);
-/// The most dictionaries that are remembered as not to be had.
+/// Timeout for fetching a dictionary: 100 kB take 3 s at 34 kB/s, and the link carries other traffic, too.
+const TIMEOUT: Duration = Duration::from_secs(5);
+/// Shortest time between two attempts to fetch the same dictionary, so that not every message of a series waits for one.
+const RETRY_AFTER: Duration = Duration::from_secs(30);
+/// Largest number of dictionaries that are remembered as unavailable.
 const MAX_MISSING: usize = 256;
 
-/// What one program knows of codecs.
+/// Decodes the payloads that one program receives.
 pub(super) struct Decoder {
     session: Session,
-    place: Place,
+    place: KeySpace,
     limits: Limits,
-    known: Mutex<Known>,
+    state: Mutex<State>,
 }
 
 #[derive(Default)]
-struct Known {
+struct State {
     dictionaries: RobotDictionaries,
     missing: HashMap<(Name, u32), Instant>,
     served: HashMap<u32, Queryable<()>>,
 }
 
 impl Decoder {
-    pub(super) fn new(session: &Session, place: &Place) -> Arc<Self> {
+    pub(super) fn new(session: &Session, place: &KeySpace) -> Arc<Self> {
         Arc::new(Self {
             session: session.clone(),
             place: place.clone(),
             limits: Limits::default(),
-            known: Mutex::default(),
+            state: Mutex::default(),
         })
     }
 
-    /// Makes it the message that was said. What can't be undone stays as it came, with what is wrong with it.
-    pub(super) async fn message(&self, message: &mut Message) {
-        // Most are not: what unpacks them is not entered.
-        if codec::is_packed(&message.payload.encoding) {
-            let unpacked = self.unpack(&message.from, &mut message.payload).await;
-            message.flaw = unpacked.err();
+    /// Decodes a message's payload in place. If that fails, the payload stays encoded and the error is attached.
+    pub(super) async fn decode_message(&self, message: &mut Message) {
+        // Most payloads are not encoded and skip the asynchronous path.
+        if codec::is_encoded(&message.payload.encoding) {
+            let decoded = self.decode(&message.sender, &mut message.payload).await;
+            message.problem = decoded.err();
         }
     }
 
-    /// The same with what is known already.
-    pub(super) fn message_now(&self, message: &mut Message) {
-        message.flaw = self.unpack_now(&message.from, &mut message.payload).err();
+    /// Decodes a message's payload in place, with the dictionaries that are already known.
+    pub(super) fn decode_message_now(&self, message: &mut Message) {
+        message.problem = self.decode_now(&message.sender, &mut message.payload).err();
     }
 
-    /// Makes a payload of that robot's what it was before it was packed; on an error it stays as it is.
-    pub(super) async fn unpack(
+    /// Decodes a payload of the robot `sender` in place, fetching a missing dictionary; on an error the payload is unchanged.
+    pub(super) async fn decode(
         &self,
-        from: &Name,
+        sender: &Name,
         payload: &mut Payload,
     ) -> Result<(), CodecError> {
-        match self.unpack_now(from, payload) {
-            // Boxed: it is rare and large, and would be moved with every message.
-            Err(CodecError::Dictionary { id }) if Box::pin(self.fetch(from, id)).await => {
-                self.unpack_now(from, payload)
+        match self.decode_now(sender, payload) {
+            // Boxed: this future is large and rarely needed, and would otherwise be moved with every message.
+            Err(CodecError::Dictionary { id }) if Box::pin(self.fetch(sender, id)).await => {
+                self.decode_now(sender, payload)
             }
             done => done,
         }
     }
 
-    fn unpack_now(&self, from: &Name, payload: &mut Payload) -> Result<(), CodecError> {
-        if codec::is_packed(&payload.encoding) {
-            let known = self.known();
-            *payload = codec::decode(payload, &self.limits, known.dictionaries.of(from))?;
+    fn decode_now(&self, sender: &Name, payload: &mut Payload) -> Result<(), CodecError> {
+        if codec::is_encoded(&payload.encoding) {
+            let state = self.state();
+            *payload = codec::decode(payload, &self.limits, state.dictionaries.of(sender))?;
         }
         Ok(())
     }
 
-    /// Asks the sender for a dictionary; whether it is here now.
-    async fn fetch(&self, from: &Name, id: u32) -> bool {
-        let which = (from.clone(), id);
-        let asked = self.known().missing.get(&which).copied();
-        if asked.is_some_and(|asked| asked.elapsed() < ASK_AGAIN) {
+    /// Requests a dictionary from the sender; returns whether it is available now.
+    async fn fetch(&self, sender: &Name, id: u32) -> bool {
+        let dictionary_key = (sender.clone(), id);
+        let asked = self.state().missing.get(&dictionary_key).copied();
+        if asked.is_some_and(|asked| asked.elapsed() < RETRY_AFTER) {
             return false;
         }
-        let key = self.key(from, id);
-        let asked = self.session.get(&key).timeout(PATIENCE);
+        let key = self.key(sender, id);
+        let asked = self.session.get(&key).timeout(TIMEOUT);
         let Ok(replies) = asked.priority(Priority::DataHigh).await else {
             return false;
         };
@@ -109,27 +109,27 @@ impl Decoder {
             let dictionary = bytes.and_then(|bytes| Dictionary::new(bytes).ok());
             found = dictionary.filter(|dictionary| dictionary.id() == id);
         }
-        let mut known = self.known();
+        let mut state = self.state();
         let added = found.is_some();
         if let Some(dictionary) = found {
-            known.dictionaries.add(from, Arc::new(dictionary));
+            state.dictionaries.add(sender, Arc::new(dictionary));
         } else {
             tracing::warn!(
-                "{from} has no dictionary {id}: its messages that were packed with it stay packed"
+                "{sender} does not provide the dictionary {id}: messages that were compressed with it cannot be decoded"
             );
-            if known.missing.len() >= MAX_MISSING {
-                known.missing.clear();
+            if state.missing.len() >= MAX_MISSING {
+                state.missing.clear();
             }
-            known.missing.insert(which, Instant::now());
+            state.missing.insert(dictionary_key, Instant::now());
         }
         added
     }
 
-    /// Gives it to whoever asks, until the session ends.
+    /// Serves a dictionary to receivers until the session ends.
     fn share(&self, dictionary: &Arc<Dictionary>) -> Result<(), Error> {
         let id = dictionary.id();
-        let mut known = self.known();
-        if known.served.contains_key(&id) {
+        let mut state = self.state();
+        if state.served.contains_key(&id) {
             return Ok(());
         }
         let key = self.key(&self.place.robot, id);
@@ -138,38 +138,47 @@ impl Decoder {
         let queryable = queryable.callback(move |query: Query| {
             let reply = query.reply(&key_of_answer, shared.as_bytes()).wait();
             if let Err(error) = reply {
-                tracing::debug!("who asked for dictionary {id} got no answer: {error}");
+                tracing::debug!("cannot reply to a request for the dictionary {id}: {error}");
             }
         });
         let queryable = queryable
             .wait()
-            .map_err(Error::zenoh("the dictionary can't be shared"))?;
-        known.served.insert(id, queryable);
-        // One's own messages are heard, too.
-        known
+            .map_err(Error::zenoh("cannot share the dictionary"))?;
+        state.served.insert(id, queryable);
+        // A program may receive its own messages.
+        state
             .dictionaries
             .add(&self.place.robot, dictionary.clone());
         Ok(())
     }
 
-    /// Where a robot has a dictionary that it made.
+    /// Returns the key at which `robot` serves one of its dictionaries.
     fn key(&self, robot: &Name, id: u32) -> String {
         self.place.own(Some(robot), &format!("dictionary/{id}"))
     }
 
-    fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Robot {
-    /// The same robot; what it says is packed with that dictionary (`zstd`), which small JSON needs to get much smaller.
-    /// Whoever hears it fetches the dictionary once.
+    /// Returns a handle that compresses payloads with `dictionary` and zstd, which makes small JSON messages much smaller.
+    ///
+    /// Each receiver fetches the dictionary once. This program serves it until the session ends.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), Box<dyn std::error::Error>> {
+    /// let dictionary = rect::core::dictionary::Dictionary::read("telemetry.dictionary")?;
+    /// let compressed = robot.with_dictionary(dictionary.into())?;
+    /// compressed.publish("telemetry", rect::Json([1, 2, 3])).await?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Zenoh`] when the session is closed.
-    pub fn packed_with(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
+    /// [`Error::Zenoh`] if the session is closed.
+    pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
         self.inner.decoder.share(&dictionary)?;
-        Ok(self.encoded(Arc::new(Packed::new(dictionary))))
+        Ok(self.with_codec(Arc::new(DictionaryCodec::new(dictionary))))
     }
 }

@@ -1,4 +1,4 @@
-//! Owns how a program joins: by which router, or directly, as whom.
+//! Defines [`Options`]: the robot, fleet, router, direct links and login with which a program connects.
 use std::{
     fs,
     path::PathBuf,
@@ -8,46 +8,45 @@ use std::{
 use serde_json::{json, Value};
 use zenoh::{Config, Session};
 
-use super::{opening, robot::Robot};
+use super::{connect, robot::Robot};
 use crate::{
     core::{
-        endpoint,
-        key::Place,
+        endpoint, humanize,
+        key::KeySpace,
         login::{self, Login},
         name::Name,
-        router::{JoinError, Joining},
-        wording,
+        router::{JoinAttempts, JoinError},
     },
     error::Error,
 };
 
 const DEFAULT_FLEET: &str = "rect";
 
-/// How to join, where `connect("wombat-1")` does not do.
+/// Builds a session with settings other than the defaults of [`connect`](crate::connect).
 ///
 /// ```no_run
-/// # async fn joined() -> Result<(), rect::Error> {
+/// # async fn open() -> Result<(), rect::Error> {
 /// let robot = rect::Options::new("wombat-1")?.fleet("lions")?.router("tcp/192.168.0.7:7447").connect().await?;
 /// # Ok(()) }
 /// ```
 #[derive(Clone, Debug)]
 pub struct Options {
-    place: Place,
+    place: KeySpace,
     router: String,
     endpoints: Vec<String>,
     listen: Vec<String>,
     login: Option<(String, String)>,
     login_file: PathBuf,
     allows_name_mismatch: bool,
-    patience: Duration,
+    timeout: Duration,
     zenoh: Vec<(String, Value)>,
 }
 
 impl Options {
-    /// As a program of that robot, of the fleet `rect`, at the router of this computer.
+    /// Creates the default options: a program of `robot` in the fleet `rect`, connected to the router of this computer.
     ///
     /// # Errors
-    /// [`Error::Name`].
+    /// [`Error::Name`] if `robot` is not a valid name.
     pub fn new<N: TryInto<Name>>(robot: N) -> Result<Self, Error>
     where
         Error: From<N::Error>,
@@ -55,22 +54,22 @@ impl Options {
         let fleet = Name::new(DEFAULT_FLEET)?;
         let robot = robot.try_into()?;
         Ok(Self {
-            place: Place { fleet, robot },
+            place: KeySpace { fleet, robot },
             router: Self::default_router(),
             endpoints: Vec::new(),
             listen: Vec::new(),
             login: None,
             login_file: Self::default_login_file(),
             allows_name_mismatch: false,
-            patience: Duration::from_secs(5),
+            timeout: Duration::from_secs(5),
             zenoh: Vec::new(),
         })
     }
 
-    /// Of another fleet: the team's name.
+    /// Sets the name of the fleet; default: `rect`. Only robots of the same fleet exchange messages.
     ///
     /// # Errors
-    /// [`Error::Name`].
+    /// [`Error::Name`] if `fleet` is not a valid name.
     pub fn fleet<N: TryInto<Name>>(mut self, fleet: N) -> Result<Self, Error>
     where
         Error: From<N::Error>,
@@ -79,79 +78,90 @@ impl Options {
         Ok(self)
     }
 
-    /// The router of programs that name none: what the environment's `RECT_ENDPOINT` says, else `tcp/127.0.0.1:7447`.
+    /// Returns the default router: the value of the environment variable `RECT_ENDPOINT`, or `tcp/127.0.0.1:7447` if it is
+    /// not set.
     pub fn default_router() -> String {
         endpoint::default_router(std::env::var(endpoint::ROUTER_VARIABLE).ok())
     }
 
-    /// Returns the login file of programs that name none: the environment's `RECT_LOGIN`, else `/etc/rect/users`.
+    /// Returns the default login file: the value of the environment variable `RECT_LOGIN`, or `/etc/rect/users` if it is not
+    /// set.
     pub fn default_login_file() -> PathBuf {
         login::default_file(std::env::var(login::FILE_VARIABLE).ok()).into()
     }
 
-    /// At another router, as `tcp/192.168.0.7:7447`; default: [`default_router`](Self::default_router).
+    /// Sets the endpoint of the router, such as `tcp/192.168.0.7:7447`; default: [`default_router`](Self::default_router).
     #[must_use]
     pub fn router(mut self, endpoint: impl Into<String>) -> Self {
         self.router = endpoint.into();
         self
     }
 
-    /// Without a router: connects to that one directly, as `ble/wombat-2` or `udp/192.168.0.8:7447`. Can be given
-    /// several times. It is dialled until it is there; joining does not wait for it.
+    /// Adds an endpoint to which this program opens a direct link, such as `ble/wombat-2` or `udp/192.168.0.8:7447`.
+    ///
+    /// A program with direct links does not use a router. The endpoint is dialled until the link is up, and again when it is
+    /// lost; [`connect`](Self::connect) does not wait for it.
     #[must_use]
     pub fn endpoint(mut self, endpoint: impl Into<String>) -> Self {
         self.endpoints.push(endpoint.into());
         self
     }
 
-    /// Without a router: others may connect to this program there, as `tcp/0.0.0.0:7447` or `ble/hci0#name=wombat-1`.
+    /// Adds an endpoint at which this program accepts direct links, such as `tcp/0.0.0.0:7447` or `ble/hci0#name=wombat-1`.
+    ///
+    /// A program with direct links does not use a router.
     #[must_use]
     pub fn listen(mut self, endpoint: impl Into<String>) -> Self {
         self.listen.push(endpoint.into());
         self
     }
 
-    /// As that user; by default the first line of the login file, `user:password`, if it can be read.
+    /// Sets the user name and password; default: the first line of the login file, `user:password`, if it can be read.
     #[must_use]
     pub fn login(mut self, user: impl Into<String>, password: impl Into<String>) -> Self {
         self.login = Some((user.into(), password.into()));
         self
     }
 
-    /// As the user of the first line of that file, `user:password`; default: [`default_login_file`](Self::default_login_file).
+    /// Sets the file whose first line, `user:password`, is the login; default:
+    /// [`default_login_file`](Self::default_login_file).
     #[must_use]
     pub fn login_file(mut self, file: impl Into<PathBuf>) -> Self {
         self.login_file = file.into();
         self
     }
 
-    /// Joins although the router serves another robot: for a program that uses another name on purpose. A router with
-    /// access control as `rect-router init` writes it drops what such a program publishes.
+    /// Permits connecting to the router of another robot, for programs that use another name on purpose.
+    ///
+    /// With the access control that `rect-router init` writes, a router drops the messages that such a program publishes.
     #[must_use]
     pub fn allow_name_mismatch(mut self) -> Self {
         self.allows_name_mismatch = true;
         self
     }
 
-    /// How long to wait for the router; default 5 s, so that a program may be started together with it.
+    /// Sets how long [`connect`](Self::connect) waits for the router; default: 5 s, so that a program and its router can be
+    /// started at the same time.
     #[must_use]
-    pub fn patience(mut self, patience: Duration) -> Self {
-        self.patience = patience;
+    pub fn timeout(mut self, timeout: Duration) -> Self {
+        self.timeout = timeout;
         self
     }
 
-    /// Any setting of Zenoh's configuration, by its path: `("transport/unicast/max_links", 2)`. Goes before ours.
+    /// Sets a value of Zenoh's configuration by its path, such as `("transport/unicast/max_links", 2)`. It overrides the
+    /// values that RECT sets.
     #[must_use]
     pub fn zenoh(mut self, key: impl Into<String>, value: impl Into<Value>) -> Self {
         self.zenoh.push((key.into(), value.into()));
         self
     }
 
-    /// Joins.
+    /// Opens the session: connects to the router, or opens the direct links.
     ///
     /// # Errors
-    /// [`Error::NoRouter`]: none is there; [`Error::LoginRefused`]; [`Error::WrongRobot`]: the router serves another robot;
-    /// [`Error::Option`]: Zenoh does not take one of the options.
+    /// [`Error::NoRouter`] if no router replies within the [timeout](Self::timeout), [`Error::LoginRefused`] if it rejects
+    /// the login, [`Error::WrongRobot`] if it serves another robot, and [`Error::Option`] if Zenoh rejects one of the
+    /// options.
     pub async fn connect(self) -> Result<Robot, Error> {
         if self.is_direct() {
             let opened = zenoh::open(self.config(None)?).await;
@@ -160,10 +170,10 @@ impl Options {
         }
         let (session, config) = self.join().await?;
         if !self.allows_name_mismatch {
-            let tokens = opening::tokens_of_router(&session).await;
+            let tokens = connect::tokens_of_router(&session).await;
             if let Err(wrong) = self.place.check_router(&self.router, tokens) {
                 if let Err(error) = session.close().await {
-                    tracing::debug!("the session does not close: {error}");
+                    tracing::debug!("cannot close the session: {error}");
                 }
                 return Err(wrong.into());
             }
@@ -173,21 +183,21 @@ impl Options {
 
     /// Opens a session with the router, and returns it with its configuration.
     async fn join(&self) -> Result<(Session, Config), Error> {
-        let mut joining = Joining::new(&self.router, self.login_or_file(), self.patience);
+        let mut joining = JoinAttempts::new(&self.router, self.login_or_file(), self.timeout);
         let began = Instant::now();
         loop {
             let config = self.config(joining.credentials())?;
             let limit = joining.limit(began.elapsed());
-            let reason = match opening::open(config.clone(), limit).await {
+            let reason = match connect::open(config.clone(), limit).await {
                 Ok(session) => return Ok((session, config)),
                 Err(reason) => reason,
             };
             let pause = joining.on_failure(began.elapsed(), reason.as_deref());
-            tokio::time::sleep(pause.map_err(|error| self.not_joined(error))?).await;
+            tokio::time::sleep(pause.map_err(|error| self.connect_error(error))?).await;
         }
     }
 
-    fn not_joined(&self, error: JoinError) -> Error {
+    fn connect_error(&self, error: JoinError) -> Error {
         match error {
             JoinError::NoRouter { reason } => {
                 let endpoint = self.router.clone();
@@ -204,19 +214,19 @@ impl Options {
     fn refused(&self, error: &zenoh::Error) -> Error {
         let all = self.listen.iter().chain(&self.endpoints);
         Error::Option {
-            what: "listen or endpoint",
+            option: "listen or endpoint",
             value: all.cloned().collect::<Vec<_>>().join(" "),
-            reason: wording::with_causes(error.as_ref()),
+            reason: humanize::with_causes(error.as_ref()),
         }
     }
 
-    /// `credentials`: for the router; direct links use those of the options.
+    /// Returns Zenoh's configuration. `credentials` are for the router; direct links use the login of the options.
     fn config(&self, credentials: Option<(&str, &str)>) -> Result<Config, Error> {
         let mut config = Config::default();
         let mut settings = vec![
-            // Identical robots in one network are told apart by their links, not by who hears whose multicast.
+            // Links are configured explicitly: multicast scouting would connect all robots in a network with each other.
             ("scouting/multicast/enabled", json!(false)),
-            // What does not fit into a slow link waits, and does not cost the link (config/README.md).
+            // Messages wait for room on a slow link instead of closing it (config/README.md).
             (
                 "transport/link/tx/queue/congestion_control/block/wait_before_close",
                 json!(60_000_000),
@@ -237,7 +247,7 @@ impl Options {
             settings.extend([
                 ("mode", json!("client")),
                 ("connect/endpoints", json!([self.router])),
-                // One attempt: `join` decides about more. The pauses are those of reconnecting.
+                // One attempt; `join` decides about further ones. The backoff applies to reconnecting.
                 ("connect/timeout_ms", json!(0)),
                 ("connect/retry", retry(100)),
             ]);
@@ -260,9 +270,9 @@ impl Options {
             config
                 .insert_json5(key, &text)
                 .map_err(|error| Error::Option {
-                    what: "of Zenoh",
+                    option: "zenoh",
                     value: format!("{key}: {text}"),
-                    reason: wording::with_causes(error.as_ref()),
+                    reason: humanize::with_causes(error.as_ref()),
                 })?;
         }
         Ok(config)

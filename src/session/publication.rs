@@ -1,4 +1,4 @@
-//! Owns what a program says about one topic: a publisher of Zenoh's, and the numbers of its messages.
+//! Publishes the messages of one topic: holds the Zenoh publisher and numbers its messages.
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{SystemTime, UNIX_EPOCH},
@@ -22,20 +22,20 @@ use crate::{
     error::Error,
 };
 
-/// Larger ones than this may have to wait for room, and do so on a thread of their own.
+/// Payloads of this size and above are sent on a blocking thread, since they may have to wait for room in a queue.
 const LARGE_BYTES: usize = 16 * 1024;
 
 #[derive(Debug)]
 pub(super) struct Publication {
     publisher: Publisher<'static>,
     source: u16,
-    speaking: Mutex<Speaking>,
+    state: Mutex<State>,
 }
 
 #[derive(Debug)]
-struct Speaking {
-    next: u32,
-    /// What the last message was, in our words and in Zenoh's, which it takes a while to look up.
+struct State {
+    next_sequence: u32,
+    /// The encoding of the last message, as RECT's and as Zenoh's type, whose lookup is slow.
     encoding: (Encoding, ZenohEncoding),
 }
 
@@ -52,18 +52,18 @@ impl Publication {
             .express(qos.express)
             .congestion_control(congestion_control)
             .wait()
-            .map_err(Error::zenoh("the publisher is refused"))?;
+            .map_err(Error::zenoh("cannot declare the publisher"))?;
         Ok(Self {
             publisher,
             source: rand::random(),
-            speaking: Mutex::new(Speaking {
-                next: 0,
+            state: Mutex::new(State {
+                next_sequence: 0,
                 encoding: (Encoding::BYTES, ZenohEncoding::ZENOH_BYTES),
             }),
         })
     }
 
-    /// Says it; waits where the link has no room. Needs no runtime of who speaks.
+    /// Publishes a payload; waits while the link has no room. Does not need the caller's runtime.
     pub(super) async fn put(
         self: Arc<Self>,
         payload: Payload,
@@ -77,30 +77,30 @@ impl Publication {
     }
 
     fn put_now(&self, payload: Payload) -> Result<(), Error> {
-        // Held while it is sent: two threads' messages go out in the order of their numbers.
-        let mut speaking = self.speaking();
-        if speaking.encoding.0 != payload.encoding {
+        // Locked while the message is sent, so that messages of two threads are sent in the order of their numbers.
+        let mut state = self.state();
+        if state.encoding.0 != payload.encoding {
             let same = ZenohEncoding::from(payload.encoding.as_str());
-            speaking.encoding = (payload.encoding, same);
+            state.encoding = (payload.encoding, same);
         }
         let attachment = Attachment {
             source: self.source,
-            sequence: speaking.next,
+            sequence: state.next_sequence,
             sent: Sent::At(now_ms()),
         };
         let put = self
             .publisher
             .put(payload.bytes)
-            .encoding(speaking.encoding.1.clone())
+            .encoding(state.encoding.1.clone())
             .attachment(attachment.encode());
         put.wait()
-            .map_err(Error::zenoh("the message is not sent"))?;
-        speaking.next = speaking.next.wrapping_add(1);
+            .map_err(Error::zenoh("cannot send the message"))?;
+        state.next_sequence = state.next_sequence.wrapping_add(1);
         Ok(())
     }
 
-    fn speaking(&self) -> MutexGuard<'_, Speaking> {
-        self.speaking.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -108,7 +108,7 @@ pub(super) fn priority(qos: Qos) -> Priority {
     Priority::try_from(qos.priority).unwrap_or_default()
 }
 
-/// Milliseconds since 1970, by this computer's clock.
+/// Returns the time of this computer's clock, in milliseconds since 1970.
 pub(super) fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0))

@@ -1,4 +1,5 @@
-//! Owns asking the routers: who is there, and by which connections (docs/registry.md has the keys); and changing those.
+//! Queries the routers for reachable robots and connections (docs/registry.md lists the keys), and changes the named
+//! connections of a router.
 use std::time::Duration;
 
 use serde::de::DeserializeOwned;
@@ -17,14 +18,14 @@ use crate::{
     error::Error,
 };
 
-/// Routers answer at once; a slow link with much on it takes a while.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Timeout of a query. Routers reply at once, but a slow and busy link delays the reply.
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 impl Robot {
-    /// The other robots of the fleet that are there now, by name.
+    /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
     ///
     /// # Errors
-    /// [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Zenoh`] if the session is closed.
     pub async fn peers(&self) -> Result<Vec<Name>, Error> {
         let place = &self.inner.place;
         let asked = self
@@ -32,82 +33,85 @@ impl Robot {
             .session
             .liveliness()
             .get(place.own(None, "alive/*"));
-        let asked = asked.timeout(PATIENCE).await;
-        let replies = asked.map_err(Error::zenoh("who is there is not known"))?;
-        let mut there = Vec::new();
+        let asked = asked.timeout(TIMEOUT).await;
+        let replies = asked.map_err(Error::zenoh("cannot query the reachable robots"))?;
+        let mut peers = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             let Ok(sample) = reply.into_result() else {
                 continue;
             };
             let robot = place.robot_of(sample.key_expr().as_str());
-            there.extend(robot.filter(|robot| *robot != place.robot));
+            peers.extend(robot.filter(|robot| *robot != place.robot));
         }
-        there.sort();
-        there.dedup();
-        Ok(there)
+        peers.sort();
+        peers.dedup();
+        Ok(peers)
     }
 
-    /// The connections of this robot's router.
+    /// Returns the connections of this robot's router: named connections, links, and discovered robots.
     ///
     /// # Errors
-    /// [`Error::NoService`]: no router with RECT's registry; [`Error::Service`].
+    /// [`Error::NoService`] if the robot has no router with RECT's registry, [`Error::Service`] if the router rejects the
+    /// query, and [`Error::Zenoh`] if the session is closed.
     pub async fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.connections_of(self.name().clone(), "").await
     }
 
-    /// The connections of a robot, those that `which` selects: `method=ble`, `peer=wombat-2;state=connected`
-    /// (docs/registry.md).
+    /// Returns the connections of the router of `robot` that match `filter`, such as `method=ble` or
+    /// `peer=wombat-2;state=connected` (docs/registry.md). An empty filter matches all.
     ///
     /// # Errors
-    /// As [`connections`](Self::connections), and [`Error::Name`].
+    /// Returns the errors of [`connections`](Self::connections), and [`Error::Name`] if `robot` is not a valid name.
     pub async fn connections_of<N: TryInto<Name>>(
         &self,
         robot: N,
-        which: &str,
+        filter: &str,
     ) -> Result<Vec<Connection>, Error>
     where
         Error: From<N::Error>,
     {
-        self.ask_registry(robot.try_into()?, "connections", which)
+        self.query_registry(robot.try_into()?, "connections", filter)
             .await
     }
 
-    /// Any other question of the registry, as `connections/count` or `status` (docs/registry.md).
+    /// Sends any query to the registry of `robot`, such as `connections/count` or `status` (docs/registry.md), and
+    /// deserializes the JSON reply as `T`.
     ///
     /// # Errors
-    /// As [`connections_of`](Self::connections_of); [`Error::Payload`] if the answer is not of that shape.
-    pub async fn ask_registry<T: DeserializeOwned>(
+    /// Returns the errors of [`connections_of`](Self::connections_of), and [`Error::Payload`] if the reply cannot be
+    /// deserialized as `T`.
+    pub async fn query_registry<T: DeserializeOwned>(
         &self,
         robot: Name,
         question: &str,
-        which: &str,
+        filter: &str,
     ) -> Result<T, Error> {
-        let answer = self.ask_router(robot, question, which, None).await?;
-        Ok(answer.value()?)
+        let reply = self.query_router(robot, question, filter, None).await?;
+        Ok(reply.value()?)
     }
 
-    /// Gives this robot's router a connection, instead of the one of that name if it has one; it is dialled from now on, and
-    /// after a restart. One that it has already stays as it is.
+    /// Adds a named connection to this robot's router, replacing the one of the same name. The router dials it from now on,
+    /// also after a restart. If an identical connection exists, it stays connected.
     ///
     /// ```no_run
-    /// # async fn added(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// # async fn add(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let base = rect::NamedConnection::new("base", "tcp", "192.168.125.2").port(7447);
     /// robot.add_connection(&base).await?;
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// [`Error::Service`]: the connection can't be, and why; [`Error::NoService`]: no router whose settings name a file of
-    /// connections (`plugins/rect/connections`).
+    /// [`Error::Service`] with the reason if the router rejects the connection; [`Error::NoService`] if the robot has no
+    /// router whose configuration names a connections file (`plugins/rect/connections`).
     pub async fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
         let robot = self.name().clone();
         self.add_connection_of(robot, connection).await
     }
 
-    /// The same at another robot. Its access control has to allow that (`config/README.md`).
+    /// Adds a named connection to the router of another robot, whose access control must permit it (`config/README.md`).
     ///
     /// # Errors
-    /// As [`add_connection`](Self::add_connection), and [`Error::Name`].
+    /// Returns the errors of [`add_connection`](Self::add_connection), and [`Error::Name`] if `robot` is not a valid name.
     pub async fn add_connection_of<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -120,19 +124,22 @@ impl Robot {
             .await
     }
 
-    /// Takes a connection from this robot's router; its link ends.
+    /// Removes a named connection from this robot's router and closes its link.
     ///
     /// # Errors
-    /// [`Error::Service`]: it has none of that name; [`Error::NoService`] as [`add_connection`](Self::add_connection).
+    /// [`Error::Service`] if the router has no connection of that name; [`Error::NoService`] as for
+    /// [`add_connection`](Self::add_connection).
     pub async fn remove_connection(&self, name: &str) -> Result<(), Error> {
         let robot = self.name().clone();
         self.remove_connection_of(robot, name).await
     }
 
-    /// The same at another robot. Its access control has to allow that (`config/README.md`).
+    /// Removes a named connection from the router of another robot, whose access control must permit it
+    /// (`config/README.md`).
     ///
     /// # Errors
-    /// As [`remove_connection`](Self::remove_connection), and [`Error::Name`].
+    /// Returns the errors of [`remove_connection`](Self::remove_connection), and [`Error::Name`] if `robot` is not a valid
+    /// name.
     pub async fn remove_connection_of<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -145,14 +152,14 @@ impl Robot {
             .await
     }
 
-    async fn configure(&self, robot: Name, how: &str, what: String) -> Result<(), Error> {
-        let parameters = format!("{how};by={}", self.name());
-        self.ask_router(robot, CONFIG, &parameters, Some(what))
+    async fn configure(&self, robot: Name, action: &str, payload: String) -> Result<(), Error> {
+        let parameters = format!("{action};by={}", self.name());
+        self.query_router(robot, CONFIG, &parameters, Some(payload))
             .await?;
         Ok(())
     }
 
-    async fn ask_router(
+    async fn query_router(
         &self,
         robot: Name,
         question: &str,
@@ -164,12 +171,12 @@ impl Robot {
             "" => key,
             _ => format!("{key}?{parameters}"),
         };
-        let asked = self.inner.session.get(selector).timeout(PATIENCE);
+        let asked = self.inner.session.get(selector).timeout(TIMEOUT);
         let asked = match payload {
             Some(payload) => asked.payload(payload).await,
             None => asked.await,
         };
-        let replies = asked.map_err(Error::zenoh("the router can't be asked"))?;
+        let replies = asked.map_err(Error::zenoh("cannot query the router"))?;
         let json = |bytes: &ZBytes| Payload::new(bytes.to_bytes().into_owned(), Encoding::JSON);
         match replies.recv_async().await.map(Reply::into_result) {
             Ok(Ok(sample)) => Ok(json(sample.payload())),
@@ -178,15 +185,17 @@ impl Robot {
                 let robot = Some(robot);
                 Err(Error::Service { robot, payload })
             }
-            Err(_) => Err(self.nobody(robot.to_string(), of_registry(question)).await),
+            Err(_) => Err(self
+                .no_service(robot.to_string(), of_registry(question))
+                .await),
         }
     }
 }
 
-/// The subject of a question, for the error when nobody answers.
+/// Returns the name of the queried service for the error that is returned if no router replies.
 fn of_registry(question: &str) -> String {
     if question == CONFIG {
-        "changes of connections (the router's access control has to allow them, and its settings have to name a connections file)"
+        "changes of connections (the router's access control must allow them, and its settings must name a connections file)"
             .to_owned()
     } else {
         format!("the registry ({question})")

@@ -1,4 +1,4 @@
-//! Owns asking a service, and its answers.
+//! Sends requests to services and receives their replies.
 use std::{
     fmt,
     future::{Future, IntoFuture},
@@ -15,53 +15,63 @@ use zenoh::{
 
 use super::{
     decoder::Decoder,
-    inbox::{Filling, Inbox},
     publication::priority,
+    receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
     subscriber::payload,
 };
 use crate::{
     core::{
-        key::{Address, Place},
+        key::{Address, KeySpace},
         name::Name,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
-        request::{error_from_payload, Asking},
+        request::{error_from_payload, RequestHeader},
         topic::Topic,
     },
     error::Error,
 };
 
-/// How many answers wait for the program; a service that sends more waits.
+/// Capacity of the queue of replies; when it is full, Zenoh waits for the program.
 const REPLIES: usize = 64;
 
-/// An answer.
+/// The reply of a service to a request.
 #[derive(Clone, Debug)]
 pub struct Reply {
-    /// Who answers.
-    pub from: Name,
-    /// What it says.
+    /// The robot that replied.
+    pub sender: Name,
+    /// The value of the reply.
     pub payload: Payload,
 }
 
-/// The answers to one request, as they come. Dropping it cancels the request.
+/// Receives the replies to one request; created by [`Robot::request_all`]. Dropping it cancels the request.
 pub struct Replies {
-    inbox: Arc<Inbox<zenoh::query::Reply>>,
+    queue: Arc<ReceiveQueue<zenoh::query::Reply>>,
     decoder: Arc<Decoder>,
-    place: Place,
-    /// The robot that was asked; `None`: all.
+    place: KeySpace,
+    /// The robot that the request was sent to; `None` for all robots.
     asked: Option<Name>,
-    what: String,
+    /// The expected reply, for the text of a timeout.
+    expected: String,
     timeout: Duration,
     cancellation: CancellationToken,
 }
 
 impl Robot {
-    /// Asks a service of `robot`, and waits for its first answer.
+    /// Sends a request to the service `topic` of `robot`, and waits for its first reply.
+    ///
+    /// ```no_run
+    /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let timeout = std::time::Duration::from_secs(1);
+    /// let reply = robot.request("wombat-2", "battery", "", timeout).await?;
+    /// let volts: f64 = reply.payload.value()?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Service`]: it answers with an error; [`Error::NoService`]: nobody serves that there;
-    /// [`Error::TimedOut`]; [`Error::Name`], [`Error::Topic`], [`Error::Payload`].
+    /// [`Error::Service`] if the service replies with an error, [`Error::NoService`] if no program at `robot` serves the
+    /// topic, [`Error::TimedOut`] if no reply arrives within `timeout`; [`Error::Name`], [`Error::Topic`] or
+    /// [`Error::Payload`] if an argument is invalid; [`Error::Zenoh`] if the session is closed.
     pub async fn request<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -74,18 +84,32 @@ impl Robot {
     {
         let robot = robot.try_into()?;
         let topic = topic.try_into()?;
-        let (asked, about) = (robot.to_string(), topic.to_string());
-        let mut replies = self.ask(Some(robot), topic, value, timeout).await?;
+        let (asked, service) = (robot.to_string(), topic.to_string());
+        let mut replies = self.query(Some(robot), topic, value, timeout).await?;
         match replies.next().await {
             Some(reply) => reply,
-            None => Err(self.nobody(asked, about).await),
+            None => Err(self.no_service(asked, service).await),
         }
     }
 
-    /// Asks a service of all robots that have it; answers come until all have answered, or the time is over.
+    /// Sends a request to the service `topic` of all robots that provide it. Replies arrive until all services have replied
+    /// or `timeout` has expired.
+    ///
+    /// ```no_run
+    /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let timeout = std::time::Duration::from_secs(1);
+    /// let mut replies = robot.request_all("battery", "", timeout).await?;
+    /// while let Some(reply) = replies.next().await {
+    ///     match reply {
+    ///         Ok(reply) => println!("{}: {:?}", reply.sender, reply.payload),
+    ///         Err(error) => eprintln!("{error}"),
+    ///     }
+    /// }
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`], [`Error::Payload`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Topic`] or [`Error::Payload`] if an argument is invalid, and [`Error::Zenoh`] if the session is closed.
     pub async fn request_all<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -95,10 +119,10 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        self.ask(None, topic.try_into()?, value, timeout).await
+        self.query(None, topic.try_into()?, value, timeout).await
     }
 
-    async fn ask(
+    async fn query(
         &self,
         robot: Option<Name>,
         topic: Topic,
@@ -107,16 +131,16 @@ impl Robot {
     ) -> Result<Replies, Error> {
         let place = &self.inner.place;
         let payload = self.payload(value)?;
-        let inbox = Inbox::new(Queue::new(REPLIES, WhenFull::Wait));
-        let asking = Asking {
-            from: place.robot.clone(),
+        let queue = ReceiveQueue::new(Queue::new(REPLIES, WhenFull::Block));
+        let asking = RequestHeader {
+            sender: place.robot.clone(),
             timeout_ms: u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX),
         };
         let cancellation = CancellationToken::default();
         let qos = self.urgency().qos();
-        // Zenoh drops the callback when the last answer has come.
-        let filling = Filling::new(&inbox);
-        let session = self.inner.lanes.of(self.urgency()).await;
+        // Zenoh drops the callback after the last reply.
+        let writer = QueueWriter::new(&queue);
+        let session = self.inner.urgency_sessions.of(self.urgency()).await;
         let asked = session
             .get(place.service(robot.as_ref(), &topic))
             .payload(payload.bytes)
@@ -129,60 +153,63 @@ impl Robot {
             .timeout(timeout)
             .cancellation_token(cancellation.clone())
             .callback(move |reply| {
-                filling.push(reply);
+                writer.push(reply);
             });
         asked
             .await
-            .map_err(Error::zenoh("the request is not sent"))?;
+            .map_err(Error::zenoh("cannot send the request"))?;
         Ok(Replies {
-            inbox,
+            queue,
             decoder: self.inner.decoder.clone(),
             place: place.clone(),
             asked: robot,
-            what: format!("answer about {topic}"),
+            expected: format!("reply about {topic}"),
             timeout,
             cancellation,
         })
     }
 
-    pub(super) async fn nobody(&self, robot: String, topic: String) -> Error {
-        let there = self.peers().await.unwrap_or_default();
-        let there: Vec<&str> = there.iter().map(Name::as_str).collect();
-        let there = if there.is_empty() {
+    pub(super) async fn no_service(&self, robot: String, topic: String) -> Error {
+        let peers = self.peers().await.unwrap_or_default();
+        let peers: Vec<&str> = peers.iter().map(Name::as_str).collect();
+        let available = if peers.is_empty() {
             "none".to_owned()
         } else {
-            there.join(", ")
+            peers.join(", ")
         };
         Error::NoService {
             robot,
             topic,
-            there,
+            available,
         }
     }
 }
 
 impl Replies {
-    /// The next answer, or the error that a service answers with; [`Error::TimedOut`] when the time is over and some have
-    /// not answered; `None`: all have.
+    /// Waits for the next reply; returns `None` once all services have replied.
+    ///
+    /// # Errors
+    /// [`Error::Service`] if a service replied with an error, [`Error::Codec`] if a reply cannot be decoded, and
+    /// [`Error::TimedOut`] if the timeout expired before all services had replied.
     pub async fn next(&mut self) -> Option<Result<Reply, Error>> {
         let timed_out = || Error::TimedOut {
-            what: self.what.clone(),
-            after: self.timeout,
+            expected: self.expected.clone(),
+            timeout: self.timeout,
         };
-        // Zenoh has a timer for each request: one more would wake a thread each time.
-        let answer = match self.inbox.pop().await?.into_result() {
+        // Zenoh has a timer for each request; a second one would wake a thread each time.
+        let answer = match self.queue.pop().await?.into_result() {
             Ok(sample) => {
                 let address = self.place.address(sample.key_expr().as_str());
                 let mut payload = payload(sample.payload(), sample.encoding());
                 match address {
-                    Some(Address { from, .. }) => {
-                        let unpacked = self.decoder.unpack(&from, &mut payload).await;
-                        unpacked
-                            .map(|()| Reply { from, payload })
+                    Some(Address { sender, .. }) => {
+                        let decoded = self.decoder.decode(&sender, &mut payload).await;
+                        decoded
+                            .map(|()| Reply { sender, payload })
                             .map_err(Error::from)
                     }
                     None => Err(Error::Zenoh {
-                        what: "the answer is none of a robot",
+                        operation: "the reply has no valid key of a robot",
                         reason: format!("its key is {:?}", sample.key_expr().as_str()),
                     }),
                 }
@@ -190,11 +217,11 @@ impl Replies {
             Err(error) => {
                 let (robot, payload) =
                     error_from_payload(payload(error.payload(), error.encoding()));
-                // Zenoh's own, when the time is over.
+                // This error is Zenoh's own: the timeout has expired.
                 if robot.is_none() && payload.bytes == b"Timeout"[..] {
                     Err(timed_out())
                 } else {
-                    // Only the robot that was asked can answer, whatever name the answer has.
+                    // Only the robot that was asked can reply, whichever name the error contains.
                     let robot = robot.map(|robot| self.asked.clone().unwrap_or(robot));
                     Err(Error::Service { robot, payload })
                 }
@@ -207,20 +234,20 @@ impl Replies {
 impl fmt::Debug for Replies {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Replies")
-            .field("what", &self.what)
+            .field("expected", &self.expected)
             .finish_non_exhaustive()
     }
 }
 
 impl Drop for Replies {
     fn drop(&mut self) {
-        // All have answered.
-        if self.inbox.is_closed() {
+        // All services have replied.
+        if self.queue.is_closed() {
             return;
         }
-        self.inbox.close();
-        // Zenoh lets go of the request when this is first looked at. What it goes on with is waiting for a callback that
-        // runs just now, which finds the inbox closed: nobody needs that, and a task for it would wake a thread each time.
+        self.queue.close();
+        // Zenoh releases the request when this future is first polled. The rest of the future would wait for a callback that
+        // is running now and finds the queue closed. That wait is not needed, and a task for it would wake a thread.
         let cancelled = pin!(self.cancellation.cancel().into_future());
         let _ = cancelled.poll(&mut Context::from_waker(Waker::noop()));
     }

@@ -1,4 +1,4 @@
-//! Owns a program's place among the robots: the session, and what it says.
+//! Defines [`Robot`], a program's handle of its session, and publishes messages.
 use std::{
     collections::HashMap,
     fmt,
@@ -10,16 +10,16 @@ use zenoh::{liveliness::LivelinessToken, Config, Session};
 
 use super::{
     decoder::Decoder,
-    lanes::Lanes,
     options::Options,
     publication::Publication,
-    state::{self, Known},
+    state::{self, RouterLinks},
+    urgency_sessions::UrgencySessions,
 };
 use crate::{
     core::{
         codec::Codec,
-        counters::Counting,
-        key::Place,
+        counters::AtomicCounters,
+        key::KeySpace,
         name::Name,
         payload::{Payload, ToPayload},
         topic::Topic,
@@ -28,10 +28,12 @@ use crate::{
     error::Error,
 };
 
-/// The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
+/// Largest number of cached publishers. When it is reached, the cache is emptied and publishers are declared again on use.
 const MAX_PUBLICATIONS: usize = 256;
 
-/// A program of a robot, joined with the others. Cloning it is cheap; the session ends with the last clone.
+/// A handle of a program's session, through which it communicates as one robot of the fleet.
+///
+/// Clones are cheap and share the session, which ends when the last clone is dropped or [`close`](Self::close) is called.
 #[derive(Clone)]
 pub struct Robot {
     pub(super) inner: Arc<Inner>,
@@ -41,28 +43,30 @@ pub struct Robot {
 
 pub(super) struct Inner {
     pub(super) session: Session,
-    pub(super) lanes: Lanes,
-    pub(super) place: Place,
+    pub(super) urgency_sessions: UrgencySessions,
+    pub(super) place: KeySpace,
     pub(super) runtime: Handle,
-    publications: Mutex<HashMap<Spoken, Arc<Publication>>>,
+    publications: Mutex<HashMap<PublicationKey, Arc<Publication>>>,
     pub(super) decoder: Arc<Decoder>,
-    pub(super) counting: Arc<Counting>,
-    /// Where there is a router.
-    pub(super) known: Option<Known>,
+    pub(super) counting: Arc<AtomicCounters>,
+    /// The router's links; `None` without a router.
+    pub(super) router_links: Option<RouterLinks>,
     pub(super) direct: bool,
-    /// Where there is no router that says that this robot is there.
+    /// The robot's liveliness token; `None` if its router declares one.
     _presence: Option<LivelinessToken>,
 }
 
-/// What a publisher is for.
+/// The topic, recipient and urgency of a publisher's messages.
 #[derive(Clone, PartialEq, Eq, Hash)]
-struct Spoken {
+struct PublicationKey {
     topic: Topic,
-    to: Option<Name>,
+    recipient: Option<Name>,
     urgency: Urgency,
 }
 
-/// Joins as a program of that robot, at the router of this computer.
+/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
+///
+/// [`Options`] selects another router, another fleet, or direct links.
 ///
 /// ```no_run
 /// # async fn hello() -> Result<(), rect::Error> {
@@ -72,34 +76,38 @@ struct Spoken {
 /// ```
 ///
 /// # Errors
-/// [`Error::Name`]; [`Error::NoRouter`]: none runs here.
+/// [`Error::Name`] if `robot` is not a valid name, [`Error::NoRouter`] if no router replies within 5 s, and the other errors
+/// of [`Options::connect`].
 pub async fn connect(robot: &str) -> Result<Robot, Error> {
     Options::new(robot)?.connect().await
 }
 
 impl Robot {
-    /// `router`: how it was joined, where there is one.
+    /// Completes the session. `router` is the configuration with which the router was reached, if there is one.
     pub(super) async fn start(
         session: Session,
-        place: Place,
+        place: KeySpace,
         router: Option<Config>,
     ) -> Result<Self, Error> {
         let direct = router.is_none();
-        let (presence, known) = if direct {
-            (Some(state::say_there(&session, &place).await?), None)
+        let (presence, router_links) = if direct {
+            (
+                Some(state::declare_liveliness(&session, &place).await?),
+                None,
+            )
         } else {
-            (None, Some(Known::follow(&session, &place).await?))
+            (None, Some(RouterLinks::follow(&session, &place).await?))
         };
         let decoder = Decoder::new(&session, &place);
         let inner = Inner {
-            lanes: Lanes::new(session.clone(), router),
+            urgency_sessions: UrgencySessions::new(session.clone(), router),
             session,
             place,
             runtime: Handle::current(),
             publications: Mutex::default(),
             decoder,
             counting: Arc::default(),
-            known,
+            router_links,
             direct,
             _presence: presence,
         };
@@ -110,61 +118,81 @@ impl Robot {
         })
     }
 
-    /// This robot's name.
+    /// Returns the name of this robot.
     pub fn name(&self) -> &Name {
         &self.inner.place.robot
     }
 
-    /// The fleet's name.
+    /// Returns the name of the fleet.
     pub fn fleet(&self) -> &Name {
         &self.inner.place.fleet
     }
 
-    /// The session of Zenoh below, for whatever Zenoh can do and this has no word for. What is urgent, and bulk, goes over
-    /// sessions of their own.
+    /// Returns the underlying Zenoh session, for features of Zenoh that this API does not cover. Urgent and bulk messages use
+    /// separate sessions.
     pub fn zenoh(&self) -> &Session {
         &self.inner.session
     }
 
-    /// The same robot, speaking with that urgency: `robot.with(Urgency::Urgent).publish("stop", "")`.
+    /// Returns a handle that publishes, sends and requests with `urgency`.
+    ///
+    /// ```no_run
+    /// # async fn stop(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// robot.with_urgency(rect::Urgency::Urgent).publish("stop", "").await?;
+    /// # Ok(()) }
+    /// ```
     #[must_use]
-    pub fn with(&self, urgency: Urgency) -> Self {
+    pub fn with_urgency(&self, urgency: Urgency) -> Self {
         Self {
             urgency,
             ..self.clone()
         }
     }
 
-    /// The same robot, speaking urgently: what it says overtakes everything else.
+    /// Returns a handle whose messages overtake all messages that are not urgent.
     #[must_use]
     pub fn urgent(&self) -> Self {
-        self.with(Urgency::Urgent)
+        self.with_urgency(Urgency::Urgent)
     }
 
-    /// The same robot, in no hurry: everything else overtakes what it says.
+    /// Returns a handle whose messages are overtaken by all messages that are not bulk.
     #[must_use]
     pub fn bulk(&self) -> Self {
-        self.with(Urgency::Bulk)
+        self.with_urgency(Urgency::Bulk)
     }
 
-    /// The same robot; what it says goes through that codec: `robot.encoded(codec::parse("zstd:9")?)`.
+    /// Returns a handle that encodes payloads with `codec`; receivers decode them automatically.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let compressed = robot.with_codec(rect::core::codec::parse("zstd:9")?);
+    /// compressed.publish("log", "a long text").await?;
+    /// # Ok(()) }
+    /// ```
     #[must_use]
-    pub fn encoded(&self, codec: Arc<dyn Codec>) -> Self {
+    pub fn with_codec(&self, codec: Arc<dyn Codec>) -> Self {
         Self {
             codec: Some(codec),
             ..self.clone()
         }
     }
 
-    /// How urgently it speaks.
+    /// Returns the urgency of the messages of this handle.
     pub fn urgency(&self) -> Urgency {
         self.urgency
     }
 
-    /// Says it to all.
+    /// Publishes `value` on `topic` to every subscriber. Waits while the queue of the link is full.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// robot.publish("arm/angle", rect::Json(12.5)).await?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`], [`Error::Payload`], [`Error::Codec`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, [`Error::Payload`] if the value cannot be serialized, [`Error::Codec`] if
+    /// the codec of this handle does not support it, and [`Error::Zenoh`] if the session is closed.
     pub async fn publish<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -173,34 +201,43 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        self.say(topic.try_into()?, None, self.payload(value)?)
+        self.put(topic.try_into()?, None, self.payload(value)?)
             .await
     }
 
-    /// Says it to one robot alone. Nobody is asked whether it is there: [`request`](Self::request) does that.
+    /// Sends `value` on `topic` to one robot only.
+    ///
+    /// The call does not check whether the robot is reachable; use [`request`](Self::request) if a reply is needed.
+    ///
+    /// ```no_run
+    /// # async fn send(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// robot.send("wombat-2", "grab", rect::Json(3)).await?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// As [`publish`](Self::publish), and [`Error::Name`].
+    /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if `robot` is not a valid name.
     pub async fn send<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
-        to: N,
+        robot: N,
         topic: T,
         value: impl ToPayload,
     ) -> Result<(), Error>
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        let to = Some(to.try_into()?);
-        self.say(topic.try_into()?, to, self.payload(value)?).await
+        let recipient = Some(robot.try_into()?);
+        self.put(topic.try_into()?, recipient, self.payload(value)?)
+            .await
     }
 
-    /// Ends the session now, and all that belongs to it, whoever has clones.
+    /// Closes the session and everything that belongs to it, even if other clones of this handle exist.
     ///
     /// # Errors
-    /// [`Error::Zenoh`].
+    /// [`Error::Zenoh`] if Zenoh cannot close the session.
     pub async fn close(&self) -> Result<(), Error> {
-        let closed = self.inner.lanes.close().await;
-        closed.map_err(Error::zenoh("the session does not close"))
+        let closed = self.inner.urgency_sessions.close().await;
+        closed.map_err(Error::zenoh("cannot close the session"))
     }
 
     pub(super) fn payload(&self, value: impl ToPayload) -> Result<Payload, Error> {
@@ -212,40 +249,50 @@ impl Robot {
         Ok(payload.sendable()?)
     }
 
-    async fn say(&self, topic: Topic, to: Option<Name>, payload: Payload) -> Result<(), Error> {
+    async fn put(
+        &self,
+        topic: Topic,
+        recipient: Option<Name>,
+        payload: Payload,
+    ) -> Result<(), Error> {
         let urgency = self.urgency;
-        let publication = self.publication(Spoken { topic, to, urgency }).await?;
+        let destination = PublicationKey {
+            topic,
+            recipient,
+            urgency,
+        };
+        let publication = self.publication(destination).await?;
         let bytes = payload.bytes.len();
         publication.put(payload, &self.inner.runtime).await?;
         self.inner.counting.on_sent(bytes);
         Ok(())
     }
 
-    async fn publication(&self, spoken: Spoken) -> Result<Arc<Publication>, Error> {
-        if let Some(known) = self.publications().get(&spoken) {
-            return Ok(known.clone());
+    async fn publication(&self, destination: PublicationKey) -> Result<Arc<Publication>, Error> {
+        if let Some(cached) = self.publications().get(&destination) {
+            return Ok(cached.clone());
         }
-        let session = self.inner.lanes.of(spoken.urgency).await;
+        let session = self.inner.urgency_sessions.of(destination.urgency).await;
         let mut publications = self.publications();
-        // Somebody may have been faster.
-        if let Some(known) = publications.get(&spoken) {
-            return Ok(known.clone());
+        // Another task may have declared it in the meantime.
+        if let Some(cached) = publications.get(&destination) {
+            return Ok(cached.clone());
         }
         let place = &self.inner.place;
-        let key = match &spoken.to {
-            None => place.publication(&spoken.topic),
-            Some(to) => place.message(to, &spoken.topic),
+        let key = match &destination.recipient {
+            None => place.publication(&destination.topic),
+            Some(recipient) => place.message(recipient, &destination.topic),
         };
-        let publication = Publication::declare(session, key, spoken.urgency.qos())?;
+        let publication = Publication::declare(session, key, destination.urgency.qos())?;
         let publication = Arc::new(publication);
         if publications.len() >= MAX_PUBLICATIONS {
             publications.clear();
         }
-        publications.insert(spoken, publication.clone());
+        publications.insert(destination, publication.clone());
         Ok(publication)
     }
 
-    fn publications(&self) -> MutexGuard<'_, HashMap<Spoken, Arc<Publication>>> {
+    fn publications(&self) -> MutexGuard<'_, HashMap<PublicationKey, Arc<Publication>>> {
         let publications = self.inner.publications.lock();
         publications.unwrap_or_else(PoisonError::into_inner)
     }

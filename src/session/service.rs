@@ -1,4 +1,4 @@
-//! Owns serving: the requests that come to a service of this program, and their answers.
+//! Implements services: receives requests and sends the replies.
 use std::{fmt, future::Future, sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinHandle, time::Instant};
@@ -10,7 +10,7 @@ use zenoh::{
 
 use super::{
     decoder::Decoder,
-    inbox::{Filling, Inbox},
+    receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
     subscriber,
 };
@@ -20,65 +20,75 @@ use crate::{
         name::Name,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
-        request::{error_to_payload, Asking, DEFAULT_TIMEOUT_MS},
+        request::{error_to_payload, RequestHeader, DEFAULT_TIMEOUT_MS},
         topic::Topic,
     },
     error::Error,
 };
 
-/// How many requests wait for the program; more are answered with an error at once.
-const WAITING: usize = 256;
-/// How many are worked on at a time by [`Robot::serve`].
-const AT_A_TIME: usize = 16;
+/// Capacity of the queue of requests; further ones are refused with an error at once.
+const CAPACITY: usize = 256;
+/// Largest number of requests that [`Robot::serve`] processes concurrently.
+const MAX_CONCURRENT: usize = 16;
 
-/// The requests to a service, as they come. It ends when it is dropped, or the session is closed.
+/// Receives the requests to a service; created by [`Robot::requests`]. Dropping it ends the service.
 pub struct Requests {
-    inbox: Arc<Inbox<Request>>,
+    queue: Arc<ReceiveQueue<Request>>,
     decoder: Arc<Decoder>,
     _declared: Queryable<()>,
 }
 
-/// A service that answers by a function, until this is dropped.
+/// A service that replies with a function; created by [`Robot::serve`]. Dropping it ends the service.
 #[derive(Debug)]
 pub struct Service {
     task: JoinHandle<()>,
 }
 
-/// A request. Dropped without an answer it tells the asker that there is none.
+/// A request to a service of this program. If it is dropped without a reply, the requester gets [`Error::NoService`].
 pub struct Request {
     query: Query,
     me: Name,
     key: String,
-    /// The robot that the request names as its sender; `None` from a stock program. Zenoh does not verify it: do not
-    /// let permissions depend on it.
-    pub from: Option<Name>,
-    /// What is asked.
+    /// The robot that the request names as its sender; `None` if a stock Zenoh program sent it. Zenoh does not verify the
+    /// name: do not base permissions on it.
+    pub sender: Option<Name>,
+    /// The value of the request.
     pub payload: Payload,
-    /// Until when an answer is of use.
+    /// The time at which the requester's timeout expires.
     pub deadline: Instant,
 }
 
 impl Robot {
-    /// Serves `topic`: others ask for it with [`request`](Robot::request). One asker gets the answer, nobody else.
+    /// Declares the service `topic`, which other robots use with [`request`](Robot::request), and returns its requests. Only
+    /// the requester receives the reply.
+    ///
+    /// ```no_run
+    /// # async fn serve(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let requests = robot.requests("battery").await?;
+    /// while let Some(request) = requests.next().await {
+    ///     request.reply(rect::Json(11.9))?;
+    /// }
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, and [`Error::Zenoh`] if the session is closed.
     pub async fn requests<T: TryInto<Topic>>(&self, topic: T) -> Result<Requests, Error>
     where
         Error: From<T::Error>,
     {
         let place = self.inner.place.clone();
         let key = place.publication(&topic.try_into()?);
-        let inbox = Inbox::new(Queue::new(WAITING, WhenFull::OldestWins));
-        let filling = Filling::new(&inbox);
+        let queue = ReceiveQueue::new(Queue::new(CAPACITY, WhenFull::DropNewest));
+        let writer = QueueWriter::new(&queue);
         let key_of_answers = key.clone();
         let on_query = move |query: Query| {
             let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
             let busy = request.query.clone();
-            if !filling.push(request) {
-                let said = format!("{WAITING} requests wait already: ask later");
+            if !writer.push(request) {
+                let text = format!("the service is busy with {CAPACITY} requests: try again later");
                 let error =
-                    error_to_payload(&place.robot, Payload::new(said, encoding::Encoding::TEXT));
+                    error_to_payload(&place.robot, Payload::new(text, encoding::Encoding::TEXT));
                 let _ = reply_error(&busy, error);
             }
         };
@@ -89,19 +99,19 @@ impl Robot {
             .complete(true)
             .callback(on_query)
             .wait()
-            .map_err(Error::zenoh("the service is refused"))?;
+            .map_err(Error::zenoh("cannot declare the service"))?;
         Ok(Requests {
-            inbox,
+            queue,
             decoder: self.inner.decoder.clone(),
             _declared: declared,
         })
     }
 
-    /// Serves `topic` by a function: what it returns is the answer, and an error arrives as [`Error::Service`]. Up to 16
-    /// requests are worked on at a time.
+    /// Declares the service `topic`, and replies to each request with the result of `answer`. An error arrives at the
+    /// requester as [`Error::Service`]. Up to 16 requests are processed concurrently.
     ///
     /// ```no_run
-    /// # async fn served(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// # async fn serve(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let _service = robot.serve("double", |request| async move {
     ///     let number: f64 = request.payload.value().map_err(|error| error.to_string())?;
     ///     Ok::<_, String>(rect::Json(number * 2.0))
@@ -110,7 +120,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// As [`requests`](Self::requests).
+    /// Returns the same errors as [`requests`](Self::requests).
     pub async fn serve<T, F, A, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
     where
         T: TryInto<Topic>,
@@ -122,11 +132,11 @@ impl Robot {
     {
         let requests = self.requests(topic).await?;
         let answer = Arc::new(answer);
-        let room = Arc::new(Semaphore::new(AT_A_TIME));
+        let permits = Arc::new(Semaphore::new(MAX_CONCURRENT));
         let task = self.inner.runtime.spawn(async move {
             let mut working = tokio::task::JoinSet::new();
             while let Some(request) = requests.next().await {
-                let Ok(permit) = room.clone().acquire_owned().await else {
+                let Ok(permit) = permits.clone().acquire_owned().await else {
                     return;
                 };
                 while working.try_join_next().is_some() {}
@@ -137,13 +147,16 @@ impl Robot {
                 working.spawn(async move {
                     let request = Arc::new(request);
                     let _on_panic = RefusesOnPanic(request.clone());
-                    let said = match answer(request.clone()).await {
+                    let sent = match answer(request.clone()).await {
                         Ok(value) => request.reply(value),
                         Err(error) => request.refuse(error),
                     };
-                    if let Err(error) = said {
-                        tracing::warn!("an answer was not sent: {error}");
-                        // Without any answer the requester would be told that nobody serves this.
+                    if let Err(error) = sent {
+                        tracing::warn!(
+                            "cannot send a reply of the service {}: {error}",
+                            request.key
+                        );
+                        // Without any reply the requester would get the error that the service does not exist.
                         let _ = request.refuse(error.to_string());
                     }
                     drop(permit);
@@ -155,13 +168,13 @@ impl Robot {
 }
 
 impl Requests {
-    /// The next request, once there is one; `None`: the session was closed. One that can't be unpacked is answered with
-    /// that error.
+    /// Waits for the next request; returns `None` once the session is closed. A request that cannot be decoded is refused
+    /// with the reason.
     pub async fn next(&self) -> Option<Request> {
         loop {
-            let mut request = self.inbox.pop().await?;
-            let from = request.from.as_ref().unwrap_or(&request.me);
-            match self.decoder.unpack(from, &mut request.payload).await {
+            let mut request = self.queue.pop().await?;
+            let from = request.sender.as_ref().unwrap_or(&request.me);
+            match self.decoder.decode(from, &mut request.payload).await {
                 Ok(()) => return Some(request),
                 Err(error) => {
                     let _ = request.refuse(error.to_string());
@@ -179,11 +192,11 @@ impl fmt::Debug for Requests {
 
 impl Drop for Requests {
     fn drop(&mut self) {
-        self.inbox.close();
+        self.queue.close();
     }
 }
 
-/// Answers with an error if the service's function panics.
+/// Replies with an error if the service's function panics.
 struct RefusesOnPanic(Arc<Request>);
 
 impl Drop for RefusesOnPanic {
@@ -203,10 +216,10 @@ impl Drop for Service {
 impl Request {
     fn new(query: Query, me: Name, key: String) -> Self {
         let attachment = query.attachment().map(ZBytes::to_bytes);
-        let asking = attachment.and_then(|bytes| Asking::decode(&bytes));
-        let timeout_ms = asking
+        let header = attachment.and_then(|bytes| RequestHeader::decode(&bytes));
+        let timeout_ms = header
             .as_ref()
-            .map_or(DEFAULT_TIMEOUT_MS, |asking| asking.timeout_ms);
+            .map_or(DEFAULT_TIMEOUT_MS, |header| header.timeout_ms);
         let empty = (ZBytes::new(), Encoding::default());
         let bytes = query.payload().unwrap_or(&empty.0);
         let payload = subscriber::payload(bytes, query.encoding().unwrap_or(&empty.1));
@@ -214,36 +227,36 @@ impl Request {
         Self {
             me,
             key,
-            from: asking.map(|asking| asking.from),
+            sender: header.map(|header| header.sender),
             payload,
             deadline: Instant::now() + timeout,
             query,
         }
     }
 
-    /// How long an answer is of use still.
+    /// Returns the time left until the requester's timeout expires.
     pub fn remaining(&self) -> Duration {
         self.deadline.saturating_duration_since(Instant::now())
     }
 
-    /// Answers; several answers are several calls.
+    /// Sends a reply. A service may reply several times to one request.
     ///
     /// # Errors
-    /// [`Error::Payload`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Payload`] if the value cannot be serialized, and [`Error::Zenoh`] if the session is closed.
     pub fn reply(&self, value: impl ToPayload) -> Result<(), Error> {
         let payload = value.into_payload()?.sendable()?;
         let reply = self.query.reply(&self.key, payload.bytes);
         let reply = reply.encoding(payload.encoding.as_str()).wait();
-        reply.map_err(Error::zenoh("the answer is not sent"))
+        reply.map_err(Error::zenoh("cannot send the reply"))
     }
 
-    /// Answers with an error, which the asker gets as [`Error::Service`].
+    /// Replies with an error, which the requester receives as [`Error::Service`].
     ///
     /// # Errors
-    /// As [`reply`](Self::reply).
+    /// Returns the same errors as [`reply`](Self::reply).
     pub fn refuse(&self, error: impl ToPayload) -> Result<(), Error> {
         let error = error_to_payload(&self.me, error.into_payload()?.sendable()?);
-        reply_error(&self.query, error).map_err(Error::zenoh("the answer is not sent"))
+        reply_error(&self.query, error).map_err(Error::zenoh("cannot send the reply"))
     }
 }
 
@@ -256,7 +269,7 @@ impl fmt::Debug for Request {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Request")
             .field("key", &self.key)
-            .field("from", &self.from)
+            .field("sender", &self.sender)
             .field("payload", &self.payload)
             .finish_non_exhaustive()
     }

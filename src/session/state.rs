@@ -1,4 +1,5 @@
-//! Owns what a program is told about who can be reached, and its counters.
+//! Reports events of robots, links and the router to the program, keeps track of the router's links, and returns the
+//! program's counters.
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::task::JoinHandle;
@@ -11,38 +12,40 @@ use zenoh::{
 };
 
 use super::{
-    inbox::{Filling, Inbox},
+    receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
-    subscriber::{called, Subscription},
+    subscriber::{call, Subscription},
 };
 use crate::{
     core::{
         connection::{Connection, Event, Link, Links, Presence},
         counters::Counters,
-        key::Place,
+        key::KeySpace,
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
     },
     error::Error,
 };
 
-/// What changes about who can be reached, as it changes; first of all who is there already. It ends when it is dropped.
+/// Receives the [events](Event) of robots, links and the router; created by [`Robot::events`].
+///
+/// The first events report the robots that are already reachable. Dropping it ends the subscription.
 #[derive(Debug)]
 pub struct Events {
-    inbox: Arc<Inbox<Event>>,
+    queue: Arc<ReceiveQueue<Event>>,
     _peers: zenoh::pubsub::Subscriber<()>,
     _links: zenoh::session::LinkEventsListener<()>,
     _registry: Option<zenoh::pubsub::Subscriber<()>>,
 }
 
-/// The links of this robot's router, as far as it tells.
-pub(super) struct Known {
+/// The links of this robot's router, as reported by its registry.
+pub(super) struct RouterLinks {
     links: Arc<Mutex<Links>>,
     _published: zenoh::pubsub::Subscriber<()>,
 }
 
-impl Known {
-    /// Follows what the router says of its connections; where it has no registry, nothing is known.
-    pub(super) async fn follow(session: &Session, place: &Place) -> Result<Self, Error> {
+impl RouterLinks {
+    /// Subscribes to the connections that the router publishes. Without a registry, the links remain unknown.
+    pub(super) async fn follow(session: &Session, place: &KeySpace) -> Result<Self, Error> {
         let links = Arc::new(Mutex::new(Links::default()));
         let followed = links.clone();
         let published = follow(session, place, move |connections| {
@@ -62,81 +65,92 @@ impl Known {
 }
 
 impl Robot {
-    /// What changes about who can be reached: robots that come and go, links of this robot's router (without a router,
-    /// of this program) and over which radio, and the router itself.
+    /// Subscribes to events: robots that become reachable or unreachable, links of this robot's router that come up or go
+    /// down (without a router: links of this program), and the loss and return of the router itself.
+    ///
+    /// ```no_run
+    /// # async fn observe(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let events = robot.events().await?;
+    /// while let Some(event) = events.next().await {
+    ///     println!("{event:?}");
+    /// }
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Zenoh`] if the session is closed.
     pub async fn events(&self) -> Result<Events, Error> {
         let inner = &self.inner;
-        let inbox = Inbox::new(Queue::new(DEFAULT_CAPACITY, WhenFull::NewestWins));
-        let refused = || Error::zenoh("who is there is not told");
+        let queue = ReceiveQueue::new(Queue::new(DEFAULT_CAPACITY, WhenFull::DropOldest));
+        let refused = || Error::zenoh("cannot subscribe to events");
         let info = inner.session.info();
         let links = info.link_events_listener().history(false);
-        let links = links.callback(on_link(inbox.clone(), inner.direct)).await;
+        let links = links.callback(on_link(queue.clone(), inner.direct)).await;
         let presence = Mutex::new(Presence::default());
-        let (place, filling) = (inner.place.clone(), Filling::new(&inbox));
+        let (place, writer) = (inner.place.clone(), QueueWriter::new(&queue));
         let peers = inner.session.liveliness();
         let peers = peers.declare_subscriber(place.own(None, "alive/*"));
         let peers = peers.history(true).callback(move |sample: Sample| {
             let event = on_presence(&place, &presence, &sample);
             event.into_iter().for_each(|event| {
-                filling.push(event);
+                writer.push(event);
             });
         });
         let peers = peers.await.map_err(refused())?;
         let registry = if inner.direct {
             None
         } else {
-            let (seen, heard) = (Mutex::new(Links::default()), inbox.clone());
+            let (seen, event_queue) = (Mutex::new(Links::default()), queue.clone());
             let on_connections = move |connections: &[Connection]| {
                 let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
                 for event in seen.on_connections(connections) {
-                    heard.push(event);
+                    event_queue.push(event);
                 }
             };
             Some(follow(&inner.session, &inner.place, on_connections).await?)
         };
         Ok(Events {
-            inbox,
+            queue,
             _peers: peers,
             _links: links.map_err(refused())?,
             _registry: registry,
         })
     }
 
-    /// Calls `callback` for each of [`events`](Self::events), until what this returns is dropped.
+    /// Calls `callback` for each of the [`events`](Self::events) until the returned subscription is dropped.
+    ///
+    /// If the callback panics, the panic is logged and the callback is called again for the next event.
     ///
     /// # Errors
-    /// As [`events`](Self::events).
-    pub async fn on_state(
+    /// Returns the same errors as [`events`](Self::events).
+    pub async fn on_event(
         &self,
         mut callback: impl FnMut(Event) + Send + 'static,
     ) -> Result<Subscription, Error> {
         let events = self.events().await?;
         let task: JoinHandle<()> = self.inner.runtime.spawn(async move {
             while let Some(event) = events.next().await {
-                called("state", || callback(event));
+                call("events", || callback(event));
             }
         });
         Ok(Subscription::of(task))
     }
 
-    /// What this program has said and heard.
+    /// Returns the numbers of messages and bytes that this program has sent and received.
     pub fn counters(&self) -> Counters {
         self.inner.counting.read()
     }
 }
 
 impl Events {
-    /// The next one; `None`: the session was closed.
+    /// Waits for the next event; returns `None` once the session or the subscription is closed.
     pub async fn next(&self) -> Option<Event> {
-        self.inbox.pop().await
+        self.queue.pop().await
     }
 
-    /// Nothing comes any more; what waits can still be taken.
+    /// Stops receiving. Events that are already queued can still be read.
     pub fn close(&self) {
-        self.inbox.close();
+        self.queue.close();
     }
 }
 
@@ -146,14 +160,20 @@ impl Drop for Events {
     }
 }
 
-/// Says that this robot is there, where it has no router that does.
-pub(super) async fn say_there(session: &Session, place: &Place) -> Result<LivelinessToken, Error> {
+/// Declares the liveliness token of this robot, which its router declares if it has one.
+pub(super) async fn declare_liveliness(
+    session: &Session,
+    place: &KeySpace,
+) -> Result<LivelinessToken, Error> {
     let key = place.own(Some(&place.robot), &format!("alive/{}", session.zid()));
     let token = session.liveliness().declare_token(key).await;
-    token.map_err(Error::zenoh("the robot can't say that it is there"))
+    token.map_err(Error::zenoh("cannot declare the robot's liveliness token"))
 }
 
-fn on_link(inbox: Arc<Inbox<Event>>, direct: bool) -> impl Fn(LinkEvent) + Send + Sync + 'static {
+fn on_link(
+    queue: Arc<ReceiveQueue<Event>>,
+    direct: bool,
+) -> impl Fn(LinkEvent) + Send + Sync + 'static {
     move |event: LinkEvent| {
         let to = event.link().dst();
         let link = Link {
@@ -161,7 +181,7 @@ fn on_link(inbox: Arc<Inbox<Event>>, direct: bool) -> impl Fn(LinkEvent) + Send 
             address: to.address().as_str().to_owned(),
             robot: None,
         };
-        inbox.push(match (event.kind(), direct) {
+        queue.push(match (event.kind(), direct) {
             (SampleKind::Put, true) => Event::LinkUp(link),
             (SampleKind::Delete, true) => Event::LinkDown(link),
             (SampleKind::Put, false) => Event::RouterUp,
@@ -170,7 +190,7 @@ fn on_link(inbox: Arc<Inbox<Event>>, direct: bool) -> impl Fn(LinkEvent) + Send 
     }
 }
 
-fn on_presence(place: &Place, presence: &Mutex<Presence>, sample: &Sample) -> Option<Event> {
+fn on_presence(place: &KeySpace, presence: &Mutex<Presence>, sample: &Sample) -> Option<Event> {
     let key = sample.key_expr().as_str();
     let robot = place.robot_of(key).filter(|robot| *robot != place.robot)?;
     let id = key.rsplit('/').next()?;
@@ -181,10 +201,10 @@ fn on_presence(place: &Place, presence: &Mutex<Presence>, sample: &Sample) -> Op
     }
 }
 
-/// Gives what this robot's router says of its connections, now and whenever they change.
+/// Calls `on_connections` with the connections of this robot's router, now and whenever they change.
 async fn follow(
     session: &Session,
-    place: &Place,
+    place: &KeySpace,
     on_connections: impl Fn(&[Connection]) + Send + Sync + 'static,
 ) -> Result<zenoh::pubsub::Subscriber<()>, Error> {
     let key = place.own(Some(&place.robot), "connections");
@@ -198,7 +218,7 @@ async fn follow(
         .declare_subscriber(key.clone())
         .callback(move |sample| on_connections(sample.payload()))
         .wait()
-        .map_err(Error::zenoh("the router's connections are not told"))?;
+        .map_err(Error::zenoh("cannot subscribe to the router's connections"))?;
     let asked = session.get(key).callback(move |reply| {
         if let Ok(sample) = reply.result() {
             on_answer(sample.payload());
@@ -206,6 +226,6 @@ async fn follow(
     });
     asked
         .await
-        .map_err(Error::zenoh("the router's connections are not told"))?;
+        .map_err(Error::zenoh("cannot query the router's connections"))?;
     Ok(published)
 }

@@ -1,4 +1,4 @@
-//! Owns streams as a program has them: [`Stream`] sends, [`Watch`] receives. What they do, [`crate::core::stream`] says.
+//! Connects streams to Zenoh: [`Stream`] sends, [`Watch`] receives. Their logic is in [`crate::core::stream`].
 mod receiver;
 mod sender;
 

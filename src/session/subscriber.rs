@@ -1,4 +1,4 @@
-//! Owns receiving: the messages of a pattern, one after another, for a callback, or just the next one.
+//! Implements subscriptions: to be read from ([`Subscriber`]), with a callback ([`Subscription`]), or for one message.
 use std::{
     any::Any,
     fmt,
@@ -16,16 +16,16 @@ use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 
 use super::{
     decoder::Decoder,
-    inbox::{Filling, Inbox},
+    receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
-    state::Known,
+    state::RouterLinks,
 };
 use crate::{
     core::{
         encoding::Encoding,
-        gaps::Tally,
-        key::NoMessage,
-        message::{Delivered, Inbound, Message},
+        gaps::SenderCounts,
+        key::AddressError,
+        message::{Delivery, Inbound, Message},
         name::Name,
         payload::Payload,
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
@@ -34,16 +34,21 @@ use crate::{
     error::Error,
 };
 
-/// How messages wait for the program.
+/// Settings of the receive queue, which holds messages or frames until the program reads them.
+///
+/// ```
+/// use rect::{QueueOptions, WhenFull};
+/// let every_message = QueueOptions { capacity: 1000, when_full: WhenFull::Block };
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Receiving {
-    /// How many may wait; default 256.
+pub struct QueueOptions {
+    /// The largest number of waiting messages; default: 256.
     pub capacity: usize,
-    /// What happens to more; default: the oldest is dropped.
+    /// The rule for a message that arrives when the queue is full; default: the oldest one is dropped.
     pub when_full: WhenFull,
 }
 
-impl Default for Receiving {
+impl Default for QueueOptions {
     fn default() -> Self {
         Self {
             capacity: DEFAULT_CAPACITY,
@@ -52,12 +57,14 @@ impl Default for Receiving {
     }
 }
 
-/// The messages of a pattern, as they come. It ends when it is dropped, or the session is closed.
+/// Receives the messages that match a pattern; created by [`Robot::subscribe`].
+///
+/// It also implements [`Stream`]. Dropping it ends the subscription.
 pub struct Subscriber {
-    inbox: Arc<Inbox<Message>>,
+    queue: Arc<ReceiveQueue<Message>>,
     inbound: Arc<Mutex<Inbound>>,
     decoder: Arc<Decoder>,
-    /// In a lock only so that it may be shared: it is never locked.
+    /// The pending read of the [`Stream`]. The mutex only makes the type `Sync`; it is never locked.
     next: Mutex<Option<Next>>,
     _declared: Declared,
 }
@@ -65,60 +72,72 @@ pub struct Subscriber {
 type Next = Pin<Box<dyn std::future::Future<Output = Option<Message>> + Send>>;
 type Declared = [zenoh::pubsub::Subscriber<()>; 2];
 
-/// A callback that is called for each message, until this is dropped.
+/// A subscription with a callback; created by [`Robot::on_message`] and [`Robot::on_event`]. Dropping it ends the
+/// subscription.
 #[derive(Debug)]
 pub struct Subscription {
     task: JoinHandle<()>,
 }
 
 impl Robot {
-    /// The messages of a pattern, `<robot>/<topic>` with wildcards: what those robots say to all, and to this one alone.
+    /// Subscribes to the messages that match `pattern`, which is `<robot>/<topic>` with wildcards: those that the robots
+    /// publish, and those that they send to this robot only.
+    ///
+    /// ```no_run
+    /// # async fn subscribe(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let angles = robot.subscribe("*/arm/angle").await?;
+    /// while let Some(message) = angles.next().await {
+    ///     let angle: f64 = message.payload.value()?;
+    ///     println!("{}: {angle}", message.sender);
+    /// }
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Topic`] if the pattern is invalid, and [`Error::Zenoh`] if the session is closed.
     pub async fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Subscriber, Error>
     where
         Error: From<P::Error>,
     {
-        self.subscribe_with(pattern, Receiving::default()).await
+        self.subscribe_with(pattern, QueueOptions::default()).await
     }
 
-    /// The same, with a say in how messages wait.
+    /// Subscribes to the messages that match `pattern`, with other settings of the receive queue.
     ///
     /// # Errors
-    /// As [`subscribe`](Self::subscribe).
+    /// Returns the same errors as [`subscribe`](Self::subscribe).
     pub async fn subscribe_with<P: TryInto<Pattern>>(
         &self,
         pattern: P,
-        receiving: Receiving,
+        queue: QueueOptions,
     ) -> Result<Subscriber, Error>
     where
         Error: From<P::Error>,
     {
-        self.subscribed(&pattern.try_into()?, receiving)
+        self.subscribed(&pattern.try_into()?, queue)
     }
 
-    fn subscribed(&self, pattern: &Pattern, receiving: Receiving) -> Result<Subscriber, Error> {
+    fn subscribed(&self, pattern: &Pattern, queue: QueueOptions) -> Result<Subscriber, Error> {
         let place = &self.inner.place;
-        let inbox = Inbox::new(Queue::new(receiving.capacity, receiving.when_full));
+        let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let inbound = Arc::new(Mutex::new(Inbound::new(place.clone())));
         let [all, mine] = place.subscriptions(pattern);
         let declare = |key: String, directed: bool| {
-            let (filling, inbound) = (Filling::new(&inbox), inbound.clone());
+            let (writer, inbound) = (QueueWriter::new(&queue), inbound.clone());
             let counting = self.inner.counting.clone();
-            let links = self.inner.known.as_ref().map(Known::links);
+            let links = self.inner.router_links.as_ref().map(RouterLinks::links);
             let on_sample = move |sample: Sample| {
                 let mut message = match on_sample(&inbound, &sample, directed) {
                     Ok(message) => message,
-                    Err(NoMessage::Elsewhere) => return,
-                    Err(NoMessage::InvalidTopic { .. }) => return counting.on_rejected(),
+                    Err(AddressError::NotForThisRobot) => return,
+                    Err(AddressError::InvalidTopic { .. }) => return counting.on_rejected(),
                 };
                 if let Some(links) = &links {
                     let links = links.lock().unwrap_or_else(PoisonError::into_inner);
-                    message.over = links.method(&message.from).map(str::to_owned);
+                    message.method = links.method(&message.sender).map(str::to_owned);
                 }
                 counting.on_received(message.payload.bytes.len(), message.missed);
-                filling.push(message);
+                writer.push(message);
             };
             let declared = self
                 .inner
@@ -127,11 +146,11 @@ impl Robot {
                 .callback(on_sample);
             declared
                 .wait()
-                .map_err(Error::zenoh("the subscription is refused"))
+                .map_err(Error::zenoh("cannot declare the subscriber"))
         };
         let declared = [declare(all, false)?, declare(mine, true)?];
         Ok(Subscriber {
-            inbox,
+            queue,
             inbound,
             decoder: self.inner.decoder.clone(),
             next: Mutex::default(),
@@ -139,11 +158,19 @@ impl Robot {
         })
     }
 
-    /// Calls `callback` for each message of a pattern, one after another, until what this returns is dropped.
-    /// A callback that panics is reported, and called again for the next message.
+    /// Calls `callback` for each message that matches `pattern`, one at a time, until the returned subscription is dropped.
+    ///
+    /// The callback runs on the runtime of the session and must not block; [`blocking`](crate::blocking) callbacks may. If
+    /// the callback panics, the panic is logged and the callback is called again for the next message.
+    ///
+    /// ```no_run
+    /// # async fn subscribe(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let _subscription = robot.on_message("*/stop", |message| println!("stopped by {}", message.sender)).await?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// As [`subscribe`](Self::subscribe).
+    /// Returns the same errors as [`subscribe`](Self::subscribe).
     pub async fn on_message<P: TryInto<Pattern>>(
         &self,
         pattern: P,
@@ -154,19 +181,28 @@ impl Robot {
     {
         let subscriber = self.subscribe(pattern).await?;
         let task = self.inner.runtime.spawn(async move {
-            while let Some(message) = subscriber.recv().await {
+            while let Some(message) = subscriber.next().await {
                 let topic = message.topic.clone();
-                called(topic.as_str(), || callback(message));
+                call(topic.as_str(), || callback(message));
             }
         });
         Ok(Subscription::of(task))
     }
 
-    /// The next message of `robot` about `topic`, to all or to this one alone, that is sent from now on.
+    /// Waits for the next message of `robot` on `topic`, published or sent to this robot only. Messages that were sent before
+    /// the call are not received.
+    ///
+    /// ```no_run
+    /// # async fn wait(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let timeout = std::time::Duration::from_secs(10);
+    /// let ready = robot.wait_for_message("wombat-2", "ready", timeout).await?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::TimedOut`]: there was none; [`Error::Name`], [`Error::Topic`].
-    pub async fn listen<N: TryInto<Name>>(
+    /// [`Error::TimedOut`] if no message arrives within `timeout`; [`Error::Name`] or [`Error::Topic`] if an argument is
+    /// invalid; [`Error::Zenoh`] or [`Error::Closed`] if the session is closed.
+    pub async fn wait_for_message<N: TryInto<Name>>(
         &self,
         robot: N,
         topic: &str,
@@ -177,54 +213,56 @@ impl Robot {
     {
         let pattern = Pattern::of(Some(robot.try_into()?), topic)?;
         let what = format!("message {pattern}");
-        let subscriber = self.subscribed(&pattern, Receiving::default())?;
-        match tokio::time::timeout(timeout, subscriber.recv()).await {
+        let subscriber = self.subscribed(&pattern, QueueOptions::default())?;
+        match tokio::time::timeout(timeout, subscriber.next()).await {
             Ok(message) => message.ok_or(Error::Closed),
             Err(_) => Err(Error::TimedOut {
-                what,
-                after: timeout,
+                expected: what,
+                timeout,
             }),
         }
     }
 }
 
 impl Subscriber {
-    /// The next message, once there is one; `None`: the session was closed. The first message that is packed with a
-    /// dictionary waits until that has come; who drops this future meanwhile loses that message.
-    pub async fn recv(&self) -> Option<Message> {
-        decoded(&self.inbox, &self.decoder).await
+    /// Waits for the next message; returns `None` once the session or the subscriber is closed.
+    ///
+    /// If a message is compressed with a dictionary that is not known yet, the call also waits for the dictionary. Dropping
+    /// the future at that point loses the message.
+    pub async fn next(&self) -> Option<Message> {
+        decoded(&self.queue, &self.decoder).await
     }
 
-    /// The next message, if there is one.
-    pub fn try_recv(&self) -> Option<Message> {
-        let mut message = self.inbox.try_pop()?;
-        self.decoder.message_now(&mut message);
+    /// Returns the next message if one is queued.
+    pub fn try_next(&self) -> Option<Message> {
+        let mut message = self.queue.try_pop()?;
+        self.decoder.decode_message_now(&mut message);
         Some(message)
     }
 
-    /// Nothing comes any more; what waits can still be taken.
+    /// Stops receiving. Messages that are already queued can still be read.
     pub fn close(&self) {
-        self.inbox.close();
+        self.queue.close();
     }
 
-    /// How many were dropped because the program did not take them in time.
+    /// Returns the number of messages that were dropped because the queue was full.
     pub fn dropped(&self) -> u64 {
-        self.inbox.dropped()
+        self.queue.dropped()
     }
 
-    /// How many came of each robot, and how many of its did not.
-    pub fn tallies(&self) -> Vec<(Name, Tally)> {
+    /// Returns the numbers of received and missed messages of each robot.
+    pub fn counts_by_sender(&self) -> Vec<(Name, SenderCounts)> {
         let inbound = lock(&self.inbound);
         inbound
-            .tallies()
-            .map(|(n, tally)| (n.clone(), tally))
+            .counts_by_sender()
+            .map(|(name, counts)| (name.clone(), counts))
             .collect()
     }
 }
 
-async fn decoded(inbox: &Inbox<Message>, decoder: &Decoder) -> Option<Message> {
-    let mut message = inbox.pop().await?;
-    decoder.message(&mut message).await;
+async fn decoded(queue: &ReceiveQueue<Message>, decoder: &Decoder) -> Option<Message> {
+    let mut message = queue.pop().await?;
+    decoder.decode_message(&mut message).await;
     Some(message)
 }
 
@@ -232,10 +270,10 @@ impl Stream for Subscriber {
     type Item = Message;
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Message>> {
-        let (inbox, decoder) = (self.inbox.clone(), self.decoder.clone());
+        let (queue, decoder) = (self.queue.clone(), self.decoder.clone());
         let next = self.next.get_mut().unwrap_or_else(PoisonError::into_inner);
         let waiting =
-            next.get_or_insert_with(|| Box::pin(async move { decoded(&inbox, &decoder).await }));
+            next.get_or_insert_with(|| Box::pin(async move { decoded(&queue, &decoder).await }));
         let polled = waiting.as_mut().poll(context);
         if polled.is_ready() {
             *next = None;
@@ -246,7 +284,7 @@ impl Stream for Subscriber {
 
 impl Drop for Subscriber {
     fn drop(&mut self) {
-        // Before Zenoh's threads are waited for: one may wait for room.
+        // Closed before undeclaring, which waits for Zenoh's threads: one of them may wait for room in the queue.
         self.close();
     }
 }
@@ -276,9 +314,9 @@ fn on_sample(
     inbound: &Mutex<Inbound>,
     sample: &Sample,
     directed: bool,
-) -> Result<Message, NoMessage> {
+) -> Result<Message, AddressError> {
     let attachment = sample.attachment().map(ZBytes::to_bytes);
-    lock(inbound).on_delivered(Delivered {
+    lock(inbound).on_delivery(Delivery {
         key: sample.key_expr().as_str(),
         payload: payload(sample.payload(), sample.encoding()),
         attachment: attachment.as_deref(),
@@ -287,7 +325,7 @@ fn on_sample(
     })
 }
 
-/// A payload as Zenoh has it.
+/// Converts a payload from Zenoh's types.
 pub(super) fn payload(bytes: &ZBytes, encoding: &zenoh::bytes::Encoding) -> Payload {
     let bytes = Bytes::from(bytes.to_bytes().into_owned());
     Payload::new(bytes, Encoding::new(encoding))
@@ -297,15 +335,15 @@ fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {
     inbound.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Calls a callback; if it panics, that is reported, and the next call is made all the same.
-pub(crate) fn called(about: &str, callback: impl FnOnce()) {
+/// Calls a callback for `subject`, a topic or "events", and logs its panic if there is one.
+pub(crate) fn call(subject: &str, callback: impl FnOnce()) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(callback)) {
-        let said = said(&*panic);
-        tracing::error!("the callback for {about} panicked: {said}");
+        let text = panic_text(&*panic);
+        tracing::error!("the callback for {subject} panicked: {text}");
     }
 }
 
-fn said(panic: &(dyn Any + Send)) -> &str {
+fn panic_text(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied())
         .unwrap_or("(no text)")

@@ -1,18 +1,18 @@
-//! Owns the transfers of a session: what a program says ([`Robot::transfer`]) and takes ([`Robot::receive_transfers`]).
+//! Implements the transfers of a session: sending ([`Robot::transfer`]) and receiving ([`Robot::receive_transfers`]).
 //!
-//! What is decided is in [`core::transfer`](crate::core::transfer). Each transfer has a thread of its own on either side,
-//! since files and a full link make it wait; a slow link's transfer costs it a few wake-ups per second.
-mod inbox;
+//! The protocol's decisions are made in [`core::transfer`](crate::core::transfer). Each transfer has a separate thread at
+//! either end, since file access and a full link block. On a slow link, the thread wakes up a few times per second.
 mod incoming;
 mod offering;
 mod options;
 mod outgoing;
+mod progress_throttle;
 mod pull;
 mod queries;
-mod told;
+mod receiver;
 
 pub use incoming::{Received, Transfers};
-pub use options::{Incoming, Keep, ReceiveTransfers};
+pub use options::{Destination, IncomingTransfer, ReceiveOptions};
 pub use outgoing::{Transfer, TransferSource};
 
 use super::robot::Robot;
@@ -25,12 +25,14 @@ use crate::{
 };
 
 impl Robot {
-    /// Transfers a file or bytes of any size to one robot, and waits until all is there and right. Everything else overtakes
-    /// it. Links may come and go meanwhile, and either side may be restarted: it goes on where it was. Dropped before its
-    /// end, it stops; what is there is kept where it is kept in a file.
+    /// Prepares a transfer of a file or buffer of any size to `robot`. It starts when the returned [`Transfer`] is awaited,
+    /// and completes when the receiver has verified the whole content.
+    ///
+    /// All other messages overtake transfers. A transfer resumes after links are lost and after either program is restarted.
+    /// Dropping the future stops the transfer; a receiver that keeps it in a folder keeps the received part.
     ///
     /// ```no_run
-    /// # async fn sent(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// # async fn send(robot: rect::Robot) -> Result<(), rect::Error> {
     /// robot
     ///     .transfer("wombat-2", "maps/kitchen", std::path::Path::new("kitchen.pcd"))?
     ///     .on_progress(|progress| println!("{:.0} %", progress.fraction() * 100.0))
@@ -39,11 +41,13 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Name`], [`Error::Topic`]; when awaited, [`Error::TransferRefused`], [`Error::TransferFailed`],
-    /// [`Error::TimedOut`] where a [patience](Transfer::patience) was set, [`Error::File`].
+    /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid. The awaited transfer returns
+    /// [`Error::TransferRefused`] if the receiver refuses it, [`Error::TransferFailed`] if it fails, [`Error::File`] if the
+    /// file cannot be read, [`Error::TimedOut`] if a [timeout](Transfer::timeout) was set and has expired, and
+    /// [`Error::Closed`] if the session is closed.
     pub fn transfer<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
-        to: N,
+        robot: N,
         topic: T,
         source: impl Into<TransferSource>,
     ) -> Result<Transfer, Error>
@@ -55,32 +59,33 @@ impl Robot {
         Ok(Transfer::new(
             session,
             place,
-            to.try_into()?,
+            robot.try_into()?,
             topic.try_into()?,
             source.into(),
         ))
     }
 
-    /// Takes the transfers of `pattern` (`*/maps/*`) that others send to this robot, until what is returned is dropped.
-    /// Without it none is taken.
+    /// Receives the transfers to this robot that match `pattern`, such as `*/maps/*`, until the returned value is dropped.
+    /// Transfers that no program receives are refused.
     ///
     /// ```no_run
-    /// # async fn received(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// use rect::ReceiveTransfers;
-    /// let maps = robot.receive_transfers("*/maps/*", ReceiveTransfers::in_folder("/var/lib/maps", 100 << 20)).await?;
+    /// # async fn receive(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// use rect::ReceiveOptions;
+    /// let maps = robot.receive_transfers("*/maps/*", ReceiveOptions::in_folder("/var/lib/maps", 100 << 20)).await?;
     /// while let Some(map) = maps.next().await {
     ///     let map = map?;
-    ///     println!("{} of {}: {:?}", map.topic, map.from, map.content);
+    ///     println!("{} of {}: {:?}", map.topic, map.sender, map.content);
     /// }
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`]; [`Error::File`]: the folder can't be made; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Topic`] if the pattern is invalid, [`Error::File`] if the folder cannot be created, and [`Error::Zenoh`] if
+    /// the session is closed.
     pub async fn receive_transfers<P: TryInto<Pattern>>(
         &self,
         pattern: P,
-        options: ReceiveTransfers,
+        options: ReceiveOptions,
     ) -> Result<Transfers, Error>
     where
         Error: From<P::Error>,

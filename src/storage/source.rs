@@ -1,4 +1,4 @@
-//! Owns what a transfer sends: bytes, or a file that must not change meanwhile.
+//! Reads the data that a transfer sends: bytes in memory, or a file that must not change meanwhile.
 use std::{
     fs::{File, Metadata},
     io::{self, Read, Seek, SeekFrom},
@@ -12,7 +12,7 @@ use bytes::Bytes;
 use super::checksum;
 use crate::core::transfer::{Checksum, Fault};
 
-/// Bytes that are at hand, or a file.
+/// The source of a transfer: bytes in memory, or a file.
 #[derive(Debug)]
 pub struct Source {
     kind: Kind,
@@ -26,13 +26,13 @@ enum Kind {
     File {
         file: File,
         path: PathBuf,
-        /// When it was last written to, as far as the file system says.
+        /// The time of the last modification, if the file system provides it.
         written: Option<SystemTime>,
     },
 }
 
 impl Source {
-    /// Of bytes. Takes as long as their checksum: about a second for a gigabyte.
+    /// Creates a source from bytes in memory. Computing the checksum takes about one second per gigabyte.
     pub fn of_bytes(bytes: Bytes) -> Self {
         let (size_bytes, checksum) = (bytes.len() as u64, Checksum::of(&bytes));
         let kind = Kind::Bytes(bytes);
@@ -43,10 +43,11 @@ impl Source {
         }
     }
 
-    /// Of a file, which is read once for its checksum, and then in pieces as they are asked for.
+    /// Creates a source from a file. The file is read once for its checksum, and then in pieces when they are
+    /// requested.
     ///
     /// # Errors
-    /// It can't be read, or is no file.
+    /// Returns an error if the file cannot be read, or if it is not a regular file.
     pub fn of_file(path: &Path) -> io::Result<Self> {
         let mut file = File::open(path)?;
         let before = file.metadata()?;
@@ -69,20 +70,21 @@ impl Source {
         })
     }
 
-    /// How long it is.
+    /// Returns the size in bytes.
     pub fn size_bytes(&self) -> u64 {
         self.size_bytes
     }
 
-    /// What its bytes come to.
+    /// Returns the checksum.
     pub fn checksum(&self) -> Checksum {
         self.checksum
     }
 
-    /// These bytes of it.
+    /// Reads a range of bytes.
     ///
     /// # Errors
-    /// [`Fault::Changed`]: it is not what it was; [`Fault::Unreadable`].
+    /// Returns [`Fault::Changed`] if the file has changed since the source was created, [`Fault::Unreadable`] if it
+    /// cannot be read, and [`Fault::Protocol`] if the range is invalid.
     pub fn read(&self, range: Range<u64>) -> Result<Bytes, Fault> {
         match &self.kind {
             Kind::Bytes(bytes) => {
@@ -101,7 +103,7 @@ impl Source {
             } => {
                 let unreadable = |error: io::Error| match error.kind() {
                     io::ErrorKind::UnexpectedEof => {
-                        Fault::Changed(format!("{} is shorter now", path.display()))
+                        Fault::Changed(format!("{} has become shorter", path.display()))
                     }
                     _ => Fault::Unreadable(format!("{}: {error}", path.display())),
                 };
@@ -110,13 +112,13 @@ impl Source {
                 file.seek(SeekFrom::Start(range.start))
                     .map_err(unreadable)?;
                 file.read_exact(&mut bytes).map_err(unreadable)?;
-                self.unchanged(&file.metadata().map_err(unreadable)?, path, *written)?;
+                self.check_unchanged(&file.metadata().map_err(unreadable)?, path, *written)?;
                 Ok(bytes.into())
             }
         }
     }
 
-    fn unchanged(
+    fn check_unchanged(
         &self,
         now: &Metadata,
         path: &Path,
@@ -125,7 +127,7 @@ impl Source {
         if now.len() == self.size_bytes && now.modified().ok() == written {
             return Ok(());
         }
-        Err(Fault::Changed(format!("{} was written to", path.display())))
+        Err(Fault::Changed(format!("{} was modified", path.display())))
     }
 }
 
@@ -136,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bytes_and_a_file_with_them_are_the_same() {
+    fn bytes_and_files_behave_alike() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("x");
         fs::write(&path, b"abcdef").expect("written");
@@ -149,14 +151,14 @@ mod tests {
                 (source.size_bytes(), source.checksum()),
                 (6, Checksum::of(b"abcdef"))
             );
-            assert_eq!(source.read(2..5).expect("there"), &b"cde"[..]);
-            assert_eq!(source.read(6..6).expect("there"), &b""[..]);
+            assert_eq!(source.read(2..5).expect("in range"), &b"cde"[..]);
+            assert_eq!(source.read(6..6).expect("in range"), &b""[..]);
             assert!(source.read(5..7).is_err());
         }
     }
 
     #[test]
-    fn a_file_that_changes_is_noticed() {
+    fn detects_a_file_that_changed() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("x");
         fs::write(&path, b"abcdef").expect("written");

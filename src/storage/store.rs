@@ -1,9 +1,10 @@
-//! Owns where a transfer that comes is kept: in memory, or in a part file with a [`Record`] beside it, which becomes the
-//! file once all is there.
+//! Stores the data of an incoming transfer: in memory, or in a part file with a [`Record`] beside it, which is renamed
+//! when the transfer is complete.
 //!
-//! In `<folder>/<sender>/`: `.<id>.part` and `.<id>.record`, then `<name>`, which replaces one that is there. What is of no
-//! more use is removed: a part that nothing was added to, or that cannot be finished, and an empty folder. A process that is
-//! killed leaves its files behind; [`Store::clean`] removes those that no transfer can go on with.
+//! The files in `<folder>/<sender>/` are `.<id>.part` and `.<id>.record`, and finally `<name>`, which replaces an
+//! existing file of that name. Files that are no longer useful are removed: a part that is empty or cannot be finished,
+//! and an empty folder. If a process is killed, its files stay; [`Store::clean`] removes those with which no transfer
+//! can continue.
 use std::{
     fs::{self, File, OpenOptions},
     io::{self, Seek, SeekFrom, Write},
@@ -21,27 +22,27 @@ use crate::core::transfer::{
     Checksum, Fault, Offer, TransferId,
 };
 
-/// How long a part is kept that nothing was added to.
-const KEPT: Duration = Duration::from_secs(7 * 24 * 3600);
-/// How long a file is left alone that no transfer can go on with: another program may be about to finish it.
-const LEFT: Duration = Duration::from_secs(60);
-/// How many interrupted transfers of one sender are kept: of more, the oldest are removed.
-const MAX_KEPT: usize = 16;
+/// How long a part that does not grow is kept.
+const PART_LIFETIME: Duration = Duration::from_secs(7 * 24 * 3600);
+/// How long a file with which no transfer can continue is kept, because another program may be about to finish it.
+const USELESS_LIFETIME: Duration = Duration::from_secs(60);
+/// The maximum number of interrupted transfers of one sender. Beyond it, the oldest are removed.
+const MAX_INTERRUPTED: usize = 16;
 const PART: &str = "part";
 const RECORD: &str = "record";
 /// A record that is being written.
 const NEW: &str = "new";
 
-/// Where what comes is kept.
+/// The storage of an incoming transfer.
 #[derive(Debug)]
 pub enum Store {
     /// In memory.
     Memory(Vec<u8>),
-    /// In a file.
+    /// In a part file.
     File(Box<PartFile>),
 }
 
-/// A file that grows.
+/// A part file.
 #[derive(Debug)]
 pub struct PartFile {
     file: File,
@@ -52,24 +53,24 @@ pub struct PartFile {
     in_use: InUse,
 }
 
-/// Keeps a part from being removed while a transfer of this process has it.
+/// Protects a part from being removed while a transfer of this process uses it.
 #[derive(Debug)]
 struct InUse(PathBuf);
 
-/// What came.
+/// The data of a complete transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// In memory.
+    /// Bytes in memory.
     Bytes(Bytes),
-    /// In this file.
+    /// The path of a file.
     File(PathBuf),
 }
 
 impl Store {
-    /// In memory, which is used as it comes.
+    /// Creates a store in memory, which is reserved but used only as data arrives.
     ///
     /// # Errors
-    /// There is not as much.
+    /// Returns an error if there is not enough memory.
     pub fn in_memory(size_bytes: u64) -> io::Result<Self> {
         let too_large = || io::Error::new(io::ErrorKind::OutOfMemory, "not enough memory");
         let mut bytes = Vec::new();
@@ -78,12 +79,12 @@ impl Store {
         Ok(Self::Memory(bytes))
     }
 
-    /// In a file, and what of it is there from before.
+    /// Creates a store in a folder. Returns the ranges that are present from before an interruption.
     ///
     /// # Errors
-    /// The folder can't be made or written to.
+    /// Returns an error if the folder cannot be created or written to.
     pub fn in_folder(folder: &Path, id: TransferId, offer: &Offer) -> io::Result<(Self, Ranges)> {
-        let folder = folder.join(offer.from.as_str());
+        let folder = folder.join(offer.sender.as_str());
         let name = match offer.name.as_str() {
             "" => id.to_string(),
             name => name.to_owned(),
@@ -115,10 +116,10 @@ impl Store {
         ))
     }
 
-    /// Puts bytes where they belong.
+    /// Writes bytes at an offset.
     ///
     /// # Errors
-    /// The disk is full, for example.
+    /// Returns an error if the bytes cannot be written, for example because the disk is full.
     pub fn write(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         match self {
             Self::Memory(all) => {
@@ -126,7 +127,7 @@ impl Store {
                 let start = usize::try_from(at).map_err(|_| no_room())?;
                 let end = start.checked_add(bytes.len()).ok_or_else(no_room)?;
                 if all.len() < end {
-                    // No more than was reserved: a size that is not kept to does not get further memory.
+                    // Never exceeds the reserved memory, even if a sender does not keep to the announced size.
                     if end > all.capacity() {
                         return Err(no_room());
                     }
@@ -144,10 +145,10 @@ impl Store {
         }
     }
 
-    /// Remembers what is there, for a restart: first the bytes reach the disk, then the record of them.
+    /// Saves the state for a restart. The data is flushed to the disk before the record of it is written.
     ///
     /// # Errors
-    /// The disk is full, for example.
+    /// Returns an error if the record cannot be written, for example because the disk is full.
     pub fn save(&self, held: &Ranges) -> io::Result<()> {
         let Self::File(part) = self else {
             return Ok(());
@@ -166,34 +167,34 @@ impl Store {
         written
     }
 
-    /// The transfer has ended with this fault. Keeps what is there if the transfer can go on later, and nothing else.
+    /// Ends the transfer with a fault. Keeps the part if the transfer can continue later, and removes it otherwise.
     ///
     /// # Errors
-    /// Removes a part that cannot be kept.
+    /// Returns an error if the state cannot be saved; then the part is removed.
     pub fn interrupt(self, held: &Ranges, fault: &Fault) -> io::Result<()> {
-        let is_of_use = match fault {
-            // Nothing of it is right, or never will be.
+        let is_useful = match fault {
+            // The data is wrong, or the source no longer matches the offer.
             Fault::Checksum | Fault::Protocol(_) | Fault::Changed(_) => false,
-            // It would keep smaller transfers from having the room.
-            Fault::NotKept(_) => false,
-            Fault::Silence(_) | Fault::Stopped | Fault::Unreadable(_) => held.bytes() > 0,
+            // The part would take the disk space that smaller transfers need.
+            Fault::NotStored(_) => false,
+            Fault::TimedOut(_) | Fault::Stopped | Fault::Unreadable(_) => held.bytes() > 0,
         };
-        let kept = if is_of_use { self.save(held) } else { Ok(()) };
-        if !is_of_use || kept.is_err() {
+        let kept = if is_useful { self.save(held) } else { Ok(()) };
+        if !is_useful || kept.is_err() {
             self.discard();
         }
         kept
     }
 
-    /// What all that is there comes to. Reads the file anew: what counts is what is on the disk.
+    /// Computes the checksum. The file is read again, so that the check covers what is on the disk.
     ///
     /// # Errors
-    /// It can't be read.
+    /// Returns an error if the file cannot be read.
     pub fn checksum(&mut self) -> io::Result<Checksum> {
         match self {
             Self::Memory(all) => Ok(Checksum::of(all)),
             Self::File(part) => {
-                // A part from before a restart may be longer than it was to be.
+                // A part from before a restart may be too long.
                 part.file.set_len(part.offer.size_bytes)?;
                 part.file.seek(SeekFrom::Start(0))?;
                 Ok(checksum(&mut part.file)?.0)
@@ -201,10 +202,10 @@ impl Store {
         }
     }
 
-    /// All is there, and right.
+    /// Finishes a complete and verified transfer: returns the bytes, or renames the part file.
     ///
     /// # Errors
-    /// The file can't get its name. What came is removed.
+    /// Returns an error if the file cannot be renamed; then the part is removed.
     pub fn finish(self) -> io::Result<Content> {
         match self {
             Self::Memory(all) => Ok(Content::Bytes(all.into())),
@@ -225,52 +226,52 @@ impl Store {
         }
     }
 
-    /// It is of no use any more.
+    /// Removes the data of a transfer that cannot continue.
     pub fn discard(self) {
         if let Self::File(part) = self {
-            // Where a taker was closed and the next one has begun, that one goes on with it.
+            // If a receiver was closed and the next one has begun, the next one continues with the part.
             if part.in_use.is_alone() {
                 remove(&part.part);
             }
             if let Some(folder) = part.part.parent() {
-                // Only an empty one goes.
+                // Removes only an empty folder.
                 let _ = fs::remove_dir(folder);
             }
         }
     }
 
-    /// Removes what a process that was killed has left in that folder and no transfer can go on with, parts that nothing
-    /// was added to for a week, and empty folders.
+    /// Removes the files of killed processes with which no transfer can continue, parts that have not grown for a week,
+    /// and empty folders.
     pub fn clean(folder: &Path, now: SystemTime) {
         for sender in entries(folder) {
             for file in entries(&sender.path()) {
                 let path = file.path();
-                if is_of_no_use(&path, now) {
+                if is_useless(&path, now) {
                     remove(&path);
                 }
             }
-            // Only an empty one goes, and no file.
+            // Removes only an empty folder, and no file.
             let _ = fs::remove_dir(sender.path());
         }
     }
 }
 
-/// Whether it is a file of ours, in use by nobody, that no transfer can go on with.
-fn is_of_no_use(path: &Path, now: SystemTime) -> bool {
+/// Returns whether the file belongs to a transfer, is not in use, and no transfer can continue with it.
+fn is_useless(path: &Path, now: SystemTime) -> bool {
     let part = path.with_extension(PART);
-    let is_meant = match our_kind(path) {
+    let is_candidate = match transfer_extension(path) {
         Some(PART) if read_record(&path.with_extension(RECORD)).is_some() => {
-            is_older(path, now, KEPT)
+            is_older(path, now, PART_LIFETIME)
         }
-        Some(RECORD) => !part.exists() && is_older(path, now, LEFT),
-        Some(PART | NEW) => is_older(path, now, LEFT),
+        Some(RECORD) => !part.exists() && is_older(path, now, USELESS_LIFETIME),
+        Some(PART | NEW) => is_older(path, now, USELESS_LIFETIME),
         _ => false,
     };
-    is_meant && !InUse::has(&part)
+    is_candidate && !InUse::has(&part)
 }
 
-/// The last part of the name of a file that belongs to a transfer that is not finished.
-fn our_kind(path: &Path) -> Option<&str> {
+/// Returns the extension of a file that belongs to an unfinished transfer.
+fn transfer_extension(path: &Path) -> Option<&str> {
     let id = path.file_stem()?.to_str()?.strip_prefix('.')?;
     let is_id = id.len() == 16 && id.bytes().all(|byte| byte.is_ascii_hexdigit());
     path.extension()?.to_str().filter(|_| is_id)
@@ -281,21 +282,21 @@ fn is_older(path: &Path, now: SystemTime, age: Duration) -> bool {
     written.is_ok_and(|at| now.duration_since(at).is_ok_and(|passed| passed > age))
 }
 
-/// Removes the part of that name, or one of its files, with all that belongs to it.
+/// Removes all files of a part.
 fn remove(path: &Path) {
     for kind in [PART, RECORD, NEW] {
         let _ = fs::remove_file(path.with_extension(kind));
     }
 }
 
-/// Removes the oldest interrupted transfers of a sender, so that a new one makes no more than there may be.
+/// Removes the oldest interrupted transfers of a sender, to make room for a new one.
 fn limit(folder: &Path) {
     let written = |path: &Path| fs::metadata(path).and_then(|metadata| metadata.modified());
     let parts = entries(folder).map(|file| file.path());
-    let parts = parts.filter(|path| our_kind(path) == Some(PART) && !InUse::has(path));
+    let parts = parts.filter(|path| transfer_extension(path) == Some(PART) && !InUse::has(path));
     let mut parts: Vec<_> = parts.map(|path| (written(&path).ok(), path)).collect();
     parts.sort();
-    let too_many = (parts.len() + 1).saturating_sub(MAX_KEPT);
+    let too_many = (parts.len() + 1).saturating_sub(MAX_INTERRUPTED);
     parts
         .iter()
         .take(too_many)
@@ -312,7 +313,7 @@ impl InUse {
         Self::all().iter().any(|known| known == part)
     }
 
-    /// Whether nobody else has it.
+    /// Returns whether no other transfer uses the part.
     fn is_alone(&self) -> bool {
         Self::all().iter().filter(|known| **known == self.0).count() == 1
     }
@@ -332,7 +333,7 @@ impl Drop for InUse {
     }
 }
 
-/// Opens the part, and makes the folder for it; another transfer's end may remove that in between.
+/// Opens the part and creates its folder, which the end of another transfer may remove in between.
 fn open_part(folder: &Path, part: &Path) -> io::Result<File> {
     let mut tries = 0;
     loop {

@@ -1,11 +1,11 @@
-//! The registry's answer about connections, as a table.
+//! Renders the connections of the registry as a table.
 use super::{Cell, Style, Table};
 use crate::core::{
     connection::{Connection, ConnectionState as State},
-    wording::{bytes, duration_of_s, milliseconds, short_reason},
+    humanize::{bytes, duration_of_s, milliseconds, short_reason},
 };
 
-/// Returns the connections of several robots, by the robots' names.
+/// Returns a table of the connections of several robots, each given with its name.
 pub fn connections_of_robots<'a>(
     robots: impl IntoIterator<Item = (&'a str, &'a [Connection])>,
 ) -> Table {
@@ -21,7 +21,7 @@ pub fn connections_of_robots<'a>(
     table
 }
 
-/// Returns the connections of one robot.
+/// Returns a table of the connections of one robot.
 pub fn connections_of_robot(connections: &[Connection]) -> Table {
     let mut table = Table::new(&COLUMNS);
     for one in connections {
@@ -62,7 +62,7 @@ fn row(one: &Connection) -> [Cell; 10] {
     };
     let peer = one.peer.as_ref().map(|peer| match &peer.robot {
         Some(robot) => robot.clone(),
-        // Enough to tell one program or router from another.
+        // The first 8 characters of the id suffice to distinguish programs and routers.
         None => peer.id.chars().take(8).collect(),
     });
     [

@@ -1,4 +1,5 @@
-//! Writes to the standard output and to stderr without panics. A reader that is gone ends the program quietly.
+//! Writes to the standard output and to stderr without panics. If the reader of the standard output has exited, the program
+//! exits without a message.
 use std::{
     fmt,
     io::{self, ErrorKind, Write},
@@ -9,17 +10,17 @@ use serde::Serialize;
 
 use crate::core::display;
 
-/// The exit status when the reader of the standard output is gone: that of a program that SIGPIPE ended.
+/// The exit status after the reader of the standard output has exited, the same as that of a program ended by SIGPIPE.
 pub const CLOSED_PIPE: u8 = 141;
 
-/// Writes a line to the standard output. Ends the program with [`CLOSED_PIPE`] if nobody reads it any more, and with 1 and
-/// a message if it cannot be written for another reason.
+/// Writes a line to the standard output. If the reader has exited, exits the program with the status
+/// [`CLOSED_PIPE`](crate::terminal::CLOSED_PIPE); after any other error, with a message and the status 1.
 #[macro_export]
 macro_rules! outln {
     ($($arguments:tt)*) => { $crate::terminal::write_out(format_args!($($arguments)*)) };
 }
 
-/// Writes a line to stderr. What cannot be written is lost: there is no other place to report it.
+/// Writes a line to stderr. Errors are ignored, since there is no other place to report them.
 #[macro_export]
 macro_rules! errln {
     ($($arguments:tt)*) => { $crate::terminal::write_err(format_args!($($arguments)*)) };
@@ -38,7 +39,7 @@ pub fn write_out(line: fmt::Arguments<'_>) {
 /// Writes a line to the standard output.
 ///
 /// # Errors
-/// The standard output is closed, or full.
+/// Returns the error if the standard output is closed or the disk is full.
 pub fn try_write(line: fmt::Arguments<'_>) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_fmt(line)?;
@@ -52,10 +53,10 @@ pub fn write_err(line: fmt::Arguments<'_>) {
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }
 
-/// Writes a value as JSON of several lines to the standard output.
+/// Writes a value to the standard output as indented JSON.
 ///
 /// # Errors
-/// The value has no JSON.
+/// Returns the error if the value cannot be serialized as JSON.
 pub fn json(value: &impl Serialize) -> serde_json::Result<()> {
     write_out(format_args!(
         "{}",
@@ -64,10 +65,10 @@ pub fn json(value: &impl Serialize) -> serde_json::Result<()> {
     Ok(())
 }
 
-/// Writes a value as one line of JSON to the standard output.
+/// Writes a value to the standard output as one line of JSON.
 ///
 /// # Errors
-/// The value has no JSON.
+/// Returns the error if the value cannot be serialized as JSON.
 pub fn json_line(value: &impl Serialize) -> serde_json::Result<()> {
     write_out(format_args!(
         "{}",

@@ -1,4 +1,4 @@
-//! Decides whether output is coloured, and colours it.
+//! Decides whether output is coloured, and adds the colours.
 use std::{
     env,
     io::{self, IsTerminal},
@@ -8,7 +8,7 @@ use std::{
 /// When output is coloured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Colours {
-    /// On a terminal, unless the environment has `NO_COLOR`; everywhere if it has `CLICOLOR_FORCE`.
+    /// On a terminal, unless the environment variable `NO_COLOR` is set; always if `CLICOLOR_FORCE` is set.
     #[default]
     Auto,
     /// Always.
@@ -20,17 +20,17 @@ pub enum Colours {
 /// The meaning of a text, which determines its colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
-    /// As it should be: green.
+    /// A good state, in green.
     Good,
-    /// Works, and could be better: yellow.
+    /// A state that works but could be better, in yellow.
     Poor,
-    /// Does not work: red.
+    /// An error, in red.
     Wrong,
-    /// A heading: bold.
+    /// A heading, in bold.
     Heading,
-    /// A name to find at a glance, such as a topic: cyan.
+    /// A name that stands out, such as a topic, in cyan.
     Name,
-    /// Beside the point, such as a time: dim.
+    /// A detail, such as a time, dimmed.
     Faint,
 }
 
@@ -50,7 +50,7 @@ pub fn choose_colours(colours: Colours) {
     CHOICE.store(choice, Ordering::Relaxed);
 }
 
-/// The environment variable that tells a child process the choice on the command line, with its value.
+/// Returns the environment variable that passes the choice on the command line to a child process, with its value.
 pub fn colours_by_environment() -> Option<(&'static str, &'static str)> {
     match CHOICE.load(Ordering::Relaxed) {
         ALWAYS => Some(("CLICOLOR_FORCE", "1")),
@@ -69,7 +69,7 @@ pub fn paint_err(style: Style, text: &str) -> String {
     painted(style, text, colours_on_stderr())
 }
 
-/// Whether what goes to stderr is coloured.
+/// Returns whether output to stderr is coloured.
 pub fn colours_on_stderr() -> bool {
     has_colours(io::stderr().is_terminal())
 }

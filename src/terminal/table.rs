@@ -1,4 +1,4 @@
-//! A table for a terminal: it leaves out optional columns and shortens cells until its lines fit.
+//! Renders tables for a terminal. Optional columns are left out, and cells are shortened, until the lines fit its width.
 use std::io::{self, IsTerminal};
 
 use unicode_width::UnicodeWidthStr;
@@ -6,16 +6,16 @@ use unicode_width::UnicodeWidthStr;
 use super::style::{has_colours, painted, Style};
 use crate::core::display;
 
-/// The space between two columns.
+/// Number of spaces between two columns.
 const GAP: usize = 2;
-/// The width to which a column can shrink.
-const LEAST_WIDTH: usize = 6;
-/// Before each line of a note.
+/// Smallest width of a shortened column.
+const MIN_WIDTH: usize = 6;
+/// Number of spaces before each line of a note.
 const NOTE_INDENT: usize = 4;
-/// Takes the place of the rest of a shortened cell.
+/// Replaces the rest of a shortened cell.
 const ELLIPSIS: &str = "\u{2026}";
 
-/// Rows below a heading.
+/// A table with a heading, rows and notes.
 #[derive(Clone, Debug)]
 pub struct Table {
     columns: Vec<Column>,
@@ -34,7 +34,7 @@ enum Row {
     Note(String),
 }
 
-/// One cell.
+/// A cell of a table. Control characters in its text are replaced.
 #[derive(Clone, Debug)]
 pub struct Cell {
     text: String,
@@ -42,7 +42,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// A cell in the colour of `style`.
+    /// Creates a cell in the colour of `style`.
     pub fn styled(style: Style, text: impl AsRef<str>) -> Self {
         Self {
             style: Some(style),
@@ -52,7 +52,7 @@ impl Cell {
 }
 
 impl From<&str> for Cell {
-    /// An empty text is shown as `-`.
+    /// Creates a cell; an empty text is shown as `-`.
     fn from(text: &str) -> Self {
         let text = if text.is_empty() { "-" } else { text };
         Self {
@@ -75,8 +75,8 @@ impl From<Option<String>> for Cell {
 }
 
 impl Table {
-    /// A table with these columns. One whose name begins with `?` is left out where the terminal is too narrow, the last
-    /// of them first.
+    /// Creates a table with the given column names. A column whose name begins with `?` is optional: if the terminal is too
+    /// narrow, optional columns are left out, starting with the last one.
     pub fn new(names: &[&'static str]) -> Self {
         let columns = names.iter().map(|&name| match name.strip_prefix('?') {
             Some(name) => Column {
@@ -100,12 +100,12 @@ impl Table {
         self.rows.push(Row::Cells(cells));
     }
 
-    /// Adds a text of several words below the last row.
+    /// Adds a text below the last row, which is wrapped at the width of the terminal.
     pub fn note(&mut self, text: &str) {
         self.rows.push(Row::Note(display::line(text).into_owned()));
     }
 
-    /// Prints the table, for a reader that may be gone.
+    /// Prints the table with [`outln!`](crate::outln).
     pub fn print(&self) {
         let has_colours = has_colours(io::stdout().is_terminal());
         for line in self.lines(super::width(), has_colours) {
@@ -113,7 +113,7 @@ impl Table {
         }
     }
 
-    /// The lines of the table, none wider than `width`.
+    /// Returns the lines of the table, none wider than `width`.
     fn lines(&self, width: Option<usize>, has_colours: bool) -> Vec<String> {
         let (shown, widths) = self.layout(width);
         let mut lines = Vec::with_capacity(self.rows.len() + 1);
@@ -135,7 +135,7 @@ impl Table {
         lines
     }
 
-    /// The columns that are shown, and how wide each is.
+    /// Returns the indices of the shown columns, and their widths.
     fn layout(&self, width: Option<usize>) -> (Vec<usize>, Vec<usize>) {
         let mut shown: Vec<usize> = (0..self.columns.len()).collect();
         let natural: Vec<usize> = shown.iter().map(|&n| self.natural_width(n)).collect();
@@ -153,10 +153,10 @@ impl Table {
             shown.remove(last);
         }
         let mut widths: Vec<usize> = shown.iter().map(|&n| natural[n]).collect();
-        // The widest column gives way, again and again.
+        // The widest column is shortened by one until the line fits.
         while widths.iter().sum::<usize>() + GAP * widths.len().saturating_sub(1) > width {
             match widths.iter_mut().max() {
-                Some(widest) if *widest > LEAST_WIDTH => *widest -= 1,
+                Some(widest) if *widest > MIN_WIDTH => *widest -= 1,
                 _ => break,
             }
         }
@@ -172,7 +172,7 @@ impl Table {
     }
 }
 
-/// One line; the last cell has no space after it.
+/// Returns the cells as one line, without spaces after the last cell.
 fn joined<'a>(
     cells: impl Iterator<Item = (&'a str, Option<Style>)>,
     widths: &[usize],
@@ -193,7 +193,7 @@ fn joined<'a>(
     line
 }
 
-/// The beginning of the text, if it is too wide.
+/// Returns the text, cut to `width` columns if it is wider.
 fn shortened(text: &str, width: usize) -> String {
     if text.width() <= width {
         return text.to_owned();
@@ -208,7 +208,7 @@ fn shortened(text: &str, width: usize) -> String {
     short + ELLIPSIS
 }
 
-/// The text in lines that begin with an indentation and fit.
+/// Returns a note as indented lines that fit `width`.
 fn wrapped(text: &str, width: Option<usize>) -> Vec<String> {
     let lines = wrap(text, width.map(|width| width.saturating_sub(NOTE_INDENT)));
     let indent = " ".repeat(NOTE_INDENT);
@@ -217,7 +217,7 @@ fn wrapped(text: &str, width: Option<usize>) -> Vec<String> {
 
 /// Returns the words of a text in lines of at most `width` columns; a word that is longer is shortened.
 pub fn wrap(text: &str, width: Option<usize>) -> Vec<String> {
-    let room = width.map_or(usize::MAX, |width| width.max(LEAST_WIDTH));
+    let room = width.map_or(usize::MAX, |width| width.max(MIN_WIDTH));
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
         let word = shortened(word, room);
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_terminal_everything_is_shown_on_one_line_each() {
+    fn rows_are_printed_in_full_without_a_terminal() {
         let lines = table().lines(None, false);
         assert_eq!(lines.len(), 4, "{lines:#?}");
         assert!(
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_cannot_break_out_of_its_line() {
+    fn control_characters_in_cells_are_replaced() {
         let mut table = Table::new(&["VERSION"]);
         table.row(vec!["v1\n\x1b[2Jwombat-9".into()]);
         table.note("a\nb");
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_take_no_room() {
+    fn colour_codes_do_not_count_as_width() {
         let mut table = Table::new(&["STATE", "PEER"]);
         table.row(vec![
             Cell::styled(Style::Good, "connected"),

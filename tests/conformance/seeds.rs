@@ -1,10 +1,10 @@
-//! What the vectors are made of, where they are written anew.
+//! Provides the inputs of the vectors, for rewriting them.
 use std::sync::Arc;
 
 use rect::core::{
     array::Array,
     attachment::{Attachment, Sent},
-    codec::{self, dictionary::Packed, Codec},
+    codec::{self, dictionary::DictionaryCodec, Codec},
     dictionary::Dictionary,
     encoding::Encoding,
     payload::{Payload, ToPayload},
@@ -124,7 +124,7 @@ pub fn keys() -> Vec<Value> {
     };
     let mut keys: Vec<Value> = vec![
         here(json!({"do": "publication", "topic": "arm/angle"})),
-        here(json!({"do": "message", "to": "wombat-2", "topic": "arm/angle"})),
+        here(json!({"do": "message", "recipient": "wombat-2", "topic": "arm/angle"})),
         here(json!({"do": "service", "of": "wombat-2", "topic": "plan"})),
         here(json!({"do": "service", "of": null, "topic": "plan"})),
         here(json!({"do": "own", "of": "wombat-2", "rest": "status"})),
@@ -262,39 +262,39 @@ fn case(payload: &Payload) -> Value {
     json!({"encoding": payload.encoding.as_str(), "bytes": hex(&payload.bytes)})
 }
 
-pub fn packings() -> Vec<Value> {
+pub fn compressed() -> Vec<Value> {
     let dictionary = dictionary();
     let known = hex(dictionary.as_bytes());
-    let with = Packed::new(Arc::new(dictionary));
+    let with = DictionaryCodec::new(Arc::new(dictionary));
     let json = Payload::new(message(123_456), Encoding::JSON);
     let long = Payload::new(message(7).repeat(20), Encoding::JSON);
-    let pack = |codec: &dyn Codec, payload: &Payload| codec.encode(payload).expect("packed");
+    let encode = |codec: &dyn Codec, payload: &Payload| codec.encode(payload).expect("encoded");
     let zstd = codec::parse("zstd").expect("a codec");
-    let once = pack(&*zstd, &long);
+    let once = encode(&*zstd, &long);
     let mut twice = once.clone();
     twice.bytes = ::zstd::bulk::compress(&once.bytes, 3)
-        .expect("packed")
+        .expect("encoded")
         .into();
-    twice.encoding = once.encoding.packed("zstd");
+    twice.encoding = once.encoding.with_suffix("zstd");
     let mut thrice = twice.clone();
     thrice.bytes = ::zstd::bulk::compress(&twice.bytes, 3)
-        .expect("packed")
+        .expect("encoded")
         .into();
-    thrice.encoding = twice.encoding.packed("zstd");
-    let small = pack(&with, &json);
+    thrice.encoding = twice.encoding.with_suffix("zstd");
+    let small = encode(&with, &json);
     let mut with_known = case(&small);
     with_known["dictionary"] = known.into();
-    let of = |bytes: Vec<u8>| Payload::new(bytes, Encoding::JSON.packed("zstd"));
-    let silent = ::zstd::stream::encode_all(&long.bytes[..], 3).expect("packed");
-    let bomb = ::zstd::bulk::compress(&vec![0; 65_537], 3).expect("packed");
-    let silent_bomb = ::zstd::stream::encode_all(&vec![0; 65_537][..], 3).expect("packed");
+    let of = |bytes: Vec<u8>| Payload::new(bytes, Encoding::JSON.with_suffix("zstd"));
+    let without_size = ::zstd::stream::encode_all(&long.bytes[..], 3).expect("encoded");
+    let bomb = ::zstd::bulk::compress(&vec![0; 65_537], 3).expect("encoded");
+    let bomb_without_size = ::zstd::stream::encode_all(&vec![0; 65_537][..], 3).expect("encoded");
     let mut cases = vec![
         case(&json),
         case(&Payload::new("x", Encoding::new("application/x-thing;v=1"))),
     ];
     cases.extend([&once, &twice, &thrice].map(case));
     cases.extend([with_known, case(&small)]);
-    cases.extend([silent, bomb, silent_bomb].map(|bytes| case(&of(bytes))));
+    cases.extend([without_size, bomb, bomb_without_size].map(|bytes| case(&of(bytes))));
     let cut = once.bytes[..once.bytes.len() - 1].to_vec();
     let more = [&once.bytes[..], &[0]].concat();
     cases.extend([cut, more, vec![], b"{}".to_vec()].map(|bytes| case(&of(bytes))));

@@ -1,44 +1,48 @@
-//! Two robots' programs in one process, linked over TCP.
-#![allow(dead_code)] // each test file uses its part
+//! Creates pairs of robots in one process, linked over TCP.
+#![allow(dead_code)] // each test file uses a part of it
 
 use std::{net::TcpListener, time::Duration};
 
 use rect::{Options, Robot};
 
-/// No step of any test takes this long, not even on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+/// Timeout of a step of a test, generous enough for a busy computer.
+pub const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// A port of this computer that is free now.
+/// Returns an endpoint with a free port of this computer.
 pub fn free_endpoint() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     format!("tcp/{}", listener.local_addr().expect("bound"))
 }
 
-/// A program that listens there, without a login.
+/// Connects a robot that accepts links at `endpoint`.
 pub async fn listening(name: &str, endpoint: &str) -> Robot {
     let options = Options::new(name).expect("a name").login_file("/none");
-    options.listen(endpoint).connect().await.expect("joined")
+    options.listen(endpoint).connect().await.expect("connected")
 }
 
-/// One that dials there.
+/// Connects a robot that dials `endpoint`.
 pub async fn dialling(name: &str, endpoint: &str) -> Robot {
     let options = Options::new(name).expect("a name").login_file("/none");
-    options.endpoint(endpoint).connect().await.expect("joined")
+    options
+        .endpoint(endpoint)
+        .connect()
+        .await
+        .expect("connected")
 }
 
-/// Two that know of each other.
+/// Returns two linked robots that have discovered each other.
 pub async fn pair(one: &str, other: &str) -> (Robot, Robot) {
     let endpoint = free_endpoint();
     let one = listening(one, &endpoint).await;
     let other = dialling(other, &endpoint).await;
-    let met = async {
+    let discovered = async {
         while one.peers().await.expect("asked").is_empty()
             || other.peers().await.expect("asked").is_empty()
         {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
     };
-    tokio::time::timeout(PATIENCE, met)
+    tokio::time::timeout(TIMEOUT, discovered)
         .await
         .expect("linked in time");
     (one, other)

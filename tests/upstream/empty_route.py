@@ -1,14 +1,15 @@
-"""A minimal reproduction of a fault of Zenoh 1.10.2's routers, with stock parts only: a link that is cut twice within a
-moment stays up and carries no message, for good. usage: ZENOHD=<stock zenohd> python empty_route.py [ROUNDS]
+"""Reproduces a fault of Zenoh 1.10.2's routers with stock parts only: a link that is cut twice in quick succession
+stays up, but never carries a message again. usage: ZENOHD=<stock zenohd> python empty_route.py [ROUNDS]
 
-Two zenohd, one TCP link between them through a proxy that cuts it; two stock clients. After the second cut, 100 to
-200 ms after the link was back from the first, nothing gets through any more.
+Two zenohd have a TCP link through a proxy, which cuts it; each has one stock client. If the second cut comes 100 to 200
+ms after the link was established again, no message passes any more.
 
-Why (zenoh-1.10.2/src/net/): a router computes its routes at most every 100 ms (`routing/hat/mod.rs`,
-`TREES_COMPUTATION_DELAY_MS`) and declares its subscriptions to those children of its tree that were none the last time
-(`routing/hat/router/pubsub.rs`, `pubsub_tree_change`), whom it knows by their index in a graph (`protocol/network.rs`).
-`remove_link` frees the index and leaves the children as they are, so a neighbour that goes and comes back between two
-computations is no new child and is told nothing. `zenoh-link-ble/src/pause.rs` keeps `ble/` links out of that."""
+The reason (zenoh-1.10.2/src/net/): a router computes its routes at most every 100 ms (`routing/hat/mod.rs`,
+`TREES_COMPUTATION_DELAY_MS`). It declares its subscriptions to those children of its tree that were not children before
+(`routing/hat/router/pubsub.rs`, `pubsub_tree_change`), and identifies them by their index in a graph
+(`protocol/network.rs`). `remove_link` frees the index and does not change the list of children. Therefore a neighbour
+that disappears and returns between two computations does not count as new, and receives no declarations.
+`zenoh-link-ble/src/link/reroute_holdoff.rs` protects `ble/` links from this fault."""
 
 import contextlib
 import json
@@ -32,7 +33,7 @@ def free_port() -> int:
 
 
 class Proxy:
-    """Passes one TCP connection on to `port`, until it is cut."""
+    """Forwards one TCP connection to `port`, until it is cut."""
 
     def __init__(self, port: int) -> None:
         self._to = port
@@ -50,7 +51,7 @@ class Proxy:
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
         with self._changed:
-            assert self._changed.wait_for(lambda: self._made > made, 20), "the routers do not link again"
+            assert self._changed.wait_for(lambda: self._made > made, 20), "the routers did not establish the link again"
 
     def _accept(self) -> None:
         while True:
@@ -120,7 +121,7 @@ def main() -> None:
             here.put("test/route", b"?")
         return arrived.is_set()
 
-    assert reaches(20), "the routers never linked"
+    assert reaches(20), "the routers did not establish a link"
     for n in range(rounds):
         time.sleep(0.5)
         proxy.cut_and_wait_until_linked()
@@ -129,12 +130,12 @@ def main() -> None:
         proxy.cut_and_wait_until_linked()
         if not reaches(3):
             stuck += 1
-            print(f"round {n}: linked, and nothing gets through (second cut {gap_ms:.0f} ms after the link was back)")
-            # One cut while nothing else changes cures it.
+            print(f"round {n}: linked, but no message passes (second cut {gap_ms:.0f} ms after the link was up)")
+            # One cut while nothing else changes restores the route.
             time.sleep(0.5)
             proxy.cut_and_wait_until_linked()
-            assert reaches(10), "it was not cured"
-    print(f"{stuck} of {rounds} times the route stayed empty")
+            assert reaches(10), "another cut did not restore the route"
+    print(f"the route stayed empty in {stuck} of {rounds} rounds")
     subscriber.undeclare()
     for session in (here, there):
         session.close()

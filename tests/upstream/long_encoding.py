@@ -1,14 +1,14 @@
-"""A minimal reproduction of a fault of Zenoh 1.10.2's Python client, with stock parts: an encoding whose schema is
-longer than 255 bytes ends the program's use of the session. usage: python long_encoding.py
+"""Reproduces a fault of Zenoh 1.10.2's Python client with stock parts: after a message whose encoding has a schema of
+more than 255 bytes, the session cannot be used any more. usage: python long_encoding.py
 
-Two peers in one process. One puts a message with a schema of 300 bytes, then ordinary ones. The first put raises
-`PanicException`, which is no `Exception`, and each put after it fails too, because the panic has poisoned a lock that
-they need. Exit status 1: nothing arrives after the long one.
+There are two peers in one process. One puts a message with a schema of 300 bytes, then ordinary ones. The first put
+raises `PanicException`, which is not derived from `Exception`. All later puts fail, too, because the panic has poisoned
+a lock that they need. Exit status 1: no message arrives after the one with the long schema.
 
-Why: a schema's length is one byte on the wire. The codec refuses a longer one
-(`zenoh-codec-1.10.2/src/core/encoding.rs`), and the transport takes for granted that a message can be written
-(`zenoh-transport-1.10.2/src/common/pipeline.rs`, `push_network_message`), with the lock of the queue held. `Encoding`
-does not check the length. RECT rejects such an encoding before Zenoh gets it."""
+The reason: the length of a schema is one byte on the wire. The codec refuses a longer one
+(`zenoh-codec-1.10.2/src/core/encoding.rs`), but the transport assumes that every message can be written
+(`zenoh-transport-1.10.2/src/common/pipeline.rs`, `push_network_message`), and holds the lock of the queue meanwhile.
+`Encoding` does not check the length. RECT rejects such an encoding before it calls Zenoh."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def peer(**settings: object) -> zenoh.Session:
 
 
 def put(session: zenoh.Session, encoding: str) -> bool:
-    """Whether it is accepted; a panic of Zenoh's is not even an `Exception`."""
+    """Publishes one byte, and returns whether Zenoh accepted it. Zenoh's panics are not derived from `Exception`."""
     try:
         session.put(KEY, b"1", encoding=encoding)
     except BaseException as error:
@@ -50,16 +50,16 @@ def put(session: zenoh.Session, encoding: str) -> bool:
 def main() -> int:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     there, here = peer(listen__endpoints=[endpoint]), peer(connect__endpoints=[endpoint])
-    heard = threading.Semaphore(0)
-    subscriber = there.declare_subscriber(KEY, lambda _: heard.release())
-    while not heard.acquire(timeout=0.05):
+    received = threading.Semaphore(0)
+    subscriber = there.declare_subscriber(KEY, lambda _: received.release())
+    while not received.acquire(timeout=0.05):
         put(here, "text/plain")
-    # Several probes may have been on their way.
-    while heard.acquire(timeout=0.5):
+    # Several probes may have been in flight.
+    while received.acquire(timeout=0.5):
         pass
     accepted = put(here, "application/json;" + "x" * SCHEMA_BYTES)
     ordinary = put(here, "application/json")
-    arrives = heard.acquire(timeout=WAIT_S)
+    arrives = received.acquire(timeout=WAIT_S)
     print(
         f"a schema of {SCHEMA_BYTES} bytes is accepted: {accepted}; the next message: {ordinary}; it arrives: {arrives}"
     )
@@ -67,7 +67,7 @@ def main() -> int:
         subscriber.undeclare()
         return 0
     sys.stdout.flush()
-    # To close the session would fail on the same lock.
+    # Closing the session would fail on the same lock.
     os._exit(1)
 
 

@@ -1,14 +1,15 @@
-"""A minimal reproduction of a fault of Zenoh 1.10.2's routers, with stock clients: while a program that has stopped
-reading is let go, its router sends nothing to anybody. usage: ROUTER=<zenohd or rect-router> python stopped_reader.py
+"""Reproduces a fault of Zenoh 1.10.2's routers with stock clients: while a router closes the session of a program that
+has stopped reading, it sends nothing to any other program. usage: ROUTER=<zenohd or rect-router> python
+stopped_reader.py
 
-One router and four programs: one subscribes and is stopped (SIGSTOP); one sends it more than fits; two others exchange
-a message every 50 ms. When the lease of the stopped one is over, the two hear nothing until the router's
-`wait_before_close` has passed. Exit status 1: they were held up.
+There are one router and four programs. One subscribes and is stopped (SIGSTOP); one publishes more to it than fits; the
+other two exchange a message every 50 ms. When the lease of the stopped program expires, the two receive nothing until
+the router's `wait_before_close` has passed. Exit status 1: their messages were delayed.
 
-Why (zenoh-transport-1.10.2/src/): who puts waits for room with the lock of the queue held
-(`common/pipeline.rs`, `push_network_message`). Ending a link drains the queue and takes that lock
-(`unicast/universal/link.rs`, `write_loop`), in a thread of the runtime `tx`, which by default has no other.
-`rect-router` gives it more (`rect-router/src/threads.rs`)."""
+The reason (zenoh-transport-1.10.2/src/): a program that puts waits for room while it holds the lock of the queue
+(`common/pipeline.rs`, `push_network_message`). Closing a link drains the queue, which takes that lock
+(`unicast/universal/link.rs`, `write_loop`), in the only thread that the runtime `tx` has by default. `rect-router`
+gives this runtime more threads (`rect-router/src/threads.rs`)."""
 
 import json
 import os
@@ -38,9 +39,9 @@ def client(port: int, lease_ms: int = 10_000) -> zenoh.Session:
 
 
 def reader(port: int) -> None:
-    """The program that will be stopped; says when it has heard something."""
+    """Runs the program that will be stopped. Prints a line when it has received a message."""
     with client(port, LEASE_MS) as session:
-        subscriber = session.declare_subscriber(BULK, lambda _: print("heard", flush=True))
+        subscriber = session.declare_subscriber(BULK, lambda _: print("received", flush=True))
         signal.pause()
         subscriber.undeclare()
 
@@ -59,11 +60,11 @@ def main() -> int:
             stopped = subprocess.Popen(
                 [sys.executable, __file__, "reader", str(port)], stdout=subprocess.PIPE, env=os.environ
             )
-            heard = threading.Thread(target=stopped.stdout.readline, daemon=True)
-            heard.start()
-            while heard.is_alive():
+            receiving = threading.Thread(target=stopped.stdout.readline, daemon=True)
+            receiving.start()
+            while receiving.is_alive():
                 here.put(BULK, b"?")
-                heard.join(0.05)
+                receiving.join(0.05)
             times = [time.monotonic()]
             ticks = there.declare_subscriber(TICK, lambda _: times.append(time.monotonic()))
             stopped.send_signal(signal.SIGSTOP)
@@ -74,7 +75,9 @@ def main() -> int:
                 here.put(TICK, b"")
                 time.sleep(0.05)
             silence = max(later - sooner for sooner, later in zip(times, [*times[1:], time.monotonic()], strict=True))
-            print(f"longest silence between the other two: {silence:.1f} s of {WATCHED_S}, {len(times)} messages")
+            print(
+                f"longest gap between the other two's messages: {silence:.1f} s of {WATCHED_S}, {len(times)} messages"
+            )
             ticks.undeclare()
             stopped.kill()
             return int(silence > HELD_UP_S)
@@ -86,5 +89,5 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["reader"]:
         reader(int(sys.argv[2]))
     else:
-        # The sender of the bulk still waits.
+        # The thread that publishes the bulk message is still waiting.
         os._exit(main())

@@ -1,4 +1,4 @@
-"""What `selftest` runs inside the guest: is the bed itself sound? Plain asserts, no RECT code involved.
+"""Runs the checks of `selftest` inside the guest. Uses plain asserts and no code of RECT.
 
 usage (in the guest): python3 selftest_guest.py pair|five|paced
 """
@@ -21,7 +21,7 @@ SDU_BYTES = 1000
 
 def tool(*command):
     """Runs one of the guest's tools and returns what it prints."""
-    # btmgmt does nothing unless its standard input can be waited for.
+    # btmgmt does nothing unless it can wait for its standard input.
     with open("/dev/ttyS0", "r+b", buffering=0) as console:
         done = subprocess.run(command, stdin=console, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, f"{' '.join(command)}: {done.stdout}{done.stderr}"
@@ -35,7 +35,7 @@ def address(adapter):
 def until(what, condition, seconds=30):
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, f"{what}: not so after {seconds} s"
+        assert time.monotonic() < deadline, f"{what}: not true after {seconds} s"
         time.sleep(0.02)
 
 
@@ -45,7 +45,7 @@ def advertise(adapter):
 
 @contextmanager
 def channel(from_adapter, to_adapter):
-    """An open channel: (the dialling end, the listening end)."""
+    """Yields an open channel: (the dialling end, the listening end)."""
     with coc.listen(address(to_adapter)) as listener:
         dialled = coc.connect(address(from_adapter), address(to_adapter))
         with dialled, coc.accept(listener) as accepted:
@@ -53,7 +53,7 @@ def channel(from_adapter, to_adapter):
 
 
 def transfer(sender, receiver, sdus, seed):
-    """Sends that many SDUs of random bytes; checks that they arrive unchanged; returns bytes per second."""
+    """Sends `sdus` SDUs of random bytes, checks that they arrive unchanged, and returns the rate in bytes/s."""
     data = random.Random(seed).randbytes(sdus * SDU_BYTES)
     failure = []
 
@@ -72,12 +72,12 @@ def transfer(sender, receiver, sdus, seed):
         arrivals.append(time.monotonic())
     thread.join()
     assert not failure, failure
-    assert received.hexdigest() == hashlib.md5(data).hexdigest(), "the data is not what was sent"
+    assert received.hexdigest() == hashlib.md5(data).hexdigest(), "the received data differs from the sent data"
     return (sdus - 1) * SDU_BYTES / max(arrivals[-1] - arrivals[0], 1e-9)
 
 
 def ends(sock):
-    """How a channel ends, as the kernel tells a reader."""
+    """Returns how a channel ended, as the kernel reports it to a reader."""
     try:
         return "closed" if sock.recv(65535) == b"" else "data"
     except OSError as e:
@@ -98,7 +98,7 @@ def pair():
         a.send(b"late")
         b.settimeout(0)
         with suppress(BlockingIOError):
-            assert not b.recv(100), "heard a frozen controller"
+            assert not b.recv(100), "received data of a frozen controller"
         b.settimeout(30)
         tool("room", "thaw", "hci0")
         assert b.recv(100) == b"late"
@@ -106,7 +106,7 @@ def pair():
         assert tool("room", "drop", "hci0").strip() == "1 links dropped"
         reasons = {ends(a), ends(b)}
         assert reasons == {"Connection timed out"}, reasons
-        print("drop: both ends see a supervision timeout")
+        print("drop: both ends report a supervision timeout")
 
     tool("adapter", "power", "hci1", "off")
     tool("adapter", "power", "hci1", "on")
@@ -119,7 +119,7 @@ def pair():
     added = tool("room", "add").strip()
     tool("adapter", "wait", added)
     tool("room", "remove", added)
-    until(f"{added} is gone", lambda: added not in tool("adapter", "list"))
+    until(f"{added} is removed", lambda: added not in tool("adapter", "list"))
     print("controller added and removed: ok")
 
 
@@ -135,23 +135,24 @@ def five():
     for n, (near, far) in enumerate(zip(links, far_ends, strict=True)):
         transfer(near, far, 20, n)
         transfer(far, near, 20, 10 + n)
-    print("five controllers, one hub with four links, each carries its own data: ok")
+    print("five controllers, one hub with four links, each carries separate data: ok")
 
 
 def paced():
     pace = int(os.environ["RECT_VM_PACE"])
     advertise("hci1")
     best = 0.0
-    # Never faster than the pace; how near to it is a matter of the machine's load, so the best of three counts.
+    # The rate must never exceed the limit. How close it gets depends on the machine's load, so the best of three
+    # attempts counts.
     for attempt in range(3):
         with channel("hci0", "hci1") as (a, b):
             rate = transfer(a, b, 100, attempt)
-        print(f"paced to {pace / 1000:.0f} kB/s: raw {rate / 1000:.1f} kB/s")
-        assert rate <= 1.05 * pace, "faster than the pace"
+        print(f"limited to {pace / 1000:.0f} kB/s: measured {rate / 1000:.1f} kB/s")
+        assert rate <= 1.05 * pace, "faster than the limit"
         best = max(best, rate)
         if best >= 0.9 * pace:
             return
-    raise AssertionError(f"the best of three is {best / pace:.0%} of the pace")
+    raise AssertionError(f"the best of three attempts reaches {best / pace:.0%} of the limit")
 
 
 if __name__ == "__main__":

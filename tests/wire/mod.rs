@@ -1,5 +1,5 @@
-//! A wire between two programs: TCP with a rate, that can be cut, and counts.
-#![allow(dead_code)] // each test file uses its part
+//! Simulates a link between two programs: a TCP relay with a limited rate that can be cut and counts its bytes.
+#![allow(dead_code)] // each test file uses a part of it
 
 use std::{
     io::{Read, Write},
@@ -14,7 +14,7 @@ use std::{
 
 /// Forwards connections to another address. Its threads end with the process.
 pub struct Wire {
-    /// Where to dial.
+    /// The endpoint to dial.
     pub endpoint: String,
     shared: Arc<Shared>,
 }
@@ -28,7 +28,7 @@ struct Shared {
 }
 
 impl Wire {
-    /// To whoever listens at `target`, with that rate each way.
+    /// Creates a wire to the listener at `target`, with the given rate in each direction.
     pub fn to(target: &str, rate_bytes_per_s: f64) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let endpoint = format!("tcp/{}", listener.local_addr().expect("bound"));
@@ -49,15 +49,15 @@ impl Wire {
         Self { endpoint, shared }
     }
 
-    /// How many bytes it carried, both ways.
+    /// Returns the number of bytes relayed in both directions.
     pub fn carried(&self) -> u64 {
         self.shared.carried.load(Ordering::SeqCst)
     }
 
-    /// Breaks it for so long.
+    /// Closes all connections, and refuses new ones for `time`.
     pub async fn cut(&self, time: Duration) {
         self.shared.is_cut.store(true, Ordering::SeqCst);
-        for stream in self.shared.streams.lock().expect("whole").drain(..) {
+        for stream in self.shared.streams.lock().expect("not poisoned").drain(..) {
             let _ = stream.shutdown(Shutdown::Both);
         }
         tokio::time::sleep(time).await;
@@ -68,7 +68,7 @@ impl Wire {
 impl Shared {
     fn carry(self: &Arc<Self>, near: TcpStream, far: TcpStream) {
         let clone = |stream: &TcpStream| stream.try_clone().expect("a stream");
-        let mut streams = self.streams.lock().expect("whole");
+        let mut streams = self.streams.lock().expect("not poisoned");
         streams.extend([clone(&near), clone(&far)]);
         for (from, to) in [(clone(&near), clone(&far)), (far, near)] {
             let this = self.clone();
@@ -77,7 +77,7 @@ impl Shared {
     }
 
     fn pump(&self, mut from: TcpStream, mut to: TcpStream) {
-        // Small pieces, so that what waits here is short; what the kernel holds is not.
+        // Small pieces keep the delay in this relay short; the buffers of the kernel add to it.
         let mut buffer = vec![0; ((self.rate_bytes_per_s / 200.0) as usize).clamp(128, 65536)];
         let mut free_at = Instant::now();
         while let Ok(read @ 1..) = from.read(&mut buffer) {

@@ -1,12 +1,12 @@
-//! A bare LE L2CAP channel between two adapters, without Zenoh: what the radio itself can do. For benches and probing.
+//! Measures a plain LE L2CAP channel between two adapters, without Zenoh. Used by benchmarks and for experiments.
 //!
 //! ```text
-//! channel serve hci1                     # takes channels: echoes small SDUs, counts large ones
+//! channel serve hci1                     # accepts channels; echoes SDUs of 20 bytes, and receives all others
 //! channel ping  hci0 ADDRESS 200         # round trips of 20-byte SDUs
-//! channel flood hci0 ADDRESS 500000 4000 # goodput: bytes, SDU size
-//! channel flood hci0 ADDRESS 500000 4000 16 50 # the same, and an SDU of 16 bytes every 50 ms, which does not count
+//! channel flood hci0 ADDRESS 500000 4000 # goodput: total bytes, bytes per SDU
+//! channel flood hci0 ADDRESS 500000 4000 16 50 # the same, with an SDU of 16 bytes every 50 ms that is not counted
 //! ```
-//! Adapters named `sim-...` use the simulated air. Prints one JSON line.
+//! Adapters named `sim-...` use the simulated air. The result is one line of JSON.
 use std::{
     error::Error,
     sync::Arc,
@@ -29,7 +29,7 @@ const PING_BYTES: usize = 20;
 const USAGE: &str = "usage: channel serve ADAPTER | ping ADAPTER ADDRESS COUNT | \
     flood ADAPTER ADDRESS BYTES SDU_BYTES [SMALL_BYTES EVERY_MS]";
 const NAME: &str = "channel-example";
-/// The server answers a flood's last SDU, marked by this first byte.
+/// First byte of the last SDU of a flood, which the server answers.
 const LAST: u8 = 1;
 
 type Outcome = Result<(), Box<dyn Error>>;

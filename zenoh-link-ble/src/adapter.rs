@@ -1,14 +1,15 @@
-//! Owns one local adapter as this node uses it: its radio, its one scan, its one pending connect.
+//! Represents one local adapter of a node: its radio, its shared scan and its limit of one pending connect.
 use std::sync::Arc;
 
 use tokio::sync::Semaphore;
 
 use crate::{radio::Radio, scanner::Scanner};
 
+/// A local adapter, as all listeners and dials of a node share it.
 pub(crate) struct Adapter {
     pub(crate) radio: Arc<dyn Radio>,
     pub(crate) scanner: Arc<Scanner>,
-    /// One pending LE connect at a time: a second one leaks a connection on the Pi's controller
+    /// Limits pending LE connects to one at a time. A second one leaks a connection on the Pi's controller
     /// (bluetooth-next#643), and the kernel serves only one anyway.
     pub(crate) connecting: Semaphore,
 }

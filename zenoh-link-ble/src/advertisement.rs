@@ -1,7 +1,7 @@
-//! Owns RECT's advertisement: ten bytes of service data that say "a Zenoh link listens here, on this PSM".
+//! Encodes and decodes RECT's advertisement: ten bytes of service data which announce that a Zenoh link listens on a PSM.
 //!
-//! A legacy advertisement has 31 bytes; flags take 3 and the header of 128-bit service data 18, which leaves 10
-//! (Core Specification, Vol 3, Part C, 11). The readable name goes to the scan response.
+//! A legacy advertisement has 31 bytes. The flags take 3 and the header of 128-bit service data takes 18, which leaves 10
+//! (Core Specification, Vol 3, Part C, 11). The readable name is in the scan response.
 use serde::{Deserialize, Serialize};
 
 use crate::address::Psm;
@@ -9,59 +9,59 @@ use crate::address::Psm;
 /// The 128-bit UUID of RECT's service data, as 16 bytes, most significant first.
 pub const SERVICE_UUID: u128 = 0x52454354_7a65_4e6f_9a68_424c45313030;
 
-/// Bytes of service data.
+/// Size of the service data, in bytes.
 pub const SIZE: usize = 10;
 
 const VERSION: u8 = 1;
 const PLAIN: u8 = 0b0001;
 
-/// What a listening node tells everyone in range.
+/// The content of a listener's advertisement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Advertisement {
-    /// Where it listens.
+    /// The PSM on which the node listens.
     pub psm: Psm,
-    /// It takes plain one-batch-per-SDU links only, without a hello (a microcontroller).
+    /// Whether the node accepts only plain links, with one bare batch per SDU and without a hello (a microcontroller).
     pub plain: bool,
-    /// CRC-32 (IEEE) of the node's name: enough to pick it out; the hello confirms the whole name.
+    /// CRC-32 (IEEE) of the node's name, which suffices to find it. The hello confirms the complete name.
     pub name_hash: u32,
-    /// Who belongs together; 0 where no fleet is set.
+    /// Hash of the fleet's name; 0 if no fleet is configured.
     pub fleet_hash: u16,
-    /// Changes each time the listener starts, so that a restart can be told from a repetition.
+    /// A number that changes each time the node starts, so that a restarted node can be distinguished from the earlier run.
     pub incarnation: u16,
 }
 
-/// Why service data is not an advertisement of ours.
+/// Why service data is not a valid advertisement.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum AdvertisementError {
-    /// It has the wrong length.
-    #[error("{0} bytes of service data, {SIZE} wanted")]
+    /// The data has the wrong length.
+    #[error("{0} bytes of service data, but an advertisement has {SIZE}")]
     Length(usize),
-    /// It is of a version this program does not know.
-    #[error("version {0} of the advertisement is not known here: update this program")]
+    /// The version is unknown to this program: update it.
+    #[error("version {0} of the advertisement is unknown: update this program")]
     Version(u8),
-    /// Its PSM is not one of LE's dynamic range.
-    #[error("psm {0} is out of range")]
+    /// The PSM is not in LE's dynamic range.
+    #[error("psm {0} is out of range: it must be 128 to 255")]
     Psm(u8),
 }
 
 impl Advertisement {
-    /// The name's hash, as advertised.
+    /// Returns the hash of a node's name, as advertised.
     pub fn hash_of_name(name: &str) -> u32 {
         crc32fast::hash(name.as_bytes())
     }
 
-    /// The fleet's hash, as advertised: 16 bits of the CRC-32 of its name, and never the 0 of no fleet.
+    /// Returns the hash of a fleet's name, as advertised: the CRC-32 folded to 16 bits, and never 0, which means no fleet.
     pub fn hash_of_fleet(fleet: &str) -> u16 {
         let hash = crc32fast::hash(fleet.as_bytes());
         ((hash >> 16) as u16 ^ hash as u16).max(1)
     }
 
-    /// Whether it can be that node's.
-    pub fn is_of(&self, name: &str) -> bool {
+    /// Returns whether the advertisement can be that of the node with that name.
+    pub fn matches_name(&self, name: &str) -> bool {
         self.name_hash == Self::hash_of_name(name)
     }
 
-    /// The service data.
+    /// Encodes the advertisement as service data.
     pub fn encode(&self) -> [u8; SIZE] {
         let mut data = [0; SIZE];
         data[0] = VERSION << 4 | if self.plain { PLAIN } else { 0 };
@@ -72,7 +72,10 @@ impl Advertisement {
         data
     }
 
-    /// Reads service data. Unknown flags are ignored, so that later versions may add some.
+    /// Decodes service data from an untrusted device. Unknown flags are ignored, so that later versions may add some.
+    ///
+    /// # Errors
+    /// Fails if the length, the version or the PSM is not valid.
     pub fn decode(data: &[u8]) -> Result<Self, AdvertisementError> {
         let data: &[u8; SIZE] = data
             .try_into()
@@ -106,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn an_advertisement_reads_back_as_it_was_written() {
+    fn advertisement_decodes_to_what_was_encoded() {
         for plain in [false, true] {
             let sent = Advertisement { plain, ..sample() };
             assert_eq!(Advertisement::decode(&sent.encode()), Ok(sent));
@@ -114,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn every_length_but_ten_is_refused() {
+    fn every_length_except_ten_is_rejected() {
         for length in (0..40).filter(|n| *n != SIZE) {
             let data = vec![0x10; length];
             assert_eq!(
@@ -125,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn another_version_and_a_low_psm_are_refused() {
+    fn other_version_and_low_psm_are_rejected() {
         let mut data = sample().encode();
         data[0] = 0x20;
         assert_eq!(
@@ -141,8 +144,8 @@ mod tests {
     }
 
     #[test]
-    fn a_name_is_known_by_its_hash() {
-        assert!(sample().is_of("wombat-2"));
-        assert!(!sample().is_of("wombat-3"));
+    fn name_is_matched_by_its_hash() {
+        assert!(sample().matches_name("wombat-2"));
+        assert!(!sample().matches_name("wombat-3"));
     }
 }

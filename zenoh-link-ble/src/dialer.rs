@@ -1,4 +1,5 @@
-//! Owns dialling: find the peer, connect, say hello, under one limit; nothing stays behind when it is given up.
+//! Dials a peer: discovers it, connects a channel and performs the handshake, within one timeout. A dial that is cancelled
+//! leaves nothing behind.
 use std::{sync::Arc, time::Duration};
 
 use tokio::time::Instant;
@@ -9,29 +10,32 @@ use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
     error::BleError,
+    handshake::{agreed_mtu, channel_options, dialler_handshake, own_window},
     hello::{Hello, NodeId, Refusal, VERSION},
-    link::{Framing, LinkBle, Opened},
-    links::LinkNumber,
+    link::{node::Node, table::LinkNumber, Framing, LinkBle, Opened},
     locator::{ConnectLocator, Target},
-    node::Node,
-    opening::{agreed_mtu, channel_options, own_window, say_hello},
-    radio::{Channel, ChannelOptions, RadioError, Security, Sighting},
+    radio::{AdvertisingReport, Channel, ChannelOptions, RadioError, Security},
     secret::Secret,
 };
 
-/// How long one LE connect may take, at least and at most: it is tried only with a peer just heard, and while it is
-/// pending the Pi's Wi-Fi suffers (raspberrypi/linux#1444). It is drawn anew each time: the kernel does not advertise
-/// while it connects, so two robots that dial each other in step would wait for each other for ever. Never less than
-/// BlueZ's own advertising interval of 1.28 s, as the peer takes the connect only when it advertises next.
+/// The shortest and the longest timeout of one LE connect, in milliseconds.
+///
+/// It is short because the peer was just discovered, and because a pending connect disturbs the Pi's Wi-Fi
+/// (raspberrypi/linux#1444). It varies because the kernel does not advertise while it connects: two robots that dial each
+/// other at the same pace would wait for each other forever. It is longer than BlueZ's default advertising interval of
+/// 1.28 s, because the peer accepts the connect only when it advertises next.
 const CONNECT_TIMEOUT_MS: (u64, u64) = (1500, 4000);
-/// How long to give way to the dial of a peer that may have just heard this node, too. Two dials at once cost seconds: radios
-/// and kernels mix them up ([`BleError::Astray`]), and both have to be given up.
-const GIVE_WAY: Duration = Duration::from_millis(400);
-/// How much longer where the two may have to be paired first: a passkey of 20 bits takes 40 messages each way (Core
-/// Specification, Vol 3, Part H, 2.3.5.6.3), each a connection interval of some 50 ms.
+/// How long to yield to the dial of a peer that may have discovered this node at the same time. Two simultaneous dials cost
+/// seconds: radios and kernels confuse them ([`BleError::Misdirected`]), and both have to be abandoned.
+const YIELD_TIME: Duration = Duration::from_millis(400);
+/// How much longer a connect may take if the two may have to be paired first. A passkey of 20 bits takes 40 messages in each
+/// direction (Core Specification, Vol 3, Part H, 2.3.5.6.3), each of which takes a connection interval of about 50 ms.
 const PAIRING: Duration = Duration::from_secs(4);
 
-/// Dials once. Waits for the peer to appear, at most `locator.timeout` altogether.
+/// Dials a peer once. Waits until the peer is discovered and has no link, for at most `locator.timeout` in total.
+///
+/// # Errors
+/// Fails if the peer is not discovered in time, is linked already or refuses, or if the radio or the handshake fails.
 pub(crate) async fn dial(
     node: &Arc<Node>,
     locator: &ConnectLocator,
@@ -40,7 +44,7 @@ pub(crate) async fn dial(
     let start = Instant::now();
     match tokio::time::timeout(locator.timeout, dial_when_free(node, &adapter, locator)).await {
         Ok(linked) => linked,
-        Err(_) if node.links().is_linked(&locator.target) => Err(already_linked(locator)),
+        Err(_) if node.link_table().is_linked(&locator.target) => Err(already_linked(locator)),
         Err(_) => Err(BleError::NotFound {
             target: locator.target.to_string(),
             adapter: adapter.radio.name().to_owned(),
@@ -49,6 +53,7 @@ pub(crate) async fn dial(
     }
 }
 
+/// Dials the peer once there is no link with it and no other dial to it.
 async fn dial_when_free(
     node: &Arc<Node>,
     adapter: &Adapter,
@@ -56,12 +61,12 @@ async fn dial_when_free(
 ) -> Result<Arc<LinkBle>, BleError> {
     let cancel = CancellationToken::new();
     let mut dialling = loop {
-        let unlinked = node.unlinked.notified();
-        if let Some(dialling) = Dialling::begin(node, &locator.target, &cancel) {
+        let link_ended = node.link_ended.notified();
+        if let Some(dialling) = DialEntry::begin(node, &locator.target, &cancel) {
             break dialling;
         }
-        // There is a link already (the peer dialled, or an earlier one lives): be ready for the moment it ends.
-        unlinked.await;
+        // There is a link or a dial already. Wait until it ends.
+        link_ended.await;
     };
     tokio::select! {
         linked = dial_once(node, adapter, locator, &mut dialling) => linked,
@@ -69,36 +74,38 @@ async fn dial_when_free(
     }
 }
 
+/// Discovers the peer and opens a link.
 async fn dial_once(
     node: &Arc<Node>,
     adapter: &Adapter,
     locator: &ConnectLocator,
-    dialling: &mut Dialling,
+    dialling: &mut DialEntry,
 ) -> Result<Arc<LinkBle>, BleError> {
-    let seen = adapter
+    let candidate = adapter
         .scanner
-        .find(|sighting| Seen::of(sighting, locator).filter(|seen| is_wanted(node, locator, seen)))
+        .find(|report| Candidate::of(report, locator).filter(|c| may_be_dialled(node, locator, c)))
         .await?;
-    node.links().on_seen(dialling.number, seen.device);
-    if gives_way(node, &seen) {
-        tokio::time::sleep(GIVE_WAY).await;
+    node.link_table()
+        .on_discovered(dialling.number, candidate.device);
+    if yields_to(node, &candidate) {
+        tokio::time::sleep(YIELD_TIME).await;
     }
-    let opened = open(node, dialling.number, adapter, locator, &seen).await;
-    // The connection may carry the peer's own link by now.
-    let is_of_use = matches!(
+    let opened = open(node, dialling.number, adapter, locator, &candidate).await;
+    // After a refusal, the BLE connection may carry the link that the peer has dialled.
+    let is_in_use = matches!(
         opened,
         Ok(_) | Err(BleError::Refused { .. } | BleError::AlreadyLinked { .. })
     );
-    if !is_of_use {
-        adapter.radio.disconnect(seen.device).await;
+    if !is_in_use {
+        adapter.radio.disconnect(candidate.device).await;
     }
-    let is_stranger = match &opened {
+    let is_rejected = match &opened {
         Err(BleError::NoSharedSecret { .. }) => true,
         Err(BleError::Refused { refusal, .. }) => *refusal == Refusal::Secret,
         _ => false,
     };
-    if is_stranger {
-        node.on_no_proof(seen.device);
+    if is_rejected {
+        node.on_rejected(candidate.device);
     }
     let (channel, peer) = opened?;
     let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref())?;
@@ -106,7 +113,7 @@ async fn dial_once(
     let device = channel.peer();
     dialling
         .succeed(peer.as_ref(), device, replaced.clone())
-        // It is this side that wants no second link.
+        // The second link is refused by this side, and not by the peer.
         .map_err(|_| already_linked(locator))?;
     let opened = Opened {
         framing: Framing::with(&channel, peer.as_ref(), None),
@@ -123,20 +130,20 @@ async fn dial_once(
         }
     })?;
     tokio::select! {
-        () = node.pause(dialling.number) => {}
+        () = node.wait_for_holdoff(dialling.number) => {}
         () = link.ended() => {}
     }
-    // Zenoh gets no link that ended meanwhile.
+    // A link that has ended meanwhile is not handed to Zenoh.
     link.check().map(|()| link)
 }
 
-/// Connects and says hello, if the peer is one for hellos.
+/// Connects a channel and performs the handshake, unless the peer is a plain peer.
 async fn open(
     node: &Arc<Node>,
     dial: LinkNumber,
     adapter: &Adapter,
     locator: &ConnectLocator,
-    seen: &Seen,
+    candidate: &Candidate,
 ) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
     let mut limit = connect_timeout(node.id, dial);
     if locator.security != Security::Low {
@@ -147,13 +154,15 @@ async fn open(
         None => node.secret(),
     };
     let options = channel_options(locator.security, secret.as_ref())?;
-    // Whoever can't prove anything is dialled only if the locator says so itself.
-    let is_plain = locator.plain.unwrap_or(seen.plain);
+    // A plain peer cannot prove a secret. If there is one, the peer is dialled only if the locator has `plain=true`.
+    let is_plain = locator.plain.unwrap_or(candidate.plain);
     if is_plain && locator.plain.is_none() && secret.is_some() {
-        return Err(BleError::NoSharedSecret { peer: seen.device });
+        return Err(BleError::NoSharedSecret {
+            peer: candidate.device,
+        });
     }
-    node.greetings_with(seen.device).await;
-    let channel = connect(adapter, options, seen, limit).await?;
+    node.wait_for_handshakes_with(candidate.device).await;
+    let channel = connect(adapter, options, candidate, limit).await?;
     if is_plain {
         return Ok((channel, None));
     }
@@ -165,17 +174,18 @@ async fn open(
         name: node.name(),
         nonce: None,
     };
-    if !node.links().on_hello_said(dial) {
+    if !node.link_table().on_sending_hello(dial) {
         return Err(already_linked(locator));
     }
-    let peer = say_hello(&channel, own, secret.as_ref()).await?;
+    let peer = dialler_handshake(&channel, own, secret.as_ref()).await?;
     Ok((channel, Some(peer)))
 }
 
+/// Connects a channel within `limit`. An adapter has one pending connect at a time.
 async fn connect(
     adapter: &Adapter,
     options: ChannelOptions,
-    seen: &Seen,
+    candidate: &Candidate,
     limit: Duration,
 ) -> Result<Arc<dyn Channel>, BleError> {
     let _one_at_a_time = adapter
@@ -183,23 +193,24 @@ async fn connect(
         .acquire()
         .await
         .map_err(|_| BleError::ShuttingDown)?;
-    let connected = adapter.radio.connect(seen.device, seen.psm, options);
+    let connected = (adapter.radio).connect(candidate.device, candidate.psm, options);
     match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
         Err(_) => Err(BleError::Radio(RadioError::TimedOut {
-            action: "connecting to a peer that was just heard",
+            action: "connecting to a peer that was just discovered",
             limit,
         })),
     }
 }
 
-/// Chance by arithmetic, so that the same node does the same again in a test.
+/// Returns the timeout of a connect. It is pseudorandom but depends only on the node and the dial, so that tests are
+/// reproducible.
 fn connect_timeout(node: NodeId, dial: LinkNumber) -> Duration {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&node.0.to_le_bytes());
     hasher.update(&dial.0.to_le_bytes());
-    let (least, most) = CONNECT_TIMEOUT_MS;
-    Duration::from_millis(least + u64::from(hasher.finalize()) % (most - least))
+    let (min, max) = CONNECT_TIMEOUT_MS;
+    Duration::from_millis(min + u64::from(hasher.finalize()) % (max - min))
 }
 
 fn already_linked(locator: &ConnectLocator) -> BleError {
@@ -208,39 +219,41 @@ fn already_linked(locator: &ConnectLocator) -> BleError {
     }
 }
 
-/// Whether the peer goes first, should it dial this node, too: of two that listen, the one with the lower hash of its name.
-fn gives_way(node: &Node, seen: &Seen) -> bool {
+/// Returns whether this node waits for a moment in case the peer dials it, too. Of two nodes that listen, the one with the
+/// lower hash of its name takes precedence.
+fn yields_to(node: &Node, candidate: &Candidate) -> bool {
     let name = node.name();
     let own = Advertisement::hash_of_name(&name);
-    !name.is_empty() && seen.name_hash.is_some_and(|peer| peer < own)
+    !name.is_empty() && candidate.name_hash.is_some_and(|peer| peer < own)
 }
 
-/// Anyone of a fleet is somebody else, without a link yet, and no known stranger.
-fn is_wanted(node: &Node, locator: &ConnectLocator, seen: &Seen) -> bool {
+/// Returns whether a candidate may be dialled. Of a fleet, it must be another node, without a link yet, and not a rejected
+/// peer.
+fn may_be_dialled(node: &Node, locator: &ConnectLocator, candidate: &Candidate) -> bool {
     let own = Advertisement::hash_of_name(&node.name());
     match locator.target {
         Target::Fleet(_) => {
-            let is_linked = node.links().knows(seen.device);
-            seen.name_hash != Some(own) && !is_linked && !node.is_stranger(seen.device)
+            let is_linked = node.link_table().is_linked_or_dialled(candidate.device);
+            candidate.name_hash != Some(own) && !is_linked && !node.is_rejected(candidate.device)
         }
         Target::Address(_) | Target::Name(_) => true,
     }
 }
 
-/// What a sighting tells of the peer looked for.
-struct Seen {
+/// A discovered peer that matches the target of a dial.
+struct Candidate {
     device: DeviceAddress,
     psm: Psm,
     plain: bool,
     name_hash: Option<u32>,
 }
 
-impl Seen {
-    fn of(sighting: &Sighting, locator: &ConnectLocator) -> Option<Self> {
-        let advertised = sighting.advertisement.as_ref();
-        let wanted = match &locator.target {
-            Target::Address(address) => *address == sighting.device.address,
-            Target::Name(name) => advertised.is_some_and(|a| a.is_of(name)),
+impl Candidate {
+    fn of(report: &AdvertisingReport, locator: &ConnectLocator) -> Option<Self> {
+        let advertised = report.advertisement.as_ref();
+        let is_target = match &locator.target {
+            Target::Address(address) => *address == report.device.address,
+            Target::Name(name) => advertised.is_some_and(|a| a.matches_name(name)),
             Target::Fleet(fleet) => {
                 let hash = Advertisement::hash_of_fleet(fleet);
                 advertised.is_some_and(|a| a.fleet_hash == hash)
@@ -248,10 +261,10 @@ impl Seen {
         };
         let psm = locator.psm.or(advertised.map(|a| a.psm));
         let device = DeviceAddress {
-            kind: locator.address_kind.unwrap_or(sighting.device.kind),
-            ..sighting.device
+            kind: locator.address_kind.unwrap_or(report.device.kind),
+            ..report.device
         };
-        psm.filter(|_| wanted).map(|psm| Self {
+        psm.filter(|_| is_target).map(|psm| Self {
             device,
             psm,
             plain: advertised.is_some_and(|a| a.plain),
@@ -260,16 +273,16 @@ impl Seen {
     }
 }
 
-/// A dial in the table of links; taken out again when it is dropped without success.
-struct Dialling {
+/// A dial in the table of links. It is removed from the table if it is dropped without success.
+struct DialEntry {
     node: Arc<Node>,
     number: LinkNumber,
     succeeded: bool,
 }
 
-impl Dialling {
+impl DialEntry {
     fn begin(node: &Arc<Node>, target: &Target, cancel: &CancellationToken) -> Option<Self> {
-        let number = node.links().on_dial(target, cancel.clone())?;
+        let number = node.link_table().on_dial(target, cancel.clone())?;
         Some(Self {
             node: Arc::clone(node),
             number,
@@ -285,18 +298,18 @@ impl Dialling {
     ) -> Result<(), Refusal> {
         self.succeeded = true;
         let now = Instant::now().into_std();
-        let accepted = (self.node.links()).on_accepted(self.number, peer, device, now, end);
-        // Another dial to anyone of the fleet may begin.
-        self.node.unlinked.notify_waiters();
+        let accepted = (self.node.link_table()).on_accepted(self.number, peer, device, now, end);
+        // Another dial to the same fleet may begin now.
+        self.node.link_ended.notify_waiters();
         accepted
     }
 }
 
-impl Drop for Dialling {
+impl Drop for DialEntry {
     fn drop(&mut self) {
         if !self.succeeded {
-            self.node.links().on_dial_ended(self.number);
-            self.node.unlinked.notify_waiters();
+            self.node.link_table().on_dial_ended(self.number);
+            self.node.link_ended.notify_waiters();
         }
     }
 }

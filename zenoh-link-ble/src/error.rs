@@ -1,5 +1,5 @@
-//! Owns the reasons for which a link cannot be made or ends, each with what to do about it; and the one place
-//! where they become Zenoh's error type.
+//! Defines why a link cannot be opened or has ended, with advice for the user, and converts these errors into Zenoh's error
+//! type.
 use std::{sync::Arc, time::Duration};
 
 use crate::{
@@ -7,120 +7,122 @@ use crate::{
     secret::SecretError,
 };
 
-/// Why there is no link, or no longer one.
+/// Why a link could not be opened, or has ended.
 #[derive(Debug, thiserror::Error)]
 pub enum BleError {
-    /// The locator or one of its options is wrong: correct it.
+    /// The locator or one of its options is invalid. Correct it.
     #[error(transparent)]
     Locator(#[from] LocatorError),
-    /// The radio could not do it.
+    /// The radio reported an error.
     #[error(transparent)]
     Radio(#[from] RadioError),
-    /// The file of `secret=` gives none: correct it.
+    /// The `secret=` file contains no secret. Correct it.
     #[error(transparent)]
     Secret(#[from] SecretError),
-    /// The peer does not know this side's secret: it is of another team, or one of the two has the wrong file.
-    #[error("{peer} did not prove that it has the same secret: a stranger, or one of the two has another secret= file")]
+    /// The peer did not prove that it has this side's secret. It belongs to another team, or one of the two has the wrong
+    /// file.
+    #[error("{peer} did not prove that it has the same secret: it belongs to another team, or the two have different secret= files")]
     NoSharedSecret {
-        /// Who.
+        /// Address of the peer.
         peer: DeviceAddress,
     },
-    /// `sec=high` compares a passkey, which is made of the secret.
+    /// `sec=high` needs a secret, from which the passkey for pairing is derived. Give both sides the same `secret=` file.
     #[error("sec=high needs a secret: give both sides the same file as secret=")]
     HighWithoutSecret,
-    /// Nobody in range advertises as that name or address: switch the robot on, come nearer, or check the name.
-    #[error("nobody in range advertises as {target} (scanned with {adapter} for {waited:.1?}): is its router running, in range and listening with that name?")]
+    /// No advertisement of the target was received. Switch the robot on, move closer, or check the name.
+    #[error("cannot connect to {target}: no advertisement received within {waited:.1?} on {adapter}. Is its router running, in range and listening with that name?")]
     NotFound {
-        /// The name or address dialled.
+        /// The name or address that was dialled.
         target: String,
-        /// The adapter that scanned.
+        /// Name of the adapter that scanned.
         adapter: String,
-        /// How long it scanned.
+        /// How long the adapter scanned.
         waited: Duration,
     },
-    /// There is a link to that robot already; a pair of robots has one.
+    /// There is a link with that robot already. A pair of robots has only one.
     #[error("{target} is linked already: a pair of robots has one ble link")]
     AlreadyLinked {
-        /// The name or address dialled.
+        /// The name or address that was dialled.
         target: String,
     },
-    /// The peer took the channel but would not make a link.
+    /// The peer accepted the channel and refused the link.
     #[error("{peer} refused the link: {refusal}")]
     Refused {
-        /// Who.
+        /// Address of the peer.
         peer: DeviceAddress,
-        /// Its reason.
+        /// The reason that the peer gave.
         refusal: Refusal,
     },
-    /// What the peer sent is not this protocol.
+    /// The peer violated the link protocol. Update both sides to the same version.
     #[error("{peer} does not follow the link protocol: {what}")]
     Protocol {
-        /// Who.
+        /// Address of the peer.
         peer: DeviceAddress,
-        /// What was wrong.
+        /// The violation.
         what: String,
     },
-    /// The peer's kernel took this side's connection response for that to another request of the same number, and sends on
-    /// the wrong channel: Linux looks for the number among what it asked and what it was asked (`l2cap_le_connect_rsp`).
-    #[error("the answer of {peer} went astray: its kernel mixed up two requests that crossed; dialling again")]
-    Astray {
-        /// Who.
+    /// The peer sent its answer on the wrong channel. Its kernel took this side's connection response for the response to
+    /// another request with the same identifier, because Linux searches for the identifier among both the sent and the
+    /// received requests (`l2cap_le_connect_rsp`). Dialling again resolves it.
+    #[error("{peer} answered on the wrong channel, because its kernel confused two requests that crossed; dialling again")]
+    Misdirected {
+        /// Address of the peer.
         peer: DeviceAddress,
     },
-    /// The peer said goodbye.
+    /// The peer closed the link with a goodbye.
     #[error("{peer} closed the link: {reason}")]
     ClosedByPeer {
-        /// Who.
+        /// Name of the peer, or its address if it has no name.
         peer: String,
-        /// Its reason in words.
+        /// The reason in the goodbye, as text for people.
         reason: &'static str,
     },
-    /// A newer link with the same peer takes this one's place.
+    /// A newer link with the same peer has replaced this one.
     #[error("a newer link with {peer} replaced this one")]
     Replaced {
-        /// Who.
+        /// Name of the peer, or its address if it has no name.
         peer: String,
     },
-    /// The peer has stopped acknowledging: its program hangs, or it does not follow the protocol.
-    #[error("{peer} has acknowledged nothing for {} s: its program hangs, or it does not follow the link protocol", .limit.as_secs())]
+    /// The peer has stopped acknowledging. Its router hangs, or it does not follow the protocol.
+    #[error("{peer} has acknowledged nothing for {} s: its router hangs, or it does not follow the link protocol", .limit.as_secs())]
     Unacknowledged {
-        /// Who.
+        /// Name of the peer, or its address if it has no name.
         peer: String,
-        /// How long it was waited for.
+        /// How long this side waited.
         limit: Duration,
     },
-    /// Another robot here uses this name: give one of them another `name=`.
-    #[error("another robot in range ({other}) calls itself {name} already: give one of the two another name=")]
+    /// Another robot in range uses this name. Give one of the two another `name=`.
+    #[error("another robot in range ({other}) uses the name {name} already: give one of the two another name=")]
     NameTaken {
-        /// The name both use.
+        /// The name that both use.
         name: String,
-        /// The other one's address.
+        /// Address of the other robot.
         other: DeviceAddress,
     },
-    /// The link had ended, for that reason.
+    /// The link ended earlier, for that reason.
     #[error(transparent)]
     Ended(#[from] Arc<BleError>),
-    /// A batch does not fit the link (a fault of the caller).
+    /// The batch is larger than the link's MTU, which is an error of the caller.
     #[error("a batch of {size} bytes is over the link's mtu of {mtu}")]
     BatchTooLarge {
-        /// Its size in bytes.
+        /// The size of the batch, in bytes.
         size: usize,
-        /// The link's MTU in bytes.
+        /// The link's MTU, in bytes.
         mtu: usize,
     },
-    /// That endpoint is not listened on.
+    /// There is no listener on that adapter.
     #[error("there is no listener on {0}")]
     NoListener(String),
-    /// That adapter has a listener already.
-    #[error("{0} has a listener already: one per adapter is enough, peers share it")]
+    /// That adapter has a listener already. All peers share it.
+    #[error("{0} has a listener already: all peers share one listener per adapter")]
     ListenerExists(String),
-    /// The runtime is shutting down.
+    /// The link manager is shutting down, or was asked to stop dialling.
     #[error("the link manager is shutting down")]
     ShuttingDown,
 }
 
-/// The whole chain of causes in one line.
-pub(crate) fn in_words(error: &dyn std::error::Error) -> String {
+/// Describes an error with all its causes in one line.
+pub(crate) fn describe(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut source = error.source();
     while let Some(cause) = source {
@@ -134,7 +136,7 @@ pub(crate) fn in_words(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// As Zenoh prints it.
+/// Converts an error into Zenoh's error type, with all its causes in the text.
 pub(crate) fn into_zenoh(error: BleError) -> zenoh_result::Error {
-    zenoh_result::zerror!("{}", in_words(&error)).into()
+    zenoh_result::zerror!("{}", describe(&error)).into()
 }

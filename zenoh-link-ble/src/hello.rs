@@ -1,5 +1,7 @@
-//! Owns the hello: the first SDU each side sends, which makes "connected" true and settles version, MTU and
-//! who is who. Layout and rules: `PROTOCOL.md`.
+//! Encodes and decodes the messages of the handshake. The hello, the first message of each side, determines the version, the
+//! MTU and the identities of the two nodes.
+//!
+//! For the layout and the rules see section 3 of `PROTOCOL.md`.
 use std::fmt;
 
 use crate::{
@@ -7,16 +9,16 @@ use crate::{
     secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
 };
 
-/// The first bytes of every hello, answer and refusal. Zenoh's own first message (InitSyn) has 0x01 in the low five
-/// bits of its first byte, `R` (0x52) has not: a plain peer is told apart by one byte.
+/// The first bytes of every message of the handshake. Zenoh's own first message (InitSyn) has 0x01 in the low five bits of
+/// its first byte and `R` (0x52) does not, so the first byte identifies a plain peer.
 pub const MAGIC: [u8; 4] = *b"RECT";
-/// The version of the wire format this crate speaks.
+/// The version of the wire format that this crate implements.
 pub const VERSION: u8 = 1;
-/// The longest hello accepted, in bytes; later versions may append fields up to here.
+/// The largest message of the handshake, in bytes. Later versions may append fields up to this size.
 pub const MAX_SIZE: usize = 128;
-/// The longest name, in bytes: what fits a scan response.
+/// The longest name, in bytes: what fits into a scan response.
 pub const MAX_NAME: usize = 29;
-/// The smallest MTU either side may offer, in bytes: Zenoh's handshake needs about 100.
+/// The smallest MTU that either side may offer, in bytes: Zenoh's handshake needs about 100.
 pub const MIN_MTU: u16 = 128;
 
 const KIND_HELLO: u8 = 1;
@@ -25,10 +27,10 @@ const KIND_REFUSE: u8 = 3;
 const KIND_CHALLENGE: u8 = 4;
 const KIND_PROOF: u8 = 5;
 
-/// Before the nonce of a hello, behind its name.
+/// The byte that precedes the nonce of a hello, after the name.
 const NONCE_FOLLOWS: u8 = b'S';
 
-/// A random number that tells one run of a node from another.
+/// A random number that identifies one run of a node.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeId(pub u64);
 
@@ -38,41 +40,42 @@ impl fmt::Debug for NodeId {
     }
 }
 
-/// What a side says of itself.
+/// The first message of either side, with its properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// The highest version of the wire format it speaks; in an answer, the version chosen.
+    /// From the dialler, the highest version of the wire format that it supports; from the listener, the version that it
+    /// has chosen.
     pub version: u8,
-    /// Who it is.
+    /// Node id of the sender.
     pub node: NodeId,
-    /// The largest Zenoh batch it takes, in bytes.
+    /// The largest Zenoh batch that the sender accepts, in bytes; at least [`MIN_MTU`].
     pub mtu: u16,
-    /// What it takes unacknowledged, in bytes (`lanes::credits`).
+    /// Number of bytes that the sender accepts unacknowledged (`lanes::credits`); at least [`MIN_WINDOW`].
     pub window: u16,
-    /// The name it goes by; may be empty.
+    /// Name of the sender, at most [`MAX_NAME`] bytes; may be empty.
     pub name: String,
-    /// Only in the first hello, of a side that has a secret: what the listener is to prove with (`secret`).
+    /// Nonce for the listener's proof (`secret`). Present only in the hello of a dialler that has a secret.
     pub nonce: Option<Nonce>,
 }
 
 /// Why a link was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// It speaks no version that the other knows.
+    /// The two have no common version.
     Version,
     /// There is a link between the two already.
     AlreadyLinked,
-    /// Both dialled at once, and the refusing side's dial goes first.
+    /// Both dialled at the same time, and the dial of the refusing side takes precedence.
     Crossing,
-    /// It has as many links as it was set to take.
+    /// The refusing side has as many links as `max_links=` allows.
     Full,
-    /// Another robot of the same name is linked there, or the two have the same name.
+    /// The refusing side has the same name, or a link with another robot of that name.
     NameTaken,
     /// The two do not have the same secret.
     Secret,
-    /// The hello, or the proof, does not follow the protocol.
+    /// The hello or the proof violates the protocol.
     Malformed,
-    /// A reason this version does not know.
+    /// A reason that this version does not know, with its code.
     Other(u8),
 }
 
@@ -106,12 +109,14 @@ impl Refusal {
     /// Returns the reason as the refusing side logs it. [`fmt::Display`] is for the side that is refused.
     pub fn own_reason(self) -> &'static str {
         match self {
-            Self::Version => "the two speak no common version of the link: update the older side",
+            Self::Version => "the two support no common version of the link: update the older side",
             Self::AlreadyLinked => "the two are linked already",
-            Self::Crossing => "both dialled at once, and this side's dial goes first",
+            Self::Crossing => {
+                "both dialled at the same time, and this side's dial takes precedence"
+            }
             Self::Full => "this side has as many links as max_links allows",
             Self::NameTaken => {
-                "its name is that of another robot or of this one: give one of the two another name="
+                "this robot or another linked one has the same name: give one of the two another name="
             }
             Self::Secret => "the two do not have the same secret",
             Self::Malformed => "it does not follow the link protocol",
@@ -124,80 +129,82 @@ impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Version => {
-                f.write_str("it speaks another version of the link: update the older side")
+                f.write_str("it supports another version of the link: update the older side")
             }
             Self::AlreadyLinked => f.write_str("the two are linked already"),
-            Self::Crossing => f.write_str("both dialled at once, and its own dial goes first"),
+            Self::Crossing => {
+                f.write_str("both dialled at the same time, and its own dial takes precedence")
+            }
             Self::Full => f.write_str("it has as many links as max_links allows"),
             Self::NameTaken => f.write_str(
-                "a robot of this name is there already: give one of the two another name=",
+                "it has the same name, or a link with another robot of that name: give one of the two another name=",
             ),
             Self::Secret => f.write_str(
                 "the two do not have the same secret: give both sides a secret= file with the same first line",
             ),
             Self::Malformed => f.write_str(
-                "it cannot read what this side sent: one of the two does not follow the link protocol",
+                "it cannot decode this side's message: one of the two does not follow the link protocol",
             ),
-            Self::Other(code) => write!(f, "reason {code}, which this version does not know"),
+            Self::Other(code) => write!(f, "reason {code}, which is unknown to this version"),
         }
     }
 }
 
-/// One of the messages of the opening.
+/// A message of the handshake.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Opening {
-    /// From the side that dialled.
+pub enum HandshakeMessage {
+    /// The first message, from the dialler.
     Hello(Hello),
-    /// The answer that makes the link.
+    /// The answer that accepts the link.
     Accept(Hello),
-    /// The answer that does not.
+    /// The answer that refuses the link.
     Refuse(Refusal),
-    /// The answer of a listener with a secret: it proves that it has it, and asks the same of the dialler.
+    /// The first answer of a listener that has a secret. It proves the secret and requests the dialler's proof.
     Challenge(Challenge),
-    /// The dialler's answer to that.
+    /// The dialler's answer to the challenge.
     Proof(Proof),
 }
 
-/// What a listener with a secret answers before anything else.
+/// The first answer of a listener that has a secret.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Challenge {
-    /// Who it is.
+    /// Node id of the listener.
     pub node: NodeId,
-    /// What the dialler is to prove with.
+    /// Nonce for the dialler's proof.
     pub nonce: Nonce,
-    /// That it has the secret itself.
+    /// Proof that the listener has the secret.
     pub proof: Proof,
 }
 
-/// Why an SDU is not an opening.
+/// Why an SDU is not a valid message of the handshake.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum OpeningError {
-    /// It does not begin with [`MAGIC`].
+pub enum HandshakeMessageError {
+    /// The SDU does not begin with [`MAGIC`].
     #[error("the first sdu is not a hello")]
     NotAHello,
-    /// It ends too early, or is over [`MAX_SIZE`].
+    /// The SDU is too short, or larger than [`MAX_SIZE`].
     #[error("a hello of {0} bytes has the wrong length")]
     Length(usize),
-    /// Its kind is unknown.
-    #[error("unknown kind {0} of opening message")]
+    /// The kind of the message is unknown.
+    #[error("unknown kind {0} of handshake message")]
     Kind(u8),
-    /// Version 0 does not exist.
+    /// The version is 0, which does not exist.
     #[error("version 0 does not exist")]
     Version,
-    /// Its MTU is under [`MIN_MTU`].
+    /// The offered MTU is under [`MIN_MTU`].
     #[error("an mtu of {0} bytes is under the {MIN_MTU} that the handshake needs")]
     Mtu(u16),
-    /// Its window is under [`MIN_WINDOW`].
+    /// The offered window is under [`MIN_WINDOW`].
     #[error("a window of {0} bytes is under the {MIN_WINDOW} that batches need")]
     Window(u16),
-    /// Its name is too long or not UTF-8.
+    /// The name is too long or not UTF-8.
     #[error("the name is not valid: at most {MAX_NAME} bytes of utf-8")]
     Name,
 }
 
-impl OpeningError {
-    /// Returns how a listener refuses a first SDU that it cannot decode; `None` if it answers nothing: to what is not this
-    /// protocol's, and to answers (ACCEPT, REFUSE, CHALLENGE, PROOF), which belong to another channel.
+impl HandshakeMessageError {
+    /// Returns how a listener refuses a first SDU that it cannot decode. It is `None` if the listener does not answer: if the
+    /// SDU is not of this protocol, or is an answer (ACCEPT, REFUSE, CHALLENGE, PROOF), which belongs to another channel.
     pub fn refusal(&self, sdu: &[u8]) -> Option<Refusal> {
         let kind = sdu.strip_prefix(&MAGIC)?.first();
         match (kind, self) {
@@ -208,8 +215,8 @@ impl OpeningError {
     }
 }
 
-impl Opening {
-    /// The SDU's bytes.
+impl HandshakeMessage {
+    /// Encodes the message as an SDU.
     pub fn encode(&self) -> Vec<u8> {
         let mut sdu = Vec::with_capacity(MAX_SIZE);
         sdu.extend_from_slice(&MAGIC);
@@ -231,10 +238,15 @@ impl Opening {
         sdu
     }
 
-    /// Reads an SDU. Bytes after the known fields are ignored, so that later versions may add some.
-    pub fn decode(sdu: &[u8]) -> Result<Self, OpeningError> {
-        let body = sdu.strip_prefix(&MAGIC).ok_or(OpeningError::NotAHello)?;
-        let length = OpeningError::Length(sdu.len());
+    /// Decodes an untrusted SDU. Bytes after the known fields are ignored, so that later versions may add some.
+    ///
+    /// # Errors
+    /// Fails if the SDU is not a message of the handshake, or has an invalid field.
+    pub fn decode(sdu: &[u8]) -> Result<Self, HandshakeMessageError> {
+        let body = sdu
+            .strip_prefix(&MAGIC)
+            .ok_or(HandshakeMessageError::NotAHello)?;
+        let length = HandshakeMessageError::Length(sdu.len());
         if sdu.len() > MAX_SIZE {
             return Err(length);
         }
@@ -251,7 +263,7 @@ impl Opening {
                 Some(&proof) => Ok(Self::Proof(proof)),
                 None => Err(length),
             },
-            other => Err(OpeningError::Kind(other)),
+            other => Err(HandshakeMessageError::Kind(other)),
         }
     }
 }
@@ -270,7 +282,10 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
     }
 }
 
-fn decode_challenge(body: &[u8], length: OpeningError) -> Result<Challenge, OpeningError> {
+fn decode_challenge(
+    body: &[u8],
+    length: HandshakeMessageError,
+) -> Result<Challenge, HandshakeMessageError> {
     let (_version, body) = body.split_first().ok_or(length.clone())?;
     let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
     let (&nonce, body) = body
@@ -284,10 +299,13 @@ fn decode_challenge(body: &[u8], length: OpeningError) -> Result<Challenge, Open
     })
 }
 
-fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError> {
+fn decode_hello(
+    body: &[u8],
+    length: HandshakeMessageError,
+) -> Result<Hello, HandshakeMessageError> {
     let (&version, body) = body.split_first().ok_or(length.clone())?;
     if version == 0 {
-        return Err(OpeningError::Version);
+        return Err(HandshakeMessageError::Version);
     }
     let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
     let (&mtu, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
@@ -295,21 +313,21 @@ fn decode_hello(body: &[u8], length: OpeningError) -> Result<Hello, OpeningError
     let (&name_length, body) = body.split_first().ok_or(length.clone())?;
     let name_length = usize::from(name_length);
     if name_length > MAX_NAME {
-        return Err(OpeningError::Name);
+        return Err(HandshakeMessageError::Name);
     }
     let (name, rest) = body.split_at_checked(name_length).ok_or(length)?;
-    let name = std::str::from_utf8(name).map_err(|_| OpeningError::Name)?;
+    let name = std::str::from_utf8(name).map_err(|_| HandshakeMessageError::Name)?;
     let nonce = match rest.split_first() {
         Some((&NONCE_FOLLOWS, rest)) => rest.first_chunk().copied(),
         _ => None,
     };
     let mtu = u16::from_le_bytes(mtu);
     if mtu < MIN_MTU {
-        return Err(OpeningError::Mtu(mtu));
+        return Err(HandshakeMessageError::Mtu(mtu));
     }
     let window = u16::from_le_bytes(window);
     if window < MIN_WINDOW {
-        return Err(OpeningError::Window(window));
+        return Err(HandshakeMessageError::Window(window));
     }
     Ok(Hello {
         version,

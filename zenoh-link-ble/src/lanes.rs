@@ -1,19 +1,22 @@
-//! Owns what happens to batches between Zenoh and the channel: one lane per priority in each direction, strict order
-//! among them, bounds, credits from the receiver, and a check that tells when an SDU was lost or damaged. Plain logic
-//! without I/O, given the time; `traffic.rs` moves the SDUs.
+//! Handles batches between Zenoh and the channel. In each direction, a link has one lane for each of Zenoh's priorities,
+//! and the lanes have strict precedence. This module bounds what the lanes hold, applies the receiver's credits, and
+//! verifies the check of each SDU, which detects loss and damage.
+//!
+//! The module is plain logic without I/O and is given the time; `traffic.rs` moves the SDUs.
 //!
 //! ```text
 //! write_all(priority) -> Lanes::push -> Scheduler: lanes by priority -> Lanes::peek -> SDU -> channel
 //! read(priority)      <- Lanes::take <- Receiver: lanes by priority  <- Lanes::on_sdu <- SDU <- channel
-//!                                       Receiver's signals -> Scheduler (what was taken, which lane is full)
+//!                                       Receiver's signals -> Scheduler (acknowledgements, full lanes)
 //! ```
 pub mod ack_timer;
 pub mod backlog;
+pub mod batch_kind;
 pub mod check;
 pub mod credits;
 pub mod flight;
 pub mod path;
-pub mod piece;
+
 pub mod receiver;
 pub mod report;
 pub mod scheduler;
@@ -32,71 +35,72 @@ use self::{
     scheduler::{Bounds, Next, Scheduler},
 };
 
-/// How many lanes a link has in each direction: one for each of Zenoh's priorities.
+/// Number of lanes of a link in each direction: one for each of Zenoh's priorities.
 pub const LANES: usize = Priority::NUM;
-/// Bytes in front of a batch: the kind with the lane, and the check.
+/// Size of the header in front of a batch, in bytes: one byte for kind and lane, two for the check.
 pub const HEADER: usize = 3;
 
-/// One of the lanes: Zenoh's priority, `Priority::NUM` of them, as a number, 0 (`Control`) the most urgent.
+/// One of the [`LANES`] lanes. Its number is the value of Zenoh's priority; 0 (`Control`) is the most urgent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Lane(u8);
 
 impl Lane {
-    /// The lane of that number, if there is one.
+    /// Returns the lane with that number, or `None` if `number` is not below [`LANES`].
     pub fn new(number: u8) -> Option<Self> {
         (usize::from(number) < LANES).then_some(Self(number))
     }
 
-    /// The lane of a priority.
+    /// Returns the lane of a priority.
     pub fn of(priority: Priority) -> Self {
         Self(priority as u8)
     }
 
-    /// The most urgent one.
+    /// Returns the most urgent lane.
     pub fn first() -> Self {
         Self(0)
     }
 
-    /// The least urgent one.
+    /// Returns the least urgent lane.
     pub fn last() -> Self {
         Self(LANES as u8 - 1)
     }
 
-    /// All of them, the most urgent first.
+    /// Returns all lanes, the most urgent first.
     pub fn all() -> impl Iterator<Item = Self> {
         (0..LANES as u8).map(Self)
     }
 
-    /// Its number.
+    /// Returns the number of the lane, as it is sent over the air.
     pub fn number(self) -> u8 {
         self.0
     }
 
-    /// The same, as a place in a list of all.
+    /// Returns the number of the lane as an index into an array of [`LANES`] elements.
     pub fn index(self) -> usize {
         usize::from(self.0)
     }
 }
 
-/// Both directions of a link.
+/// The lanes of a link, in both directions.
 pub struct Lanes {
     out: Scheduler,
     into: Receiver,
 }
 
-/// What a received SDU changed.
+/// The effect of a received SDU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// There is a batch to take from that lane.
+    /// A batch can be taken from that lane.
     Batch(Lane),
-    /// More may be sent than before.
+    /// More may be sent than before: the peer acknowledged SDUs, or stopped or restarted a lane.
     Credits,
-    /// The peer ends the link; what came before may still be taken.
-    Bye(u8),
+    /// The peer ends the link, with the code of its reason. Batches that arrived before can still be taken.
+    Goodbye(u8),
 }
 
 impl Lanes {
-    /// `mtu`: the largest batch, in bytes. `own_window` and `peer_window`: what each side takes unacknowledged, in bytes.
+    /// Creates the lanes of a new link. `mtu` is the largest batch, in bytes. `own_window` and `peer_window` are the numbers
+    /// of bytes that this side and the peer accept unacknowledged.
     pub fn new(bounds: Bounds, mtu: usize, own_window: u16, peer_window: u16) -> Self {
         Self {
             out: Scheduler::new(bounds, mtu, peer_window),
@@ -104,17 +108,18 @@ impl Lanes {
         }
     }
 
-    /// Puts a batch on its lane to be sent. `false`: there is no room, see [`Scheduler::push`].
+    /// Queues a batch on its lane. Returns `false` if there is no room: see [`Scheduler::push`].
     pub fn push(&mut self, lane: Lane, batch: &[u8], now: Instant) -> bool {
         self.out.push(lane, batch, now)
     }
 
-    /// Returns when to offer a batch again that [`Lanes::push`] did not take, even if nothing went out until then.
-    pub fn ask_again_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
-        self.out.ask_again_at(lane, batch, now)
+    /// Returns when to offer a batch again that [`Lanes::push`] did not accept, even if nothing is sent until then.
+    pub fn retry_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
+        self.out.retry_at(lane, batch, now)
     }
 
-    /// What to send now, until [`Lanes::on_sent`] says that it went.
+    /// Returns the SDU to send now. It is returned again until [`Lanes::on_sent`] confirms that it was sent, unless
+    /// something more urgent is queued before.
     pub fn peek(&mut self) -> Option<(Next, &[u8])> {
         while let Some(signal) = self.into.signal() {
             self.out.signal(signal);
@@ -122,17 +127,20 @@ impl Lanes {
         self.out.peek()
     }
 
-    /// What [`Lanes::peek`] gave out last, and nothing was put in since, went out.
+    /// Records that the SDU was sent which [`Lanes::peek`] returned last. Nothing may have been queued in between.
     pub fn on_sent(&mut self, sent: Next, now: Instant) {
         self.out.on_sent(sent, now);
     }
 
-    /// Returns when the link ends unless the peer acknowledges something; `None` if no acknowledgement is due.
+    /// Returns when the link ends unless the peer acknowledges something, or `None` if no acknowledgement is due.
     pub fn ack_deadline(&self) -> Option<Instant> {
         self.out.ack_deadline()
     }
 
-    /// An SDU arrived.
+    /// Handles a received SDU.
+    ///
+    /// # Errors
+    /// Fails if the SDU was lost, damaged or repeated, or breaks the protocol. The link has to end then.
     pub fn on_sdu(&mut self, sdu: &[u8], now: Instant) -> Result<Change, Violation> {
         match self.into.on_sdu(sdu)? {
             Received::Batch(lane) => Ok(Change::Batch(lane)),
@@ -144,51 +152,54 @@ impl Lanes {
                 self.out.on_stopped(lane, is_stopped);
                 Ok(Change::Credits)
             }
-            Received::Bye(reason) => Ok(Change::Bye(reason)),
+            Received::Goodbye(reason) => Ok(Change::Goodbye(reason)),
         }
     }
 
-    /// The next batch of a lane.
+    /// Takes the next received batch of a lane, if there is one.
     pub fn take(&mut self, lane: Lane) -> Option<Vec<u8>> {
         self.into.take(lane)
     }
 
-    /// Returns the next batch of Zenoh's own handshake: see [`Receiver::take_of_handshake`].
-    pub fn take_of_handshake(&mut self) -> Result<Option<Vec<u8>>, Violation> {
-        self.into.take_of_handshake()
+    /// Takes the next batch of Zenoh's own handshake: see [`Receiver::take_handshake_batch`].
+    ///
+    /// # Errors
+    /// Fails if the peer sent it on another lane than the first.
+    pub fn take_handshake_batch(&mut self) -> Result<Option<Vec<u8>>, Violation> {
+        self.into.take_handshake_batch()
     }
 
-    /// Whether the peer is to be told something.
+    /// Returns whether a signal for the peer is waiting: an acknowledgement, or a lane to stop or restart.
     pub fn has_signal(&self) -> bool {
         self.into.has_signal()
     }
 
-    /// The link ends: what waits goes out, then the goodbye.
+    /// Begins to close the link: sends what is queued, then a goodbye with the code `reason`. Nothing more is accepted.
     pub fn close(&mut self, reason: u8) {
         self.out.close(reason);
     }
 
-    /// The link ends at once: what waits is thrown away, and the goodbye is next.
+    /// Ends the link at once: discards what is queued, and sends a goodbye with the code `reason` next.
     pub fn abort(&mut self, reason: u8) {
         self.out.abort(reason);
     }
 
-    /// What was measured of the way to the peer.
+    /// Returns the measured properties of the path to the peer.
     pub fn path(&self) -> &Path {
         self.out.path()
     }
 
-    /// What is on its way to the peer, and how much of it may be, in bytes.
-    pub fn on_its_way(&self) -> (u16, u16) {
-        self.out.on_its_way()
+    /// Returns the number of bytes in flight to the peer, and the current limit for it.
+    pub fn in_flight(&self) -> (u16, u16) {
+        self.out.in_flight()
     }
 
-    /// Bytes that may wait on a lane before it takes another message that must arrive.
+    /// Returns the number of bytes that may wait on a lane before the lane accepts another message that must arrive.
     pub fn backlog_limit_bytes(&self) -> usize {
         self.out.backlog_limit_bytes()
     }
 
-    /// Both sides of a lane.
+    /// Returns the state and the counts of a lane, for sending and for receiving.
     pub fn lane_report(&self, lane: Lane, now: Instant) -> (OutLaneReport, InLaneReport) {
         (self.out.lane_report(lane, now), self.into.lane_report(lane))
     }

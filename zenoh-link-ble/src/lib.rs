@@ -1,37 +1,32 @@
 //! A Zenoh link over Bluetooth Low Energy: `ble/<address or name>#<options>`.
 //!
-//! One Zenoh batch travels as one SDU of an LE L2CAP connection-oriented channel. The wire format is in
-//! `PROTOCOL.md` beside this crate; [`advertisement`], [`hello`] and [`lanes`] are its three parts in code.
+//! Each Zenoh batch is sent as one SDU of an LE L2CAP connection-oriented channel. The wire format is defined in
+//! `PROTOCOL.md` in this crate and implemented by [`advertisement`], [`hello`] and [`lanes`].
 //!
-//! Zenoh meets this crate in [`LinkManagerUnicastBle`]; a radio meets it in [`radio::Radio`].
+//! Zenoh uses this crate through [`LinkManagerUnicastBle`]. A radio is attached through [`radio::Radio`].
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used))]
 mod adapter;
 pub mod address;
 pub mod advertisement;
-pub mod bye;
 mod dialer;
-mod ending;
+mod discovered;
 mod error;
-mod handshakes;
-mod heard;
+pub mod goodbye;
+mod handshake;
 pub mod hello;
-mod history;
 pub mod lanes;
-mod link;
-pub mod links;
+pub mod link;
 mod listener;
 pub mod locator;
 mod manager;
-mod namesake;
-mod node;
-mod opening;
-mod pause;
+mod name_conflict;
+mod pending_handshakes;
 mod plain;
 pub mod radio;
+mod rejected_peers;
 mod scanner;
 pub mod secret;
 pub mod status;
-mod strangers;
 mod traffic;
 
 pub use error::BleError;

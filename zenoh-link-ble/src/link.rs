@@ -1,4 +1,14 @@
-//! Owns an open link as Zenoh sees it, whichever way its batches go: by lanes, or bare to a plain peer.
+//! Implements Zenoh's link trait for an open link, whose batches travel on lanes or, to a plain peer, without framing.
+//!
+//! Delegates to `traffic` and `plain` for the batches. Its submodules decide which links exist ([`table`]), end a link
+//! once (`close_once`), delay its successor (`reroute_holdoff`), and keep what all links of a node share (`node`,
+//! `history`).
+pub(crate) mod close_once;
+pub(crate) mod history;
+pub(crate) mod node;
+pub(crate) mod reroute_holdoff;
+pub mod table;
+
 use std::{
     sync::{
         atomic::{AtomicBool, Ordering},
@@ -17,30 +27,28 @@ use zenoh_protocol::{
 use zenoh_result::ZResult;
 
 use crate::{
-    ending::Ending,
-    error::{in_words, into_zenoh, BleError},
+    error::{describe, into_zenoh, BleError},
+    handshake::own_window,
     hello::Hello,
     lanes::Lane,
-    links::LinkNumber,
+    link::{close_once::CloseOnce, node::Node, table::LinkNumber},
     locator::{Queueing, BLE_LOCATOR_PREFIX},
-    node::Node,
-    opening::own_window,
     plain::Plain,
     radio::Channel,
     status::LinkStatus,
     traffic::{Tasks, Traffic, TrafficOptions},
 };
 
-/// How a peer speaks.
+/// The framing of the batches of a link.
 pub(crate) enum Framing {
-    /// By lanes, as `PROTOCOL.md` says; the windows are what each side takes unacknowledged, in bytes.
+    /// On lanes: see section 4 of `PROTOCOL.md`. The windows are the numbers of bytes that each side accepts unacknowledged.
     Lanes { own_window: u16, peer_window: u16 },
-    /// Bare batches, for peers without a hello; the first one may have come already.
+    /// Bare batches, for peers without a hello. `first` is a batch that was received already.
     Plain { first: Option<Vec<u8>> },
 }
 
 impl Framing {
-    /// As a peer that said hello speaks, or one that did not.
+    /// Returns the framing for a peer that has sent a hello, or for a plain peer (`None`) and its first batch.
     pub(crate) fn with(
         channel: &Arc<dyn Channel>,
         peer: Option<&Hello>,
@@ -56,7 +64,7 @@ impl Framing {
     }
 }
 
-/// What a link is made of once the opening is done.
+/// The parts of a link after its handshake.
 pub(crate) struct Opened {
     pub channel: Arc<dyn Channel>,
     pub framing: Framing,
@@ -67,6 +75,7 @@ pub(crate) struct Opened {
     pub replaced: CancellationToken,
 }
 
+/// An open link, as Zenoh uses it.
 pub(crate) struct LinkBle {
     channel: Arc<dyn Channel>,
     batches: Batches,
@@ -75,7 +84,7 @@ pub(crate) struct LinkBle {
     dst: Locator,
     number: LinkNumber,
     since: Instant,
-    ending: Arc<Ending>,
+    close_once: Arc<CloseOnce>,
     linger: Duration,
     is_closed: AtomicBool,
 }
@@ -83,7 +92,7 @@ pub(crate) struct LinkBle {
 enum Batches {
     Lanes {
         traffic: Arc<Traffic>,
-        /// They end with the link.
+        /// The tasks of the link, which end with it.
         _tasks: Tasks,
     },
     Plain(Plain),
@@ -105,11 +114,12 @@ impl LinkBle {
         } else {
             peer_name
         };
-        // The number tells this link from an earlier one with the same peer: Zenoh knows links by their locators.
+        // Zenoh identifies links by their locators. The number distinguishes this link from an earlier one with the same
+        // peer.
         let src = Locator::new(BLE_LOCATOR_PREFIX, &adapter, format!("link={}", number.0))?;
         let dst = Locator::new(BLE_LOCATOR_PREFIX, &peer, "")?;
-        tracing::info!("ble: linked with {peer} by {adapter}");
-        let ending = Ending::of(Arc::clone(&node), number, peer.clone());
+        tracing::info!("ble: linked with {peer} on {adapter}");
+        let close_once = CloseOnce::new(Arc::clone(&node), number, peer.clone());
         let batches = match framing {
             Framing::Lanes {
                 own_window,
@@ -121,8 +131,9 @@ impl LinkBle {
                     own_window,
                     peer_window,
                 };
-                let (channel, ending) = (Arc::clone(&channel), Arc::clone(&ending));
-                let (traffic, _tasks) = Traffic::start(channel, peer, options, ending, replaced);
+                let (channel, close_once) = (Arc::clone(&channel), Arc::clone(&close_once));
+                let (traffic, _tasks) =
+                    Traffic::start(channel, peer, options, close_once, replaced);
                 Batches::Lanes { traffic, _tasks }
             }
             Framing::Plain { first } => {
@@ -137,7 +148,7 @@ impl LinkBle {
             dst,
             number,
             since: Instant::now(),
-            ending,
+            close_once,
             linger: queueing.linger,
             is_closed: AtomicBool::new(false),
         });
@@ -145,7 +156,7 @@ impl LinkBle {
         Ok(link)
     }
 
-    /// Whether it still carries batches, as far as is known.
+    /// Returns an error if the link is known to have ended.
     pub(crate) fn check(&self) -> Result<(), BleError> {
         match &self.batches {
             Batches::Lanes { traffic, .. } => traffic.check(),
@@ -153,7 +164,7 @@ impl LinkBle {
         }
     }
 
-    /// Waits until it has ended. A plain link shows its end only to a reader.
+    /// Waits until the link has ended. The end of a plain link is noticed only when it is read: this then never returns.
     pub(crate) async fn ended(&self) {
         match &self.batches {
             Batches::Lanes { traffic, .. } => traffic.ended().await,
@@ -161,7 +172,7 @@ impl LinkBle {
         }
     }
 
-    /// What can be told of it.
+    /// Returns the state of the link.
     pub(crate) fn status(&self) -> LinkStatus {
         let (lanes, sent, received) = match &self.batches {
             Batches::Lanes { traffic, .. } => {
@@ -202,7 +213,7 @@ impl LinkBle {
             (Batches::Lanes { traffic, .. }, Some(priority)) => {
                 traffic.read(Lane::of(priority)).await?
             }
-            // Zenoh names no priority during its handshake, and always one after it.
+            // Zenoh gives no priority during its handshake, and always one after it.
             (Batches::Lanes { traffic, .. }, None) => traffic.read_handshake().await?,
             (Batches::Plain(plain), _) => plain.read().await?,
         };
@@ -220,12 +231,12 @@ impl LinkBle {
 impl Drop for LinkBle {
     fn drop(&mut self) {
         self.channel.shutdown();
-        self.ending.happens("nobody needs it");
-        self.ending.released();
+        self.close_once.close("Zenoh dropped it");
+        self.close_once.release();
     }
 }
 
-/// The lane to send on. Zenoh names no priority during its handshake.
+/// Returns the lane to send on. Zenoh gives no priority during its handshake, which takes place on the first lane.
 fn lane_of(priority: Option<Priority>) -> Lane {
     Lane::of(priority.unwrap_or(Priority::Control))
 }
@@ -261,7 +272,7 @@ impl LinkUnicastTrait for LinkBle {
     }
 
     fn get_auth_id(&self) -> &LinkAuthId {
-        // Zenoh's list of identities is closed; a serial line is the nearest: one radio, no addresses of its own.
+        // Zenoh's enumeration of identities has none for Bluetooth. A serial line is the closest: it has no addresses either.
         &LinkAuthId::Serial
     }
 
@@ -274,7 +285,7 @@ impl LinkUnicastTrait for LinkBle {
         let sent = self.send_batch(lane_of(priority), buffer).await;
         match &sent {
             Ok(()) | Err(BleError::BatchTooLarge { .. }) => {}
-            Err(error) => self.ending.happens(&in_words(error)),
+            Err(error) => self.close_once.close(&describe(error)),
         }
         sent.map_err(into_zenoh)
     }
@@ -282,20 +293,20 @@ impl LinkUnicastTrait for LinkBle {
     async fn read(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<usize> {
         let received = self.receive_batch(priority, buffer).await;
         if let Err(error) = &received {
-            self.ending.happens(&in_words(error));
+            self.close_once.close(&describe(error));
         }
         received.map_err(into_zenoh)
     }
 
     async fn read_exact(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<()> {
-        let wanted = buffer.len();
+        let expected = buffer.len();
         let size = self.read(buffer, priority).await?;
-        if size == wanted {
+        if size == expected {
             return Ok(());
         }
         Err(into_zenoh(BleError::Protocol {
             peer: self.channel.peer(),
-            what: format!("a batch of {size} bytes where {wanted} were wanted"),
+            what: format!("a batch of {size} bytes where {expected} were expected"),
         }))
     }
 
@@ -305,8 +316,8 @@ impl LinkUnicastTrait for LinkBle {
                 traffic.finish(self.linger).await;
             }
             self.channel.shutdown();
-            self.ending.happens("closed here");
-            self.ending.released();
+            self.close_once.close("closed by this side");
+            self.close_once.release();
         }
         Ok(())
     }
@@ -314,7 +325,7 @@ impl LinkUnicastTrait for LinkBle {
     #[cfg(all(feature = "uring", target_os = "linux"))]
     fn get_fd(&self) -> ZResult<std::os::fd::RawFd> {
         Err(zenoh_result::zerror!(
-            "a ble link has no file descriptor for io_uring: leave `uring` off for it"
+            "a ble link has no file descriptor for io_uring: disable `uring` for it"
         )
         .into())
     }

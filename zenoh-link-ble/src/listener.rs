@@ -1,4 +1,5 @@
-//! Owns listening: on one adapter, take channels, hear hellos, hand links to Zenoh; come back when the adapter does.
+//! Listens on one adapter: advertises, accepts channels, performs handshakes and hands the links to Zenoh. Listens again
+//! after the adapter was unavailable.
 use std::{future::Future, sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
@@ -10,29 +11,32 @@ use crate::{
     adapter::Adapter,
     address::DeviceAddress,
     advertisement::Advertisement,
-    error::{in_words, BleError},
-    handshakes::{Admission, Handshakes, Place, PLACES},
-    hello::{Hello, Opening, VERSION},
-    link::{Framing, LinkBle, Opened},
-    links::Verdict,
+    error::{describe, BleError},
+    handshake::{agreed_mtu, answer, channel_options, own_window, receive_hello, refuse, FirstSdu},
+    hello::{HandshakeMessage, Hello, VERSION},
+    link::{
+        node::{ListenerIdentity, Node},
+        table::Verdict,
+        Framing, LinkBle, Opened,
+    },
     locator::ListenLocator,
-    namesake::{NameSearch, Namesake},
-    node::{Listening, Node},
-    opening::{agreed_mtu, answer, channel_options, hear_hello, own_window, refuse, FirstSdu},
+    name_conflict::{NameConflictCheck, NameSearch},
+    pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
     radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
     secret::Secret,
 };
 
-/// How often to look again at an adapter that is away, beside being told.
-const LOOK_AGAIN: Duration = Duration::from_secs(2);
+/// How often the state of the adapter is checked in addition to the radio's notifications.
+const STATE_POLL_INTERVAL: Duration = Duration::from_secs(2);
 
-/// A listener that is up: a channel listener and an advertisement.
-pub(crate) struct Up {
+/// The resources of a listener on an adapter that is on: a channel listener and an advertisement.
+pub(crate) struct BoundListener {
     epoch: u64,
     channels: Box<dyn ChannelListener>,
     _advertising: Box<dyn AdvertisingGuard>,
 }
 
+/// A listener on one adapter, with the handshakes that are in progress.
 pub(crate) struct Listener {
     node: Arc<Node>,
     adapter: Arc<Adapter>,
@@ -40,17 +44,20 @@ pub(crate) struct Listener {
     name: String,
     secret: Option<Secret>,
     options: ChannelOptions,
-    handshakes: Mutex<Handshakes>,
+    handshakes: Mutex<PendingHandshakes>,
 }
 
 impl Listener {
-    /// Goes on the air; fails if it can't be done now, unless an adapter that is away is to be waited for: then there is no
-    /// [`Up`] yet. Links come once [`Listener::serve`] runs. The search for another robot of the same name begins with it:
-    /// dialling waits for its end.
+    /// Begins to listen and to advertise, and searches for another robot with the same name; dialling waits for the result.
+    /// Links are accepted once [`Listener::serve`] runs. If the adapter is unavailable and the locator has `wait=true`, there
+    /// is no [`BoundListener`] yet.
+    ///
+    /// # Errors
+    /// Fails if the secret cannot be read or the radio reports an error.
     pub(crate) async fn start(
         node: Arc<Node>,
         locator: ListenLocator,
-    ) -> Result<(Arc<Self>, Option<(Up, NameSearch)>), BleError> {
+    ) -> Result<(Arc<Self>, Option<(BoundListener, NameSearch)>), BleError> {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
         let secret = locator.secret.as_deref().map(Secret::read).transpose()?;
@@ -64,57 +71,61 @@ impl Listener {
             options,
             handshakes: Mutex::default(),
         });
-        let search = listener.namesake().search();
-        let up = match listener.bring_up().await {
-            Ok(up) => Some((up, search)),
-            Err(error) if listener.locator.wait && error.is_adapter_away() => {
+        let search = listener.name_conflict_check().search();
+        let bound = match listener.bind().await {
+            Ok(bound) => Some((bound, search)),
+            Err(error) if listener.locator.wait && error.is_adapter_unavailable() => {
                 tracing::warn!(
-                    "ble: {} does not listen until there is {}: {}",
+                    "ble: {} does not listen until {} is available: {}",
                     listener.name,
                     listener.locator.adapter,
-                    in_words(&error)
+                    describe(&error)
                 );
                 None
             }
             Err(error) => return Err(error.into()),
         };
-        listener.node.on_listening(Listening {
+        listener.node.on_listening(ListenerIdentity {
             adapter: listener.locator.adapter.clone(),
             name: listener.name.clone(),
             secret: listener.secret.clone(),
         });
-        Ok((listener, up))
+        Ok((listener, bound))
     }
 
-    /// Two robots of one name would be dialled by turns: the second one to come finds out. The listener serves
-    /// meanwhile, so that a robot that was away is back without delay.
+    /// Waits for the result of the search for another robot with the same name. Peers would dial either of the two, so the
+    /// second robot to start reports the conflict. The listener serves meanwhile, so that peers can reconnect to a restarted
+    /// robot without delay.
+    ///
+    /// # Errors
+    /// Fails if another robot uses the name.
     pub(crate) async fn check_name(&self, search: NameSearch) -> Result<(), BleError> {
         match search.await {
             Ok(Ok(Some(other))) => Err(self.name_taken(other)),
             Ok(Ok(None)) => Ok(()),
             Err(_) => Err(BleError::ShuttingDown),
-            // The listener is up all the same: a robot that starts while its adapter is busy must not stay away.
+            // The listener continues. A robot must be reachable even if its adapter is busy when it starts.
             Ok(Err(error)) => {
                 tracing::warn!(
-                    "ble: whether another robot is called {} is not known: {}",
+                    "ble: cannot find out whether another robot uses the name {}: {}",
                     self.name,
-                    in_words(&error)
+                    describe(&error)
                 );
                 Ok(())
             }
         }
     }
 
-    /// Tells of a robot of the same name that is heard too late to be an error.
+    /// Logs an error if another robot with the same name is discovered after [`Listener::check_name`].
     pub(crate) async fn watch_name(&self) {
         self.until_on().await;
-        if let Ok(Some(other)) = self.namesake().watch().await {
+        if let Ok(Some(other)) = self.name_conflict_check().watch().await {
             tracing::error!("ble: {}", self.name_taken(other));
         }
     }
 
-    fn namesake(&self) -> Namesake {
-        Namesake {
+    fn name_conflict_check(&self) -> NameConflictCheck {
+        NameConflictCheck {
             adapter: Arc::clone(&self.adapter),
             name: self.name.clone(),
             incarnation: self.node.incarnation(),
@@ -128,7 +139,8 @@ impl Listener {
         }
     }
 
-    async fn bring_up(&self) -> Result<Up, RadioError> {
+    /// Opens the channel listener and begins to advertise.
+    async fn bind(&self) -> Result<BoundListener, RadioError> {
         let radio = &self.adapter.radio;
         let epoch = radio.epoch();
         let channels = radio.listen(self.locator.psm, self.options).await?;
@@ -147,7 +159,7 @@ impl Listener {
             self.locator.adapter,
             channels.psm()
         );
-        Ok(Up {
+        Ok(BoundListener {
             epoch,
             channels,
             _advertising: advertising,
@@ -155,59 +167,65 @@ impl Listener {
     }
 
     /// Hands links to Zenoh until the future is dropped.
-    pub(crate) async fn serve(self: Arc<Self>, mut up: Option<Up>) {
-        let _listening = StopsListening(Arc::clone(&self));
-        let mut greetings = JoinSet::new();
+    pub(crate) async fn serve(self: Arc<Self>, mut bound: Option<BoundListener>) {
+        let _listening = ListeningGuard(Arc::clone(&self));
+        let mut handshakes = JoinSet::new();
         loop {
-            let running = match up.take() {
+            let running = match bound.take() {
                 Some(running) => running,
-                None => self.come_back().await,
+                None => self.rebind().await,
             };
-            let reason = self.accept_while_on(&running, &mut greetings).await;
+            let reason = self.accept_while_on(&running, &mut handshakes).await;
             tracing::warn!(
-                "ble: {} is away: {reason}; listening again when it is back",
+                "ble: {} is unavailable: {reason}; listening again when it is available",
                 self.locator.adapter
             );
         }
     }
 
-    /// Takes channels until the adapter is off or gone; tells why.
-    async fn accept_while_on(self: &Arc<Self>, up: &Up, greetings: &mut JoinSet<()>) -> String {
+    /// Accepts channels until the adapter is off or missing, and returns the reason.
+    async fn accept_while_on(
+        self: &Arc<Self>,
+        bound: &BoundListener,
+        handshakes: &mut JoinSet<()>,
+    ) -> String {
         let radio = &self.adapter.radio;
         loop {
             tokio::select! {
-                accepted = up.channels.accept() => match accepted {
+                accepted = bound.channels.accept() => match accepted {
                     Ok(channel) => {
-                        if let Some(held) = HeldPlace::of(self, channel.peer()) {
+                        if let Some(permit) = HandshakePermit::acquire(self, channel.peer()) {
                             let listener = Arc::clone(self);
-                            greetings.spawn(async move { listener.greet(channel, held).await });
+                            handshakes
+                                .spawn(async move { listener.handle_channel(channel, permit).await });
                         }
                     }
                     Err(error) => return error.to_string(),
                 },
-                Some(_) = greetings.join_next() => {}
+                Some(_) = handshakes.join_next() => {}
                 () = wait_for_change(radio.as_ref()) => match radio.state().await {
-                    AdapterState::On if radio.epoch() == up.epoch => {}
+                    AdapterState::On if radio.epoch() == bound.epoch => {}
                     AdapterState::On => return "it, or bluetoothd, was restarted".to_owned(),
                     AdapterState::Off => return "it is switched off".to_owned(),
-                    AdapterState::Missing => return "it is gone".to_owned(),
+                    AdapterState::Missing => return "it was removed".to_owned(),
                 },
             }
         }
     }
 
-    async fn come_back(&self) -> Up {
-        let mut complained = false;
+    /// Waits until the adapter is on again and binds to it. Only the first error is logged.
+    async fn rebind(&self) -> BoundListener {
+        let mut has_warned = false;
         loop {
             self.until_on().await;
-            match self.bring_up().await {
-                Ok(up) => return up,
-                Err(error) if !complained => {
-                    complained = true;
+            match self.bind().await {
+                Ok(bound) => return bound,
+                Err(error) if !has_warned => {
+                    has_warned = true;
                     tracing::warn!(
-                        "ble: {} does not listen yet: {}",
+                        "ble: cannot listen on {} yet: {}",
                         self.locator.adapter,
-                        in_words(&error)
+                        describe(&error)
                     );
                 }
                 Err(_) => {}
@@ -216,18 +234,19 @@ impl Listener {
         }
     }
 
+    /// Waits until the adapter is on.
     async fn until_on(&self) {
         while self.adapter.radio.state().await != AdapterState::On {
             wait_for_change(self.adapter.radio.as_ref()).await;
         }
     }
 
-    /// Hears a peer's hello, answers it, and hands the link over. Whatever goes wrong ends this channel only.
-    async fn greet(&self, channel: Arc<dyn Channel>, held: HeldPlace) {
+    /// Performs the handshake on a channel and hands the link to Zenoh. An error ends only this channel.
+    async fn handle_channel(&self, channel: Arc<dyn Channel>, permit: HandshakePermit) {
         let peer = channel.peer();
-        let greeting = self.node.on_greeting(peer);
-        let opened = self.open(channel, peer, held).await;
-        drop(greeting);
+        let handshake = self.node.begin_handshake(peer);
+        let opened = self.open(channel, peer, permit).await;
+        drop(handshake);
         match opened {
             Ok(Some(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
@@ -238,36 +257,37 @@ impl Listener {
                     .await
                     .is_err()
                 {
-                    tracing::debug!("ble: {peer} came while this router stops");
+                    tracing::debug!("ble: dropped a link with {peer}: the router is stopping");
                 }
             }
             Ok(None) => {}
             Err(error) => {
-                if let BleError::Astray { .. } = error {
-                    self.node.links().on_astray(peer);
+                if let BleError::Misdirected { .. } = error {
+                    self.node.link_table().on_misdirected(peer);
                 }
-                tracing::warn!("ble: no link with {peer}: {}", in_words(&error));
+                tracing::warn!("ble: no link with {peer}: {}", describe(&error));
             }
         }
     }
 
+    /// Performs the handshake. Returns the link, or `None` if it was refused or evicted.
     async fn open(
         &self,
         channel: Arc<dyn Channel>,
         device: DeviceAddress,
-        held: HeldPlace,
+        permit: HandshakePermit,
     ) -> Result<Option<Arc<LinkBle>>, BleError> {
-        let heard = hear_hello(&channel, self.node.id, self.secret.as_ref());
-        let Some(heard) = held.unless_evicted(heard).await else {
+        let received = receive_hello(&channel, self.node.id, self.secret.as_ref());
+        let Some(received) = permit.unless_evicted(received).await else {
             return Ok(None);
         };
-        let (peer, first) = match heard? {
+        let (peer, first) = match received? {
             FirstSdu::Hello(hello) => (Some(hello), None),
             FirstSdu::Plain(batch) => (None, Some(batch)),
         };
         let mtu = agreed_mtu(&channel, self.locator.mtu, peer.as_ref())?;
         let replaced = CancellationToken::new();
-        let (verdict, number) = self.node.links().on_hello(
+        let (verdict, number) = self.node.link_table().on_hello(
             &self.name,
             peer.as_ref(),
             device,
@@ -281,9 +301,9 @@ impl Listener {
                 let reason = refusal.own_reason();
                 tracing::info!("ble: refused a link with {device}: {reason}");
                 if peer.is_some() {
-                    if let Some(refused) = held.unless_evicted(refuse(&channel, refusal)).await {
-                        // Its handshake was a right one all the same.
-                        held.succeed();
+                    if let Some(refused) = permit.unless_evicted(refuse(&channel, refusal)).await {
+                        // The peer completed a correct handshake, although it was refused.
+                        permit.succeed();
                         refused?;
                     }
                 }
@@ -291,8 +311,8 @@ impl Listener {
             }
             (Verdict::Accept, None) => return Ok(None),
         };
-        // From here on max_links is the bound.
-        held.succeed();
+        // From here on, max_links limits the number of links.
+        permit.succeed();
         let opened = Opened {
             channel: Arc::clone(&channel),
             framing: Framing::with(&channel, peer.as_ref(), first),
@@ -317,77 +337,82 @@ impl Listener {
                 name: self.name.clone(),
                 nonce: None,
             };
-            answer(&channel, Opening::Accept(own)).await?;
+            answer(&channel, HandshakeMessage::Accept(own)).await?;
         }
         tokio::select! {
-            () = self.node.pause(number) => {}
+            () = self.node.wait_for_holdoff(number) => {}
             () = link.ended() => {}
         }
-        // Zenoh gets no link that ended meanwhile.
+        // A link that has ended meanwhile is not handed to Zenoh.
         link.check().map(|()| Some(link))
     }
 }
 
-/// The place of a handshake; dropping it frees the place.
-struct HeldPlace {
+/// The permission to perform a handshake. Dropping it ends the handshake.
+struct HandshakePermit {
     listener: Arc<Listener>,
-    place: Place,
+    id: HandshakeId,
     evicted: CancellationToken,
 }
 
-impl HeldPlace {
-    /// Takes a place for a new channel, which may end an older handshake; `None` if others come first.
-    fn of(listener: &Arc<Listener>, device: DeviceAddress) -> Option<Self> {
+impl HandshakePermit {
+    /// Requests a permit for a new channel, which may evict an older handshake. Returns `None` if others take precedence.
+    fn acquire(listener: &Arc<Listener>, device: DeviceAddress) -> Option<Self> {
         let evicted = CancellationToken::new();
         let now = Instant::now().into_std();
         let admission = (listener.handshakes.lock()).on_channel(device, evicted.clone(), now);
-        let place = match admission {
-            Admission::Admitted(place) => place,
-            Admission::InsteadOf(place, loser) => {
-                tracing::debug!("ble: dropped an unfinished handshake with {loser} for {device}");
-                place
+        let id = match admission {
+            Admission::Admitted(id) => id,
+            Admission::AdmittedInsteadOf(id, replaced) => {
+                tracing::debug!(
+                    "ble: dropped an unfinished handshake with {replaced} in favour of {device}"
+                );
+                id
             }
-            Admission::TurnedAway => {
-                tracing::debug!("ble: turned away {device}: {PLACES} handshakes are under way");
+            Admission::Rejected => {
+                tracing::debug!(
+                    "ble: closed a channel of {device}: {MAX_HANDSHAKES} handshakes are in progress"
+                );
                 return None;
             }
         };
         Some(Self {
             listener: Arc::clone(listener),
-            place,
+            id,
             evicted,
         })
     }
 
-    /// Runs a step of the handshake; `None` if a newer channel takes this one's place meanwhile.
+    /// Runs a step of the handshake. Returns `None` if the handshake is evicted meanwhile.
     async fn unless_evicted<T>(&self, step: impl Future<Output = T>) -> Option<T> {
         self.evicted.run_until_cancelled(step).await
     }
 
-    /// Frees the place after a handshake that succeeded.
+    /// Ends the handshake as a success.
     fn succeed(self) {
-        self.listener.handshakes.lock().on_succeeded(self.place);
+        self.listener.handshakes.lock().on_succeeded(self.id);
     }
 }
 
-impl Drop for HeldPlace {
+impl Drop for HandshakePermit {
     fn drop(&mut self) {
-        // Does nothing after a success.
+        // This has no effect after a success.
         let now = Instant::now().into_std();
-        self.listener.handshakes.lock().on_failed(self.place, now);
+        self.listener.handshakes.lock().on_failed(self.id, now);
     }
 }
 
-/// Takes this node's listener off the list when its task ends, however it ends.
-struct StopsListening(Arc<Listener>);
+/// Removes this listener from its node when its task ends.
+struct ListeningGuard(Arc<Listener>);
 
-impl Drop for StopsListening {
+impl Drop for ListeningGuard {
     fn drop(&mut self) {
         self.0.node.on_listening_ended(&self.0.locator.adapter);
     }
 }
 
-/// Told by the radio, or after a while: an event between two looks must not be missed for ever.
+/// Waits until the radio reports a change, or for [`STATE_POLL_INTERVAL`], so that an event between two calls is not missed
+/// forever.
 async fn wait_for_change(radio: &dyn crate::radio::Radio) {
-    let _ = tokio::time::timeout(LOOK_AGAIN, radio.changed()).await;
+    let _ = tokio::time::timeout(STATE_POLL_INTERVAL, radio.changed()).await;
 }

@@ -1,5 +1,5 @@
-//! Owns the reading of `ble/<address or name>#<options>`: everything a user can write in a locator ends here as a
-//! typed value, or as an error that names the part that is wrong.
+//! Parses locators, `ble/<address or name>#<options>`, into typed values. An invalid locator is rejected with an error that
+//! names the offending part.
 use std::{fmt, path::PathBuf, time::Duration};
 
 use zenoh_protocol::core::EndPoint;
@@ -16,40 +16,42 @@ use crate::{
 mod error;
 mod options;
 
-/// The protocol's name in a locator.
+/// The name of the protocol in a locator.
 pub const BLE_LOCATOR_PREFIX: &str = "ble";
 
-/// The largest Zenoh batch this side takes when `mtu=` is left out, in bytes: with its framing it fills three K-frames of
-/// 247 bytes, each of which fills a packet of 251. At 34 kB/s it holds the radio for 22 ms; a smaller one costs more than
-/// 2 % in headers.
+/// The default of `mtu=`, in bytes: the largest Zenoh batch that this side accepts. With its framing, such a batch fills
+/// three K-frames of 247 bytes, each of which fills a packet of 251 bytes. At 34 kB/s it occupies the radio for 22 ms; a
+/// smaller MTU costs more than 2 % for headers.
 pub const DEFAULT_MTU: u16 = 736;
-/// The largest `mtu=`, in bytes.
+/// The largest value of `mtu=`, in bytes.
 pub const MAX_MTU: u16 = 8000;
-/// How many links a listener takes when `max_links=` is left out: what common controllers manage.
+/// The default of `max_links=`: the number of links that common controllers support.
 pub const DEFAULT_MAX_LINKS: usize = 7;
-/// How long a connect may take when `timeout=` is left out. Zenoh's own limit for opening a link
+/// The default of `timeout=`: how long a dial may take. Zenoh's own limit for opening a link
 /// (`transport/unicast/open_timeout`) is 10 s and includes its handshake.
 pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
 
-/// In the place of a peer: anyone.
-const ANYONE: &str = "*";
+/// Stands for any peer of a fleet, in the place of a name.
+const ANY_PEER: &str = "*";
 
-/// The limits of what waits on a link when `queue=`, `backlog=` and `droppable=` are left out. 16 MB are one message of the largest
-/// size that our configurations let in; the memory is taken as it is needed, and a robot with 1 GB has it.
+/// The defaults of `queue=`, `backlog=` and `droppable=`. 16 MiB hold one message of the largest size that our
+/// configurations accept. The memory is allocated as needed, and a robot with 1 GB can afford it.
 pub const DEFAULT_BOUNDS: Bounds = Bounds {
     bytes: 16 << 20,
     backlog: Duration::from_millis(1000),
     droppable: Duration::from_millis(100),
 };
-/// How long a closing side waits for the peer to take what was sent before, when `linger=` is left out.
+/// The default of `linger=`: how long a closing side waits until the peer has read what was sent before.
 pub const DEFAULT_LINGER: Duration = Duration::from_secs(5);
 
-/// How the batches of a link are queued. A plain peer has no queues.
+/// How the batches of a link are queued. A link with a plain peer has no queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Queueing {
-    /// `queue=`, in bytes, `backlog=` and `droppable=`, in milliseconds: what may wait on the link.
+    /// `queue=` in bytes, `backlog=` and `droppable=` in milliseconds: the limits of what waits on the link. Default:
+    /// [`DEFAULT_BOUNDS`].
     pub bounds: Bounds,
-    /// `linger=`, in milliseconds: how long a closing side waits until the peer has taken what was sent before.
+    /// `linger=` in milliseconds: how long a closing side waits until the peer has read what was sent before. Default:
+    /// [`DEFAULT_LINGER`].
     pub linger: Duration,
 }
 
@@ -62,14 +64,14 @@ impl Default for Queueing {
     }
 }
 
-/// Whom to dial.
+/// The peer to dial.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// The device of that address.
+    /// The device with that address.
     Address(Address),
-    /// Whoever advertises that name.
+    /// The robot that advertises that name.
     Name(String),
-    /// Anyone who advertises that fleet and is not linked yet.
+    /// Any robot that advertises that fleet and is not linked yet.
     Fleet(String),
 }
 
@@ -78,58 +80,61 @@ impl fmt::Display for Target {
         match self {
             Self::Address(address) => address.fmt(f),
             Self::Name(name) => f.write_str(name),
-            Self::Fleet(fleet) => write!(f, "anyone of fleet {fleet}"),
+            Self::Fleet(fleet) => write!(f, "any robot of fleet {fleet}"),
         }
     }
 }
 
-/// `ble/<address or name>#...` or `ble/*#fleet=...`: what to dial and how.
+/// A locator to dial: `ble/<address or name>#...` or `ble/*#fleet=...`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConnectLocator {
-    /// Whom.
+    /// The peer to dial.
     pub target: Target,
-    /// `adapter=`: the local adapter; left out, that of this node's listener, else the system's default one.
+    /// `adapter=`: name of the local adapter. Default: that of this node's listener, or else the system's default.
     pub adapter: Option<String>,
-    /// `psm=`: left out, the advertised one.
+    /// `psm=`: the PSM of the peer's listener. Default: the advertised one.
     pub psm: Option<Psm>,
-    /// `addr_type=`: left out, as discovered.
+    /// `addr_type=`: the type of the peer's address. Default: the discovered one.
     pub address_kind: Option<AddressType>,
-    /// `sec=`.
+    /// `sec=`: the protection of the channel. Default: low.
     pub security: Security,
-    /// `secret=`: the file with the team's secret; left out, that of this node's listener.
+    /// `secret=`: path of the file with the team's secret. Default: the secret of this node's listener.
     pub secret: Option<PathBuf>,
-    /// `mtu=`, in bytes.
+    /// `mtu=`: the largest batch that this side accepts, in bytes. Default: [`DEFAULT_MTU`].
     pub mtu: u16,
-    /// `queue=`, `backlog=`, `droppable=`, `linger=`.
+    /// `queue=`, `backlog=`, `droppable=` and `linger=`.
     pub queueing: Queueing,
-    /// `timeout=`, in milliseconds: for finding, connecting and the hello together.
+    /// `timeout=` in milliseconds: time for discovery, connecting and the handshake together. Default:
+    /// [`DEFAULT_CONNECT_TIMEOUT`].
     pub timeout: Duration,
-    /// `plain=true`: no hello and no framing, for a peer that speaks bare one-batch-per-SDU. Left out, as advertised.
+    /// `plain=true`: the link has no hello and no framing, for a peer that sends one bare batch per SDU. Default: as
+    /// advertised.
     pub plain: Option<bool>,
 }
 
-/// `ble/<adapter>#...`: where to listen and how.
+/// A locator to listen on: `ble/<adapter>#...`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ListenLocator {
-    /// The local adapter.
+    /// Name of the local adapter.
     pub adapter: String,
-    /// `name=`: the name to advertise; left out, the host's name.
+    /// `name=`: the name to advertise. Default: the host name.
     pub name: Option<String>,
-    /// `fleet=`: the fleet to advertise; left out, none.
+    /// `fleet=`: the fleet to advertise. Default: none.
     pub fleet: Option<String>,
-    /// `psm=`: left out, one of the system's choice.
+    /// `psm=`: the PSM to listen on. Default: chosen by the system.
     pub psm: Option<Psm>,
-    /// `sec=`.
+    /// `sec=`: the protection of channels. Default: low.
     pub security: Security,
-    /// `secret=`: the file with the team's secret, which whoever is linked must have; left out, anyone is.
+    /// `secret=`: path of the file with the team's secret, which every peer must have. Default: none, and any peer is
+    /// accepted.
     pub secret: Option<PathBuf>,
-    /// `mtu=`, in bytes.
+    /// `mtu=`: the largest batch that this side accepts, in bytes. Default: [`DEFAULT_MTU`].
     pub mtu: u16,
-    /// `queue=`, `backlog=`, `droppable=`, `linger=`.
+    /// `queue=`, `backlog=`, `droppable=` and `linger=`.
     pub queueing: Queueing,
-    /// `max_links=`.
+    /// `max_links=`: the largest number of accepted links. Default: [`DEFAULT_MAX_LINKS`].
     pub max_links: usize,
-    /// `wait=true`: an adapter that is not there, or off, is waited for; left out, it is an error.
+    /// `wait=true`: the listener waits for an adapter that is missing or switched off. Default: that is an error.
     pub wait: bool,
 }
 
@@ -164,20 +169,25 @@ const LISTEN_OPTIONS: [&str; 12] = [
 ];
 
 impl ConnectLocator {
-    /// Reads an endpoint to connect to.
+    /// Parses an endpoint to dial.
+    ///
+    /// # Errors
+    /// Fails if the target or an option is invalid, or if options contradict each other.
     pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
         let given = endpoint.address().as_str().to_owned();
         let options = Options::parse(endpoint, "connect", &CONNECT_OPTIONS)?;
         let fleet = options.fleet()?;
         let target = match given.parse() {
             Ok(address) => Target::Address(address),
-            Err(_) if given == ANYONE => Target::Fleet(fleet.clone().ok_or(LocatorError::NoFleet)?),
+            Err(_) if given == ANY_PEER => {
+                Target::Fleet(fleet.clone().ok_or(LocatorError::NoFleet)?)
+            }
             Err(_) if is_adapter(&given) => return Err(LocatorError::AdapterAsTarget { given }),
             Err(_) if is_name(&given) => Target::Name(given),
             Err(_) => return Err(LocatorError::Target { given }),
         };
         if fleet.is_some() && !matches!(target, Target::Fleet(_)) {
-            return Err(LocatorError::FleetOfOne);
+            return Err(LocatorError::FleetWithPeer);
         }
         let (secret, plain, security) = (options.secret()?, options.plain()?, options.security()?);
         if secret.is_some() && plain == Some(true) && security != Security::High {
@@ -199,7 +209,10 @@ impl ConnectLocator {
 }
 
 impl ListenLocator {
-    /// Reads an endpoint to listen on.
+    /// Parses an endpoint to listen on.
+    ///
+    /// # Errors
+    /// Fails if the adapter or an option is invalid.
     pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
         let adapter = endpoint.address().as_str().to_owned();
         if !is_adapter(&adapter) {
@@ -222,7 +235,8 @@ impl ListenLocator {
 }
 
 impl ListenLocator {
-    /// The name to listen as: the one given, or the host's; where neither can name a robot, the adapter's.
+    /// Returns the name to listen with: the given one, or the host name, or that of the adapter if the host name is not a
+    /// valid robot name.
     pub fn name(&self) -> String {
         let host = || std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
         let usable = |name: String| Some(name.trim().to_owned()).filter(|n| is_name(n));
@@ -233,12 +247,12 @@ impl ListenLocator {
     }
 }
 
-/// Whether the endpoint is one of this link's.
+/// Returns whether the endpoint has the protocol `ble`.
 pub fn is_ble(endpoint: &EndPoint) -> bool {
     endpoint.protocol().as_str() == BLE_LOCATOR_PREFIX
 }
 
-/// Whether `text` can name an adapter: `hci` and a number, or `sim...`.
+/// Returns whether `text` is a valid name of an adapter: `hci` and a number, or `sim...`.
 pub fn is_adapter(text: &str) -> bool {
     let hci = text
         .strip_prefix("hci")
@@ -246,12 +260,12 @@ pub fn is_adapter(text: &str) -> bool {
     hci || is_simulated(text)
 }
 
-/// Whether `text` names a simulated adapter.
+/// Returns whether `text` is a valid name of a simulated adapter.
 pub fn is_simulated(text: &str) -> bool {
     text.starts_with("sim") && text.len() <= 32 && text.bytes().all(is_name_byte)
 }
 
-/// Whether `text` can name a robot.
+/// Returns whether `text` is a valid name of a robot: 1 to [`MAX_NAME`] letters, digits, `-`, `_` or `.`.
 pub fn is_name(text: &str) -> bool {
     (1..=MAX_NAME).contains(&text.len()) && text.bytes().all(is_name_byte)
 }

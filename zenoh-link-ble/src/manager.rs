@@ -1,4 +1,4 @@
-//! Owns what Zenoh calls: the link manager of the `ble` protocol.
+//! Implements Zenoh's link manager of the `ble` protocol, which dials links and manages listeners.
 use std::{collections::HashMap, sync::Arc};
 
 use async_trait::async_trait;
@@ -12,17 +12,16 @@ use zenoh_result::ZResult;
 
 use crate::{
     dialer::dial,
-    error::{in_words, into_zenoh, BleError},
+    error::{describe, into_zenoh, BleError},
     hello::NodeId,
-    links::Census,
+    link::{node::Node, table::LinkCounts},
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
-    node::Node,
     radio::{bluez, sim, Radio, RadioError},
     status,
 };
 
-/// Tells Zenoh what kind of link `ble` is: unicast and reliable.
+/// Describes `ble` links to Zenoh: they are unicast and reliable.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BleLocatorInspector;
 
@@ -41,25 +40,26 @@ impl LocatorInspector for BleLocatorInspector {
     }
 }
 
-/// Makes and takes `ble` links for one Zenoh runtime.
+/// Dials and accepts `ble` links for one Zenoh runtime.
 pub struct LinkManagerUnicastBle {
     node: Arc<Node>,
     runtime: Handle,
-    listeners: Mutex<HashMap<String, Listening>>,
+    /// The listeners by the name of their adapter.
+    listeners: Mutex<HashMap<String, RunningListener>>,
 }
 
-struct Listening {
+struct RunningListener {
     endpoint: EndPoint,
-    /// What a peer can dial: the name, not this machine's adapter.
+    /// The locator that a peer can dial: it contains the name, and not this computer's adapter.
     locator: Locator,
-    // Dropping it ends the listener.
+    // Dropping the task ends the listener.
     _serving: AbortOnDropHandle<()>,
     _watching: AbortOnDropHandle<()>,
 }
 
 impl LinkManagerUnicastBle {
-    /// A manager over this machine's radios: BlueZ's, and the simulated air's for adapters named `sim...`. Those with the
-    /// same channel are of one Zenoh runtime, and are one node to its peers.
+    /// Creates a manager for this computer's radios: BlueZ's adapters, and simulated ones for names that begin with `sim`.
+    /// Accepted links are sent on `links`. Managers with the same channel belong to one Zenoh runtime and form one node.
     pub fn new(links: NewLinkChannelSender) -> Self {
         let runtime: &Handle = &zenoh_runtime::ZRuntime::Acceptor;
         let is_of_runtime = |node: &Node| node.new_links.same_channel(&links);
@@ -71,8 +71,8 @@ impl LinkManagerUnicastBle {
         }
     }
 
-    /// A manager over radios of the caller's, with its tasks on `runtime`: for tests. `node` must be no other's; whatever
-    /// this node leaves to chance follows from it.
+    /// Creates a manager for the radios that `open_radio` returns, with its tasks on `runtime`: for tests. `node` must be
+    /// unique. All random decisions of the node are derived from it.
     pub fn with_radios(
         links: NewLinkChannelSender,
         runtime: Handle,
@@ -87,12 +87,13 @@ impl LinkManagerUnicastBle {
         }
     }
 
-    /// How many links and dials there are now.
-    pub fn census(&self) -> Census {
-        self.node.links().census()
+    /// Returns the current number of links and dials.
+    pub fn link_counts(&self) -> LinkCounts {
+        self.node.link_table().link_counts()
     }
 
-    /// Radio sockets and tasks belong to one runtime that lives as long as Zenoh, whoever calls.
+    /// Runs `work` on the manager's runtime. Sockets and tasks of the radio need a runtime that lives as long as Zenoh,
+    /// regardless of the caller's.
     async fn on_runtime<T: Send + 'static>(
         &self,
         work: impl std::future::Future<Output = Result<T, BleError>> + Send + 'static,
@@ -116,17 +117,17 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
                     .run_until_cancelled(dial(&node, &locator));
                 let dialled = dialling.await.unwrap_or(Err(BleError::ShuttingDown));
                 if let Err(error) = &dialled {
-                    // Zenoh tries again and says so at debug level only; a person wants to know why nothing comes.
-                    let words = in_words(error);
-                    tracing::debug!("ble: no link to {}: {words}", locator.target);
-                    let is_trouble = match error {
+                    // Zenoh dials again and logs the reason only at debug level. The status shows it to the user.
+                    let reason = describe(error);
+                    tracing::debug!("ble: no link with {}: {reason}", locator.target);
+                    let is_failure = match error {
                         BleError::AlreadyLinked { .. } | BleError::ShuttingDown => false,
-                        // Of a fleet there need not be anyone more.
+                        // A fleet need not have any more robots.
                         BleError::NotFound { .. } => !matches!(locator.target, Target::Fleet(_)),
                         _ => true,
                     };
-                    if is_trouble {
-                        node.on_failed_dial(&locator.target.to_string(), &words);
+                    if is_failure {
+                        node.on_failed_dial(&locator.target.to_string(), &reason);
                     }
                 }
                 dialled
@@ -145,11 +146,11 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
             return Err(into_zenoh(BleError::ListenerExists(adapter)));
         }
         let node = Arc::clone(&self.node);
-        let (listener, up) = self
+        let (listener, bound) = self
             .on_runtime(async move { Listener::start(node, locator).await })
             .await?;
-        let (up, search) = up.unzip();
-        let serve = Arc::clone(&listener).serve(up);
+        let (bound, search) = bound.unzip();
+        let serve = Arc::clone(&listener).serve(bound);
         let serving = AbortOnDropHandle::new(self.runtime.spawn(serve));
         if let Some(search) = search {
             let checked = Arc::clone(&listener);
@@ -161,7 +162,7 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
             .spawn(async move { listener.watch_name().await });
         listeners.insert(
             adapter,
-            Listening {
+            RunningListener {
                 endpoint,
                 locator: dialable.clone(),
                 _serving: serving,
@@ -204,7 +205,7 @@ fn open_radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
 fn random_node_id() -> NodeId {
     let mut bytes = [0; 8];
     if getrandom::fill(&mut bytes).is_err() {
-        // Without the system's random numbers the time and the process still tell two robots apart.
+        // Without random numbers from the system, the time and the process id still distinguish two robots.
         let time = std::time::SystemTime::now()
             .duration_since(std::time::UNIX_EPOCH)
             .map_or(0, |t| t.as_nanos() as u64);

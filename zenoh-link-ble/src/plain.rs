@@ -1,4 +1,5 @@
-//! Owns the batches of a plain peer (a microcontroller without hello): one bare batch per SDU, as they come.
+//! Sends and receives the batches of a link with a plain peer (a microcontroller without a hello): one bare batch per SDU,
+//! without lanes.
 use std::sync::Arc;
 
 use tokio::sync::Mutex;
@@ -8,9 +9,10 @@ use crate::{
     error::BleError,
     lanes::report::Count,
     radio::Channel,
-    traffic::{takes_nothing, SEND_TIMEOUT},
+    traffic::{send_timed_out, SEND_TIMEOUT},
 };
 
+/// The batches of a link with a plain peer.
 pub(crate) struct Plain {
     channel: Arc<dyn Channel>,
     mtu: usize,
@@ -21,7 +23,7 @@ pub(crate) struct Plain {
 
 struct Receive {
     sdu: Vec<u8>,
-    /// A batch that came before the link was made.
+    /// A batch that was received before the link was opened.
     first: Option<Vec<u8>>,
 }
 
@@ -37,7 +39,7 @@ impl Plain {
             channel,
             mtu,
             receive: Mutex::new(Receive {
-                // One byte more than is allowed, so that a larger SDU shows instead of being cut.
+                // One byte more than is allowed, so that a larger SDU is detected instead of being truncated.
                 sdu: vec![0; mtu + 1],
                 first,
             }),
@@ -46,14 +48,19 @@ impl Plain {
         }
     }
 
-    /// What was sent and received.
+    /// Returns the counts of sent and of received batches.
     pub(crate) fn counts(&self) -> (Count, Count) {
         *self.counts.lock()
     }
 
+    /// Sends a batch.
+    ///
+    /// # Errors
+    /// Fails if the batch is larger than the MTU, if the peer accepts nothing within [`SEND_TIMEOUT`], or if the link has
+    /// ended.
     pub(crate) async fn write(&self, batch: &[u8]) -> Result<(), BleError> {
         if batch.is_empty() {
-            // Zenoh does this when it abandons a fragmented message; an empty SDU would end the channel.
+            // Zenoh writes an empty batch when it abandons a fragmented message. An empty SDU would end the channel.
             return Ok(());
         }
         if batch.len() > self.mtu {
@@ -70,12 +77,16 @@ impl Plain {
                     self.counts.lock().0.count(batch.len());
                     Ok(())
                 }
-                Err(_) => Err(takes_nothing()),
+                Err(_) => Err(send_timed_out()),
             },
             () = self.replaced.cancelled() => Err(self.replaced()),
         }
     }
 
+    /// Receives the next batch.
+    ///
+    /// # Errors
+    /// Fails if the link has ended, or if the batch is larger than the MTU.
     pub(crate) async fn read(&self) -> Result<Vec<u8>, BleError> {
         let batch = self.receive().await?;
         self.counts.lock().1.count(batch.len());

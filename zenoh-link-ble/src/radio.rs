@@ -1,5 +1,7 @@
-//! Owns the seam between the link and a radio: what a Bluetooth adapter must be able to do for it.
-//! Two radios implement it: [`bluez`] (Linux's own stack) and [`sim`] (the simulated air). Both pass `contract`.
+//! Defines the interface between the link and a radio: the operations that a Bluetooth adapter must support.
+//!
+//! Two radios implement it: [`bluez`] (the Bluetooth stack of Linux) and [`sim`] (the simulated air). The test suite
+//! `contract` runs on both.
 pub mod bluez;
 pub mod sim;
 
@@ -12,134 +14,135 @@ use crate::{
     advertisement::Advertisement,
 };
 
-/// Whether an adapter can be used now.
+/// Availability of an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AdapterState {
-    /// There is no adapter of that name (unplugged, switched off in the firmware, or its service is down).
+    /// No adapter of that name exists: it is unplugged or disabled in the firmware, or the service behind it is down.
     Missing,
-    /// It is there, but powered off or blocked.
+    /// The adapter exists, but it is powered off or blocked.
     Off,
-    /// It can advertise, scan, listen and connect.
+    /// The adapter can advertise, scan, listen and connect.
     On,
 }
 
-/// How a channel's traffic is protected (BlueZ: `BT_SECURITY`).
+/// Protection of a channel's traffic (BlueZ: `BT_SECURITY`). Default: [`Security::Low`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Security {
-    /// No encryption by Bluetooth; Zenoh's own authentication and access control still hold.
+    /// No encryption by Bluetooth. Zenoh's own authentication and access control still apply.
     #[default]
     Low,
-    /// Encrypted, pairing without a person's confirmation.
+    /// Encrypted; the devices pair without user confirmation.
     Medium,
-    /// Encrypted, paired with a passkey that both sides know.
+    /// Encrypted; the devices pair with a passkey that both sides know.
     High,
 }
 
-/// What both ends of a channel are opened with.
+/// Options with which a channel is opened or accepted.
 #[derive(Clone, Copy, Debug)]
 pub struct ChannelOptions {
-    /// The largest SDU this end takes, in bytes. Large values also mean more credits on old kernels.
+    /// Largest SDU that this end receives, in bytes. On old kernels, a large value also increases the number of
+    /// credits.
     pub recv_mtu: u16,
-    /// The security asked for.
+    /// Required protection of the channel.
     pub security: Security,
-    /// What both sides type in when they are paired for [`Security::High`]: at most 999,999.
+    /// Passkey that both sides enter when they pair for [`Security::High`]: 0 to 999,999.
     pub passkey: Option<u32>,
 }
 
-/// One advertisement heard while scanning.
+/// One advertisement received while scanning.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Sighting {
-    /// Who sent it.
+pub struct AdvertisingReport {
+    /// Address of the advertising device.
     pub device: DeviceAddress,
-    /// RECT's part of it, where there is one.
+    /// RECT's service data, if the advertisement contains any.
     pub advertisement: Option<Advertisement>,
-    /// Received signal strength in dBm, where known.
+    /// Received signal strength in dBm, if it is known.
     pub rssi_dbm: Option<i16>,
 }
 
-/// Why a radio could not do what it was asked.
+/// Reasons why a radio operation failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RadioError {
-    /// There is no such adapter.
+    /// No adapter of that name exists.
     #[error("there is no bluetooth adapter {adapter}: {advice}")]
     NoAdapter {
-        /// Its name as given.
+        /// Name of the adapter as the user wrote it.
         adapter: String,
-        /// What there is, and what to do.
+        /// Available adapters, and advice for the user.
         advice: String,
     },
-    /// The adapter is powered off.
+    /// The adapter is powered off or blocked.
     #[error("the bluetooth adapter {adapter} is switched off: run `bluetoothctl power on` (or `rfkill unblock bluetooth`)")]
     AdapterOff {
-        /// Its name.
+        /// Name of the adapter.
         adapter: String,
     },
     /// The service behind the radio does not answer.
     #[error("{service} does not answer: {advice}")]
     NoService {
-        /// `bluetoothd` or the simulated air.
+        /// Name of the service: `bluetoothd`, the system D-Bus or the simulated air.
         service: &'static str,
-        /// What to do.
+        /// Advice for the user.
         advice: String,
     },
-    /// This user may not do it.
+    /// The user lacks the permission for the operation.
     #[error("no permission to {action}: {advice}")]
     NotPermitted {
-        /// What was tried.
+        /// Operation that failed.
         action: &'static str,
-        /// What to do.
+        /// Advice for the user.
         advice: String,
     },
-    /// Another listener of this adapter has that PSM.
-    #[error("psm {0} is taken on this adapter: choose another, or leave psm= out")]
+    /// Another listener of this adapter uses the PSM.
+    #[error("psm {0} is already in use on this adapter: choose another one, or omit psm=")]
     PsmTaken(Psm),
-    /// The peer has no listener on that PSM, or refused.
+    /// The peer has no listener on the PSM, or it refused the channel.
     #[error("{peer} refused the channel on psm {psm}: is its router running?")]
     Refused {
-        /// Who refused.
+        /// Address of the peer.
         peer: DeviceAddress,
-        /// The PSM dialled.
+        /// PSM to which the channel was requested.
         psm: Psm,
     },
-    /// Nothing came back in time.
+    /// The operation did not complete in time.
     #[error("{action} took longer than {limit:?}")]
     TimedOut {
-        /// What was waited for.
+        /// Operation that timed out.
         action: &'static str,
-        /// The limit that passed.
+        /// Timeout of the operation.
         limit: Duration,
     },
-    /// The channel ended: the peer closed it, went out of range, or an adapter went away.
+    /// The channel is down: the peer closed it or went out of range, or an adapter became unavailable.
     #[error("the channel to {peer} is down")]
     ChannelDown {
-        /// The other end.
+        /// Address of the peer.
         peer: DeviceAddress,
-        /// The system's reason, where it gives one.
+        /// Reason given by the operating system, if any.
         #[source]
         source: Option<std::io::Error>,
     },
-    /// An SDU does not fit the receiver's buffer or the channel.
-    #[error("an sdu of {size} bytes is over the channel's limit of {limit}")]
+    /// An SDU is larger than the receive buffer or the channel's limit.
+    #[error("an sdu of {size} bytes exceeds the channel's limit of {limit} bytes")]
     SduTooLarge {
-        /// Its size in bytes.
+        /// Size of the SDU in bytes.
         size: usize,
-        /// The limit in bytes.
+        /// Limit in bytes.
         limit: usize,
     },
-    /// Anything else the system says.
+    /// Any other error of the operating system.
     #[error("{action} failed")]
     System {
-        /// What was tried.
+        /// Operation that failed.
         action: &'static str,
-        /// The system's own error.
+        /// Error of the operating system.
         #[source]
         source: Box<dyn std::error::Error + Send + Sync>,
     },
 }
 
 impl RadioError {
-    /// Whether it is a matter of an adapter, or of the service behind it, that may be there later.
-    pub fn is_adapter_away(&self) -> bool {
+    /// Returns whether the adapter, or the service behind it, is unavailable now and may become available later.
+    pub fn is_adapter_unavailable(&self) -> bool {
         matches!(
             self,
             Self::NoAdapter { .. } | Self::AdapterOff { .. } | Self::NoService { .. }
@@ -149,51 +152,58 @@ impl RadioError {
 
 /// A local Bluetooth adapter.
 ///
-/// Every method may fail with [`RadioError`]; none blocks for ever: those that wait for a peer are bounded by the
-/// caller's timeout and can be dropped at any await point without leaving anything behind.
+/// Methods fail with [`RadioError`]. No method blocks forever: a method that waits for a peer is bounded by the
+/// caller's timeout, and its future can be dropped at any await point without leaving a pending operation behind.
 #[async_trait]
 pub trait Radio: Send + Sync {
-    /// The adapter's name: `hci0`, `sim-wombat-1`.
+    /// Returns the adapter's name, such as `hci0` or `sim-wombat-1`.
     fn name(&self) -> &str;
 
-    /// The adapter's own address. An error when it is missing.
+    /// Returns the adapter's own address.
+    ///
+    /// # Errors
+    /// Fails if the adapter is missing or switched off.
     async fn address(&self) -> Result<DeviceAddress, RadioError>;
 
-    /// Whether it can be used now.
+    /// Returns whether the adapter can be used now.
     async fn state(&self) -> AdapterState;
 
-    /// Resolves when [`Radio::state`] may have changed since the call (spurious wake-ups are allowed): power,
-    /// unplugging, a restart of the service behind it.
+    /// Waits until [`Radio::state`] may have changed since the call: the power, the presence of the adapter, or a
+    /// restart of the service behind it. Spurious wake-ups are allowed.
     async fn changed(&self);
 
-    /// Grows when what was set up before is lost although the adapter is on: its service was restarted, it was
-    /// unplugged and is back. Whoever listens or advertises does so again.
+    /// Returns a counter that increases when listeners and advertisements were lost although the adapter is on: because
+    /// its service was restarted, or because the adapter was unplugged and plugged in again. The caller then listens
+    /// and advertises again.
     fn epoch(&self) -> u64 {
         0
     }
 
-    /// Advertises, connectably, until the guard is dropped. `name` goes to the scan response.
+    /// Sends connectable advertisements until the guard is dropped. The scan response contains `name`.
     async fn advertise(
         &self,
         advertisement: &Advertisement,
         name: &str,
     ) -> Result<Box<dyn AdvertisingGuard>, RadioError>;
 
-    /// Scans until the scan is dropped. Several scans of one adapter may run at once.
+    /// Scans until the returned scan is dropped. Several scans of one adapter may run at the same time.
     async fn scan(&self) -> Result<Box<dyn Scan>, RadioError>;
 
-    /// What that device calls itself, where it is known: the name in its scan response.
-    async fn name_of(&self, device: DeviceAddress) -> Option<String>;
+    /// Returns the name in the device's scan response, if it is known.
+    async fn device_name(&self, device: DeviceAddress) -> Option<String>;
 
-    /// Takes channels on `psm`, or on one the system chooses.
+    /// Accepts channels on `psm`, or on a PSM that the system chooses if `psm` is `None`.
+    ///
+    /// # Errors
+    /// Fails with [`RadioError::PsmTaken`] if another listener uses `psm`.
     async fn listen(
         &self,
         psm: Option<Psm>,
         options: ChannelOptions,
     ) -> Result<Box<dyn ChannelListener>, RadioError>;
 
-    /// Opens a channel. The caller keeps to one pending connect per adapter and puts a timeout around it; dropping
-    /// the future cancels the attempt.
+    /// Opens a channel to `peer`. The caller runs at most one connect per adapter at a time and applies a timeout to
+    /// it. Dropping the future cancels the attempt.
     async fn connect(
         &self,
         peer: DeviceAddress,
@@ -201,70 +211,82 @@ pub trait Radio: Send + Sync {
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError>;
 
-    /// Ends whatever connection there is with that device, so that the next connect starts afresh: for after an
-    /// opening that went wrong. Does nothing where a failed channel leaves nothing behind.
+    /// Closes any connection to the device, so that the next connect starts from a clean state. Called after a failed
+    /// handshake. Does nothing if a failed channel leaves no connection behind.
     async fn disconnect(&self, _peer: DeviceAddress) {}
 }
 
-/// Keeps an advertisement on the air; dropping it takes it off.
+/// Keeps an advertisement on the air until it is dropped.
 pub trait AdvertisingGuard: Send + Sync {}
 
 /// A running scan.
 #[async_trait]
 pub trait Scan: Send {
-    /// The next advertisement heard. Each device is reported again while it goes on advertising (at most a few times a
-    /// second), so that "just seen" can be told from "seen once". Fails when the adapter goes away.
-    async fn next(&mut self) -> Result<Sighting, RadioError>;
+    /// Waits for the next advertisement. A device that continues to advertise is reported repeatedly, at most a few
+    /// times per second, so that the caller knows when it was last received.
+    ///
+    /// # Errors
+    /// Fails when the adapter becomes unavailable.
+    async fn next(&mut self) -> Result<AdvertisingReport, RadioError>;
 }
 
-/// Takes incoming channels until it is dropped.
+/// Accepts incoming channels until it is dropped.
 #[async_trait]
 pub trait ChannelListener: Send + Sync {
-    /// The PSM it took.
+    /// Returns the PSM of the listener.
     fn psm(&self) -> Psm;
 
-    /// The next incoming channel. Fails when the adapter goes away.
+    /// Waits for the next incoming channel.
+    ///
+    /// # Errors
+    /// Fails when the adapter becomes unavailable.
     async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError>;
 }
 
-/// An open LE L2CAP connection-oriented channel: SDUs go out and come in whole and in order.
+/// An open LE L2CAP connection-oriented channel. SDUs arrive complete and in order.
 ///
-/// `send` and `recv` may run at the same time from two tasks. Dropping the channel closes it at once.
+/// `send` and `recv` may run concurrently in two tasks. Dropping the channel closes it immediately.
 #[async_trait]
 pub trait Channel: Send + Sync {
-    /// The other end.
+    /// Returns the address of the peer.
     fn peer(&self) -> DeviceAddress;
 
-    /// The local adapter's name.
+    /// Returns the name of the local adapter.
     fn adapter(&self) -> &str;
 
-    /// The largest SDU that can be sent, in bytes.
+    /// Returns the size of the largest SDU that can be sent, in bytes.
     fn send_mtu(&self) -> usize;
 
-    /// How many bytes of received SDUs are surely kept while nobody calls `recv`, each counted with
-    /// [`PER_SDU`](crate::lanes::credits::PER_SDU) bytes more.
-    fn kept_unread_bytes(&self) -> usize;
+    /// Returns how many bytes of received SDUs are guaranteed to be buffered while `recv` is not called. Each SDU
+    /// counts [`PER_SDU`](crate::lanes::credits::PER_SDU) bytes in addition to its own size.
+    fn receive_capacity_bytes(&self) -> usize;
 
-    /// Sends one SDU (never an empty one: it would read as the end of the channel) if the controller and the receiver have
-    /// room; `false`: try again when [`Channel::has_room`] says so. What it has taken cannot be overtaken, so it takes no
-    /// more than it needs to keep the radio busy.
+    /// Sends one SDU if the controller and the receiver have room for it. Returns `false` if they do not; wait for
+    /// [`Channel::writable`] then and try again.
+    ///
+    /// An SDU must not be empty, because an empty one would be read as the end of the channel. An SDU that was accepted
+    /// cannot be overtaken by a more urgent one. The channel therefore accepts no more than it needs to keep the radio
+    /// busy.
     fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError>;
 
-    /// Resolves when [`Channel::try_send`] may have got room since it said `false`, or fails now.
-    async fn has_room(&self);
+    /// Waits until the channel may be writable again after [`Channel::try_send`] returned `false`, or until sending
+    /// fails immediately.
+    async fn writable(&self);
 
-    /// Sends one SDU; waits for room.
+    /// Sends one SDU, and waits until the channel is writable if necessary.
     async fn send(&self, sdu: &[u8]) -> Result<(), RadioError> {
         while !self.try_send(sdu)? {
-            self.has_room().await;
+            self.writable().await;
         }
         Ok(())
     }
 
-    /// Receives one SDU into `buffer` and tells its size. Fails when the channel is down, or with
-    /// [`RadioError::SduTooLarge`] when it does not fit.
+    /// Receives one SDU into `buffer` and returns its size in bytes.
+    ///
+    /// # Errors
+    /// Fails when the channel is down, or with [`RadioError::SduTooLarge`] if the SDU is larger than `buffer`.
     async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError>;
 
-    /// Closes both directions; the peer's `recv` fails. What was sent and is still queued may be lost.
+    /// Closes both directions; the peer's `recv` fails. SDUs that are still queued may be lost.
     fn shutdown(&self);
 }

@@ -1,55 +1,60 @@
-//! Owns finding peers: one scan per adapter, shared by everyone who looks for somebody, running only while somebody does.
+//! Discovers peers. All searches on an adapter share one scan, which runs only while there are searches.
 use std::{sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
 use tokio::{sync::broadcast, time::Instant};
 
 use crate::{
-    error::in_words,
-    heard::{Heard, HeardStatus},
-    radio::{Radio, RadioError, Sighting},
+    discovered::{DiscoveredNodes, DiscoveredStatus},
+    error::describe,
+    radio::{AdvertisingReport, Radio, RadioError},
 };
 
-/// Sightings a slow seeker may lag behind before it misses some: seekers only want a fresh one.
+/// Number of advertising reports that a slow search may lag behind before it misses some. A search needs only a recent one.
 const BACKLOG: usize = 64;
-/// How long to wait before a scan that the system ended is started again.
-const RESTART: Duration = Duration::from_millis(200);
+/// Time after which a scan that the system ended is started again.
+const RESTART_DELAY: Duration = Duration::from_millis(200);
 
-/// How long a sighting is as good as hearing the peer now. A controller reports an unchanged advertisement once per scan,
-/// so who begins to look during another's scan would wait for the next one.
+/// How long an advertising report can be used after it was received. A controller reports an unchanged advertisement once per
+/// scan, so a search that begins during the scan of another one would otherwise wait for the next scan.
 const FRESH: Duration = Duration::from_millis(600);
-/// Sightings kept for that.
-const KEPT: usize = 64;
+/// Largest number of reports that are kept for this purpose.
+const MAX_RECENT: usize = 64;
 
 /// The scanner of one adapter.
 pub(crate) struct Scanner {
     radio: Arc<dyn Radio>,
-    running: Mutex<Option<broadcast::Sender<Sighting>>>,
+    running: Mutex<Option<broadcast::Sender<AdvertisingReport>>>,
     recent: Mutex<Recent>,
-    heard: Mutex<Heard>,
+    discovered: Mutex<DiscoveredNodes>,
 }
 
-/// What was heard within [`FRESH`], in order, the last of each device.
+/// The latest advertising report of each device within [`FRESH`], in the order of arrival.
 #[derive(Default)]
-struct Recent(Vec<(Instant, Sighting)>);
+struct Recent(Vec<(Instant, AdvertisingReport)>);
 
 impl Recent {
-    fn on_seen(&mut self, sighting: &Sighting, now: Instant) {
-        self.0.retain(|(at, other)| {
-            now.duration_since(*at) < FRESH && other.device != sighting.device
-        });
-        if self.0.len() >= KEPT {
+    /// Stores a report in place of the last one of the same device.
+    fn on_report(&mut self, report: &AdvertisingReport, now: Instant) {
+        self.0
+            .retain(|(at, other)| now.duration_since(*at) < FRESH && other.device != report.device);
+        if self.0.len() >= MAX_RECENT {
             self.0.remove(0);
         }
-        self.0.push((now, sighting.clone()));
+        self.0.push((now, report.clone()));
     }
 
-    /// Takes out what `wanted` picks: a peer that did not answer is dialled again only when it is heard again.
-    fn take<T>(&mut self, wanted: impl Fn(&Sighting) -> Option<T>, now: Instant) -> Option<T> {
-        let (index, found) = self.0.iter().enumerate().find_map(|(n, (at, sighting))| {
+    /// Removes the first report for which `select` returns a value, and returns that value. A peer that did not answer is
+    /// therefore dialled again only after another report.
+    fn take<T>(
+        &mut self,
+        select: impl Fn(&AdvertisingReport) -> Option<T>,
+        now: Instant,
+    ) -> Option<T> {
+        let (index, found) = self.0.iter().enumerate().find_map(|(n, (at, report))| {
             let is_fresh = now.duration_since(*at) < FRESH;
             is_fresh
-                .then(|| wanted(sighting))
+                .then(|| select(report))
                 .flatten()
                 .map(|found| (n, found))
         })?;
@@ -64,61 +69,69 @@ impl Scanner {
             radio,
             running: Mutex::new(None),
             recent: Mutex::default(),
-            heard: Mutex::default(),
+            discovered: Mutex::default(),
         })
     }
 
-    /// The first advertisement, just heard or heard from now on, that `wanted` picks. Waits for ever: the caller bounds it.
+    /// Waits for a recent or future report for which `select` returns a value, and returns that value. There is no timeout:
+    /// the caller limits the time.
+    ///
+    /// # Errors
+    /// Fails if the radio cannot scan.
     pub(crate) async fn find<T>(
         self: &Arc<Self>,
-        wanted: impl Fn(&Sighting) -> Option<T>,
+        select: impl Fn(&AdvertisingReport) -> Option<T>,
     ) -> Result<T, RadioError> {
-        if let Some(found) = self.recent.lock().take(&wanted, Instant::now()) {
+        if let Some(found) = self.recent.lock().take(&select, Instant::now()) {
             return Ok(found);
         }
         loop {
-            let mut sightings = self.subscribe().await?;
+            let mut reports = self.subscribe().await?;
             loop {
-                match sightings.recv().await {
-                    Ok(sighting) => {
-                        if let Some(found) = wanted(&sighting) {
+                match reports.recv().await {
+                    Ok(report) => {
+                        if let Some(found) = select(&report) {
                             return Ok(found);
                         }
                     }
                     Err(broadcast::error::RecvError::Lagged(_)) => {}
-                    // The scan ended: the system stopped it, or the adapter went away. Start another.
+                    // The system has stopped the scan, or the adapter was removed. Start another scan.
                     Err(broadcast::error::RecvError::Closed) => break,
                 }
             }
-            tokio::time::sleep(RESTART).await;
+            tokio::time::sleep(RESTART_DELAY).await;
         }
     }
 
-    /// Who was heard lately.
-    pub(crate) fn heard(&self) -> Vec<HeardStatus> {
-        self.heard.lock().status(Instant::now().into_std())
+    /// Returns the nodes that were discovered within the last minute.
+    pub(crate) fn discovered(&self) -> Vec<DiscoveredStatus> {
+        self.discovered.lock().status(Instant::now().into_std())
     }
 
-    fn on_seen(self: &Arc<Self>, sighting: &Sighting) {
+    /// Stores a report, and requests the name of a new node from the radio.
+    fn on_report(self: &Arc<Self>, report: &AdvertisingReport) {
         let now = Instant::now();
-        self.recent.lock().on_seen(sighting, now);
-        if !self.heard.lock().on_seen(sighting, now.into_std()) {
+        self.recent.lock().on_report(report, now);
+        if !self.discovered.lock().on_report(report, now.into_std()) {
             return;
         }
-        let (scanner, device) = (Arc::clone(self), sighting.device);
+        let (scanner, device) = (Arc::clone(self), report.device);
         tokio::spawn(async move {
-            if let Some(name) = scanner.radio.name_of(device).await {
-                scanner.heard.lock().on_name(device, name);
+            if let Some(name) = scanner.radio.device_name(device).await {
+                scanner.discovered.lock().on_name(device, name);
             }
         });
     }
 
-    /// From now on only what is heard afterwards counts.
-    pub(crate) fn forget(&self) {
+    /// Discards the recent reports, so that only later ones are used.
+    pub(crate) fn clear_recent(&self) {
         self.recent.lock().0.clear();
     }
 
-    async fn subscribe(self: &Arc<Self>) -> Result<broadcast::Receiver<Sighting>, RadioError> {
+    /// Joins the running scan, or starts one.
+    async fn subscribe(
+        self: &Arc<Self>,
+    ) -> Result<broadcast::Receiver<AdvertisingReport>, RadioError> {
         if let Some(sender) = self.running.lock().as_ref() {
             return Ok(sender.subscribe());
         }
@@ -134,15 +147,15 @@ impl Scanner {
         tokio::spawn(async move {
             loop {
                 tokio::select! {
-                    sighting = scan.next() => match sighting {
-                        Ok(sighting) => {
-                            scanner.on_seen(&sighting);
-                            if sender.send(sighting).is_err() && scanner.stop_if_idle(&sender) {
+                    report = scan.next() => match report {
+                        Ok(report) => {
+                            scanner.on_report(&report);
+                            if sender.send(report).is_err() && scanner.stop_if_idle(&sender) {
                                 return;
                             }
                         }
                         Err(error) => {
-                            let (adapter, error) = (scanner.radio.name(), in_words(&error));
+                            let (adapter, error) = (scanner.radio.name(), describe(&error));
                             tracing::debug!("ble: the scan of {adapter} ended: {error}");
                             scanner.running.lock().take();
                             return;
@@ -159,8 +172,9 @@ impl Scanner {
         Ok(receiver)
     }
 
-    /// Takes the scan off if nobody looks any more; under the lock, so that nobody joins a scan that ends.
-    fn stop_if_idle(&self, sender: &broadcast::Sender<Sighting>) -> bool {
+    /// Stops the scan if there are no searches any more, and returns whether it was stopped. This happens under the lock, so
+    /// that no search joins a scan that is being stopped.
+    fn stop_if_idle(&self, sender: &broadcast::Sender<AdvertisingReport>) -> bool {
         let mut running = self.running.lock();
         if sender.receiver_count() > 0 {
             return false;
@@ -175,10 +189,10 @@ mod tests {
     use super::*;
     use crate::address::{Address, AddressType, DeviceAddress};
 
-    fn sighting(n: u8, rssi_dbm: i16) -> Sighting {
+    fn report(n: u8, rssi_dbm: i16) -> AdvertisingReport {
         let address = Address([0xc0, 0, 0, 0, 0, n]);
         let kind = AddressType::Random;
-        Sighting {
+        AdvertisingReport {
             device: DeviceAddress { address, kind },
             advertisement: None,
             rssi_dbm: Some(rssi_dbm),
@@ -186,26 +200,26 @@ mod tests {
     }
 
     #[test]
-    fn a_fresh_sighting_serves_once_and_an_old_one_never() {
+    fn fresh_report_is_used_once_and_an_old_one_never() {
         let (mut recent, start) = (Recent::default(), Instant::now());
-        let first = |s: &Sighting| (s.device == sighting(1, 0).device).then_some(s.rssi_dbm);
-        recent.on_seen(&sighting(1, -60), start);
-        recent.on_seen(&sighting(2, -70), start);
-        recent.on_seen(&sighting(1, -50), start + FRESH / 2);
+        let first = |s: &AdvertisingReport| (s.device == report(1, 0).device).then_some(s.rssi_dbm);
+        recent.on_report(&report(1, -60), start);
+        recent.on_report(&report(2, -70), start);
+        recent.on_report(&report(1, -50), start + FRESH / 2);
         assert_eq!(recent.take(first, start + FRESH), Some(Some(-50)));
         assert_eq!(recent.take(first, start + FRESH), None);
-        recent.on_seen(&sighting(1, -40), start + FRESH);
+        recent.on_report(&report(1, -40), start + FRESH);
         assert_eq!(recent.take(first, start + 2 * FRESH), None);
     }
 
     #[test]
-    fn a_hall_full_of_devices_is_not_remembered_whole() {
+    fn number_of_recent_reports_is_bounded() {
         let (mut recent, now) = (Recent::default(), Instant::now());
         for n in 0..=u8::MAX {
-            recent.on_seen(&sighting(n, 0), now);
+            recent.on_report(&report(n, 0), now);
         }
-        assert_eq!(recent.0.len(), KEPT);
-        let last = |s: &Sighting| (s.device == sighting(u8::MAX, 0).device).then_some(());
+        assert_eq!(recent.0.len(), MAX_RECENT);
+        let last = |s: &AdvertisingReport| (s.device == report(u8::MAX, 0).device).then_some(());
         assert_eq!(recent.take(last, now), Some(()));
     }
 }

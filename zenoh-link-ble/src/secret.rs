@@ -1,6 +1,7 @@
-//! Owns the secret that the nodes of a team share, and how one node proves to another that it knows it without telling it:
-//! a keyed hash over what both have just said, with a number of chance from each. The order of messages: `opening`; their
-//! layout: `PROTOCOL.md`, section 3.
+//! Handles the secret that the nodes of a team share. A node proves to another that it has the secret, without revealing it,
+//! by a keyed hash over the messages of the handshake, which contain a nonce of each side.
+//!
+//! The order of the messages is in `handshake`, and their layout in section 3 of `PROTOCOL.md`.
 use std::{fmt, fs, io, io::Read, path::Path};
 
 use hmac::{Hmac, Mac};
@@ -8,72 +9,73 @@ use sha3::Sha3_256;
 
 use crate::hello::NodeId;
 
-/// A number of chance, in bytes: no two of a node's life are the same.
+/// Size of a nonce, in bytes. It is large enough that a node never uses the same nonce twice.
 pub const NONCE_BYTES: usize = 16;
-/// The part of the keyed hash that is sent, in bytes.
+/// Size of a proof, in bytes: the part of the keyed hash that is sent.
 pub const PROOF_BYTES: usize = 16;
-/// The shortest secret, in bytes: who hears a proof can try out secrets at home, so it is one that nobody can guess.
+/// The shortest secret, in bytes. An eavesdropper who has recorded a proof can try out secrets offline, so the secret has to
+/// be hard to guess.
 pub const MIN_SECRET: usize = 16;
-/// The longest file read for one, in bytes.
+/// The largest accepted `secret=` file, in bytes.
 const MAX_FILE: u64 = 65_536;
 
-/// A number of chance.
+/// The random bytes of one handshake.
 pub type Nonce = [u8; NONCE_BYTES];
-/// The beginning of a keyed hash.
+/// The first bytes of a keyed hash, which prove possession of the secret.
 pub type Proof = [u8; PROOF_BYTES];
 
-/// Why a file gives no secret.
+/// Why no secret or nonce could be obtained.
 #[derive(Debug, thiserror::Error)]
 pub enum SecretError {
-    /// It can't be read.
-    #[error("the secret= file {path} can't be read")]
+    /// The file cannot be read. Check that it exists and that the router's user may read it.
+    #[error("cannot read the secret= file {path}")]
     Unreadable {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// The system's reason.
+        /// The error of the operating system.
         #[source]
         source: io::Error,
     },
-    /// It is no file, or far too large.
-    #[error("{path} is no file with a secret: its first line is the secret, and it has at most {MAX_FILE} bytes")]
+    /// The path is not that of a regular file, or the file is too large.
+    #[error("{path} is not a secret= file: it must be a regular file with the secret in its first line and at most {MAX_FILE} bytes")]
     NoSecretFile {
-        /// The file.
+        /// Path of the file.
         path: String,
     },
-    /// Its first line is too short.
-    #[error("the secret in {path} (its first line) has {length} bytes; it needs {MIN_SECRET} that nobody can guess: `openssl rand -base64 18` makes some")]
+    /// The secret is too short. Generate a longer one.
+    #[error("the secret in the first line of {path} has {length} bytes, but needs at least {MIN_SECRET} that are hard to guess: `openssl rand -base64 18` generates some")]
     TooShort {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// How long it is.
+        /// Size of the secret, in bytes.
         length: usize,
     },
-    /// The system gives no random numbers.
-    #[error("no random numbers: {0}")]
-    NoChance(String),
+    /// The operating system provides no random numbers, with its reason.
+    #[error("the system provides no random numbers: {0}")]
+    NoRandomness(String),
 }
 
-/// Which side proves.
+/// The side of a handshake that proves possession of the secret.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// The one that opened the channel.
+    /// The side that opened the channel.
     Dialler,
-    /// The other.
+    /// The side that accepted the channel.
     Listener,
 }
 
-/// What both sides have said when they prove.
+/// The data that a proof authenticates.
 #[derive(Clone, Copy, Debug)]
-pub struct Said<'a> {
-    /// The dialler's HELLO as it was sent, with its nonce.
+pub struct ProofTranscript<'a> {
+    /// The dialler's HELLO as it was sent, including its nonce.
     pub hello: &'a [u8],
-    /// Who answers.
+    /// Node id of the listener.
     pub listener: NodeId,
-    /// The listener's nonce.
+    /// Nonce of the listener.
     pub nonce: &'a Nonce,
 }
 
-/// A secret that is shared by a team, as the key of a hash.
+/// A secret that a team shares. It is kept as the key of a hash and never printed.
 #[derive(Clone)]
 pub struct Secret(Hmac<Sha3_256>);
 
@@ -84,72 +86,81 @@ impl fmt::Debug for Secret {
 }
 
 impl Secret {
-    /// The first line of the file that is not blank: the file of logins of a router will do.
+    /// Reads the secret from the first line of a file that is not blank. A router's file of logins can serve as the secret.
+    ///
+    /// # Errors
+    /// Fails if the path is not that of a readable regular file, if the file is too large, or if the secret is shorter than
+    /// [`MIN_SECRET`].
     pub fn read(path: &Path) -> Result<Self, SecretError> {
-        let shown = || path.display().to_string();
+        let path_text = || path.display().to_string();
         let unreadable = |source| SecretError::Unreadable {
-            path: shown(),
+            path: path_text(),
             source,
         };
-        // A pipe would be waited for, and a device may never end.
+        // Reading a pipe could block, and a device may be endless.
         if !fs::metadata(path).map_err(unreadable)?.is_file() {
-            return Err(SecretError::NoSecretFile { path: shown() });
+            return Err(SecretError::NoSecretFile { path: path_text() });
         }
         let file = fs::File::open(path).map_err(unreadable)?;
         let mut text = Vec::new();
         (file.take(MAX_FILE + 1).read_to_end(&mut text)).map_err(unreadable)?;
         if text.len() as u64 > MAX_FILE {
-            return Err(SecretError::NoSecretFile { path: shown() });
+            return Err(SecretError::NoSecretFile { path: path_text() });
         }
         let mut lines = text.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii);
         let line = lines.find(|line| !line.is_empty()).unwrap_or_default();
         Self::new(line).ok_or_else(|| SecretError::TooShort {
-            path: shown(),
+            path: path_text(),
             length: line.len(),
         })
     }
 
-    /// `None` if it is shorter than [`MIN_SECRET`].
+    /// Creates a secret from bytes. Returns `None` if there are fewer than [`MIN_SECRET`].
     pub fn new(secret: &[u8]) -> Option<Self> {
         let key = Some(secret).filter(|secret| secret.len() >= MIN_SECRET)?;
         Hmac::new_from_slice(key).ok().map(Self)
     }
 
-    /// What `side` proves with.
-    pub fn proof(&self, side: Side, said: Said<'_>) -> Proof {
-        let hash = self.hash(side, said).finalize().into_bytes();
+    /// Computes the proof of `side` for a handshake.
+    pub fn proof(&self, side: Side, transcript: ProofTranscript<'_>) -> Proof {
+        let hash = self.hash(side, transcript).finalize().into_bytes();
         std::array::from_fn(|at| hash[at])
     }
 
-    /// Whether `proof` is that of `side`; takes as long for any wrong one.
-    pub fn is_proved(&self, side: Side, said: Said<'_>, proof: &Proof) -> bool {
-        self.hash(side, said).verify_truncated_left(proof).is_ok()
+    /// Returns whether `proof` is the proof of `side` for a handshake. The comparison takes constant time.
+    pub fn verify(&self, side: Side, transcript: ProofTranscript<'_>, proof: &Proof) -> bool {
+        self.hash(side, transcript)
+            .verify_truncated_left(proof)
+            .is_ok()
     }
 
-    /// What both sides type in when Bluetooth pairs them with `sec=high`: six digits.
+    /// Derives the passkey of six digits with which Bluetooth pairs the two sides if `sec=high`.
     pub fn passkey(&self) -> u32 {
         let hash = (self.0.clone().chain_update(b"passkey").finalize()).into_bytes();
         u32::from_le_bytes(std::array::from_fn(|at| hash[at])) % 1_000_000
     }
 
-    fn hash(&self, side: Side, said: Said<'_>) -> Hmac<Sha3_256> {
+    fn hash(&self, side: Side, transcript: ProofTranscript<'_>) -> Hmac<Sha3_256> {
         let side = match side {
             Side::Dialler => b'D',
             Side::Listener => b'L',
         };
-        // The hello is the only part of more than one length.
+        // The hello is last because it is the only part of variable length.
         (self.0.clone())
             .chain_update([side])
-            .chain_update(said.listener.0.to_le_bytes())
-            .chain_update(said.nonce)
-            .chain_update(said.hello)
+            .chain_update(transcript.listener.0.to_le_bytes())
+            .chain_update(transcript.nonce)
+            .chain_update(transcript.hello)
     }
 }
 
-/// A new number of chance.
+/// Generates a nonce.
+///
+/// # Errors
+/// Fails if the operating system provides no random numbers.
 pub fn nonce() -> Result<Nonce, SecretError> {
     let mut nonce = [0; NONCE_BYTES];
-    getrandom::fill(&mut nonce).map_err(|error| SecretError::NoChance(error.to_string()))?;
+    getrandom::fill(&mut nonce).map_err(|error| SecretError::NoRandomness(error.to_string()))?;
     Ok(nonce)
 }
 
@@ -158,7 +169,7 @@ mod tests {
     use super::*;
 
     const HELLO: &[u8] = b"RECT and so on";
-    const SAID: Said<'static> = Said {
+    const TRANSCRIPT: ProofTranscript<'static> = ProofTranscript {
         hello: HELLO,
         listener: NodeId(7),
         nonce: &[3; NONCE_BYTES],
@@ -176,54 +187,60 @@ mod tests {
     }
 
     #[test]
-    fn a_proof_is_good_for_one_side_one_conversation_and_one_secret() {
+    fn proof_is_valid_for_one_side_one_handshake_and_one_secret() {
         let own = secret("a secret of 16 bytes");
-        let proof = own.proof(Side::Dialler, SAID);
-        assert!(own.is_proved(Side::Dialler, SAID, &proof));
-        assert!(!own.is_proved(Side::Listener, SAID, &proof), "sent back");
+        let proof = own.proof(Side::Dialler, TRANSCRIPT);
+        assert!(own.verify(Side::Dialler, TRANSCRIPT, &proof));
+        assert!(!own.verify(Side::Listener, TRANSCRIPT, &proof), "reflected");
         for other in [
-            Said {
+            ProofTranscript {
                 hello: b"RECT and so om",
-                ..SAID
+                ..TRANSCRIPT
             },
-            Said {
+            ProofTranscript {
                 listener: NodeId(8),
-                ..SAID
+                ..TRANSCRIPT
             },
-            Said {
+            ProofTranscript {
                 nonce: &[4; NONCE_BYTES],
-                ..SAID
+                ..TRANSCRIPT
             },
         ] {
-            assert!(!own.is_proved(Side::Dialler, other, &proof), "{other:?}");
+            assert!(!own.verify(Side::Dialler, other, &proof), "{other:?}");
         }
         let wrong = secret("a secret of 17 bytes");
-        assert!(!wrong.is_proved(Side::Dialler, SAID, &proof));
+        assert!(!wrong.verify(Side::Dialler, TRANSCRIPT, &proof));
         for bit in 0..PROOF_BYTES * 8 {
             let mut damaged = proof;
             damaged[bit / 8] ^= 1 << (bit % 8);
-            assert!(!own.is_proved(Side::Dialler, SAID, &damaged), "bit {bit}");
+            assert!(
+                !own.verify(Side::Dialler, TRANSCRIPT, &damaged),
+                "bit {bit}"
+            );
         }
     }
 
     #[test]
-    fn it_is_the_first_line_that_is_not_blank() {
-        let wanted = secret("fleet:0123456789abcdef");
+    fn secret_is_the_first_line_that_is_not_blank() {
+        let expected = secret("fleet:0123456789abcdef");
         for text in [
             "fleet:0123456789abcdef",
             "\n\r\n  fleet:0123456789abcdef \r\nwombat-2:other\n",
         ] {
             let read = read(text.as_bytes()).expect("has one");
-            assert_eq!(read.passkey(), wanted.passkey());
+            assert_eq!(read.passkey(), expected.passkey());
         }
-        // Bytes of any kind are a secret.
+        // A secret may consist of any bytes.
         assert!(read(&[0xff; MIN_SECRET]).is_ok());
     }
 
     #[test]
-    fn files_without_a_secret_say_what_is_wrong() {
+    fn invalid_files_are_rejected_with_the_reason() {
         let fifteen = read(b"fifteen bytes..").expect_err("too short").to_string();
-        assert!(fifteen.contains("has 15 bytes; it needs 16"), "{fifteen}");
+        assert!(
+            fifteen.contains("has 15 bytes, but needs at least 16"),
+            "{fifteen}"
+        );
         let empty = read(b"\n \n").expect_err("empty").to_string();
         assert!(empty.contains("has 0 bytes"), "{empty}");
         let large = read(&vec![b'x'; 70_000])
@@ -237,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_not_printed_and_its_passkey_has_six_digits() {
+    fn secret_is_not_printed_and_its_passkey_has_six_digits() {
         let secret = secret("a secret of 16 bytes");
         assert_eq!(format!("{secret:?}"), "Secret(..)");
         assert!(secret.passkey() < 1_000_000);

@@ -1,5 +1,5 @@
-//! Owns what the `ble` link tells of itself while it runs: links, lanes, peers. Zenoh makes the link managers and keeps
-//! them to itself, so this looks them up in a list of all that live in the process.
+//! Reports the state of all `ble` links of the process: links, lanes, peers and discovered nodes. Zenoh creates the link
+//! managers and does not expose them, so the nodes are kept in a list for the whole process.
 use std::{
     collections::BTreeMap,
     sync::{Arc, Weak},
@@ -11,121 +11,119 @@ use serde::Serialize;
 use zenoh_protocol::core::Priority;
 
 pub use crate::{
-    heard::HeardStatus,
-    history::{Event, PeerStatus},
+    discovered::DiscoveredStatus,
     lanes::report::Count,
+    link::history::{Event, PeerStatus},
 };
 use crate::{
     lanes::{Lane, Lanes},
-    link::LinkBle,
-    links::LinkNumber,
-    node::Node,
+    link::{node::Node, table::LinkNumber, LinkBle},
 };
 
 static NODES: Mutex<Vec<Weak<Node>>> = Mutex::new(Vec::new());
 
-/// One Zenoh runtime's Bluetooth.
+/// The `ble` links of one Zenoh runtime.
 #[derive(Clone, Debug, Serialize)]
 pub struct NodeStatus {
-    /// The name it listens as; empty where it does not listen.
+    /// The name with which the node listens; empty if it does not listen.
     pub name: String,
-    /// Links that are open.
+    /// Open links.
     pub links: Vec<LinkStatus>,
-    /// Peers that were linked or dialled.
+    /// History of the peers that were linked or dialled.
     pub peers: Vec<PeerStatus>,
-    /// Whoever was heard within the last minute, as far as this node was looking for somebody.
-    pub heard: Vec<HeardStatus>,
+    /// Nodes whose advertisements were received within the last minute. A node scans only while it dials.
+    pub discovered: Vec<DiscoveredStatus>,
 }
 
 /// An open link.
 #[derive(Clone, Debug, Serialize)]
 pub struct LinkStatus {
-    /// Its number in this process.
+    /// Number that identifies the link within the process.
     pub link: u64,
-    /// The peer's name, or its address where it has none.
+    /// Name of the peer, or its address if it has no name.
     pub peer: String,
-    /// The peer's Bluetooth address.
+    /// Bluetooth address of the peer.
     pub address: String,
-    /// The local adapter.
+    /// Name of the local adapter.
     pub adapter: String,
-    /// The largest batch, in bytes.
+    /// Largest batch, in bytes.
     pub mtu: u16,
-    /// Seconds since it was made.
+    /// Time since the link was opened, in seconds.
     pub up_s: f64,
-    /// Batches that went out.
+    /// Batches that were sent.
     pub sent: Count,
-    /// Batches that came.
+    /// Batches that were received.
     pub received: Count,
-    /// What is known of a link with lanes; a plain peer has none.
+    /// State of the lanes. A link with a plain peer has none.
     pub lanes: Option<LanesStatus>,
 }
 
-/// The lanes of a link, and the way they share.
+/// The lanes of a link, and the path to the peer that they share.
 #[derive(Clone, Debug, Serialize)]
 pub struct LanesStatus {
-    /// What the way to the peer carries while there is enough to send, in bytes per second.
+    /// Rate of the path while there is enough to send, in bytes per second, once it was measured.
     pub rate_bytes_per_s: Option<f64>,
-    /// From an SDU to its acknowledgement, in milliseconds.
+    /// Mean time from an SDU to its acknowledgement, in milliseconds, once it was measured.
     pub round_trip_ms: Option<f64>,
-    /// Sent and not acknowledged, in bytes.
-    pub on_its_way_bytes: u16,
-    /// How much of that there may be, in bytes.
-    pub on_its_way_limit_bytes: u16,
-    /// Bytes that may wait on a lane before it takes another message that must arrive.
+    /// Number of bytes that were sent and not acknowledged yet.
+    pub in_flight_bytes: u16,
+    /// Current limit of the bytes in flight.
+    pub in_flight_limit_bytes: u16,
+    /// Number of bytes that may wait on a lane before it accepts another message that must arrive.
     pub backlog_limit_bytes: usize,
-    /// The lanes that had something, the most urgent first.
+    /// The lanes that were used, the most urgent first.
     pub lanes: Vec<LaneStatus>,
 }
 
-/// A lane of a link, both directions.
+/// A lane of a link, in both directions.
 #[derive(Clone, Debug, Serialize)]
 pub struct LaneStatus {
     /// Zenoh's priority.
     pub priority: String,
-    /// Batches that went out.
+    /// Batches that were sent.
     pub sent: Count,
-    /// Batches that wait.
+    /// Batches that wait to be sent.
     pub waiting: Count,
-    /// Bytes of them that count towards `backlog_limit_bytes`: those of messages that are not large.
+    /// Number of waiting bytes that count towards `backlog_limit_bytes`: those of messages that are not large.
     pub backlog_bytes: u64,
-    /// How long the oldest of them has waited, in milliseconds.
+    /// How long the oldest waiting batch has waited, in milliseconds.
     pub oldest_ms: Option<f64>,
-    /// Batches taken back because Zenoh gave their message up.
-    pub given_up: u64,
-    /// The peer takes nothing of it now.
+    /// Number of batches that were withdrawn because Zenoh abandoned their message.
+    pub abandoned: u64,
+    /// Whether the peer has stopped the lane.
     pub is_stopped: bool,
-    /// Batches that came.
+    /// Batches that were received.
     pub received: Count,
-    /// Bytes that Zenoh has not taken yet.
-    pub held_bytes: usize,
+    /// Number of received bytes that Zenoh has not read yet.
+    pub unread_bytes: usize,
 }
 
-/// What each Zenoh runtime of this process tells of its Bluetooth.
+/// Returns the state of the `ble` links of each Zenoh runtime in this process.
 pub fn nodes() -> Vec<NodeStatus> {
     let nodes: Vec<_> = NODES.lock().iter().filter_map(Weak::upgrade).collect();
     nodes.iter().map(|node| node.status()).collect()
 }
 
-/// Ends whatever this process dials by Bluetooth, for good: for a program that is about to end. Zenoh waits for its dials
-/// when it is closed, and a peer that is away is dialled for seconds.
+/// Cancels all `ble` dials of this process and prevents new ones. It is for a program that is about to exit: when Zenoh is
+/// closed, it waits for its dials, and an unreachable peer is dialled for seconds.
 pub fn stop_dialling() {
     for node in NODES.lock().iter().filter_map(Weak::upgrade) {
         node.stop_dialling.cancel();
     }
 }
 
-/// The node on the list that is the one meant, or a new one.
+/// Returns the node in the list for which `matches` returns `true`, or adds a new one.
 pub(crate) fn find_or_add(
-    is_it: impl Fn(&Node) -> bool,
+    matches: impl Fn(&Node) -> bool,
     make: impl FnOnce() -> Arc<Node>,
 ) -> Arc<Node> {
     let mut nodes = NODES.lock();
     nodes.retain(|node| node.strong_count() > 0);
-    let mut there = nodes.iter().filter_map(Weak::upgrade);
-    if let Some(node) = there.find(|node| is_it(node)) {
+    let mut alive = nodes.iter().filter_map(Weak::upgrade);
+    if let Some(node) = alive.find(|node| matches(node)) {
         return node;
     }
-    drop(there);
+    drop(alive);
     let node = make();
     nodes.push(Arc::downgrade(&node));
     node
@@ -145,14 +143,15 @@ impl OpenLinks {
         self.0.remove(&number);
     }
 
-    /// Those that are still there. (The caller asks them when it holds no lock any more: the last to drop a link ends it.)
+    /// Returns the links that still exist. The caller must use and drop them without holding a lock, because dropping the
+    /// last reference ends a link.
     pub(crate) fn all(&self) -> Vec<Arc<LinkBle>> {
         self.0.values().filter_map(Weak::upgrade).collect()
     }
 }
 
 impl LanesStatus {
-    /// Of lanes as they are now, and the sums over them.
+    /// Returns the current state of the lanes, and the totals of what was sent and received.
     pub(crate) fn of(lanes: &Lanes, now: Instant) -> (Self, Count, Count) {
         let (mut sent, mut received) = (Count::default(), Count::default());
         let mut used = Vec::new();
@@ -170,18 +169,18 @@ impl LanesStatus {
                 waiting: out.waiting,
                 backlog_bytes: out.backlog_bytes,
                 oldest_ms: out.oldest.map(milliseconds),
-                given_up: out.given_up_sdus,
+                abandoned: out.abandoned_sdus,
                 is_stopped: out.is_stopped,
                 received: into.received,
-                held_bytes: into.held_bytes,
+                unread_bytes: into.unread_bytes,
             });
         }
-        let (on_its_way_bytes, on_its_way_limit_bytes) = lanes.on_its_way();
+        let (in_flight_bytes, in_flight_limit_bytes) = lanes.in_flight();
         let status = Self {
             rate_bytes_per_s: lanes.path().rate_bytes_per_s(),
             round_trip_ms: lanes.path().round_trip().map(milliseconds),
-            on_its_way_bytes,
-            on_its_way_limit_bytes,
+            in_flight_bytes,
+            in_flight_limit_bytes,
             backlog_limit_bytes: lanes.backlog_limit_bytes(),
             lanes: used,
         };

@@ -1,5 +1,5 @@
-//! Owns the two tasks of a link: one sends what the lanes give out, the other empties the channel into them, always, so
-//! that nothing is lost in the kernel and signals get through. Zenoh's writers and readers meet the lanes only.
+//! Runs the two tasks of a link with lanes. One sends the SDUs of the lanes. The other reads the channel at all times, so that
+//! the kernel loses nothing and signals arrive. Zenoh's writers and readers use only the lanes.
 use std::{future::Future, sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
@@ -7,9 +7,9 @@ use tokio::{sync::Notify, time::Instant};
 use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 
 use crate::{
-    bye::Bye,
-    ending::Ending,
-    error::{in_words, BleError},
+    error::{describe, BleError},
+    goodbye::Goodbye,
+    handshake::drain_until_closed,
     lanes::{
         ack_timer::ACK_TIMEOUT,
         receiver::Violation,
@@ -18,28 +18,29 @@ use crate::{
         sdu::SduError,
         Change, Lane, Lanes, HEADER, LANES,
     },
-    opening::until_closed,
+    link::close_once::CloseOnce,
     radio::{Channel, RadioError},
     status::LanesStatus,
 };
 
-/// How long an SDU may wait for room in the controller until the link is given up. Zenoh's own lease (10 s) ends a silent
-/// link sooner; this bounds one whose radio is alive but takes nothing.
+/// How long an SDU may wait for room in the controller before the link ends. Zenoh's own lease (10 s) ends a silent link
+/// sooner; this limit is for a link whose radio works but accepts nothing.
 pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(20);
-/// How long a goodbye after an error may take: the channel ends anyway.
-const LAST_WORD: Duration = Duration::from_millis(500);
+/// How long the peer may take to read a goodbye after an error before the channel is closed.
+const GOODBYE_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// What a link's lanes are made with.
+/// The parameters of a link's lanes.
 pub(crate) struct TrafficOptions {
     pub(crate) bounds: Bounds,
     /// The largest batch, in bytes.
     pub(crate) mtu: u16,
-    /// What each side takes unacknowledged, in bytes.
+    /// Number of bytes that this side accepts unacknowledged.
     pub(crate) own_window: u16,
+    /// Number of bytes that the peer accepts unacknowledged.
     pub(crate) peer_window: u16,
 }
 
-/// A link's lanes, and those who wait for them.
+/// The lanes of a link, with the notifications for the tasks that wait for them.
 pub(crate) struct Traffic {
     channel: Arc<dyn Channel>,
     peer: String,
@@ -48,19 +49,20 @@ pub(crate) struct Traffic {
     to_send: Notify,
     room: Notify,
     arrived: [Notify; LANES],
-    /// Tells those who wait for Zenoh's handshake that something came on another lane.
+    /// Notified when a batch arrives on another lane than the first, for readers of Zenoh's handshake.
     arrived_elsewhere: Notify,
-    /// Tells the receiving task that [`State::failure`] is set.
+    /// Notified when [`State::failure`] is set, for the receiving task.
     failed: Notify,
-    ending: Arc<Ending>,
+    close_once: Arc<CloseOnce>,
     /// Cancelled when the link has ended.
-    over: CancellationToken,
+    ended: CancellationToken,
 }
 
 struct State {
     lanes: Lanes,
-    /// Why this side is ending the link. The goodbye is the next SDU.
+    /// Why this side is ending the link. The next SDU is the goodbye.
     failure: Option<Arc<BleError>>,
+    /// Why the link has ended.
     end: Option<Arc<BleError>>,
 }
 
@@ -73,30 +75,30 @@ impl State {
     }
 }
 
-/// What came of trying to send.
-enum Sent {
+/// The result of an attempt to send an SDU.
+enum SendOutcome {
     Sdu(Next),
-    /// There is nothing that may be sent.
+    /// There is nothing to send, or nothing may be sent now.
     Nothing,
-    /// The channel takes nothing now.
+    /// The channel has no room.
     NoRoom,
     /// The peer has acknowledged nothing for too long.
     Unacknowledged,
 }
 
-/// Keeps the tasks of a link going; dropping it ends them.
+/// The tasks of a link, which end when this is dropped.
 pub(crate) struct Tasks {
     _sending: AbortOnDropHandle<()>,
     _receiving: AbortOnDropHandle<()>,
 }
 
 impl Traffic {
-    /// Starts the tasks. `replaced` ends the link in favour of a newer one.
+    /// Starts the tasks of a link. Cancelling `replaced` ends the link in favour of a newer one.
     pub(crate) fn start(
         channel: Arc<dyn Channel>,
         peer: String,
         options: TrafficOptions,
-        ending: Arc<Ending>,
+        close_once: Arc<CloseOnce>,
         replaced: CancellationToken,
     ) -> (Arc<Self>, Tasks) {
         let TrafficOptions {
@@ -111,7 +113,7 @@ impl Traffic {
             channel,
             peer,
             mtu,
-            ending,
+            close_once,
             state: Mutex::new(State {
                 lanes,
                 failure: None,
@@ -122,7 +124,7 @@ impl Traffic {
             arrived: Default::default(),
             arrived_elsewhere: Notify::new(),
             failed: Notify::new(),
-            over: CancellationToken::new(),
+            ended: CancellationToken::new(),
         });
         let (sender, receiver) = (Arc::clone(&traffic), Arc::clone(&traffic));
         let tasks = Tasks {
@@ -134,7 +136,10 @@ impl Traffic {
         (traffic, tasks)
     }
 
-    /// Puts a batch on its lane; waits for room.
+    /// Queues a batch on its lane. Waits while there is no room.
+    ///
+    /// # Errors
+    /// Fails if the batch is larger than the MTU, or if the link has ended.
     pub(crate) async fn write(&self, lane: Lane, batch: &[u8]) -> Result<(), BleError> {
         if batch.len() > self.mtu {
             return Err(BleError::BatchTooLarge {
@@ -144,21 +149,24 @@ impl Traffic {
         }
         loop {
             let room = self.room.notified();
-            let ask_again_at = {
+            let retry_at = {
                 let (mut state, now) = (self.state.lock(), Instant::now().into_std());
                 state.check()?;
                 if state.lanes.push(lane, batch, now) {
                     break;
                 }
-                state.lanes.ask_again_at(lane, batch, now)
+                state.lanes.retry_at(lane, batch, now)
             };
-            self.unless_over(until_room(room, ask_again_at)).await;
+            self.unless_ended(until_room(room, retry_at)).await;
         }
         self.to_send.notify_one();
         Ok(())
     }
 
-    /// The next batch of a lane; what came before the end of the link is still given out.
+    /// Returns the next batch of a lane. Waits until there is one.
+    ///
+    /// # Errors
+    /// Fails if the link has ended and all batches that arrived before its end were read.
     pub(crate) async fn read(&self, lane: Lane) -> Result<Vec<u8>, BleError> {
         loop {
             {
@@ -171,19 +179,22 @@ impl Traffic {
                 }
                 state.check()?;
             }
-            self.unless_over(self.arrived[lane.index()].notified())
+            self.unless_ended(self.arrived[lane.index()].notified())
                 .await;
         }
     }
 
-    /// Returns the next batch of Zenoh's own handshake; ends the link if the peer sends it on the wrong lane.
+    /// Returns the next batch of Zenoh's own handshake. Ends the link if the peer sends it on the wrong lane.
+    ///
+    /// # Errors
+    /// Fails if the link has ended.
     pub(crate) async fn read_handshake(&self) -> Result<Vec<u8>, BleError> {
         let on_first = &self.arrived[Lane::first().index()];
         loop {
             let elsewhere = self.arrived_elsewhere.notified();
             let violation = {
                 let mut state = self.state.lock();
-                let taken = state.lanes.take_of_handshake();
+                let taken = state.lanes.take_handshake_batch();
                 if let Ok(Some(batch)) = taken {
                     if state.lanes.has_signal() {
                         self.to_send.notify_one();
@@ -202,81 +213,83 @@ impl Traffic {
                     () = elsewhere => {}
                 }
             };
-            self.unless_over(arrived).await;
+            self.unless_ended(arrived).await;
         }
     }
 
-    /// Waits, but not beyond the end of the link, however many wait.
-    async fn unless_over(&self, waiting: impl Future<Output = ()>) {
+    /// Waits for a future or for the end of the link, whichever is first. Any number of tasks may wait.
+    async fn unless_ended(&self, waiting: impl Future<Output = ()>) {
         tokio::select! {
             () = waiting => {}
-            () = self.over.cancelled() => {}
+            () = self.ended.cancelled() => {}
         }
     }
 
-    /// Whether it still carries batches.
+    /// Returns an error if the link has ended.
     pub(crate) fn check(&self) -> Result<(), BleError> {
         self.state.lock().check()
     }
 
     /// Waits until the link has ended.
     pub(crate) async fn ended(&self) {
-        self.over.cancelled().await;
+        self.ended.cancelled().await;
     }
 
-    /// Sends what waits and then the goodbye, and waits until the peer, having read it all, closes the channel.
+    /// Sends what is queued and then the goodbye, and waits until the peer has read it and closes the channel, for at most
+    /// `limit`.
     pub(crate) async fn finish(&self, limit: Duration) {
-        self.state.lock().lanes.close(Bye::Closing.code());
+        self.state.lock().lanes.close(Goodbye::Closing.code());
         self.to_send.notify_one();
-        if tokio::time::timeout(limit, self.over.cancelled())
+        if tokio::time::timeout(limit, self.ended.cancelled())
             .await
             .is_err()
         {
             tracing::warn!(
-                "ble: {} did not take what waited for it within {limit:?}",
+                "ble: closing the link with {}: it did not read the waiting messages within {limit:?}",
                 self.peer
             );
         }
         self.channel.shutdown();
     }
 
-    /// What can be told of the lanes, and what was sent and received altogether.
+    /// Returns the state of the lanes, and the totals of what was sent and received.
     pub(crate) fn status(&self) -> (LanesStatus, Count, Count) {
         LanesStatus::of(&self.state.lock().lanes, Instant::now().into_std())
     }
 
+    /// Sends SDUs until the goodbye is sent or the link has ended.
     async fn send(&self) {
         loop {
             match self.send_next() {
-                Ok(Sent::Nothing) => {
+                Ok(SendOutcome::Nothing) => {
                     let more = self.to_send.notified();
                     self.until_ack_deadline(more).await;
                 }
-                Ok(Sent::Sdu(Next::Batch(_))) => {
-                    // Whatever the lane: the bound is one for all of them.
+                Ok(SendOutcome::Sdu(Next::Batch(_))) => {
+                    // All lanes share one bound, so the writers of all lanes are notified.
                     self.room.notify_waiters();
                 }
-                Ok(Sent::Sdu(Next::Signal)) => {}
-                Ok(Sent::Sdu(Next::Bye)) => return,
-                Ok(Sent::NoRoom) => {
-                    let room = tokio::time::timeout(SEND_TIMEOUT, self.channel.has_room());
+                Ok(SendOutcome::Sdu(Next::Signal)) => {}
+                Ok(SendOutcome::Sdu(Next::Goodbye)) => return,
+                Ok(SendOutcome::NoRoom) => {
+                    let room = tokio::time::timeout(SEND_TIMEOUT, self.channel.writable());
                     if let Some(Err(_)) = self.until_ack_deadline(room).await {
-                        return self.end(takes_nothing());
+                        return self.end(send_timed_out());
                     }
                 }
-                Ok(Sent::Unacknowledged) => {
+                Ok(SendOutcome::Unacknowledged) => {
                     let error = BleError::Unacknowledged {
                         peer: self.peer.clone(),
                         limit: ACK_TIMEOUT,
                     };
-                    self.fail(Bye::Unacknowledged, error);
+                    self.fail(Goodbye::Unacknowledged, error);
                 }
                 Err(error) => return self.end(BleError::from(error)),
             }
         }
     }
 
-    /// Waits for `event`, but at most until the peer must have acknowledged something: `None` then.
+    /// Waits for `event`. Returns `None` if the peer has to have acknowledged something before.
     async fn until_ack_deadline<T>(&self, event: impl Future<Output = T>) -> Option<T> {
         let deadline = self.state.lock().lanes.ack_deadline();
         match deadline {
@@ -285,39 +298,42 @@ impl Traffic {
         }
     }
 
-    /// Chosen only now that the channel takes it: what waits outside may still be overtaken.
-    fn send_next(&self) -> Result<Sent, RadioError> {
+    /// Tries to send the most urgent SDU. It is selected only when the channel accepts it, so that queued batches can still
+    /// be overtaken.
+    fn send_next(&self) -> Result<SendOutcome, RadioError> {
         let mut state = self.state.lock();
         let deadline = state.lanes.ack_deadline();
         if deadline.is_some_and(|deadline| Instant::now().into_std() >= deadline) {
-            return Ok(Sent::Unacknowledged);
+            return Ok(SendOutcome::Unacknowledged);
         }
         let Some((next, sdu)) = state.lanes.peek() else {
-            return Ok(Sent::Nothing);
+            return Ok(SendOutcome::Nothing);
         };
         if !self.channel.try_send(sdu)? {
-            return Ok(Sent::NoRoom);
+            return Ok(SendOutcome::NoRoom);
         }
         state.lanes.on_sent(next, Instant::now().into_std());
-        Ok(Sent::Sdu(next))
+        Ok(SendOutcome::Sdu(next))
     }
 
+    /// Receives SDUs until the link ends, and then ends it for all waiting tasks.
     async fn receive(&self, replaced: CancellationToken) {
-        // One byte more than is allowed, so that a larger SDU shows instead of being cut.
+        // One byte more than is allowed, so that a larger SDU is detected instead of being truncated.
         let mut sdu = vec![0; self.mtu + HEADER + 1];
         let error: Arc<BleError> = loop {
             let received = tokio::select! {
                 size = self.channel.recv(&mut sdu) => size,
                 () = replaced.cancelled() => {
                     let peer = self.peer.clone();
-                    self.fail(Bye::Replaced, BleError::Replaced { peer });
+                    self.fail(Goodbye::Replaced, BleError::Replaced { peer });
                     break self.failure().await;
                 }
                 error = self.failure() => break error,
             };
             let change = match received {
                 Ok(size) => self.on_sdu(sdu.get(..size).unwrap_or_default()),
-                // A kernel cuts it instead, so that one byte too many arrives: the same to the peer.
+                // The simulated radio reports a too large SDU; a kernel truncates it to one byte too many. The peer sees
+                // the same result.
                 Err(RadioError::SduTooLarge { size, .. }) => Err(self.too_large(size)),
                 Err(error) => break BleError::from(error).into(),
             };
@@ -329,7 +345,9 @@ impl Traffic {
                     }
                 }
                 Ok(Change::Credits) => self.to_send.notify_one(),
-                Ok(Change::Bye(code)) => break self.closed_by_peer(Bye::from_code(code)).into(),
+                Ok(Change::Goodbye(code)) => {
+                    break self.closed_by_peer(Goodbye::from_code(code)).into()
+                }
                 Err(violation) => {
                     self.fail_for(violation);
                     break self.failure().await;
@@ -338,12 +356,13 @@ impl Traffic {
         };
         let failure = self.state.lock().failure.clone();
         if failure.is_some() {
-            // The peer closes when it has read the goodbye.
-            let _ = tokio::time::timeout(LAST_WORD, until_closed(&self.channel)).await;
+            // The peer closes the channel when it has read the goodbye.
+            let _ = tokio::time::timeout(GOODBYE_TIMEOUT, drain_until_closed(&self.channel)).await;
         }
         self.end(failure.unwrap_or(error));
     }
 
+    /// Hands a received SDU to the lanes.
     fn on_sdu(&self, sdu: &[u8]) -> Result<Change, Violation> {
         let mut state = self.state.lock();
         let change = state.lanes.on_sdu(sdu, Instant::now().into_std())?;
@@ -360,32 +379,32 @@ impl Traffic {
         }
     }
 
-    /// Ends the link because of what the peer sent.
+    /// Ends the link because of a violation by the peer.
     fn fail_for(&self, violation: Violation) {
-        let bye = match violation {
-            Violation::Sdu(SduError::Fault(_)) => Bye::Unverified,
-            _ => Bye::ProtocolError,
+        let goodbye = match violation {
+            Violation::Sdu(SduError::Fault(_)) => Goodbye::LostOrDamaged,
+            _ => Goodbye::ProtocolError,
         };
         let error = BleError::Protocol {
             peer: self.channel.peer(),
             what: violation.to_string(),
         };
-        self.fail(bye, error);
+        self.fail(goodbye, error);
     }
 
-    /// Ends the link from this side: discards what waits, sends `bye` and leaves the rest to the receiving task. The first
-    /// reason counts.
-    fn fail(&self, bye: Bye, error: BleError) {
+    /// Ends the link from this side: discards what is queued and sends `goodbye`. The receiving task does the rest. Only the
+    /// first reason counts.
+    fn fail(&self, goodbye: Goodbye, error: BleError) {
         let mut state = self.state.lock();
         if state.failure.is_none() {
             state.failure = Some(error.into());
-            state.lanes.abort(bye.code());
+            state.lanes.abort(goodbye.code());
             self.failed.notify_one();
             self.to_send.notify_one();
         }
     }
 
-    /// Waits until this side ends the link, and returns why. It may be dropped at any time.
+    /// Waits until this side ends the link, and returns the reason. The future may be dropped at any time.
     async fn failure(&self) -> Arc<BleError> {
         loop {
             let failed = self.failed.notified();
@@ -396,35 +415,35 @@ impl Traffic {
         }
     }
 
-    fn closed_by_peer(&self, bye: Bye) -> BleError {
+    fn closed_by_peer(&self, goodbye: Goodbye) -> BleError {
         BleError::ClosedByPeer {
             peer: self.peer.clone(),
-            reason: bye.reason(),
+            reason: goodbye.reason(),
         }
     }
 
-    /// The link is over: all who wait are told.
+    /// Ends the link and notifies all waiting tasks.
     fn end(&self, error: impl Into<Arc<BleError>>) {
         let error = error.into();
         self.channel.shutdown();
-        self.ending.happens(&in_words(&error));
+        self.close_once.close(&describe(&error));
         self.state.lock().end.get_or_insert(error);
-        self.over.cancel();
+        self.ended.cancel();
     }
 }
 
-/// Waits until something went out, or until then if nothing does.
-async fn until_room(room: impl Future<Output = ()>, ask_again_at: Option<std::time::Instant>) {
-    match ask_again_at {
+/// Waits until something was sent, or until `retry_at`.
+async fn until_room(room: impl Future<Output = ()>, retry_at: Option<std::time::Instant>) {
+    match retry_at {
         Some(at) => drop(tokio::time::timeout_at(at.into(), room).await),
         None => room.await,
     }
 }
 
-/// It has waited for [`SEND_TIMEOUT`].
-pub(crate) fn takes_nothing() -> BleError {
+/// Returns the error for an SDU that has waited for [`SEND_TIMEOUT`].
+pub(crate) fn send_timed_out() -> BleError {
     BleError::Radio(RadioError::TimedOut {
-        action: "sending to a peer that takes nothing",
+        action: "sending to a peer that accepts nothing",
         limit: SEND_TIMEOUT,
     })
 }

@@ -1,4 +1,4 @@
-//! The simulated air between processes, over real sockets and in real time:
+//! Tests the simulated air between processes, over real sockets and in real time:
 //! `cargo test -p zenoh-link-ble --test air_server`.
 use std::{
     os::unix::fs::{symlink, PermissionsExt},
@@ -31,10 +31,10 @@ const OPTIONS: ChannelOptions = ChannelOptions {
     passkey: None,
 };
 
-/// Only bounds a test that hangs.
+/// Timeout that only applies if a test hangs.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// A folder of its own, removed at the end.
+/// A temporary folder, removed when it is dropped.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -86,18 +86,18 @@ async fn listen(radio: &SimRadio) -> Listening {
 
 async fn link(from: &SimRadio, to: &SimRadio) -> (Arc<dyn Channel>, Arc<dyn Channel>, Listening) {
     let listening = listen(to).await;
-    let peer = to.address().await.expect("is there");
+    let peer = to.address().await.expect("has an address");
     let dialled = from.connect(peer, listening.0.psm(), OPTIONS);
     let both = async { tokio::join!(dialled, listening.0.accept()) };
     let (dialled, accepted) = timeout(LIMIT, both).await.expect("in time");
     (
         dialled.expect("connects"),
-        accepted.expect("is called"),
+        accepted.expect("accepts"),
         listening,
     )
 }
 
-async fn say(from: &dyn Channel, to: &dyn Channel, sdu: &[u8]) {
+async fn assert_delivers(from: &dyn Channel, to: &dyn Channel, sdu: &[u8]) {
     from.send(sdu).await.expect("sends");
     let mut buffer = vec![0; 5000];
     let received = timeout(LIMIT, to.recv(&mut buffer)).await.expect("in time");
@@ -105,26 +105,26 @@ async fn say(from: &dyn Channel, to: &dyn Channel, sdu: &[u8]) {
 }
 
 #[tokio::test]
-async fn two_clients_find_each_other_and_talk() {
+async fn two_clients_discover_each_other_and_exchange_sdus() {
     let folder = Folder::new("talk");
     let _server = serve(&folder.socket());
     let a = radio_at(&folder.socket(), "sim-a").expect("a good name");
     let b = radio_at(&folder.socket(), "sim-b").expect("a good name");
     let (x, y, listening) = link(&a, &b).await;
-    say(&*x, &*y, &[1; 4096]).await;
-    say(&*y, &*x, b"answer").await;
+    assert_delivers(&*x, &*y, &[1; 4096]).await;
+    assert_delivers(&*y, &*x, b"answer").await;
     let mut scan = a.scan().await.expect("scans");
-    let heard = timeout(LIMIT, scan.next())
+    let received = timeout(LIMIT, scan.next())
         .await
         .expect("in time")
         .expect("hears");
-    assert_eq!(heard.device, b.address().await.expect("is there"));
+    assert_eq!(received.device, b.address().await.expect("has an address"));
     let status = control(&folder.socket(), Control::Status)
         .await
         .expect("answers");
-    let status = status.expect("an account");
+    let status = status.expect("a status");
     assert_eq!((status.adapters.len(), status.links.len()), (2, 1));
-    // A program that ends is known at once.
+    // The end of a program is detected immediately.
     drop((y, b, listening));
     let ended = timeout(LIMIT, x.recv(&mut [0; 8])).await.expect("in time");
     assert!(
@@ -134,11 +134,11 @@ async fn two_clients_find_each_other_and_talk() {
 }
 
 #[tokio::test]
-async fn without_a_server_the_error_says_where_and_how() {
+async fn missing_server_error_names_the_socket_and_the_command() {
     let folder = Folder::new("nobody");
     let radio = radio_at(&folder.socket(), "sim-a").expect("a good name");
     assert_eq!(radio.state().await, AdapterState::Missing);
-    let error = radio.scan().await.err().expect("nobody is there");
+    let error = radio.scan().await.err().expect("no air is running");
     assert!(matches!(error, RadioError::NoService { .. }), "{error:?}");
     let text = error.to_string();
     assert!(
@@ -148,7 +148,7 @@ async fn without_a_server_the_error_says_where_and_how() {
 }
 
 #[tokio::test]
-async fn adapters_come_back_when_the_server_does() {
+async fn adapters_reattach_after_a_server_restart() {
     let folder = Folder::new("again");
     let server = serve(&folder.socket());
     let a = radio_at(&folder.socket(), "sim-a").expect("a good name");
@@ -171,24 +171,24 @@ async fn adapters_come_back_when_the_server_does() {
             if radio.state().await == AdapterState::On {
                 break;
             }
-            timeout(LIMIT, changed).await.expect("comes back");
+            timeout(LIMIT, changed).await.expect("reattaches");
         }
     }
-    // What is left of the old ones does not touch the new ones.
+    // Remaining objects of the old attachments do not affect the new ones.
     let new = listen(&b).await;
     drop((x, y, old));
     drop(new);
     let (x, y, _listening) = link(&a, &b).await;
-    say(&*x, &*y, b"again").await;
+    assert_delivers(&*x, &*y, b"again").await;
 }
 
 #[tokio::test]
-async fn a_name_belongs_to_one_program_at_a_time() {
+async fn rejects_a_second_program_with_the_same_adapter_name() {
     let folder = Folder::new("twice");
     let _server = serve(&folder.socket());
     let first = radio_at(&folder.socket(), "sim-a").expect("a good name");
     assert_eq!(first.state().await, AdapterState::On);
-    // By another path this process counts as another program.
+    // With another path, this process counts as another program.
     let alias = folder.0.join("alias.sock");
     symlink(folder.socket(), &alias).expect("links");
     let second = radio_at(&alias, "sim-a").expect("a good name");
@@ -196,12 +196,12 @@ async fn a_name_belongs_to_one_program_at_a_time() {
     assert!(error.to_string().contains("another program"), "{error}");
     drop(first);
     while second.state().await != AdapterState::On {
-        timeout(LIMIT, second.changed()).await.expect("gets it");
+        timeout(LIMIT, second.changed()).await.expect("attaches");
     }
 }
 
 #[tokio::test]
-async fn a_client_that_talks_garbage_is_let_go_and_others_do_not_notice() {
+async fn disconnects_a_client_that_sends_garbage_without_affecting_others() {
     let folder = Folder::new("garbage");
     let _server = serve(&folder.socket());
     let a = radio_at(&folder.socket(), "sim-a").expect("a good name");
@@ -210,9 +210,9 @@ async fn a_client_that_talks_garbage_is_let_go_and_others_do_not_notice() {
     let messages: [&[u8]; 4] = [
         b"GET / HTTP/1.1\r\n\r\n",
         &[4, 0, 0, 0, 0xff, 0xff, 0xff, 0xff],
-        // A command before the introduction.
+        // A command before the first message.
         &[3, 0, 0, 0, 2, 2, 1],
-        // A name that is none.
+        // An invalid adapter name.
         &[6, 0, 0, 0, 0, 1, 3, b'h', b'c', b'i'],
     ];
     for message in messages {
@@ -222,21 +222,21 @@ async fn a_client_that_talks_garbage_is_let_go_and_others_do_not_notice() {
         client.write_all(message).await.expect("writes");
         let mut answer = Vec::new();
         let ended = timeout(LIMIT, client.read_to_end(&mut answer)).await;
-        // A reset is an end too: the server did not read all of it.
-        let _ = ended.expect("is let go");
-        say(&*x, &*y, b"undisturbed").await;
+        // A reset also counts as the end: the server did not read everything.
+        let _ = ended.expect("is disconnected");
+        assert_delivers(&*x, &*y, b"undisturbed").await;
     }
 }
 
 #[tokio::test]
-async fn the_socket_is_private_replaces_a_stale_one_and_goes_with_its_server() {
+async fn socket_is_private_and_replaces_a_stale_file_and_is_removed_on_exit() {
     let folder = Folder::new("socket");
     let path = folder.socket();
     drop(std::os::unix::net::UnixListener::bind(&path).expect("binds"));
     assert!(path.exists(), "a dead server leaves its file");
     let server = serve(&path);
     let mode = std::fs::metadata(&path)
-        .expect("is there")
+        .expect("has an address")
         .permissions()
         .mode();
     assert_eq!(mode & 0o777, 0o600);

@@ -1,4 +1,4 @@
-//! The simulated air against the arithmetic of Bluetooth LE, and against what it promises links, in virtual time:
+//! Tests the simulated air against the arithmetic of Bluetooth LE and against its guarantees to links, in virtual time:
 //! `cargo test -p zenoh-link-ble --test air_theory`.
 use std::{sync::Arc, time::Duration};
 
@@ -38,7 +38,7 @@ struct Host {
     _advertised: Box<dyn AdvertisingGuard>,
 }
 
-/// An adapter that listens and says so.
+/// Returns an adapter that listens and advertises.
 async fn host(air: &SimAir, name: &str) -> Host {
     let radio = air.radio(name).await.expect("attaches");
     let listener = radio.listen(None, OPTIONS).await.expect("listens");
@@ -62,17 +62,17 @@ async fn host(air: &SimAir, name: &str) -> Host {
 
 type End = Arc<dyn Channel>;
 
-/// A channel from the adapter to the host: the dialling end first.
+/// Opens a channel from the adapter to the host. Returns the dialling end first.
 async fn dial(from: &SimRadio, to: &Host) -> (End, End) {
-    let peer = to.radio.address().await.expect("is there");
+    let peer = to.radio.address().await.expect("is attached");
     let dialled = from.connect(peer, to.listener.psm(), OPTIONS);
     let (dialled, accepted) = tokio::join!(timeout(LONG, dialled), to.listener.accept());
     let dialled = dialled.expect("in time").expect("connects");
-    (dialled, accepted.expect("is called"))
+    (dialled, accepted.expect("accepts"))
 }
 
-/// SDUs without end, each with its number in front.
-fn pour(into: End, sdu_bytes: usize) -> tokio::task::JoinHandle<u32> {
+/// Sends SDUs without end, each starting with its number.
+fn send_continuously(into: End, sdu_bytes: usize) -> tokio::task::JoinHandle<u32> {
     tokio::spawn(async move {
         let mut number = 0_u32;
         loop {
@@ -86,7 +86,7 @@ fn pour(into: End, sdu_bytes: usize) -> tokio::task::JoinHandle<u32> {
     })
 }
 
-/// The rate at which SDUs come in, in kbit/s, after the first.
+/// Returns the rate of received SDUs after the first one, in kbit/s.
 async fn rate(from: &End, during: Duration) -> f64 {
     let mut buffer = vec![0; 65535];
     from.recv(&mut buffer).await.expect("first sdu");
@@ -105,66 +105,66 @@ async fn throughput(options: AirOptions, during: Duration) -> f64 {
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
     let (a, b) = dial(&radio, &host).await;
-    pour(Arc::clone(&a), sdu_bytes);
+    send_continuously(Arc::clone(&a), sdu_bytes);
     rate(&b, during).await
 }
 
-/// One row of the table in `facts/ble-and-peers.md`, section 2: within 5 % of `wanted_kbit_s`.
-async fn row(phy: Phy, pdu: LlPayload, mps: u16, wanted_kbit_s: f64) {
+/// Checks one row of the table in `facts/ble-and-peers.md`, section 2: the rate is within 5 % of `expected_kbit_s`.
+async fn check_throughput(phy: Phy, pdu: LlPayload, mps: u16, expected_kbit_s: f64) {
     let options = AirOptions {
         phy,
         pdu,
         mps,
-        // Long, so that what the end of an event leaves unused does not count.
+        // Long, so that the unused time at the end of an event is negligible.
         interval: Duration::from_secs(1),
         supervision_timeout: Duration::from_secs(6),
         ..desk()
     };
     let measured = throughput(options, Duration::from_secs(5)).await;
-    println!("{phy} {pdu} mps {mps}: {measured:.0} kbit/s, theory {wanted_kbit_s}");
+    println!("{phy} {pdu} mps {mps}: {measured:.0} kbit/s, theory {expected_kbit_s}");
     assert!(
-        (measured / wanted_kbit_s - 1.0).abs() < 0.05,
-        "{measured:.0} kbit/s, theory {wanted_kbit_s}"
+        (measured / expected_kbit_s - 1.0).abs() < 0.05,
+        "{measured:.0} kbit/s, theory {expected_kbit_s}"
     );
 }
 
 #[tokio::test(start_paused = true)]
 async fn le_1m_with_short_packets_and_frames_carries_272_kbit_s() {
-    row(Phy::Le1M, LlPayload::Bytes27, 23, 272.0).await;
+    check_throughput(Phy::Le1M, LlPayload::Bytes27, 23, 272.0).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn le_1m_with_short_packets_and_long_frames_carries_292_kbit_s() {
-    row(Phy::Le1M, LlPayload::Bytes27, 247, 292.0).await;
+    check_throughput(Phy::Le1M, LlPayload::Bytes27, 247, 292.0).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn le_1m_with_long_packets_carries_801_kbit_s() {
-    row(Phy::Le1M, LlPayload::Bytes251, 247, 801.0).await;
+    check_throughput(Phy::Le1M, LlPayload::Bytes251, 247, 801.0).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn le_2m_with_short_packets_carries_371_kbit_s() {
-    row(Phy::Le2M, LlPayload::Bytes27, 23, 371.0).await;
+    check_throughput(Phy::Le2M, LlPayload::Bytes27, 23, 371.0).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn le_2m_with_long_packets_carries_1420_kbit_s() {
-    row(Phy::Le2M, LlPayload::Bytes251, 247, 1420.0).await;
+    check_throughput(Phy::Le2M, LlPayload::Bytes251, 247, 1420.0).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn coded_s2_carries_377_kbit_s() {
-    row(Phy::CodedS2, LlPayload::Bytes251, 247, 377.0).await;
+    check_throughput(Phy::CodedS2, LlPayload::Bytes251, 247, 377.0).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn coded_s8_carries_111_kbit_s() {
-    row(Phy::CodedS8, LlPayload::Bytes251, 247, 111.0).await;
+    check_throughput(Phy::CodedS8, LlPayload::Bytes251, 247, 111.0).await;
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_worse_the_air_the_slower_the_link() {
+async fn throughput_decreases_with_the_radio_condition() {
     let mut rates = Vec::new();
     for condition in [
         Condition::Desk,
@@ -185,18 +185,18 @@ async fn the_worse_the_air_the_slower_the_link() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_links_of_one_adapter_get_about_half_each() {
-    share(desk(), 600.0..800.0).await;
+async fn two_links_share_one_adapter_equally() {
+    check_sharing(desk(), 600.0..800.0).await;
 }
 
-// An exchange of two full coded packets takes longer than half an interval: their events run into each other.
+// An exchange of two full coded packets takes longer than half an interval, so the events of the two links overlap.
 #[tokio::test(start_paused = true)]
-async fn links_whose_events_collide_take_turns() {
+async fn links_with_overlapping_events_take_turns() {
     let phy = Phy::CodedS8;
-    share(AirOptions { phy, ..desk() }, 40.0..111.0).await;
+    check_sharing(AirOptions { phy, ..desk() }, 40.0..111.0).await;
 }
 
-async fn share(options: AirOptions, wanted_kbit_s: std::ops::Range<f64>) {
+async fn check_sharing(options: AirOptions, expected_kbit_s: std::ops::Range<f64>) {
     let air = air(options);
     let host = host(&air, "sim-host").await;
     let mut ends = Vec::new();
@@ -205,18 +205,21 @@ async fn share(options: AirOptions, wanted_kbit_s: std::ops::Range<f64>) {
         ends.push(dial(&radio, &host).await);
     }
     for (a, _) in &ends {
-        pour(Arc::clone(a), 986);
+        send_continuously(Arc::clone(a), 986);
     }
     let (x, y) = tokio::join!(
         rate(&ends[0].1, Duration::from_secs(5)),
         rate(&ends[1].1, Duration::from_secs(5))
     );
     assert!((x / y - 1.0).abs() < 0.15, "{x:.0} and {y:.0} kbit/s");
-    assert!(wanted_kbit_s.contains(&(x + y)), "{x:.0} and {y:.0} kbit/s");
+    assert!(
+        expected_kbit_s.contains(&(x + y)),
+        "{x:.0} and {y:.0} kbit/s"
+    );
 }
 
 #[tokio::test(start_paused = true)]
-async fn pairs_that_share_no_adapter_do_not_disturb_each_other() {
+async fn pairs_without_a_common_adapter_do_not_affect_each_other() {
     let alone = throughput(desk(), Duration::from_secs(5)).await;
     let air = air(desk());
     let mut ends = Vec::new();
@@ -224,7 +227,7 @@ async fn pairs_that_share_no_adapter_do_not_disturb_each_other() {
         let host = host(&air, b).await;
         let radio = air.radio(a).await.expect("attaches");
         let (from, to) = dial(&radio, &host).await;
-        pour(Arc::clone(&from), 986);
+        send_continuously(Arc::clone(&from), 986);
         ends.push((from, to, host));
     }
     let during = Duration::from_secs(5);
@@ -238,7 +241,7 @@ async fn pairs_that_share_no_adapter_do_not_disturb_each_other() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cut_is_noticed_at_both_ends_within_the_supervision_timeout_and_passes() {
+async fn both_ends_detect_a_cut_within_the_supervision_timeout() {
     let air = air(desk());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
@@ -253,8 +256,8 @@ async fn a_cut_is_noticed_at_both_ends_within_the_supervision_timeout_and_passes
         );
     }
     let took = start.elapsed();
-    let wanted = Duration::from_millis(1900)..Duration::from_millis(2010);
-    assert!(wanted.contains(&took), "{took:?}");
+    let expected = Duration::from_millis(1900)..Duration::from_millis(2010);
+    assert!(expected.contains(&took), "{took:?}");
     air.restore();
     let (a, b) = dial(&radio, &host).await;
     a.send(b"again").await.expect("sends");
@@ -263,7 +266,7 @@ async fn a_cut_is_noticed_at_both_ends_within_the_supervision_timeout_and_passes
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_receiver_that_does_not_read_holds_the_sender_back_and_loses_nothing() {
+async fn applies_backpressure_without_loss_if_the_receiver_does_not_read() {
     let air = air(AirOptions::default());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
@@ -277,7 +280,7 @@ async fn a_receiver_that_does_not_read_holds_the_sender_back_and_loses_nothing()
             a.send(&sdu).await.expect("sends");
             counter.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         }
-        // Kept until all has arrived.
+        // Kept open until everything has arrived.
         let _ = a.recv(&mut [0; 8]).await;
     });
     tokio::time::advance(Duration::from_millis(1)).await;
@@ -293,7 +296,7 @@ async fn a_receiver_that_does_not_read_holds_the_sender_back_and_loses_nothing()
 }
 
 #[tokio::test(start_paused = true)]
-async fn sdus_of_every_size_arrive_intact_and_in_order_in_every_condition() {
+async fn delivers_sdus_of_every_size_in_order_in_every_condition() {
     for (condition, pdu) in Condition::ALL.into_iter().zip(
         [LlPayload::Bytes251, LlPayload::Bytes27]
             .into_iter()
@@ -333,14 +336,14 @@ async fn sdus_of_every_size_arrive_intact_and_in_order_in_every_condition() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn power_off_ends_everything_and_the_peer_is_told() {
+async fn power_off_ends_all_operations_and_the_peers_channel() {
     let air = air(desk());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
     let (a, b) = dial(&radio, &host).await;
     let mut scan = radio.scan().await.expect("scans");
     let changed = host.radio.changed();
-    air.power("sim-host", false).expect("is there");
+    air.power("sim-host", false).expect("is attached");
     changed.await;
     assert_eq!(host.radio.state().await, AdapterState::Off);
     assert!(matches!(
@@ -356,14 +359,14 @@ async fn power_off_ends_everything_and_the_peer_is_told() {
         host.radio.listen(None, OPTIONS).await.err(),
         Some(RadioError::AdapterOff { .. })
     ));
-    // It no longer advertises: what is heard from now on is nothing.
-    while let Ok(heard) = timeout(Duration::from_secs(1), scan.next()).await {
-        heard.expect("an earlier sighting");
+    // It no longer advertises: only reports from before arrive.
+    while let Ok(received) = timeout(Duration::from_secs(1), scan.next()).await {
+        received.expect("a report from before");
     }
-    air.power("sim-host", true).expect("is there");
+    air.power("sim-host", true).expect("is attached");
     assert_eq!(radio.state().await, AdapterState::On);
     let changed = radio.changed();
-    air.remove("sim-a").expect("is there");
+    air.remove("sim-a").expect("is attached");
     changed.await;
     assert!(matches!(
         scan.next().await,
@@ -376,12 +379,12 @@ async fn power_off_ends_everything_and_the_peer_is_told() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_psm_without_a_listener_is_refused_and_a_taken_one_is_named() {
+async fn refuses_a_psm_without_a_listener_and_a_psm_in_use() {
     let air = air(desk());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
     let psm = Psm::new(0xf0).expect("valid");
-    let peer = host.radio.address().await.expect("is there");
+    let peer = host.radio.address().await.expect("is attached");
     let refused = radio.connect(peer, psm, OPTIONS).await.err();
     assert!(
         matches!(refused, Some(RadioError::Refused { .. })),
@@ -396,15 +399,15 @@ async fn a_psm_without_a_listener_is_refused_and_a_taken_one_is_named() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_connect_to_one_who_does_not_advertise_waits_and_can_be_taken_back() {
+async fn connect_waits_for_an_advertisement_and_can_be_cancelled() {
     let air = air(desk());
     let radio = air.radio("sim-a").await.expect("attaches");
     let other = air.radio("sim-b").await.expect("attaches");
     let listener = other.listen(None, OPTIONS).await.expect("listens");
-    let peer = other.address().await.expect("is there");
+    let peer = other.address().await.expect("is attached");
     let waiting = radio.connect(peer, listener.psm(), OPTIONS);
     assert!(timeout(Duration::from_secs(10), waiting).await.is_err());
-    // Advertising now brings no call: the connect was taken back.
+    // Advertising now brings no incoming channel, because the connect was cancelled.
     let advertisement = Advertisement {
         psm: listener.psm(),
         plain: false,
@@ -423,7 +426,7 @@ async fn a_connect_to_one_who_does_not_advertise_waits_and_can_be_taken_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_second_channel_shares_the_link_which_goes_with_the_last() {
+async fn two_channels_share_one_connection_that_ends_with_the_last() {
     let air = air(desk());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
@@ -441,7 +444,7 @@ async fn a_second_channel_shares_the_link_which_goes_with_the_last() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_the_peer_cannot_take_is_refused_at_once() {
+async fn refuses_sdus_above_the_peers_limit() {
     let air = air(desk());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");

@@ -1,5 +1,6 @@
-//! The link contract on the kernel's own Bluetooth stack: `RECT_BLUEZ_ADAPTERS=hci0,hci1 cargo test -p zenoh-link-ble
-//! --test contract_bluez -- --test-threads=1`. `tests/vm/test` runs it in the VM; elsewhere it says why it does not run.
+//! Runs the link contract on the Bluetooth stack of the kernel: `RECT_BLUEZ_ADAPTERS=hci0,hci1 cargo test -p
+//! zenoh-link-ble --test contract_bluez -- --test-threads=1`. `tests/vm/test` runs it in the VM. It is skipped, with a
+//! message, elsewhere.
 mod contract;
 mod pairing;
 mod shared {
@@ -10,7 +11,7 @@ mod shared {
 
 use std::process::Command;
 
-use contract::{channel, flooding, handshake, link, misbehaving, occupying, secret, World};
+use contract::{channel, flooding, handshake, handshake_flood, link, misbehaving, secret, World};
 use zenoh_link_ble::radio::bluez;
 
 fn world() -> Option<World> {
@@ -28,7 +29,7 @@ fn world() -> Option<World> {
     })
 }
 
-/// By the VM's emulated air (`tests/vm/guest/room`).
+/// Uses the emulated radio of the VM (`tests/vm/guest/room`).
 fn lose_links_of(adapter: String) -> Box<dyn Fn() + Send + Sync> {
     Box::new(move || {
         let dropped = Command::new("room").args(["drop", &adapter]).output();
@@ -55,7 +56,7 @@ macro_rules! on_bluez {
 for_each_scenario!(on_bluez);
 
 on_bluez! {
-    a_wrong_passkey_is_refused_and_the_right_one_pairs: pairing,
-    with_the_same_secret_two_are_paired_once_and_linked_again_after_that: pairing,
-    with_another_secret_two_are_not_paired: pairing,
+    refuses_a_wrong_passkey_and_pairs_with_the_right_one: pairing,
+    pairs_once_with_a_shared_secret_and_reconnects: pairing,
+    does_not_pair_with_a_different_secret: pairing,
 }

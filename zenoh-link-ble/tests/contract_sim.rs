@@ -1,4 +1,4 @@
-//! The link contract on the simulated air, in virtual time: `cargo test -p zenoh-link-ble --test contract_sim`.
+//! Runs the link contract on the simulated air, in virtual time: `cargo test -p zenoh-link-ble --test contract_sim`.
 mod contract;
 mod shared {
     pub mod listener;

@@ -1,4 +1,4 @@
-//! What many reconnects, and a day, leave behind, on the simulated air in virtual time:
+//! Tests that many reconnects and a day of faults leak no resources, on the simulated air in virtual time:
 //! `cargo test -p zenoh-link-ble --profile quick --test endurance_sim -- --nocapture`.
 mod endurance {
     mod day;

@@ -1,9 +1,9 @@
-//! What links do when the air, an adapter or a peer fails, on the simulated air in virtual time:
+//! Tests links during failures of the radio contact, of an adapter or of a peer, on the simulated air in virtual time:
 //! `cargo test -p zenoh-link-ble --test faults_sim`.
 mod faults {
     mod conversation;
     mod cuts;
-    mod gone;
+    mod peer_loss;
     mod stalled;
 }
 mod shared {

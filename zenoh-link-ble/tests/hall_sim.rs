@@ -1,4 +1,4 @@
-//! A contest hall full of robots, on the simulated air in virtual time:
+//! Tests a contest hall full of robots, on the simulated air in virtual time:
 //! `cargo test -p zenoh-link-ble --profile quick --test hall_sim -- --nocapture`.
 mod shared {
     pub mod peer;
@@ -26,19 +26,19 @@ use zenoh_link_ble::radio::{
 use zenoh_link_commons::LinkUnicast;
 use zenoh_protocol::core::Priority;
 
-use shared::peer::{says, within, Peer};
+use shared::peer::{assert_delivers, within, Peer};
 
 const FLEETS: usize = 15;
 const ROBOTS_OF_A_FLEET: usize = 3;
 const PAIRS: usize = FLEETS * ROBOTS_OF_A_FLEET * (ROBOTS_OF_A_FLEET - 1) / 2;
-/// The hall and how far a robot is heard in it, in metres: each hears about half of the others.
+/// Size of the hall and range of a robot's radio, in metres. Each robot receives about half of the others.
 const HALL_M: (u32, u32) = (60, 30);
 const RANGE_M: u32 = 25;
-/// Zenoh's keep-alive: a quarter of its lease of 10 s.
+/// Interval of Zenoh's keep-alive: a quarter of its lease of 10 s.
 const KEEP_ALIVE: Duration = Duration::from_millis(2500);
-/// `config/robot.json5`: Zenoh dials again after so long, then after twice as long, up to a second.
+/// Initial and maximum pause between dials, from `config/robot.json5`. Zenoh doubles the pause after each failure.
 const RETRY: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(1));
-/// All robots are switched on within that time.
+/// All robots are switched on within this time, in milliseconds.
 const ARRIVAL_MS: u32 = 5_000;
 const HOUR: Duration = Duration::from_secs(3600);
 
@@ -46,12 +46,12 @@ fn name(fleet: usize, robot: usize) -> String {
     format!("fleet-{fleet}-{robot}")
 }
 
-/// How a robot finds its fleet.
+/// How a robot finds the other robots of its fleet.
 #[derive(Clone, Copy)]
 enum Finding {
-    /// It knows the others' names.
+    /// It dials the others by name.
     ByName,
-    /// It dials anyone of its fleet, as often as there can be others.
+    /// It dials any robot of its fleet, once for each of the others.
     Anyone,
 }
 
@@ -66,35 +66,35 @@ impl Finding {
     }
 }
 
-/// Everybody's adapter and who is linked with whom.
+/// The adapters of all robots and the links between them.
 struct Hall {
     air: SimAir,
-    /// Who is linked, by both names in order: since when it is there, and how often it was made.
+    /// Links by the sorted names of both ends: time since the link exists, and how often it was established.
     links: Mutex<BTreeMap<(String, String), (Instant, u32)>>,
     ended: AtomicU64,
     batches: AtomicU64,
 }
 
 impl Hall {
-    /// A hall with its robots in place, not switched on yet.
-    fn new(dice: &mut Pcg32) -> Arc<Self> {
+    /// Returns a hall with the positions of all robots, which are not switched on yet.
+    fn new(rng: &mut Pcg32) -> Arc<Self> {
         let air = SimAir::new(AirOptions {
             seed: 45,
             condition: Condition::CrowdedHall,
             ..AirOptions::default()
         });
-        let mut draw = |limit: u32| i64::from(dice.next_u32() % limit);
-        let mut places = Vec::new();
+        let mut draw = |limit: u32| i64::from(rng.next_u32() % limit);
+        let mut positions = Vec::new();
         for fleet in 0..FLEETS {
-            // A fleet stays together, within a few metres.
+            // The robots of a fleet are within a few metres of each other.
             let (x, y) = (draw(HALL_M.0), draw(HALL_M.1));
             for robot in 0..ROBOTS_OF_A_FLEET {
-                places.push((name(fleet, robot), x + draw(6), y + draw(6)));
+                positions.push((name(fleet, robot), x + draw(6), y + draw(6)));
             }
         }
         let mut pairs_in_range = 0;
-        for (n, (a, ax, ay)) in places.iter().enumerate() {
-            for (b, bx, by) in &places[..n] {
+        for (n, (a, ax, ay)) in positions.iter().enumerate() {
+            for (b, bx, by) in &positions[..n] {
                 let distance_squared = (ax - bx).pow(2) + (ay - by).pow(2);
                 if distance_squared > i64::from(RANGE_M).pow(2) {
                     air.cut_between(&format!("sim-{a}"), &format!("sim-{b}"));
@@ -104,9 +104,9 @@ impl Hall {
             }
         }
         println!(
-            "{} robots; each hears {:.0} others",
-            places.len(),
-            2.0 * f64::from(pairs_in_range) / places.len() as f64
+            "{} robots; each is in range of {:.0} others",
+            positions.len(),
+            2.0 * f64::from(pairs_in_range) / positions.len() as f64
         );
         Arc::new(Self {
             air,
@@ -116,18 +116,19 @@ impl Hall {
         })
     }
 
-    /// All robots, each at some time within that.
-    fn switch_on(self: &Arc<Self>, finding: Finding, dice: &mut Pcg32, within_ms: u32) {
+    /// Switches all robots on, each at a random time within `within_ms`.
+    fn switch_on(self: &Arc<Self>, finding: Finding, rng: &mut Pcg32, within_ms: u32) {
         for fleet in 0..FLEETS {
             for robot in 0..ROBOTS_OF_A_FLEET {
-                let on_after = Duration::from_millis(u64::from(dice.next_u32() % within_ms));
-                tokio::spawn(Arc::clone(self).live(finding, fleet, robot, on_after));
+                let on_after = Duration::from_millis(u64::from(rng.next_u32() % within_ms));
+                tokio::spawn(Arc::clone(self).run_robot(finding, fleet, robot, on_after));
             }
         }
     }
 
-    /// A robot, from when it is switched on: it listens, dials each of its fleet as Zenoh does, and holds its links.
-    async fn live(
+    /// Runs a robot after it is switched on: it listens, dials the robots of its fleet as Zenoh does, and holds its
+    /// links.
+    async fn run_robot(
         self: Arc<Self>,
         finding: Finding,
         fleet: usize,
@@ -139,13 +140,13 @@ impl Hall {
         let adapter = self.air.radio(&format!("sim-{own}")).await;
         let radio: Arc<dyn Radio> = adapter.expect("attaches");
         let listener = format!("name={own};fleet=fleet-{fleet}");
-        let peer = Arc::new(Peer::on(&radio).listens_as(&listener).await);
+        let peer = Arc::new(Peer::on(&radio).listen_as(&listener).await);
         for locator in finding.locators(fleet, robot) {
             let (hall, peer, own) = (Arc::clone(&self), Arc::clone(&peer), own.clone());
             tokio::spawn(async move {
                 let mut wait = RETRY.0;
                 loop {
-                    match peer.dials(&locator).await {
+                    match peer.dial(&locator).await {
                         Ok(link) => {
                             wait = RETRY.0;
                             hall.hold(&own, link, true).await;
@@ -159,15 +160,15 @@ impl Hall {
             });
         }
         loop {
-            let a_while = Duration::from_secs(10);
-            if let Ok(link) = timeout(a_while, peer.incoming()).await {
+            let poll_interval = Duration::from_secs(10);
+            if let Ok(link) = timeout(poll_interval, peer.incoming()).await {
                 let (hall, own) = (Arc::clone(&self), own.clone());
                 tokio::spawn(async move { hall.hold(&own, link, false).await });
             }
         }
     }
 
-    /// Says something every now and then, and reads, as long as the link lives.
+    /// Sends keep-alives and reads until the link ends.
     async fn hold(&self, own: &str, link: LinkUnicast, dialled: bool) {
         let mut pair = [own.to_owned(), link.get_dst().address().to_string()];
         pair.sort();
@@ -204,7 +205,7 @@ impl Hall {
         link.close().await.expect("closing never fails");
     }
 
-    /// The most, and the mean, of the share of time that a radio is taken by connection events.
+    /// Returns the maximum and the mean of the time for which a radio is busy with connection events.
     fn busy(&self) -> (Duration, Duration) {
         let adapters = self.air.status().adapters;
         let busy = adapters.iter().map(|adapter| adapter.stats.busy);
@@ -215,21 +216,25 @@ impl Hall {
     }
 }
 
-/// Airtime of the advertising that a robot does all the time, which the air does not count: three packets, one for each
-/// advertising channel, of 6 bytes of address and the 31 of RECT's advertisement, every 100 ms and half of the 10 ms of delay.
+/// Returns the share of airtime of a robot's advertising, which the simulated air does not model: three packets, one
+/// per advertising channel, with 6 bytes of address and the 31 bytes of RECT's advertisement, every 100 ms plus a mean
+/// delay of 5 ms.
 fn advertising_share() -> f64 {
     let event = 3 * Phy::Le1M.airtime(6 + 31);
     event.as_secs_f64() / 0.105
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an_hour() {
-    let mut dice = Pcg32::seed_from_u64(45);
-    let hall = Hall::new(&mut dice);
+async fn fleets_of_45_robots_link_and_stay_linked_for_an_hour() {
+    let mut rng = Pcg32::seed_from_u64(45);
+    let hall = Hall::new(&mut rng);
     let start = Instant::now();
-    hall.switch_on(Finding::ByName, &mut dice, ARRIVAL_MS);
+    hall.switch_on(Finding::ByName, &mut rng, ARRIVAL_MS);
     while hall.links.lock().len() < PAIRS {
-        assert!(start.elapsed() < Duration::from_secs(60), "not all found");
+        assert!(
+            start.elapsed() < Duration::from_secs(60),
+            "not all pairs are linked"
+        );
         sleep(Duration::from_millis(10)).await;
     }
     let mut found: Vec<Duration> = hall
@@ -244,7 +249,7 @@ async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an
         found[PAIRS / 2],
         found[PAIRS - 1]
     );
-    // The last one on, its listener's search for another of its name, and a dial or two.
+    // The last robot to be switched on, its check for name conflicts, and one or two dials.
     assert!(found[PAIRS - 1] < Duration::from_secs(15));
 
     sleep(Duration::from_secs(10)).await;
@@ -258,7 +263,7 @@ async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an
     let share = |busy: Duration| 100.0 * busy.as_secs_f64() / HOUR.as_secs_f64();
     let batches = hall.batches.load(Ordering::Relaxed) - batches_before;
     println!(
-        "an hour: {batches} keep-alives arrived; a radio with {} links is taken by them {:.2} % of the time, at most {:.2} %; \
+        "an hour: {batches} keep-alives arrived; a radio with {} links is busy with them {:.2} % of the time, at most {:.2} %; \
          advertising takes {:.2} % more (computed)",
         ROBOTS_OF_A_FLEET - 1,
         share(mean - mean_before),
@@ -278,39 +283,39 @@ async fn in_a_hall_of_45_robots_every_fleet_finds_itself_and_stays_linked_for_an
     );
     assert!(share(most - most_before) < 5.0);
 
-    // Two more come into the full hall.
+    // Two more robots are switched on in the crowded hall.
     let one = hall.air.radio("sim-late-1").await.expect("attaches");
     let other = hall.air.radio("sim-late-2").await.expect("attaches");
     let (one, other): (Arc<dyn Radio>, Arc<dyn Radio>) = (one, other);
-    let other = Peer::on(&other).listens_as("name=late-2").await;
+    let other = Peer::on(&other).listen_as("name=late-2").await;
     let start = Instant::now();
-    let near = Peer::on(&one).dials("ble/late-2").await.expect("dials");
+    let near = Peer::on(&one).dial("ble/late-2").await.expect("dials");
     println!("two more are linked after {:?}", start.elapsed());
     assert!(start.elapsed() < Duration::from_secs(2));
     let far = other.incoming().await;
-    within("a word", says(&near, &far, b"hello")).await;
+    within("the first message", assert_delivers(&near, &far, b"hello")).await;
     assert!(other.no_more_incoming());
-    assert_eq!(other.manager.census().links, 1);
+    assert_eq!(other.manager.link_counts().links, 1);
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_a_hall_of_15_fleets_each_robot_finds_its_own_and_never_a_stranger() {
-    let mut dice = Pcg32::seed_from_u64(45);
-    let hall = Hall::new(&mut dice);
+async fn robots_link_only_within_their_own_fleet() {
+    let mut rng = Pcg32::seed_from_u64(45);
+    let hall = Hall::new(&mut rng);
     let start = Instant::now();
-    hall.switch_on(Finding::Anyone, &mut dice, 500);
-    // A robot has found its fleet when it is linked with one of it: Zenoh routes to the others.
-    let mut lonely: Vec<String> = (0..FLEETS)
+    hall.switch_on(Finding::Anyone, &mut rng, 500);
+    // A robot has found its fleet when it is linked with one robot of it: Zenoh routes to the others.
+    let mut unlinked: Vec<String> = (0..FLEETS)
         .flat_map(|fleet| (0..ROBOTS_OF_A_FLEET).map(move |robot| name(fleet, robot)))
         .collect();
-    while !lonely.is_empty() {
+    while !unlinked.is_empty() {
         assert!(
             start.elapsed() < Duration::from_secs(60),
-            "still alone: {lonely:?}"
+            "not linked yet: {unlinked:?}"
         );
         sleep(Duration::from_millis(10)).await;
         let links = hall.links.lock();
-        lonely.retain(|robot| links.keys().all(|(a, b)| a != robot && b != robot));
+        unlinked.retain(|robot| links.keys().all(|(a, b)| a != robot && b != robot));
     }
     let found = start.elapsed();
     while hall.links.lock().len() < PAIRS {

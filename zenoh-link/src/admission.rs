@@ -1,16 +1,16 @@
 //! Limits the links that this process accepts, before Zenoh sees them.
 //!
-//! Zenoh has one number for unfinished handshakes (`accept_pending`) and one for sessions (`max_sessions`), for all
-//! links and peers together. One peer can take all of either, and every other peer is then refused. Links that are
-//! accepted here pass a gate first: a full set of handshakes evicts the oldest one of the source that has the most, and
-//! sessions are limited in total and for each source. Links of `ble` and `slot` do not pass the gate, so what the gate
-//! does not give away stays free for them.
+//! Zenoh has one limit for unfinished handshakes (`accept_pending`) and one for sessions (`max_sessions`), which all
+//! links and peers share. One peer can use up either limit, and every other peer is then refused. Links accepted here
+//! first pass a gate: if the limit of handshakes is reached, the gate evicts the oldest handshake of the source that
+//! has the most, and it limits sessions in total and per source. Links of `ble` and `placeholder` do not pass the gate,
+//! so the sessions that the gate keeps free remain available to them.
 //!
-//! No limit applies until [`set_limits`] was called: without that call this crate behaves as the published one.
-//! `places` decides, `link` is an accepted link that holds a place, and this file connects both to Zenoh's channel.
+//! No limit applies until [`set_limits`] is called; without that call, this crate behaves like the published one.
+//! `permits` decides, `link` is an accepted link that holds a permit, and this file connects both to Zenoh's channel.
 
 mod link;
-mod places;
+mod permits;
 
 use std::{
     collections::HashMap,
@@ -24,27 +24,27 @@ use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkUnicast, NewLinkChannelSender};
 use zenoh_runtime::ZRuntime;
 
-pub use self::places::{Limits, Refusal, Source};
+pub use self::permits::{Limits, Refusal, Source};
 use self::{
     link::AdmittedLink,
-    places::{Admitted, PlaceId, Places},
+    permits::{Admitted, PermitId, Permits},
 };
 
-/// How often refusals are logged at most; a flood must not fill the log.
+/// Minimum time between two log messages about refusals, so that a flood does not fill the log.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
-/// How long a refused link may take to close. Some links say goodbye to their peer, which may not read.
+/// Maximum time for a refused link to close. Some links send a goodbye to their peer, which may not read it.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The gate of this process.
 static GATE: RwLock<Option<Arc<Gate>>> = RwLock::new(None);
 
-/// Applies these limits to every link, except those of `ble`, that is accepted by a link manager made from now on. Call it
-/// before Zenoh is opened.
+/// Applies these limits to every link, except those of `ble`, that is accepted by a link manager created from now on.
+/// Must be called before Zenoh is opened.
 pub fn set_limits(limits: Limits) {
     *GATE.write() = Some(Arc::new(Gate::new(limits)));
 }
 
-/// Returns a channel for a link manager to put accepted links into. Those that are admitted go on to `new_links`.
+/// Returns a channel to which a link manager sends accepted links. Admitted links are forwarded to `new_links`.
 pub(crate) fn gated(new_links: NewLinkChannelSender) -> NewLinkChannelSender {
     let Some(gate) = GATE.read().clone() else {
         return new_links;
@@ -64,19 +64,19 @@ pub(crate) fn gated(new_links: NewLinkChannelSender) -> NewLinkChannelSender {
     accepted
 }
 
-/// The places, and what has to happen when one is given away or taken back.
+/// The permits, and the actions when one is granted or released.
 struct Gate {
     limits: Limits,
     state: Mutex<State>,
-    /// Tells that a link is gone.
+    /// Notified when a permit is released.
     released: Notify,
 }
 
 struct State {
-    places: Places,
+    permits: Permits,
     log: RefusalLog,
-    /// Ends the handshake of each link that has not finished it.
-    handshakes: HashMap<PlaceId, CancellationToken>,
+    /// Cancels the handshake of a link that has not completed it.
+    handshakes: HashMap<PermitId, CancellationToken>,
 }
 
 impl Gate {
@@ -84,7 +84,7 @@ impl Gate {
         Self {
             limits,
             state: Mutex::new(State {
-                places: Places::new(limits),
+                permits: Permits::new(limits),
                 log: RefusalLog::default(),
                 handshakes: HashMap::new(),
             }),
@@ -92,17 +92,17 @@ impl Gate {
         }
     }
 
-    /// Gives the link a place, or closes it.
+    /// Grants the link a permit, or closes the link.
     async fn admit(self: &Arc<Self>, link: LinkUnicast) -> Option<LinkUnicast> {
         let source = Source::of(link.get_dst());
         let deadline = Instant::now() + CLOSE_TIMEOUT;
         let refusal = loop {
-            match self.place(&source) {
-                Ok((place, handshake)) => {
+            match self.take_permit(&source) {
+                Ok((permit, handshake)) => {
                     let timeout = self.limits.handshake_timeout;
-                    return Some(AdmittedLink::wrap(link, place, handshake, timeout));
+                    return Some(AdmittedLink::wrap(link, permit, handshake, timeout));
                 }
-                // Links that were evicted are about to close.
+                // Evicted links are about to close.
                 Err(Refusal::Busy) if Instant::now() < deadline => {
                     let released = self.released.notified();
                     let _ = tokio::time::timeout_at(deadline.into(), released).await;
@@ -119,10 +119,13 @@ impl Gate {
         None
     }
 
-    /// Takes a place, and evicts another handshake if necessary.
-    fn place(self: &Arc<Self>, source: &Source) -> Result<(Place, CancellationToken), Refusal> {
+    /// Takes a permit, and evicts another handshake if necessary.
+    fn take_permit(
+        self: &Arc<Self>,
+        source: &Source,
+    ) -> Result<(Permit, CancellationToken), Refusal> {
         let mut state = self.state.lock();
-        let Admitted { id, evicted } = state.places.admit(source)?;
+        let Admitted { id, evicted } = state.permits.admit(source)?;
         if let Some(evicted) = evicted {
             let handshake = state.handshakes.remove(&evicted.id);
             handshake.inspect(CancellationToken::cancel);
@@ -131,28 +134,31 @@ impl Gate {
         }
         let handshake = CancellationToken::new();
         state.handshakes.insert(id, handshake.clone());
-        let place = Place {
+        let permit = Permit {
             gate: Arc::clone(self),
             source: source.clone(),
             id,
         };
-        Ok((place, handshake))
+        Ok((permit, handshake))
     }
 }
 
-/// A link's place; dropping it gives it back.
-struct Place {
+/// Permit of a link; dropping it releases it.
+struct Permit {
     gate: Arc<Gate>,
     source: Source,
-    id: PlaceId,
+    id: PermitId,
 }
 
-impl Place {
-    /// Counts the link as a session from now on, or tells why that is one too many.
+impl Permit {
+    /// Counts the link as a session from now on.
+    ///
+    /// # Errors
+    /// Fails if the limit of sessions is reached, or if the link was evicted.
     fn establish(&self) -> Result<(), Refusal> {
         let mut state = self.gate.state.lock();
         state.handshakes.remove(&self.id);
-        let established = state.places.establish(self.id);
+        let established = state.permits.establish(self.id);
         established.inspect_err(|refusal| {
             let now = Instant::now();
             state.log.refused(now, &self.source, *refusal);
@@ -160,17 +166,17 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for Permit {
     fn drop(&mut self) {
         let mut state = self.gate.state.lock();
         state.handshakes.remove(&self.id);
-        state.places.release(self.id);
+        state.permits.release(self.id);
         drop(state);
         self.gate.released.notify_one();
     }
 }
 
-/// The refusals since the last line in the log.
+/// Counts the refusals since the last log message.
 #[derive(Default)]
 struct RefusalLog {
     last: Option<Instant>,

@@ -1,16 +1,16 @@
-//! Drop-in for the published crate `zenoh-link` 1.10.2: every link of Zenoh's, `ble` and `slot`.
+//! Replaces the published crate `zenoh-link` 1.10.2: all links of Zenoh, plus `ble` and `placeholder`.
 //!
-//! Zenoh's links are a closed enum (zenoh#2707), so a new one gets in only by standing where this crate stands:
-//! `[patch.crates-io] zenoh-link = { path = "zenoh-link" }`. Here is a table and no more; a link's work is done in its
-//! own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`, `zenoh-link-slot`). A router may limit which accepted links get to Zenoh
-//! (`admission`). What Zenoh calls of the published crate exists here under the
-//! same name, and so does everything else public in it; `tests/` holds the proof.
+//! Zenoh's links are a closed enum (zenoh#2707). A new link is possible only if this crate takes the place of the
+//! published one: `[patch.crates-io] zenoh-link = { path = "zenoh-link" }`. This crate contains only the table of
+//! links; each link is implemented in its own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`,
+//! `zenoh-link-placeholder`). A router may limit which accepted links are passed on to Zenoh (`admission`). All public
+//! items of the published crate exist here with the same names; `tests/` checks this.
 
 use std::{collections::HashMap, sync::Arc};
 
 use zenoh_config::Config;
 pub use zenoh_link_commons::*;
-// The glob above also brings a trait of the name of our own struct below: it is needed for its methods only.
+// The glob above also imports a trait with the name of the struct below; only its methods are needed.
 use zenoh_link_commons::LocatorInspector as _;
 pub use zenoh_protocol::core::{EndPoint, Locator};
 use zenoh_result::{bail, Error, ZResult};
@@ -59,25 +59,25 @@ link_table! {
 
     Ble: zenoh_link_ble as ble, BLE_LOCATOR_PREFIX, BleLocatorInspector, LinkManagerUnicastBle;
 
-    Slot: zenoh_link_slot as slot, SLOT_LOCATOR_PREFIX, SlotLocatorInspector, LinkManagerUnicastSlot;
+    Placeholder: zenoh_link_placeholder as placeholder, PLACEHOLDER_LOCATOR_PREFIX, PlaceholderLocatorInspector, LinkManagerUnicastPlaceholder;
 }
 
-/// Every link there is, whether or not this build has it.
-#[allow(missing_docs)] // each is its locator's prefix
+/// All links, whether or not this build includes them.
+#[allow(missing_docs)] // each variant is named after its locator prefix
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LinkKind {
     Ble,
     Quic,
     QuicDatagram,
     Serial,
-    /// `slot/`: a peer chosen while the router runs.
-    Slot,
+    /// `placeholder/`: a link whose peer is chosen while the router runs.
+    Placeholder,
     Tcp,
     Tls,
     Udp,
     Unixpipe,
     UnixsockStream,
-    /// `vsock/`, spelled as the published crate spells it.
+    /// `vsock/`. The spelling is that of the published crate.
     Vscock,
     Ws,
 }
@@ -90,24 +90,27 @@ impl TryFrom<&EndPoint> for LinkKind {
     }
 }
 
-/// Answers questions about a locator without opening it.
+/// Reports properties of a locator without opening it.
 #[derive(Debug, Default, Clone)]
 pub struct LocatorInspector;
 
-/// Gathers what the links read from Zenoh's config.
+/// Collects the settings of the links from Zenoh's config.
 #[derive(Debug, Default)]
 pub struct LinkConfigurator;
 
-/// Makes the manager of a link to one peer.
+/// Creates the manager of links to one peer.
 #[derive(Debug)]
 pub struct LinkManagerBuilderUnicast;
 
-/// Makes the manager of a link to a group.
+/// Creates the manager of links to a multicast group.
 #[derive(Debug)]
 pub struct LinkManagerBuilderMulticast;
 
 impl LinkManagerBuilderMulticast {
-    /// The manager of `kind`, if that link knows groups: `udp/` alone does.
+    /// Creates the link manager of `kind`.
+    ///
+    /// # Errors
+    /// Fails if the link does not support multicast; only `udp/` does.
     pub fn make(kind: LinkKind) -> ZResult<LinkManagerMulticast> {
         match kind {
             #[cfg(feature = "transport_udp")]

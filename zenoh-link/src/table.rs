@@ -1,16 +1,17 @@
-//! Turns the table of links (in `lib.rs`) into the types and functions by which Zenoh finds a link.
+//! Expands the table of links (in `lib.rs`) into the types and functions by which Zenoh selects a link.
 //!
-//! Owns the dispatch and nothing else: what a link does is its own crate's business. A row reads
+//! It only dispatches; each link is implemented in its own crate. A row has the form
 //!
 //! ```text
 //! #[cfg(feature = "transport_x")]                      // the row exists only when this holds
 //! Kind: crate_of_the_link as module, PREFIX, Inspector, Manager
-//!     [, config Configurator]                          // the link takes settings from Zenoh's config file
-//!     [, only reliable | best_effort, else "feature"]  // it takes only such locators; who takes the others
+//!     [, config Configurator]                          // the link reads settings from Zenoh's config
+//!     [, only reliable | best_effort, else "feature"]  // it accepts only such locators; feature of the link for the others
 //!     ;
 //! ```
 //!
-//! and for one prefix the first row that takes the locator wins, so `quic/` can be two links.
+//! If several rows have the same prefix, the first one that accepts the locator is used. `quic/` can therefore be two
+//! links.
 
 macro_rules! link_table {
     ($(
@@ -22,11 +23,11 @@ macro_rules! link_table {
     )+) => {
         $( $(#[$cfg])* pub use $krate as $module; )+
 
-        /// The links of this build, most wanted first.
+        /// Links of this build, in order of preference.
         pub const ALL_SUPPORTED_LINKS: &[LinkKind] = &[$( $(#[$cfg])* LinkKind::$kind, )+];
 
         impl LinkKind {
-            /// The links of this build that speak one of `protocols`; a name that no link has is passed over.
+            /// Returns the links of this build for the given protocols. Unknown names are ignored.
             pub fn new_supported_links<'p>(protocols: impl Iterator<Item = &'p str>) -> Vec<LinkKind> {
                 let mut kinds = Vec::new();
                 for protocol in protocols {
@@ -56,16 +57,22 @@ macro_rules! link_table {
         }
 
         impl LocatorInspector {
-            /// Whether the link that this locator names delivers everything, in order.
+            /// Returns whether the link of this locator is reliable and ordered.
+            ///
+            /// # Errors
+            /// Fails if this build has no link for the locator.
             pub fn is_reliable(&self, locator: &Locator) -> ZResult<bool> {
                 match LinkKind::try_from(locator)? {
                     $( $(#[$cfg])* LinkKind::$kind => $krate::$inspector.is_reliable(locator), )+
-                    #[allow(unreachable_patterns)] // no row is switched off when every feature is on
+                    #[allow(unreachable_patterns)] // unreachable if all features are enabled
                     kind => not_in_this_build(kind),
                 }
             }
 
-            /// Whether this locator names a group rather than a peer.
+            /// Returns whether this locator names a multicast group.
+            ///
+            /// # Errors
+            /// Fails if this build has no link for the locator.
             pub async fn is_multicast(&self, locator: &Locator) -> ZResult<bool> {
                 match LinkKind::try_from(locator)? {
                     $( $(#[$cfg])* LinkKind::$kind => $krate::$inspector.is_multicast(locator).await, )+
@@ -76,8 +83,8 @@ macro_rules! link_table {
         }
 
         impl LinkConfigurator {
-            /// What each link takes out of Zenoh's config, and what is wrong with it there.
-            #[allow(unused_mut, unused_variables)] // in a build whose links take nothing
+            /// Returns the settings of each link in Zenoh's config, and the errors of links with invalid settings.
+            #[allow(unused_mut, unused_variables)] // in a build whose links have no settings
             pub fn configurations(&self, config: &Config) -> (HashMap<LinkKind, String>, HashMap<LinkKind, Error>) {
                 let mut read = HashMap::new();
                 let mut wrong = HashMap::new();
@@ -92,12 +99,15 @@ macro_rules! link_table {
         }
 
         impl LinkManagerBuilderUnicast {
-            /// The manager of the link that `endpoint` names; the links that it accepts go to `new_links`.
+            /// Creates the manager of the link that `endpoint` names. It sends accepted links to `new_links`.
+            ///
+            /// # Errors
+            /// Fails if this build has no link for the endpoint.
             pub fn make(new_links: NewLinkChannelSender, endpoint: &EndPoint) -> ZResult<LinkManagerUnicast> {
                 let kind = LinkKind::try_from(endpoint)?;
                 let new_links = match kind {
-                    // The radio bounds its links itself, and they must find a place when all others are taken.
-                    LinkKind::Ble | LinkKind::Slot => new_links,
+                    // The radio limits its links itself; they must be accepted even if all other sessions are in use.
+                    LinkKind::Ble | LinkKind::Placeholder => new_links,
                     _ => crate::admission::gated(new_links),
                 };
                 match kind {
@@ -109,7 +119,7 @@ macro_rules! link_table {
         }
     };
 
-    // Why a row does not take a locator of its prefix: the feature that has the link which would.
+    // Returns the feature of the other link if a row does not accept a locator of its prefix.
     (@refusal $krate:ident, $inspector:ident, $locator:ident) => {
         None::<&str>
     };

@@ -1,5 +1,5 @@
-//! Every protocol of stock Zenoh still listens, connects and carries data, through this crate:
-//! `cargo test -p zenoh-link --test protocols`
+//! Checks that every protocol of stock Zenoh listens, connects and carries data through this crate:
+//! `cargo test -p zenoh-link --test protocols`.
 
 mod support;
 
@@ -10,7 +10,7 @@ use support::{
 };
 use zenoh::{qos::CongestionControl, Config, Session};
 
-/// Far beyond what any of these takes.
+/// Timeout far above the duration of any test.
 const DEADLINE: Duration = Duration::from_secs(30);
 
 #[tokio::test(flavor = "multi_thread")]
@@ -64,7 +64,7 @@ async fn unixpipe_carries_data() {
 async fn serial_carries_data() {
     let cable = SerialCable::new();
     let [listen, connect] =
-        // `tout`, in microseconds: the listener is ready a moment after it says so.
+        // `tout`, in microseconds: the listener is ready shortly after it reports so.
         cable.ends.each_ref().map(|end| format!("serial/{}#baudrate=115200;exclusive=false;tout=5000000", end.display()));
     carries_data(&listen, &connect, &[]).await;
 }
@@ -82,14 +82,14 @@ async fn vsock_carries_data() {
     carries_data(&endpoint, &endpoint, &[]).await;
 }
 
-/// The same with certificates of its own.
+/// Runs [`carries_data`] with certificates.
 async fn carries_data_encrypted(endpoint: &str) {
     let certificates = Certificates::new();
     let settings = certificates.settings();
     carries_data(endpoint, endpoint, &[("transport/link/tls", &settings)]).await;
 }
 
-/// Two sessions, one listening and one connecting, hear each other: a small message and one that needs fragments.
+/// Asserts that a listening and a connecting session exchange a small message and one that needs fragments.
 async fn carries_data(listen: &str, connect: &str, settings: &[(&str, &str)]) {
     let listener = session("peer", &[("listen/endpoints", &list(listen))], settings).await;
     let connector = session("client", &[("connect/endpoints", &list(connect))], settings).await;
@@ -106,7 +106,7 @@ async fn carries_data(listen: &str, connect: &str, settings: &[(&str, &str)]) {
         "{protocol}: {links:?}"
     );
 
-    // A serial line holds 1500 bytes at a time, and drops what comes faster than it sends.
+    // A serial line buffers 1500 bytes, and drops what arrives faster than it sends.
     let large = if protocol == "serial" { 4_000 } else { 100_000 };
     for size in [1, large] {
         assert_arrives(&connector, &listener, size).await;
@@ -117,7 +117,7 @@ async fn carries_data(listen: &str, connect: &str, settings: &[(&str, &str)]) {
 async fn session(mode: &str, endpoints: &[(&str, &str)], settings: &[(&str, &str)]) -> Session {
     let mut config = Config::default();
     let mode = format!("'{mode}'");
-    // Only the link under test: nobody is looked for.
+    // Only the link under test: scouting is disabled.
     let alone = [
         ("mode", mode.as_str()),
         ("scouting/multicast/enabled", "false"),
@@ -137,7 +137,8 @@ async fn session(mode: &str, endpoints: &[(&str, &str)], settings: &[(&str, &str
     }
 }
 
-/// Some of these links may lose a message, and a subscription takes a moment to be known: sent until it arrives.
+/// Sends until the message arrives: some of these links may lose a message, and a subscription takes effect after a
+/// moment.
 async fn assert_arrives(from: &Session, to: &Session, size: usize) {
     let key = format!("test/{}/{size}", to.zid());
     let payload: Vec<u8> = (0..size).map(|i| (i % 251) as u8).collect();

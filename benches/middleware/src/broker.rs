@@ -1,4 +1,4 @@
-//! Owns the MQTT broker: rumqttd with the settings of its own example, no TLS.
+//! Runs the MQTT broker: rumqttd with the settings of its example, without TLS.
 use std::{
     collections::HashMap, fs, net::SocketAddr, net::TcpStream, os::fd::BorrowedFd, thread,
     time::Duration,
@@ -51,8 +51,8 @@ pub fn run(address: SocketAddr) -> Outcome<()> {
     Ok(Broker::new(config).start()?)
 }
 
-/// Sets TCP_NODELAY where the broker listens, as all others set it: rumqttd leaves it off and has no setting for it. On
-/// Linux what a listener accepts inherits it. `false`: it does not listen yet.
+/// Sets TCP_NODELAY on the broker's listener, as all other programs do: rumqttd does not set it and has no option for it.
+/// On Linux accepted sockets inherit it. Returns `false` if the broker does not listen yet.
 fn send_at_once(address: SocketAddr) -> bool {
     let open = fs::read_dir("/proc/self/fd")
         .into_iter()
@@ -60,7 +60,7 @@ fn send_at_once(address: SocketAddr) -> bool {
         .flatten();
     let numbers = open.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
     numbers.into_iter().any(|number: i32| {
-        // SAFETY: duplicated at once, and used as nothing but that; were it closed by now, this would be refused.
+        // SAFETY: the descriptor is only duplicated, at once; if it has been closed, duplicating fails.
         let borrowed = unsafe { BorrowedFd::borrow_raw(number) };
         borrowed.try_clone_to_owned().is_ok_and(|owned| {
             let socket = TcpStream::from(owned);

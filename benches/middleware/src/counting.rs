@@ -1,4 +1,4 @@
-//! Owns the proxy that counts what passes a TCP connection: the bytes of the stream, without TCP's and IP's own.
+//! Provides a proxy that counts the bytes of TCP streams, without the headers of TCP and IP.
 use std::{
     io,
     net::SocketAddr,
@@ -17,7 +17,7 @@ use tokio::{
 };
 
 pub struct CountingProxy {
-    /// Where it listens.
+    /// The address that the proxy listens on.
     pub address: SocketAddr,
     passed: Arc<AtomicU64>,
 }
@@ -31,7 +31,7 @@ impl CountingProxy {
         Ok(Self { address, passed })
     }
 
-    /// In both directions, of all connections.
+    /// Returns the bytes of all TCP connections, in both directions.
     pub fn bytes(&self) -> u64 {
         self.passed.load(Relaxed)
     }
@@ -44,7 +44,7 @@ async fn accept(
 ) -> io::Result<()> {
     loop {
         let (near, _) = listener.accept().await?;
-        // Whoever dialled tries again, as it would without the proxy.
+        // The client connects again, as it would without the proxy.
         let Ok(far) = TcpStream::connect(target).await else {
             continue;
         };

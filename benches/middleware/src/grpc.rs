@@ -1,5 +1,5 @@
-//! Owns gRPC's part, by tonic: what is published goes over one stream, a request is a unary call. The service is written
-//! as tonic's generator writes it, which would want protoc:
+//! Implements the jobs with gRPC, using tonic: published messages share one stream, a request is a unary call. The service
+//! is written by hand as tonic's generator would write it, because the generator requires protoc:
 //!
 //! ```text
 //! message Message { bytes payload = 1; }
@@ -30,11 +30,11 @@ use tonic::{
 use tonic_prost::ProstCodec;
 
 use super::{
+    arrivals::ArrivalCounter,
     peer::{About, Meeting, Outcome, Peer},
-    tally::Tally,
 };
 
-/// As many as wait at a subscriber of RECT's or Zenoh's.
+/// The capacity of the queues, the same as that of a subscriber of RECT or Zenoh.
 const WAITING: usize = 256;
 
 #[derive(Clone, PartialEq, prost::Message)]
@@ -53,8 +53,8 @@ pub struct Grpc {
 }
 
 impl Peer for Grpc {
-    async fn serve(meeting: Meeting, tally: Arc<Tally>) -> Outcome<()> {
-        let server = Server::builder().add_service(Bench { tally });
+    async fn serve(meeting: Meeting, arrivals: Arc<ArrivalCounter>) -> Outcome<()> {
+        let server = Server::builder().add_service(Bench { arrivals });
         Ok(server.serve(meeting.address).await?)
     }
 
@@ -112,7 +112,7 @@ impl Peer for Grpc {
 
 #[derive(Clone)]
 struct Bench {
-    tally: Arc<Tally>,
+    arrivals: Arc<ArrivalCounter>,
 }
 
 impl NamedService for Bench {
@@ -129,13 +129,13 @@ impl Service<http::Request<Body>> for Bench {
     }
 
     fn call(&mut self, request: http::Request<Body>) -> Self::Future {
-        let tally = self.tally.clone();
+        let arrivals = self.arrivals.clone();
         Box::pin(async move {
             let mut grpc = server::Grpc::new(Codec::default());
             Ok(match request.uri().path() {
                 "/Bench/Echo" => grpc.streaming(Echo, request).await,
-                "/Bench/Flood" => grpc.client_streaming(Flood(tally), request).await,
-                "/Bench/Ask" => grpc.unary(Ask(tally), request).await,
+                "/Bench/Flood" => grpc.client_streaming(Flood(arrivals), request).await,
+                "/Bench/Ask" => grpc.unary(Ask(arrivals), request).await,
                 _ => Status::unimplemented("no such method").into_http(),
             })
         })
@@ -156,25 +156,25 @@ impl StreamingService<Message> for Echo {
     }
 }
 
-struct Flood(Arc<Tally>);
+struct Flood(Arc<ArrivalCounter>);
 
 impl ClientStreamingService<Message> for Flood {
     type Response = Message;
     type Future = Answering<Message>;
 
     fn call(&mut self, messages: Request<Streaming<Message>>) -> Self::Future {
-        let tally = self.0.clone();
+        let arrivals = self.0.clone();
         let mut messages = messages.into_inner();
         Box::pin(async move {
             while messages.message().await?.is_some() {
-                tally.on_message();
+                arrivals.on_message();
             }
             Ok(Response::new(Message::default()))
         })
     }
 }
 
-struct Ask(Arc<Tally>);
+struct Ask(Arc<ArrivalCounter>);
 
 impl UnaryService<Message> for Ask {
     type Response = Message;

@@ -1,11 +1,12 @@
-//! What the bench `middleware` runs: two programs that talk by one of four middlewares, RECT, plain zenoh, gRPC or MQTT.
-//! One answers, the other measures; a third can be the MQTT broker. `benches/middleware.py` starts them.
+//! Runs one side of the bench `middleware`: two programs use one of four middlewares, RECT, plain zenoh, gRPC or MQTT. One
+//! program serves, the other measures; a third can be the MQTT broker. `benches/middleware.py` starts them.
 //!
 //! ```text
 //! middleware serve rect 127.0.0.1:7000                    # or with --router: 127.0.0.1:7000 is a router
 //! middleware measure rect publish 127.0.0.1:7000 --bytes 64 --seconds 1
 //! ```
-//! What was measured is printed as one line of JSON.
+//! The figures are printed as one line of JSON.
+mod arrivals;
 mod broker;
 mod counting;
 mod grpc;
@@ -13,7 +14,6 @@ mod measure;
 mod mqtt;
 mod peer;
 mod rect;
-mod tally;
 mod zenoh;
 
 use std::{net::SocketAddr, time::Duration};
@@ -21,42 +21,42 @@ use std::{net::SocketAddr, time::Duration};
 use clap::{Parser, ValueEnum};
 
 use self::{
+    arrivals::ArrivalCounter,
     measure::{Job, Load},
     peer::{Meeting, Outcome, Peer},
-    tally::Tally,
 };
 
 #[derive(Parser)]
 #[command(about = "One side of the bench `middleware`")]
 enum Role {
-    /// Answers, until it is ended.
+    /// Serves until the process is ended.
     Serve {
         middleware: Middleware,
         #[command(flatten)]
         place: Place,
     },
-    /// Measures, and prints what as JSON.
+    /// Measures, and prints the figures as JSON.
     Measure {
         middleware: Middleware,
         job: Job,
         #[command(flatten)]
         place: Place,
-        /// Of a message's payload.
+        /// The size of a payload in bytes.
         #[arg(long, default_value_t = 64)]
         bytes: usize,
-        /// For how long.
+        /// The duration of the measurement in seconds.
         #[arg(long, default_value_t = 1.0)]
         seconds: f64,
     },
-    /// Is the MQTT broker, until it is ended.
+    /// Runs the MQTT broker until the process is ended.
     Broker { address: SocketAddr },
 }
 
 #[derive(clap::Args)]
 struct Place {
-    /// Where the one who serves listens, or the router or broker.
+    /// The address of the serving program, or of the router or broker.
     address: SocketAddr,
-    /// It is a router, of RECT's or Zenoh's.
+    /// The address is that of a router.
     #[arg(long)]
     router: bool,
 }
@@ -74,7 +74,7 @@ fn main() -> Outcome<()> {
     if let Role::Broker { address } = role {
         return broker::run(address);
     }
-    // The same for all; zenoh has threads of its own beside it.
+    // All middlewares use the same runtime; zenoh has additional threads.
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(async {
         match role {
@@ -104,12 +104,12 @@ impl From<Place> for Meeting {
 }
 
 async fn serve(middleware: Middleware, meeting: Meeting) -> Outcome<()> {
-    let tally = Tally::shared();
+    let arrivals = ArrivalCounter::shared();
     match middleware {
-        Middleware::Rect => rect::Rect::serve(meeting, tally).await,
-        Middleware::Zenoh => zenoh::Zenoh::serve(meeting, tally).await,
-        Middleware::Grpc => grpc::Grpc::serve(meeting, tally).await,
-        Middleware::Mqtt => mqtt::Mqtt::serve(meeting, tally).await,
+        Middleware::Rect => rect::Rect::serve(meeting, arrivals).await,
+        Middleware::Zenoh => zenoh::Zenoh::serve(meeting, arrivals).await,
+        Middleware::Grpc => grpc::Grpc::serve(meeting, arrivals).await,
+        Middleware::Mqtt => mqtt::Mqtt::serve(meeting, arrivals).await,
     }
 }
 
@@ -122,7 +122,7 @@ async fn measured(middleware: Middleware, job: Job, meeting: Meeting, load: Load
     }
 }
 
-/// In a task, as programs do it: the thread that `main` runs on is none of the runtime's.
+/// Runs a job in a task, as programs do, because the thread of `main` does not belong to the runtime.
 async fn run<P: Peer>(job: Job, meeting: Meeting, load: Load) -> Outcome<()> {
     let figures = tokio::spawn(measure::run::<P>(job, meeting, load)).await??;
     println!("{figures}");

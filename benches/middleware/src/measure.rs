@@ -1,4 +1,4 @@
-//! Owns the jobs: what is measured, and how it is counted.
+//! Runs the jobs of the bench, and counts.
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -7,37 +7,37 @@ use serde_json::{json, Value};
 use tokio::time::{sleep, timeout, MissedTickBehavior};
 
 use super::{
+    arrivals::{Counted, COUNT, RESET},
     counting::CountingProxy,
     peer::{About, Meeting, Outcome, Peer},
-    tally::{Counted, COUNT, RESET},
 };
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum Job {
-    /// Times of a message there and one back, in microseconds.
+    /// Round-trip times of a message and its echo, in microseconds.
     Publish,
-    /// Times of requests until their answers, in microseconds.
+    /// Times from requests until their replies, in microseconds.
     Request,
-    /// Messages per second, one way, as fast as it goes without loss.
+    /// Messages per second in one direction, as fast as possible without loss.
     Flood,
-    /// Bytes on the connection of the one who measures, both directions: per message, per request with its answer.
+    /// Bytes on the TCP connection of the measuring program, in both directions: per message, and per request with its reply.
     Bytes,
 }
 
-/// How large the messages are, and for how long they go.
+/// The size of the messages, and the duration of the measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
     pub bytes: usize,
     pub span: Duration,
 }
 
-/// Until both programs know of each other.
-const PATIENCE: Duration = Duration::from_secs(15);
-/// Caches, allocators and windows have their sizes before anything counts.
+/// How long the two programs may take to discover each other.
+const TIMEOUT: Duration = Duration::from_secs(15);
+/// The time until measurements count, so that caches, allocators and windows have reached their sizes.
 const WARM_UP: Duration = Duration::from_millis(300);
-/// How long something that is on its way may take.
+/// How long a message in flight may take.
 const SETTLED: Duration = Duration::from_millis(200);
-/// Far enough apart that no two messages share a packet.
+/// The pause between messages, long enough that no two share a packet.
 const PACE: Duration = Duration::from_millis(5);
 const PACED: u32 = 200;
 
@@ -64,7 +64,7 @@ pub async fn run<P: Peer>(job: Job, meeting: Meeting, load: Load) -> Outcome<Val
                 let answer = peer.request(payload.clone()).await?;
                 times.on_time(sent.elapsed());
                 if answer != payload {
-                    return Err("the answer is another one's".into());
+                    return Err("the reply belongs to another request".into());
                 }
             }
             Ok(times.figures())
@@ -74,7 +74,7 @@ pub async fn run<P: Peer>(job: Job, meeting: Meeting, load: Load) -> Outcome<Val
     }
 }
 
-/// Joined, once requests are answered.
+/// Joins, and waits until requests are answered.
 async fn joined<P: Peer>(meeting: Meeting) -> Outcome<P> {
     let mut peer = P::join(meeting).await?;
     let asked = Instant::now();
@@ -82,7 +82,7 @@ async fn joined<P: Peer>(meeting: Meeting) -> Outcome<P> {
         let answered = timeout(SETTLED, peer.request(Bytes::from_static(RESET))).await;
         match answered {
             Ok(Ok(_)) => return Ok(peer),
-            _ if asked.elapsed() < PATIENCE => sleep(Duration::from_millis(20)).await,
+            _ if asked.elapsed() < TIMEOUT => sleep(Duration::from_millis(20)).await,
             Ok(Err(error)) => return Err(error),
             Err(_) => return Err("requests are not answered".into()),
         }
@@ -91,16 +91,16 @@ async fn joined<P: Peer>(meeting: Meeting) -> Outcome<P> {
 
 async fn wait_for_echo<P: Peer>(peer: &mut P, bytes: usize) -> Outcome<()> {
     let asked = Instant::now();
-    while asked.elapsed() < PATIENCE {
+    while asked.elapsed() < TIMEOUT {
         let payload = numbered(bytes, u64::MAX);
         if let Ok(echoed) = timeout(SETTLED, echoed(peer, payload)).await {
             return echoed;
         }
     }
-    Err("messages are not published back".into())
+    Err("messages are not echoed".into())
 }
 
-/// There and back; what is left over of earlier ones is not counted.
+/// Publishes a message and waits for its echo. Ignores the echoes of earlier messages.
 async fn echoed<P: Peer>(peer: &mut P, payload: Bytes) -> Outcome<()> {
     peer.publish(About::Echo, payload.clone()).await?;
     while peer.next_echo().await? != payload {}
@@ -130,11 +130,11 @@ async fn flood<P: Peer>(peer: &mut P, load: Load) -> Outcome<Value> {
     Ok(json!({"messages_per_s": per_s, "sent": sent, "lost": sent.saturating_sub(counted.count)}))
 }
 
-/// Until what is to be counted is; then from 0.
+/// Waits until messages are counted, then resets the count.
 async fn wait_for_count<P: Peer>(peer: &mut P, bytes: usize) -> Outcome<()> {
     let asked = Instant::now();
     while count(peer).await?.count == 0 {
-        if asked.elapsed() > PATIENCE {
+        if asked.elapsed() > TIMEOUT {
             return Err("messages are not counted".into());
         }
         peer.publish(About::Flood, numbered(bytes, 0)).await?;
@@ -146,7 +146,7 @@ async fn wait_for_count<P: Peer>(peer: &mut P, bytes: usize) -> Outcome<()> {
 }
 
 async fn count<P: Peer>(peer: &mut P) -> Outcome<Counted> {
-    let answer = timeout(PATIENCE, peer.request(Bytes::from_static(COUNT))).await??;
+    let answer = timeout(TIMEOUT, peer.request(Bytes::from_static(COUNT))).await??;
     Ok(serde_json::from_slice(&answer)?)
 }
 
@@ -177,14 +177,14 @@ async fn bytes<P: Peer>(meeting: Meeting, bytes: usize) -> Outcome<Value> {
     Ok(json!({"bytes_per_message": each(0), "bytes_per_request": each(1)}))
 }
 
-/// Payloads that differ.
+/// Creates payloads that differ by their number.
 fn numbered(bytes: usize, number: u64) -> Bytes {
     let mut payload = vec![0; bytes.max(8)];
     payload[..8].copy_from_slice(&number.to_le_bytes());
     payload.into()
 }
 
-/// What was timed, after the warm-up.
+/// The measured times, after the warm-up.
 #[derive(Default)]
 struct Times {
     started: Option<Instant>,

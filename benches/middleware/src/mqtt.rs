@@ -1,5 +1,5 @@
-//! Owns MQTT's part: rumqttc as a client of version 3.1.1, everything at QoS 1, so that nothing is lost. It has no
-//! requests: one is a message there and a message back, one at a time.
+//! Implements the jobs with MQTT: rumqttc as a client of version 3.1.1, all messages at QoS 1, so that none is lost. MQTT
+//! has no requests, so each is a message and its answer, one at a time.
 use std::{process, sync::Arc, time::Duration};
 
 use bytes::Bytes;
@@ -7,8 +7,8 @@ use rumqttc::{AsyncClient, Event, EventLoop, MqttOptions, NetworkOptions, Packet
 use tokio::sync::mpsc;
 
 use super::{
+    arrivals::ArrivalCounter,
     peer::{About, Meeting, Outcome, Peer},
-    tally::Tally,
 };
 
 const ECHO: &str = "rect/client/echo";
@@ -17,7 +17,7 @@ const BACK: &str = "rect/server/back";
 const SERVICE: &str = "rect/server/service";
 const ANSWER: &str = "rect/client/answer";
 
-/// As many as wait at a subscriber of RECT's or Zenoh's.
+/// The capacity of the queues, the same as that of a subscriber of RECT or Zenoh.
 const WAITING: usize = 256;
 
 pub struct Mqtt {
@@ -27,19 +27,19 @@ pub struct Mqtt {
 }
 
 impl Peer for Mqtt {
-    async fn serve(meeting: Meeting, tally: Arc<Tally>) -> Outcome<()> {
+    async fn serve(meeting: Meeting, arrivals: Arc<ArrivalCounter>) -> Outcome<()> {
         let (client, mut events) = client(meeting, "server");
         for topic in [ECHO, FLOOD, SERVICE] {
             client.subscribe(topic, QoS::AtLeastOnce).await?;
         }
         loop {
             let Publish { topic, payload, .. } = next(&mut events).await?;
-            // Without waiting: it is this loop that makes room.
+            // Without waiting, because this loop is what makes room.
             match topic.as_str() {
                 SERVICE => {
-                    client.try_publish(ANSWER, QoS::AtLeastOnce, false, tally.answer(payload))?
+                    client.try_publish(ANSWER, QoS::AtLeastOnce, false, arrivals.answer(payload))?
                 }
-                FLOOD => tally.on_message(),
+                FLOOD => arrivals.on_message(),
                 _ => client.try_publish(BACK, QoS::AtLeastOnce, false, payload)?,
             }
         }
@@ -61,7 +61,7 @@ impl Peer for Mqtt {
                     Ok(Publish { payload, .. }) => {
                         let _ = answer.send(payload);
                     }
-                    Err(error) => return eprintln!("the broker is lost: {error}"),
+                    Err(error) => return eprintln!("lost the connection to the broker: {error}"),
                 }
             }
         });
@@ -88,7 +88,7 @@ impl Peer for Mqtt {
     }
 
     async fn request(&mut self, payload: Bytes) -> Outcome<Bytes> {
-        // An answer that came too late for its request is nobody's.
+        // Answers that arrived too late for their requests are discarded.
         while self.answers.try_recv().is_ok() {}
         let asked = self
             .client
@@ -99,7 +99,7 @@ impl Peer for Mqtt {
 }
 
 fn client(meeting: Meeting, name: &str) -> (AsyncClient, EventLoop) {
-    // The broker ends the older of two of one name.
+    // The broker disconnects the older of two clients with the same name.
     let name = format!("{name}-{}", process::id());
     let host = meeting.address.ip().to_string();
     let mut options = MqttOptions::new(name, host, meeting.address.port());
@@ -111,7 +111,7 @@ fn client(meeting: Meeting, name: &str) -> (AsyncClient, EventLoop) {
     (client, events)
 }
 
-/// The next message.
+/// Returns the next message.
 async fn next(events: &mut EventLoop) -> Outcome<Publish> {
     loop {
         if let Event::Incoming(Packet::Publish(publish)) = events.poll().await? {

@@ -1,44 +1,47 @@
-//! Owns what a middleware has to be able to do to be compared.
+//! Defines the operations that each compared middleware implements.
 use std::{error::Error, future::Future, net::SocketAddr, sync::Arc};
 
 use bytes::Bytes;
 
-use super::tally::Tally;
+use super::arrivals::ArrivalCounter;
 
 pub type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
-/// Where the two programs meet.
+/// The address at which the two programs meet.
 #[derive(Clone, Copy, Debug)]
 pub struct Meeting {
-    /// Of the one who serves, or of the router or broker.
+    /// The address of the serving program, or of the router or broker.
     pub address: SocketAddr,
-    /// It is a router; without, the one who serves listens there. MQTT always has a broker, gRPC never.
+    /// Whether it is a router; otherwise the serving program listens there. MQTT always has a broker, gRPC never.
     pub router: bool,
 }
 
-/// What becomes of a message at the one who serves.
+/// How the serving program treats a message.
 #[derive(Clone, Copy, Debug)]
 pub enum About {
-    /// It is published back.
+    /// It publishes the message back.
     Echo,
-    /// It is counted.
+    /// It counts the message.
     Flood,
 }
 
-/// The side that measures; and how the other side serves it.
+/// A middleware: the measuring side, and how the other side serves it.
 pub trait Peer: Sized + Send + Sync + 'static {
-    /// Serves as long as the program runs: publishes back, counts, and answers requests as the tally says.
-    fn serve(meeting: Meeting, tally: Arc<Tally>) -> impl Future<Output = Outcome<()>> + Send;
+    /// Serves as long as the program runs: echoes messages, counts them with `arrivals`, and answers requests.
+    fn serve(
+        meeting: Meeting,
+        arrivals: Arc<ArrivalCounter>,
+    ) -> impl Future<Output = Outcome<()>> + Send;
 
-    /// Joins, to measure.
+    /// Joins as the measuring side.
     fn join(meeting: Meeting) -> impl Future<Output = Outcome<Self>> + Send;
 
-    /// Publishes; waits where there is no room.
+    /// Publishes a message; waits while there is no room.
     fn publish(&self, about: About, payload: Bytes) -> impl Future<Output = Outcome<()>> + Send;
 
-    /// The next message that was published back.
+    /// Returns the next echo.
     fn next_echo(&mut self) -> impl Future<Output = Outcome<Bytes>> + Send;
 
-    /// Asks, and waits for the answer.
+    /// Sends a request, and returns the reply.
     fn request(&mut self, payload: Bytes) -> impl Future<Output = Outcome<Bytes>> + Send;
 }

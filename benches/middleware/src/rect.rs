@@ -1,16 +1,16 @@
-//! Owns RECT's part: the library as its users get it.
+//! Implements the jobs with RECT's library in its default configuration.
 use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use rect::{Receiving, Robot, Subscriber, WhenFull};
+use rect::{QueueOptions, Robot, Subscriber, WhenFull};
 
 use super::{
+    arrivals::ArrivalCounter,
     peer::{About, Meeting, Outcome, Peer},
-    tally::Tally,
 };
 
 const SERVER: &str = "server";
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 pub struct Rect {
     robot: Robot,
@@ -18,33 +18,33 @@ pub struct Rect {
 }
 
 impl Peer for Rect {
-    async fn serve(meeting: Meeting, tally: Arc<Tally>) -> Outcome<()> {
+    async fn serve(meeting: Meeting, arrivals: Arc<ArrivalCounter>) -> Outcome<()> {
         let options = rect::Options::new(SERVER)?;
         let at = format!("tcp/{}", meeting.address);
         let robot = match meeting.router {
             true => options.router(at).connect().await?,
             false => options.listen(at).connect().await?,
         };
-        let answering = tally.clone();
+        let answering = arrivals.clone();
         let _service = robot
             .serve("service", move |request| {
                 let answer = answering.answer(request.payload.bytes.clone());
                 async move { Ok::<_, String>(answer) }
             })
             .await?;
-        // By default the newest wins; the flood is one of which each counts.
-        let each = Receiving {
-            when_full: WhenFull::Wait,
-            ..Receiving::default()
+        // By default the oldest message is dropped, but in the flood each message counts.
+        let each = QueueOptions {
+            when_full: WhenFull::Block,
+            ..QueueOptions::default()
         };
         let flood = robot.subscribe_with("client/flood", each).await?;
         tokio::spawn(async move {
-            while flood.recv().await.is_some() {
-                tally.on_message();
+            while flood.next().await.is_some() {
+                arrivals.on_message();
             }
         });
         let echo = robot.subscribe("client/echo").await?;
-        while let Some(message) = echo.recv().await {
+        while let Some(message) = echo.next().await {
             robot.publish("back", message.payload).await?;
         }
         Ok(())
@@ -70,12 +70,12 @@ impl Peer for Rect {
     }
 
     async fn next_echo(&mut self) -> Outcome<Bytes> {
-        let message = self.echoes.recv().await.ok_or("the session ended")?;
+        let message = self.echoes.next().await.ok_or("the session ended")?;
         Ok(message.payload.bytes)
     }
 
     async fn request(&mut self, payload: Bytes) -> Outcome<Bytes> {
-        let asked = self.robot.request(SERVER, "service", payload, PATIENCE);
+        let asked = self.robot.request(SERVER, "service", payload, TIMEOUT);
         Ok(asked.await?.payload.bytes)
     }
 }

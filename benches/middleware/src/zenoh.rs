@@ -1,4 +1,4 @@
-//! Owns plain zenoh's part: the same keys, the same priority and congestion control, and nothing else of RECT's.
+//! Implements the jobs with plain zenoh: with RECT's keys, priority and congestion control, and nothing else of RECT.
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -12,8 +12,8 @@ use zenoh::{
 };
 
 use super::{
+    arrivals::ArrivalCounter,
     peer::{About, Meeting, Outcome, Peer},
-    tally::Tally,
 };
 
 const ECHO: &str = "rect/client/echo";
@@ -29,24 +29,24 @@ pub struct Zenoh {
 }
 
 impl Peer for Zenoh {
-    async fn serve(meeting: Meeting, tally: Arc<Tally>) -> Outcome<()> {
+    async fn serve(meeting: Meeting, arrivals: Arc<ArrivalCounter>) -> Outcome<()> {
         let session = session(meeting, "listen").await?;
         let back = publisher(&session, BACK).await?;
         let service = session.declare_queryable(SERVICE).complete(true).await?;
-        let answering = tally.clone();
+        let answering = arrivals.clone();
         tokio::spawn(async move {
             while let Ok(query) = service.recv_async().await {
                 let asked = query.payload().map(bytes).unwrap_or_default();
                 let answered = query.reply(SERVICE, answering.answer(asked)).await;
                 if let Err(error) = answered {
-                    eprintln!("an answer was not sent: {error}");
+                    eprintln!("cannot send a reply: {error}");
                 }
             }
         });
         let flood = session.declare_subscriber(FLOOD).await?;
         tokio::spawn(async move {
             while flood.recv_async().await.is_ok() {
-                tally.on_message();
+                arrivals.on_message();
             }
         });
         let echo = session.declare_subscriber(ECHO).await?;
@@ -95,7 +95,7 @@ async fn session(meeting: Meeting, end: &str) -> Outcome<Session> {
     };
     let endpoints = format!("[\"tcp/{}\"]", meeting.address);
     config.insert_json5("mode", &format!("\"{mode}\""))?;
-    // No other way than the one that is measured.
+    // The programs must not find another path than the measured one.
     config.insert_json5("scouting/multicast/enabled", "false")?;
     config.insert_json5("scouting/gossip/enabled", "false")?;
     config.insert_json5("listen/endpoints", "[]")?;

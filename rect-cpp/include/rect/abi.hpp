@@ -1,5 +1,6 @@
 /// @file
-/// Owns the inner namespace: programs of one standard may be linked with those of another, where types differ.
+/// Selects the inline namespace, which differs between C++17, C++20 and C++23. Types differ between these standards
+/// (`std::span`, `std::expected`), and this way object files of several standards can be linked together.
 #ifndef RECT_ABI_HPP
 #define RECT_ABI_HPP
 

@@ -1,5 +1,5 @@
 /// @file
-/// Owns arrays of numbers.
+/// Reads arrays of numbers from payloads.
 #ifndef RECT_ARRAY_HPP
 #define RECT_ARRAY_HPP
 
@@ -47,32 +47,36 @@ constexpr rect_element element() {
 }  // namespace detail
 /// @endcond
 
-/// Numbers of one type in up to 8 dimensions, the last index running fastest, as they came.
+/// An array of numbers of one type with up to 8 dimensions, in row-major order (the last index varies fastest).
+///
+///     const auto scan = rect::must(message->payload.array());
+///     for (const float distance : scan.numbers<float>()) { ... }
 class Array {
 public:
-    /// Its dimensions, the one that runs slowest first.
+    /// Returns the size of each dimension, the slowest-varying one first.
     [[nodiscard]] span<const std::size_t> shape() const noexcept { return {raw_.shape, raw_.dimensions}; }
-    /// The type of its numbers.
+    /// Returns the type of the numbers.
     [[nodiscard]] rect_element element() const noexcept { return static_cast<rect_element>(raw_.element); }
-    /// Its numbers; nothing, if they are of another type.
+    /// Returns the numbers as a span of `T`. The span is empty if the array has numbers of another type.
     template <class T>
     [[nodiscard]] span<const T> numbers() const noexcept {
         if (element() != detail::element<T>()) {
             return {};
         }
-        // Little endian, as they came, and as this computer is: the library's address is a multiple of 8.
+        // The numbers arrive in little-endian order, which is also that of this computer; the library aligns them to 8
+        // bytes.
         return {reinterpret_cast<const T*>(raw_.numbers), raw_.len / sizeof(T)};
     }
-    /// Its bytes, little endian.
+    /// Returns the numbers as bytes in little-endian order.
     [[nodiscard]] span<const std::uint8_t> bytes() const noexcept { return {raw_.numbers, raw_.len}; }
 
     /// @cond
     static expected<Array> read(const rect_payload& payload, Limits limits) {
-        const rect_limits most{limits.max_bytes, limits.max_pixels};
+        const rect_limits raw_limits{limits.max_bytes, limits.max_pixels};
         rect_array array;
         rect_error error;
-        const auto code = rect_array_read(&payload, &most, &array, &error);
-        return detail::got<Array>(code, error, [&] { return Array(array); });
+        const auto code = rect_array_read(&payload, &raw_limits, &array, &error);
+        return detail::value_or_error<Array>(code, error, [&] { return Array(array); });
     }
     /// @endcond
 

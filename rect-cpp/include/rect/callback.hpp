@@ -1,5 +1,5 @@
 /// @file
-/// Owns callbacks: what they throw never leaves them.
+/// Wraps C++ functions as callbacks of C, and reports exceptions that they throw.
 #ifndef RECT_CALLBACK_HPP
 #define RECT_CALLBACK_HPP
 
@@ -15,7 +15,7 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// Called with what a callback has thrown.
+/// A function that is called with the text of an exception that a callback has thrown.
 using OnCallbackError = void (*)(const char* what) noexcept;
 
 /// @cond
@@ -30,11 +30,11 @@ inline void report(const char* what) noexcept {
     if (const auto function = on_callback_error().load()) {
         function(what);
     } else {
-        std::fprintf(stderr, "rect: a callback has thrown: %s\n", what);
+        std::fprintf(stderr, "rect: a callback has thrown an exception: %s\n", what);
     }
 }
 
-/// Runs it; what it throws is reported.
+/// Runs a function and reports an exception that it throws. Returns whether there was none.
 template <class Run>
 bool guarded(Run run) noexcept {
     try {
@@ -43,12 +43,12 @@ bool guarded(Run run) noexcept {
     } catch (const std::exception& error) {
         report(error.what());
     } catch (...) {
-        report("something that is no std::exception");
+        report("an exception that is not a std::exception");
     }
     return false;
 }
 
-/// A function on its way to C, which takes it over.
+/// A C++ function that is passed to C, which takes ownership of it.
 template <class F>
 class Callback {
 public:
@@ -57,16 +57,16 @@ public:
         detail::release(function_);
     }
 
-    /// For C, as `context`.
+    /// Returns the `context` for C.
     [[nodiscard]] void* context() const noexcept { return function_; }
 
-    /// For C, as `release`.
-    static void done(void* context) noexcept {
+    /// The `release` function for C.
+    static void release(void* context) noexcept {
         acquire(context);
         delete static_cast<F*>(context);
     }
 
-    /// For C, as `callback`: shows what C has as `View`.
+    /// The `callback` function for C. Converts the C struct to a `View`.
     template <class Raw, class View>
     static void call(const Raw* raw, void* context) noexcept {
         acquire(context);
@@ -82,8 +82,8 @@ private:
 }  // namespace detail
 /// @endcond
 
-/// From now on this function is told what callbacks have thrown, instead of stderr; `nullptr`: stderr again. It may be called
-/// on several threads at once.
+/// Sets the function that receives the exceptions of callbacks; `nullptr` writes them to stderr, which is the default. The
+/// function may be called on several threads at once.
 inline void on_callback_error(OnCallbackError function) noexcept { detail::on_callback_error() = function; }
 
 }  // namespace RECT_ABI

@@ -1,5 +1,5 @@
 /// @file
-/// Owns who can be reached: connections of a router, and what changes about them.
+/// Describes the connections of a router, and events about robots, links and the router.
 #ifndef RECT_CONNECTION_HPP
 #define RECT_CONNECTION_HPP
 
@@ -17,131 +17,131 @@ inline namespace RECT_ABI {
 /// @cond
 namespace detail {
 
-inline std::optional<double> known(double number) {
+inline std::optional<double> value_if_known(double number) {
     return std::isnan(number) ? std::nullopt : std::optional<double>(number);
 }
 
-inline std::optional<std::uint64_t> known(std::int64_t number) {
+inline std::optional<std::uint64_t> value_if_known(std::int64_t number) {
     return number < 0 ? std::nullopt : std::optional<std::uint64_t>(static_cast<std::uint64_t>(number));
 }
 
 }  // namespace detail
 /// @endcond
 
-/// How far a connection is.
-enum class LinkState {
+/// The state of a connection.
+enum class ConnectionState {
     /// There is a link.
-    connected = RECT_LINK_STATE_CONNECTED,
-    /// It is dialled or waited for.
-    connecting = RECT_LINK_STATE_CONNECTING,
-    /// The robot is in the air, and there is no link with it.
-    discovered = RECT_LINK_STATE_DISCOVERED,
+    connected = RECT_CONNECTION_STATE_CONNECTED,
+    /// The router dials the peer, or waits for it to dial.
+    connecting = RECT_CONNECTION_STATE_CONNECTING,
+    /// An advertisement of the robot was received; there is no link to it.
+    discovered = RECT_CONNECTION_STATE_DISCOVERED,
 };
 
 /// A connection of a robot's router (docs/registry.md).
 struct Connection {
-    /// Its name, if it is a named one.
+    /// The name of a named connection; otherwise empty.
     std::string name;
-    /// `ble`, `tcp`, `udp`, ...
+    /// The method of the link: `ble`, `tcp`, `udp` and so on.
     std::string method;
-    /// The other end.
+    /// The address of the other end.
     std::string address;
-    /// The Zenoh id of who is there, if known.
+    /// The Zenoh id of the peer; empty if it is not known.
     std::string peer_id;
-    /// Which robot that is, if known.
+    /// The name of the peer's robot; empty if it is not known.
     std::string peer;
-    /// How far it is.
-    LinkState state;
-    /// For how long, in s.
+    /// The state.
+    ConnectionState state;
+    /// Time since the link was established, in seconds.
     std::optional<double> up_s;
-    /// What a small message takes there and back, in ms.
+    /// Round-trip time of a small message, in milliseconds.
     std::optional<double> round_trip_ms;
-    /// How strong its signal is, in dBm.
+    /// Received signal strength, in dBm.
     std::optional<double> rssi_dbm;
-    /// Bytes sent.
+    /// Number of bytes sent.
     std::optional<std::uint64_t> sent_bytes;
-    /// Bytes received.
+    /// Number of bytes received.
     std::optional<std::uint64_t> received_bytes;
-    /// How often it was linked.
+    /// How many times a link was established.
     std::optional<std::uint64_t> linked;
-    /// How often it could not be.
+    /// How many attempts to establish a link failed.
     std::optional<std::uint64_t> failed;
-    /// What went wrong last, if anything.
+    /// The last error; empty if there was none.
     std::string last_error;
-    /// How long ago that was, in s.
+    /// Time since the last error, in seconds.
     std::optional<double> last_error_ago_s;
 
-    /// As C has it.
+    /// Copies a struct of rect.h.
     explicit Connection(const rect_connection& raw)
         : name(detail::view(raw.name)),
           method(detail::view(raw.method)),
           address(detail::view(raw.address)),
           peer_id(detail::view(raw.peer_id)),
           peer(detail::view(raw.peer)),
-          state(static_cast<LinkState>(raw.state)),
-          up_s(detail::known(raw.up_s)),
-          round_trip_ms(detail::known(raw.round_trip_ms)),
-          rssi_dbm(detail::known(raw.rssi_dbm)),
-          sent_bytes(detail::known(raw.sent_bytes)),
-          received_bytes(detail::known(raw.received_bytes)),
-          linked(detail::known(raw.linked)),
-          failed(detail::known(raw.failed)),
+          state(static_cast<ConnectionState>(raw.state)),
+          up_s(detail::value_if_known(raw.up_s)),
+          round_trip_ms(detail::value_if_known(raw.round_trip_ms)),
+          rssi_dbm(detail::value_if_known(raw.rssi_dbm)),
+          sent_bytes(detail::value_if_known(raw.sent_bytes)),
+          received_bytes(detail::value_if_known(raw.received_bytes)),
+          linked(detail::value_if_known(raw.linked)),
+          failed(detail::value_if_known(raw.failed)),
           last_error(detail::view(raw.last_error)),
-          last_error_ago_s(detail::known(raw.last_error_ago_s)) {}
+          last_error_ago_s(detail::value_if_known(raw.last_error_ago_s)) {}
 };
 
-/// A connection that a router is to have.
+/// A named connection to add to a router: Robot::add_connection.
 struct NamedConnection {
-    /// Its name.
+    /// The name of the connection.
     std::string name;
-    /// `ble`, `tcp`, `udp`, or any other of Zenoh's protocols.
+    /// The method: `ble`, `tcp`, `udp` or another protocol of Zenoh.
     std::string method;
-    /// For `ble` a robot's name or its Bluetooth address, else a host.
+    /// For `ble`, the name or Bluetooth address of a robot; for other methods, a host.
     std::string address;
-    /// For methods with one.
+    /// The port, for methods that have ports.
     std::uint16_t port = 0;
-    /// For `ble`: the L2CAP channel's number; 0: the advertised one.
+    /// The L2CAP PSM, for `ble`. If 0, the advertised PSM is used.
     std::uint16_t psm = 0;
-    /// Options of the method's locator, a JSON object: `{"mtu": 512}`.
+    /// Options of the locator as a JSON object, e.g. `{"mtu": 512}`.
     std::string options{};
 };
 
-/// A change of who can be reached, which belongs to the callback that is called with it.
+/// A change of a robot, a link or the router. It is valid until the callback that receives it returns.
 class Event {
 public:
-    /// What has changed.
+    /// The kind of an event.
     enum class Kind {
-        /// A robot of the fleet is there.
+        /// A robot of the fleet became reachable.
         peer_up = RECT_EVENT_KIND_PEER_UP,
-        /// It is gone.
+        /// A robot of the fleet became unreachable.
         peer_down = RECT_EVENT_KIND_PEER_DOWN,
-        /// A link came up.
+        /// A link was established.
         link_up = RECT_EVENT_KIND_LINK_UP,
-        /// It ended.
+        /// A link ended.
         link_down = RECT_EVENT_KIND_LINK_DOWN,
-        /// This program's router is there.
+        /// The router of this program became reachable.
         router_up = RECT_EVENT_KIND_ROUTER_UP,
-        /// It is gone.
+        /// The router of this program became unreachable.
         router_down = RECT_EVENT_KIND_ROUTER_DOWN,
     };
 
-    /// As C has it.
+    /// Refers to a struct of rect.h.
     explicit Event(const rect_event& raw) noexcept : raw_(raw) {}
 
-    /// What.
+    /// Returns the kind of the event.
     [[nodiscard]] Kind kind() const noexcept { return static_cast<Kind>(raw_.kind); }
-    /// Which robot; of a link nothing, where that is not known.
+    /// Returns the robot concerned. Empty for router events, and for a link whose other end is not known.
     [[nodiscard]] std::string_view robot() const noexcept { return detail::view(raw_.robot); }
-    /// The protocol of a link, as `ble`.
+    /// Returns the method of the link, e.g. `ble`. Empty if the event does not concern a link.
     [[nodiscard]] std::string_view method() const noexcept { return detail::view(raw_.method); }
-    /// Its other end.
+    /// Returns the address of the link's other end. Empty if the event does not concern a link.
     [[nodiscard]] std::string_view address() const noexcept { return detail::view(raw_.address); }
 
 private:
     rect_event raw_;
 };
 
-/// What a program has said and heard, since it joined: messages, and the bytes of their payloads.
+/// Counts of the messages of a program since it connected.
 using Counters = rect_counters;
 
 }  // namespace RECT_ABI

@@ -1,5 +1,5 @@
 /// @file
-/// Owns dictionaries: what many small messages have in common.
+/// Trains and loads compression dictionaries, and decodes payloads.
 #ifndef RECT_DICTIONARY_HPP
 #define RECT_DICTIONARY_HPP
 
@@ -13,13 +13,19 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// A dictionary, with which small messages of the same kind become much smaller: Robot::packed_with.
+/// A compression dictionary for small messages of similar content. Robot::with_dictionary uses it.
+///
+///     const auto dictionary = rect::must(rect::Dictionary::train(samples, 4096));
+///     const auto robot_with_dictionary = rect::must(robot.with_dictionary(dictionary));
 class Dictionary : public Handle {
 public:
     using Handle::Handle;
 
-    /// Makes one, at most `size` bytes large (512 to 131072; 4 to 16 kB is good for JSON), of messages like those to come:
-    /// some hundred, ten times its size together. Takes a while.
+    /// Trains a dictionary of at most `size` bytes (512 to 131072; 4 to 16 kB suit JSON). The samples are a few hundred
+    /// messages of the kind that will be sent, about ten times `size` in total.
+    ///
+    /// Training takes long enough that a program should do it only once, when it starts. Fails with Code::dictionary if the
+    /// samples are too few or too different.
     [[nodiscard]] static expected<Dictionary> train(const std::vector<std::string>& samples, std::size_t size) {
         std::vector<rect_payload> raw;
         raw.reserve(samples.size());
@@ -29,35 +35,40 @@ public:
         rect_dictionary dictionary;
         rect_error error;
         const auto code = rect_dictionary_train(raw.data(), raw.size(), size, &dictionary, &error);
-        return detail::got<Dictionary>(code, error, [&] { return Dictionary(dictionary.id); });
+        return detail::value_or_error<Dictionary>(code, error, [&] { return Dictionary(dictionary.id); });
     }
 
-    /// Reads a standard zstd dictionary.
+    /// Loads a standard zstd dictionary. Fails with Code::dictionary if the bytes are not a dictionary.
     [[nodiscard]] static expected<Dictionary> read(span<const std::uint8_t> bytes) {
         rect_dictionary dictionary;
         rect_error error;
         const auto code = rect_dictionary_read(bytes.data(), bytes.size(), &dictionary, &error);
-        return detail::got<Dictionary>(code, error, [&] { return Dictionary(dictionary.id); });
+        return detail::value_or_error<Dictionary>(code, error, [&] { return Dictionary(dictionary.id); });
     }
 
-    /// The number that messages name it by: made from its content, so that it is the same everywhere.
-    [[nodiscard]] expected<std::uint32_t> number() const {
-        std::uint32_t number = 0;
+    /// Returns the id by which payloads refer to the dictionary. It is computed from the content, so it is the same on every
+    /// robot.
+    [[nodiscard]] expected<std::uint32_t> id() const {
+        std::uint32_t id = 0;
         rect_error error;
-        const auto code = rect_dictionary_number({id()}, &number, &error);
-        return detail::got<std::uint32_t>(code, error, [&] { return number; });
+        const auto code = rect_dictionary_id({handle_id()}, &id, &error);
+        return detail::value_or_error<std::uint32_t>(code, error, [&] { return id; });
     }
 };
 
-/// A payload without its packings (`;zstd`). What comes by a robot has none any more: this is for what was kept elsewhere.
-[[nodiscard]] inline expected<Buffer> unpack(const PayloadView& payload, const Dictionary* dictionary = nullptr,
+/// Decodes a payload that was encoded with a codec (its encoding ends with e.g. `;zstd`). Messages and frames that a robot
+/// receives are already decoded; use this for payloads that were stored elsewhere.
+///
+/// Fails with Code::codec if the payload is damaged, exceeds the limits, or needs another dictionary.
+[[nodiscard]] inline expected<Buffer> decode(const PayloadView& payload, const Dictionary* dictionary = nullptr,
                                              Limits limits = {}) {
-    const rect_limits most{limits.max_bytes, limits.max_pixels};
-    const rect_dictionary known{dictionary == nullptr ? 0 : dictionary->id()};
+    const rect_limits raw_limits{limits.max_bytes, limits.max_pixels};
+    const rect_dictionary raw_dictionary{dictionary == nullptr ? 0 : dictionary->handle_id()};
     rect_buffer buffer;
     rect_error error;
-    const auto code = rect_unpack(&payload.raw(), dictionary == nullptr ? nullptr : &known, &most, &buffer, &error);
-    return detail::got<Buffer>(code, error, [&] { return Buffer(buffer); });
+    const auto code =
+        rect_decode(&payload.raw(), dictionary == nullptr ? nullptr : &raw_dictionary, &raw_limits, &buffer, &error);
+    return detail::value_or_error<Buffer>(code, error, [&] { return Buffer(buffer); });
 }
 
 }  // namespace RECT_ABI

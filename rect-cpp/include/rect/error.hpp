@@ -1,5 +1,5 @@
 /// @file
-/// Owns errors, and `rect::expected`: what a call gives, or why it does not.
+/// Defines errors, and `rect::expected`, which functions that may fail return.
 #ifndef RECT_ERROR_HPP
 #define RECT_ERROR_HPP
 
@@ -20,98 +20,103 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// How a call ended.
+/// The kind of an error.
 enum class Code {
-    /// There are no more: all have answered.
+    /// There are no more items: all robots have replied, or the end of the transfer has already been reported.
     end = RECT_CODE_END,
-    /// It took longer than was allowed. Ask again, allow more time, or look at the link (`rect connections`).
+    /// The timeout expired. Retry, allow more time, or check the link with `rect connections`.
     timed_out = RECT_CODE_TIMED_OUT,
-    /// An argument is not UTF-8, or out of its range; the text names it.
+    /// An argument is not UTF-8, contains a zero byte, or is out of range. The text names it.
     argument = RECT_CODE_ARGUMENT,
-    /// The object was moved from, or is closed.
+    /// The object was moved from or dropped.
     handle = RECT_CODE_HANDLE,
-    /// The session was closed, or what is waited for was dropped meanwhile.
+    /// The session was closed, or another thread dropped the object while the call was waiting.
     closed = RECT_CODE_CLOSED,
-    /// The name of a robot or fleet. Choose another.
+    /// The name of a robot or fleet is invalid. Choose another one.
     name = RECT_CODE_NAME,
-    /// A topic or pattern. Write it as the text says.
+    /// A topic or pattern is invalid. The text explains the rule that it breaks.
     topic = RECT_CODE_TOPIC,
-    /// A value that can't be sent or read as asked for.
+    /// A value cannot be sent, or a payload cannot be read as the requested type.
     payload = RECT_CODE_PAYLOAD,
-    /// A codec that does not fit, or a payload that is damaged.
+    /// A codec does not suit the payload, or the encoded payload is damaged.
     codec = RECT_CODE_CODEC,
-    /// Bytes that are no dictionary, or samples that make none.
+    /// The bytes are not a dictionary, or no dictionary can be trained from the samples.
     dictionary = RECT_CODE_DICTIONARY,
-    /// No router. Start one, or name another.
+    /// There is no router at the endpoint. Start one, or specify another endpoint.
     no_router = RECT_CODE_NO_ROUTER,
-    /// A locator, or something else in the options, that Zenoh does not take.
+    /// Zenoh rejects a locator or another option.
     option = RECT_CODE_OPTION,
-    /// Nobody has that service. Is the robot there, and does its program run?
+    /// The robot does not offer the service. Check that the robot is reachable and that its program is running.
     no_service = RECT_CODE_NO_SERVICE,
-    /// The service answered with an error.
+    /// The service replied with an error, which is the text.
     service = RECT_CODE_SERVICE,
-    /// Zenoh refuses.
+    /// Zenoh reported an error.
     zenoh = RECT_CODE_ZENOH,
-    /// A transfer is not taken there.
+    /// The recipient refused the transfer.
     transfer_refused = RECT_CODE_TRANSFER_REFUSED,
-    /// A transfer began and ended before all was there. The text says whether to send it again.
+    /// The transfer started and failed before it was complete. The text states whether to send it again.
     transfer_failed = RECT_CODE_TRANSFER_FAILED,
-    /// A file or folder of a transfer can't be used.
+    /// A file or folder of a transfer cannot be read or written.
     file = RECT_CODE_FILE,
-    /// A fault of RECT's own: please report it with its text.
-    fault = RECT_CODE_FAULT,
-    /// Another failure; the text tells.
+    /// An internal error of RECT. Please report it with its text.
+    internal = RECT_CODE_INTERNAL,
+    /// Another error. The text describes it.
     other = RECT_CODE_OTHER,
-    /// The router asks for a login, and this program's is missing or wrong. Name the team's login file.
+    /// The router requires a login, and the login of this program is missing or wrong. Specify the team's login file.
     login_refused = RECT_CODE_LOGIN_REFUSED,
-    /// The router serves another robot than the program joins as. Join under that name, or at the right router.
+    /// The router belongs to another robot than the name under which the program connects. Use that robot's name, or connect
+    /// to the router of the right robot.
     wrong_robot = RECT_CODE_WRONG_ROBOT,
 };
 
-/// Why a call did not do it.
+/// The reason why a call failed.
 struct Error {
-    /// What kind of failure.
+    /// The kind of the error.
     Code code;
-    /// For people: one line that says what to do.
+    /// One line for people: what happened, and what to do.
     std::string text;
 };
 
 #if RECT_HAS_STD_EXPECTED
-/// What a call gives, or why it does not: `std::expected` where the standard has it, otherwise the same by `nonstd::expected`.
+/// The value that a call returns, or its error: `std::expected` if the standard library has it, otherwise
+/// `nonstd::expected`, which has the same interface.
 template <class T, class E = Error>
 using expected = std::expected<T, E>;
-/// The second of the two.
+/// Marks the error of an `expected`.
 template <class E>
 using unexpected = std::unexpected<E>;
 #else
-/// What a call gives, or why it does not: `std::expected` where the standard has it, otherwise the same by `nonstd::expected`.
+/// The value that a call returns, or its error: `std::expected` if the standard library has it, otherwise
+/// `nonstd::expected`, which has the same interface.
 template <class T, class E = Error>
 using expected = nonstd::expected<T, E>;
-/// The second of the two.
+/// Marks the error of an `expected`.
 template <class E>
 using unexpected = nonstd::unexpected_type<E>;
 #endif
 
-/// What `must` throws: what() is the error's text.
-class Failed : public std::runtime_error {
+/// The exception that rect::must throws. `what()` returns the text of the error.
+class Exception : public std::runtime_error {
 public:
-    /// Of an error.
-    explicit Failed(const Error& error) : std::runtime_error(error.text), code_(error.code) {}
-    /// What kind of failure.
+    /// Creates the exception of an error.
+    explicit Exception(const Error& error) : std::runtime_error(error.text), code_(error.code) {}
+    /// Returns the kind of the error.
     [[nodiscard]] Code code() const noexcept { return code_; }
 
 private:
     Code code_;
 };
 
-/// What a call gives, or a Failed is thrown: `auto robot = rect::must(rect::connect("wombat-1"));`.
+/// Returns the value of an `expected`, or throws an Exception if it is an error.
+///
+///     auto robot = rect::must(rect::connect("wombat-1"));
 template <class T>
-T must(expected<T> got) {
-    if (!got) {
-        throw Failed(got.error());
+T must(expected<T> result) {
+    if (!result) {
+        throw Exception(result.error());
     }
     if constexpr (!std::is_void_v<T>) {
-        return std::move(*got);
+        return std::move(*result);
     }
 }
 
@@ -126,7 +131,7 @@ inline unexpected<Error> failed(Code code, std::string text) {
     return unexpected<Error>(Error{code, std::move(text)});
 }
 
-inline expected<void> done(rect_code code, const rect_error& error) {
+inline expected<void> ok_or_error(rect_code code, const rect_error& error) {
     if (code == RECT_CODE_OK) {
         return {};
     }

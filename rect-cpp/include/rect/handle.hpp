@@ -1,5 +1,6 @@
 /// @file
-/// Owns what all objects have in common: they have a handle of the library's, may be moved and not copied, and end with it.
+/// Defines the base class of all objects of the library: they own a handle, can be moved but not copied, and release the
+/// handle when they are destroyed.
 #ifndef RECT_HANDLE_HPP
 #define RECT_HANDLE_HPP
 
@@ -12,14 +13,15 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// Something of the library's, which ends when this does. What was moved from, or ended by hand, gives Code::handle.
+/// An object of the library, which is dropped when this is destroyed. Calls on an object that was moved from or dropped fail
+/// with Code::handle.
 class Handle {
 public:
-    /// Takes over what C has given.
+    /// Takes ownership of a handle of rect.h.
     explicit Handle(std::uint64_t id = 0) noexcept : id_(id) {}
-    /// Takes over another's.
+    /// Takes over the handle of another object.
     Handle(Handle&& other) noexcept : id_(other.id_.exchange(0)) {}
-    /// Ends its own, and takes over another's.
+    /// Drops the current object and takes over the handle of another one.
     Handle& operator=(Handle&& other) noexcept {
         if (this != &other) {
             drop();
@@ -31,16 +33,16 @@ public:
     Handle& operator=(const Handle&) = delete;
     ~Handle() { drop(); }
 
-    /// Ends it now. No callback of it runs any more when this returns, except the one that calls this. May be called by
-    /// several threads, and again.
+    /// Drops the object now. When this returns, no callback of it runs any more, except the one that calls this. May be
+    /// called repeatedly, and by several threads at once.
     void drop() noexcept {
         auto id = id_.exchange(0);
         rect_drop(&id, nullptr);
         detail::acquire_all();
     }
 
-    /// Its number in C; 0 when there is nothing any more.
-    [[nodiscard]] std::uint64_t id() const noexcept { return id_; }
+    /// Returns the handle as a number for functions of rect.h; 0 if the object was dropped or moved from.
+    [[nodiscard]] std::uint64_t handle_id() const noexcept { return id_; }
 
 private:
     std::atomic<std::uint64_t> id_;
@@ -49,9 +51,9 @@ private:
 /// @cond
 namespace detail {
 
-/// What a call gives, or why it does not.
+/// Returns the value that `make` creates if the call succeeded, otherwise its error.
 template <class T, class Make>
-expected<T> got(rect_code code, const rect_error& error, Make make) {
+expected<T> value_or_error(rect_code code, const rect_error& error, Make make) {
     if (code == RECT_CODE_OK) {
         return make();
     }

@@ -1,5 +1,5 @@
 /// @file
-/// Owns messages, and how they are waited for.
+/// Defines messages, subscribers and subscriptions.
 #ifndef RECT_MESSAGE_HPP
 #define RECT_MESSAGE_HPP
 
@@ -14,97 +14,102 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// How urgently a robot speaks; more urgent messages overtake others in every queue and on the Bluetooth link.
+/// The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
 enum class Urgency : std::uint32_t {
-    /// In no hurry.
+    /// For data that may wait, e.g. files.
     bulk = RECT_URGENCY_BULK,
-    /// As usual.
+    /// For most messages. The default.
     normal = RECT_URGENCY_NORMAL,
-    /// Before everything else.
+    /// For messages that must arrive before all others, e.g. emergency stops.
     urgent = RECT_URGENCY_URGENT,
 };
 
-/// What happens when one more comes than may wait.
+/// The rule for an item that arrives when the receive queue is full.
 enum class WhenFull : std::uint32_t {
-    /// The oldest is dropped: what the program gets is fresh.
-    newest_wins = RECT_WHEN_FULL_NEWEST_WINS,
-    /// The new one is dropped: what the program gets has no gap before it is full.
-    oldest_wins = RECT_WHEN_FULL_OLDEST_WINS,
-    /// Whoever sends waits. Nothing is dropped, and a program that does not read holds up everything of that urgency that
-    /// comes over the same connection.
-    wait = RECT_WHEN_FULL_WAIT,
+    /// The oldest waiting item is dropped, so the program receives recent items. The default.
+    drop_oldest = RECT_WHEN_FULL_DROP_OLDEST,
+    /// The new item is dropped, so the items that are already waiting have no gaps.
+    drop_newest = RECT_WHEN_FULL_DROP_NEWEST,
+    /// The sender waits, and nothing is dropped. A program that does not read then blocks all messages of the same urgency
+    /// on the same link.
+    block = RECT_WHEN_FULL_BLOCK,
 };
 
-/// How what comes waits for the program.
-struct Receiving {
-    /// How many may wait; 0: 256 messages, or the newest frame alone.
+/// The settings of a receive queue.
+struct QueueOptions {
+    /// How many items may wait. 0 means the default: 256 messages, or 1 frame of a stream.
     std::size_t capacity = 0;
-    /// What happens to more.
-    WhenFull when_full = WhenFull::newest_wins;
+    /// The rule for a full queue.
+    WhenFull when_full = WhenFull::drop_oldest;
 };
 
 /// @cond
 namespace detail {
 
-inline rect_receiving raw(const Receiving& receiving) noexcept {
-    return {receiving.capacity, static_cast<std::uint32_t>(receiving.when_full)};
+inline rect_queue_options raw(const QueueOptions& queue) noexcept {
+    return {queue.capacity, static_cast<std::uint32_t>(queue.when_full)};
 }
 
 }  // namespace detail
 /// @endcond
 
-/// A message from another robot (or another program of this one), which belongs to the callback that is called with it.
+/// A message from another robot, or from another program of the same robot. It is valid until the callback that receives it
+/// returns; copy whatever is needed later.
 class MessageView {
 public:
-    /// As C has it.
+    /// Refers to a struct of rect.h.
     explicit MessageView(const rect_message& raw) noexcept : payload(raw.payload), raw_(raw) {}
 
-    /// What it says.
+    /// The payload.
     PayloadView payload;
 
-    /// Who sent it.
-    [[nodiscard]] std::string_view from() const noexcept { return detail::view(raw_.from); }
-    /// To whom alone; empty: to all.
-    [[nodiscard]] std::string_view to() const noexcept { return detail::view(raw_.to); }
-    /// About what.
+    /// Returns the robot that published or sent the message.
+    [[nodiscard]] std::string_view sender() const noexcept { return detail::view(raw_.sender); }
+    /// Returns the robot that the message was sent to; empty if it was published.
+    [[nodiscard]] std::string_view recipient() const noexcept { return detail::view(raw_.recipient); }
+    /// Returns the topic.
     [[nodiscard]] std::string_view topic() const noexcept { return detail::view(raw_.topic); }
-    /// How urgent.
+    /// Returns the urgency.
     [[nodiscard]] Urgency urgency() const noexcept { return static_cast<Urgency>(raw_.urgency); }
-    /// When, by the sender's clock; nothing for one of a stock program. A robot without a clock of its own may be years off.
+    /// Returns the time of sending by the sender's clock, or nothing if the sender is a plain Zenoh program. The clock of a
+    /// robot without a real-time clock may be wrong by years.
     [[nodiscard]] std::optional<std::chrono::system_clock::time_point> sent() const noexcept {
         if (raw_.sent_ms < 0) {
             return std::nullopt;
         }
         return std::chrono::system_clock::time_point(std::chrono::milliseconds(raw_.sent_ms));
     }
-    /// Its number at its publisher; nothing for one of a stock program.
+    /// Returns the sequence number of its publisher, or nothing if the sender is a plain Zenoh program.
     [[nodiscard]] std::optional<std::uint32_t> sequence() const noexcept {
         if (raw_.sequence < 0) {
             return std::nullopt;
         }
         return static_cast<std::uint32_t>(raw_.sequence);
     }
-    /// So many of its publisher, before it, did not arrive.
+    /// Returns how many messages of the same publisher, directly before this one, did not arrive.
     [[nodiscard]] std::uint32_t missed() const noexcept { return raw_.missed; }
-    /// Whether it was overtaken on its way.
+    /// Returns whether the message arrived after one with a higher sequence number of the same publisher.
     [[nodiscard]] bool late() const noexcept { return raw_.late; }
-    /// Why it is still packed as it came, if it is: it is damaged, or of a codec that is not known here.
-    [[nodiscard]] std::string_view flaw() const noexcept { return detail::view(raw_.flaw); }
-    /// By what it came, as `ble`, where its sender has one link with this robot, and that is known.
-    [[nodiscard]] std::string_view over() const noexcept { return detail::view(raw_.over); }
+    /// Returns the reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or
+    /// dictionary is not available. Empty if the payload is complete.
+    [[nodiscard]] std::string_view problem() const noexcept { return detail::view(raw_.problem); }
+    /// Returns the method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with
+    /// this robot, or if the method is not known.
+    [[nodiscard]] std::string_view method() const noexcept { return detail::view(raw_.method); }
 
 private:
     rect_message raw_;
 };
 
-/// A message of the program's own: what `listen` and Subscriber::next give.
+/// A message that the program owns, as Robot::wait_for_message and Subscriber::next return it. `->` accesses the
+/// MessageView.
 class Message {
 public:
-    /// Takes over what C has given.
+    /// Takes ownership of a message of rect.h.
     explicit Message(const rect_message& raw) noexcept : handle_(raw.id), view_(raw) {}
-    /// What it says, and of whom.
+    /// Returns the message, which is valid as long as this object.
     [[nodiscard]] const MessageView& operator*() const noexcept { return view_; }
-    /// What it says, and of whom.
+    /// Returns the message, which is valid as long as this object.
     [[nodiscard]] const MessageView* operator->() const noexcept { return &view_; }
 
 private:
@@ -112,32 +117,37 @@ private:
     MessageView view_;
 };
 
-/// The messages of a pattern, which wait until they are taken. It ends when this does.
+/// A subscription with a receive queue from which the program takes messages. Destroying it ends the subscription.
+///
+///     const auto angles = rect::must(robot.subscribe("wombat-2/arm/angle"));
+///     while (const auto message = angles.next()) {
+///         std::cout << (*message)->sender() << ": " << (*message)->payload.text().value_or("?") << std::endl;
+///     }
 class Subscriber : public Handle {
 public:
     using Handle::Handle;
 
-    /// The next message; Code::timed_out: there was none; Code::closed: the session was closed, or another thread dropped
-    /// this.
+    /// Waits for the next message. Fails with Code::timed_out if none arrives within `timeout`, and with Code::closed if the
+    /// session was closed or another thread dropped this.
     [[nodiscard]] expected<Message> next(std::chrono::milliseconds timeout = forever) const {
         rect_message message;
         rect_error error;
-        const auto code = rect_subscriber_next({id()}, detail::ms(timeout), &message, &error);
-        return detail::got<Message>(code, error, [&] { return Message(message); });
+        const auto code = rect_subscriber_next({handle_id()}, detail::ms(timeout), &message, &error);
+        return detail::value_or_error<Message>(code, error, [&] { return Message(message); });
     }
 
-    /// How many messages were dropped because the program did not take them in time.
+    /// Returns how many messages the full receive queue has dropped.
     [[nodiscard]] expected<std::uint64_t> dropped() const {
         std::uint64_t dropped = 0;
         rect_error error;
-        const auto code = rect_subscriber_dropped({id()}, &dropped, &error);
-        return detail::got<std::uint64_t>(code, error, [&] { return dropped; });
+        const auto code = rect_subscriber_dropped({handle_id()}, &dropped, &error);
+        return detail::value_or_error<std::uint64_t>(code, error, [&] { return dropped; });
     }
 };
 
-/// A callback that is called for whatever comes, one after another, on a thread of its own, until this ends; that waits for a
-/// call that is under way. It may be ended in its own callback. Two callbacks that end each other's at the same time wait
-/// for each other for ever.
+/// A subscription, watch or event listener that calls a function for each item, one after another, on a thread of its own.
+/// Destroying it ends the calls and waits for a call in progress. A function may end its own subscription. If two functions
+/// end each other's subscriptions at the same time, both wait forever.
 class Subscription : public Handle {
 public:
     using Handle::Handle;

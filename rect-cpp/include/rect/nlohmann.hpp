@@ -1,5 +1,6 @@
 /// @file
-/// JSON and CBOR by nlohmann::json: all that it can write can be said, and `payload.value<T>()` is the same again.
+/// Publishes and reads values as JSON and CBOR with nlohmann::json: every type that it can convert can be published, and
+/// `payload.value<T>()` returns it again.
 ///
 ///     struct Reading { double degrees; };
 ///     NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Reading, degrees)
@@ -17,22 +18,22 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// Says a value as CBOR, which is shorter than JSON, and not readable by eye: `robot.publish("drive", rect::Cbor(command))`.
+/// Marks a value to be sent as CBOR, which is smaller than JSON: `robot.publish("drive", rect::Cbor(command))`.
 template <class T>
 struct Cbor {
     /// The value.
     const T& value;
-    /// Of a value that lives as long.
+    /// Refers to a value, which must outlive this object.
     explicit Cbor(const T& of) : value(of) {}
 };
 
 /// @cond
 namespace detail {
 
-/// As deep as the library reads: a peer could fill the stack.
+/// The depth to which the library reads. A limit is needed because a peer could otherwise exhaust the stack.
 constexpr int max_depth = 128;
 
-/// Reads without keeping anything, and stops where it becomes too deep.
+/// Parses without storing anything, and stops when the value is nested too deeply.
 class Depth : public nlohmann::json::json_sax_t {
     using Json = nlohmann::json;
 
@@ -71,7 +72,7 @@ inline expected<nlohmann::json> read_json(const PayloadView& payload) {
     const auto encoding = payload.encoding();
     const bool is_cbor = encoding == "application/cbor";
     if (!is_cbor && encoding != "application/json" && encoding != "text/json") {
-        return failed(Code::payload, "the payload is " + std::string(encoding) + ", not JSON or CBOR");
+        return failed(Code::payload, "the payload is " + std::string(encoding) + ", but JSON or CBOR is required");
     }
     const auto bytes = payload.bytes();
     const auto* begin = bytes.data();
@@ -79,7 +80,7 @@ inline expected<nlohmann::json> read_json(const PayloadView& payload) {
     Depth depth;
     const auto format = is_cbor ? Json::input_format_t::cbor : Json::input_format_t::json;
     if (!Json::sax_parse(begin, end, &depth, format)) {
-        return failed(Code::payload, "the payload says that it is " + std::string(encoding) + ", and is not: " + depth.reason);
+        return failed(Code::payload, "the payload is not valid " + std::string(encoding) + ": " + depth.reason);
     }
     return is_cbor ? Json::from_cbor(begin, end) : Json::parse(begin, end);
 }
@@ -90,18 +91,19 @@ using if_json = std::enable_if_t<std::is_constructible_v<nlohmann::json, const T
 }  // namespace detail
 /// @endcond
 
-/// Whatever nlohmann::json can write and read.
+/// Converts every type that nlohmann::json can write and read.
 template <class T>
 struct Adapter<T, detail::if_json<T>> {
-    /// As JSON.
+    /// Writes a value as JSON. Fails with Code::payload if it cannot be represented, e.g. because a string is not UTF-8.
     static expected<Payload> to_payload(const T& value) {
         try {
             return Payload::json(nlohmann::json(value).dump());
         } catch (const nlohmann::json::exception& error) {
-            return detail::failed(Code::payload, std::string("this value can't be written as JSON: ") + error.what());
+            return detail::failed(Code::payload, std::string("this value cannot be written as JSON: ") + error.what());
         }
     }
-    /// Of JSON or CBOR, by its encoding.
+    /// Reads a value from JSON or CBOR, depending on the encoding. Fails with Code::payload if the payload is something
+    /// else, is damaged, or does not match the type.
     static expected<T> from_payload(const PayloadView& payload) {
         const auto json = detail::read_json(payload);
         if (!json) {
@@ -110,22 +112,22 @@ struct Adapter<T, detail::if_json<T>> {
         try {
             return json->template get<T>();
         } catch (const nlohmann::json::exception& error) {
-            return detail::failed(Code::payload, std::string("the payload is not of the wanted shape: ") + error.what());
+            return detail::failed(Code::payload, std::string("the payload does not match the requested type: ") + error.what());
         }
     }
 };
 
-/// A value as CBOR.
+/// Writes values as CBOR.
 template <class T>
 struct Adapter<Cbor<T>, void> {
-    /// As CBOR.
+    /// Writes a value as CBOR. Fails with Code::payload if it cannot be represented.
     static expected<Payload> to_payload(const Cbor<T>& cbor) {
         try {
             std::string bytes;
             nlohmann::json::to_cbor(nlohmann::json(cbor.value), bytes);
             return Payload(std::move(bytes), "application/cbor");
         } catch (const nlohmann::json::exception& error) {
-            return detail::failed(Code::payload, std::string("this value can't be written as CBOR: ") + error.what());
+            return detail::failed(Code::payload, std::string("this value cannot be written as CBOR: ") + error.what());
         }
     }
 };

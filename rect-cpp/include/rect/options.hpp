@@ -1,5 +1,5 @@
 /// @file
-/// Owns how a program joins.
+/// Defines the options for connecting.
 #ifndef RECT_OPTIONS_HPP
 #define RECT_OPTIONS_HPP
 
@@ -13,30 +13,37 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// How to join, where `connect("wombat-1")` does not do. What is empty or 0 is left at its default.
+/// How to connect, if the router of this computer is not to be used with its default settings. Fields that are empty or 0
+/// keep their defaults.
+///
+///     rect::Options options;
+///     options.router = "tcp/192.168.0.7:7447";
+///     const auto robot = rect::must(rect::connect("wombat-1", options));
 struct Options {
-    /// The team's name; default `rect`.
+    /// The team's name. Default: `rect`.
     std::string fleet{};
-    /// The router, as `tcp/192.168.0.7:7447`; default: what the environment's `RECT_ENDPOINT` says, else
-    /// `tcp/127.0.0.1:7447`.
+    /// The endpoint of the router, e.g. `tcp/192.168.0.7:7447`. Default: the value of the environment variable
+    /// `RECT_ENDPOINT`, or `tcp/127.0.0.1:7447`.
     std::string router{};
-    /// Without a router: connects to these directly, as `ble/wombat-2` or `udp/192.168.0.8:7447`. They are dialled until they
-    /// are there; joining does not wait for them.
+    /// Endpoints to connect to directly instead of a router, e.g. `ble/wombat-2` or `udp/192.168.0.8:7447`. The program
+    /// dials them until they accept; `connect` does not wait for that.
     std::vector<std::string> endpoints{};
-    /// Without a router: others may connect to this program there, as `tcp/0.0.0.0:7447` or `ble/hci0#name=wombat-1`.
+    /// Endpoints to listen on instead of using a router, e.g. `tcp/0.0.0.0:7447` or `ble/hci0#name=wombat-1`.
     std::vector<std::string> listen{};
-    /// As that user; default: the first line of the login file.
+    /// The user to log in as, with `password`. Default: the first line of the login file.
     std::string user{};
-    /// The user's password.
+    /// The password of the user.
     std::string password{};
-    /// The file with the login, `user:password`; default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
+    /// The file with the login as `user:password`. Default: the value of the environment variable `RECT_LOGIN`, or
+    /// `/etc/rect/users`.
     std::string login_file{};
-    /// How long to wait for the router; default 5 s, so that a program may be started together with it.
-    std::chrono::milliseconds patience{0};
-    /// Any settings of Zenoh's configuration: paths, as `transport/unicast/max_links`, and their values in JSON.
+    /// How long to wait for the router. Default: 5 s, so that a program may start together with the router.
+    std::chrono::milliseconds timeout{0};
+    /// Settings of Zenoh as pairs of a path, e.g. `transport/unicast/max_links`, and a value in JSON. They take precedence
+    /// over RECT's own settings.
     std::vector<std::pair<std::string, std::string>> zenoh{};
-    /// Joins although the router serves another robot: for a program that uses another name on purpose. A router with access
-    /// control as `rect-router init` writes it drops what such a program publishes.
+    /// Connects even if the router belongs to another robot, for programs that deliberately use another name. The access
+    /// control that `rect-router init` sets up drops whatever such a program publishes.
     bool allow_name_mismatch{false};
 };
 
@@ -52,7 +59,7 @@ inline std::vector<const char*> pointers(const std::vector<std::string>& texts) 
     return all;
 }
 
-/// Calls `use` with the options as C wants them.
+/// Calls `use` with the options as a struct of rect.h.
 template <class Use>
 auto with_options(const Options& options, Use use) {
     const auto endpoints = pointers(options.endpoints);
@@ -73,7 +80,7 @@ auto with_options(const Options& options, Use use) {
     raw.user = or_null(options.user);
     raw.password = options.password.c_str();
     raw.login_file = or_null(options.login_file);
-    raw.patience_ms = ms(options.patience);
+    raw.timeout_ms = ms(options.timeout);
     raw.zenoh_keys = keys.data();
     raw.zenoh_values = values.data();
     raw.zenoh_len = keys.size();

@@ -1,5 +1,5 @@
 /// @file
-/// Owns payloads: bytes and what they are, and how a program's values become one and back.
+/// Defines payloads, and converts values to payloads and back.
 #ifndef RECT_PAYLOAD_HPP
 #define RECT_PAYLOAD_HPP
 
@@ -29,13 +29,14 @@ class PayloadView;
 
 /// @cond
 namespace detail {
-// False, but only once the type is known.
+// False, but only when the template is instantiated.
 template <class T>
 inline constexpr bool never = false;
 }  // namespace detail
 /// @endcond
 
-/// How a type of the program's becomes a payload and back; specialised for each, as `rect/nlohmann.hpp` does for JSON:
+/// Converts a type of the program to a payload and back. Specialise it for each type; `rect/nlohmann.hpp` does so for every
+/// type that nlohmann::json can convert.
 ///
 ///     template <>
 ///     struct rect::Adapter<Reading> {
@@ -48,67 +49,70 @@ struct Adapter {
                   "no rect::Adapter for this type: include <rect/nlohmann.hpp> (it needs nlohmann-json) for JSON, containers and "
                   "structs with NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE, use rect::numbers of <rect/numbers.hpp> for arrays of "
                   "numbers, or specialise rect::Adapter for the type");
-    /// Declared only: the advice above is the one error that the compiler reports.
+    /// Only declared, so that the static assertion above is the only error that the compiler reports.
     static expected<Payload> to_payload(const T& value);
     /// See to_payload.
     static expected<T> from_payload(const PayloadView& payload);
 };
 
-/// Bytes and what they are, which belong to something else: a message, a frame, the program.
+/// A payload whose bytes belong to another object: a message, a frame, or a variable of the program.
 class PayloadView {
 public:
-    /// Bytes, and their encoding, as `application/json`.
+    /// Refers to bytes with an encoding, e.g. `application/json`. Both must outlive this object.
     PayloadView(span<const std::uint8_t> bytes, std::string_view encoding) noexcept
         : raw_{bytes.data(), bytes.size(), detail::raw(encoding)} {}
-    /// As C has them.
+    /// Refers to a struct of rect.h.
     explicit PayloadView(const rect_payload& raw) noexcept : raw_(raw) {}
 
-    /// The bytes.
+    /// Returns the bytes.
     [[nodiscard]] span<const std::uint8_t> bytes() const noexcept {
         return {static_cast<const std::uint8_t*>(raw_.data), raw_.len};
     }
-    /// What they are.
+    /// Returns the encoding, e.g. `application/json`.
     [[nodiscard]] std::string_view encoding() const noexcept { return detail::view(raw_.encoding); }
-    /// As text; Code::payload if it is something else.
+    /// Returns the text. Fails with Code::payload if the encoding is not a kind of text, or if the bytes are not UTF-8.
     [[nodiscard]] expected<std::string_view> text() const {
         rect_text text;
         rect_error error;
         const auto code = rect_payload_as_text(&raw_, &text, &error);
-        return detail::got<std::string_view>(code, error, [&] { return detail::view(text); });
+        return detail::value_or_error<std::string_view>(code, error, [&] { return detail::view(text); });
     }
-    /// As a value of the program's, by its Adapter.
+    /// Returns the payload as a value of type `T`, which the Adapter of `T` reads. Fails with Code::payload if that is not
+    /// possible.
     template <class T>
     [[nodiscard]] expected<T> value() const {
         return Adapter<T>::from_payload(*this);
     }
-    /// As a picture: a raw one, PNG, JPEG or WebP.
+    /// Returns the picture, which may be uncompressed, PNG, JPEG or WebP. Fails with Code::payload if the payload is not a
+    /// picture, and with Code::codec if it is damaged or exceeds the limits.
     [[nodiscard]] expected<Picture> picture(Limits limits = {}) const { return Picture::read(raw_, limits); }
-    /// As an array of numbers, raw or quantised.
+    /// Returns the array of numbers, raw or quantised. Fails with Code::payload if the payload is not an array, and with
+    /// Code::codec if it is damaged or exceeds the limits.
     [[nodiscard]] expected<Array> array(Limits limits = {}) const { return Array::read(raw_, limits); }
 
-    /// As C has it.
+    /// Returns the struct of rect.h.
     [[nodiscard]] const rect_payload& raw() const noexcept { return raw_; }
 
 private:
     rect_payload raw_;
 };
 
-/// Bytes and what they are, of its own.
+/// A payload that owns its bytes.
 class Payload {
 public:
-    /// Bytes in a string, and their encoding.
+    /// Takes the bytes, in a string, and their encoding.
     Payload(std::string bytes, std::string encoding) : bytes_(std::move(bytes)), encoding_(std::move(encoding)) {}
-    /// A copy.
+    /// Copies a payload.
     explicit Payload(const PayloadView& view)
         : bytes_(reinterpret_cast<const char*>(view.bytes().data()), view.bytes().size()),
           encoding_(view.encoding()) {}
 
-    /// What is in it.
+    /// Returns a view, which is valid as long as this object.
     [[nodiscard]] PayloadView view() const noexcept {
         return {{reinterpret_cast<const std::uint8_t*>(bytes_.data()), bytes_.size()}, encoding_};
     }
 
-    /// JSON, as some library has written it.
+    /// Makes a payload of JSON that the program has written.
     static Payload json(std::string text) { return {std::move(text), "application/json"}; }
 
 private:
@@ -116,12 +120,12 @@ private:
     std::string encoding_;
 };
 
-/// A payload of the library's own: what a codec made.
+/// A payload that the library owns: the result of rect::encode or rect::decode.
 class Buffer {
 public:
-    /// Takes over what C has given.
+    /// Takes ownership of a buffer of rect.h.
     explicit Buffer(const rect_buffer& raw) noexcept : handle_(raw.id), payload_(raw.payload) {}
-    /// What is in it.
+    /// Returns a view, which is valid as long as this object.
     [[nodiscard]] const PayloadView& view() const noexcept { return payload_; }
 
 private:
@@ -129,18 +133,19 @@ private:
     PayloadView payload_;
 };
 
-/// A payload made smaller by a codec: `zstd:9`, `jpeg:60`, `webp:60`, `png`, `quantised:0.01`.
+/// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`. Robot::with_codec encodes
+/// everything that a robot publishes and sends. Fails with Code::codec if the codec is unknown or does not suit the payload.
 [[nodiscard]] inline expected<Buffer> encode(const Text& codec, const PayloadView& payload) {
     rect_buffer buffer;
     rect_error error;
     const auto code = rect_encode(codec.c_str(), &payload.raw(), &buffer, &error);
-    return detail::got<Buffer>(code, error, [&] { return Buffer(buffer); });
+    return detail::value_or_error<Buffer>(code, error, [&] { return Buffer(buffer); });
 }
 
 /// @cond
 namespace detail {
 
-// Containers of bytes, and not what only says that it can become one, as nlohmann::json does.
+// Accepts containers of bytes, but not types that are merely convertible to one, like nlohmann::json.
 template <class T, class = void>
 inline constexpr bool is_bytes = false;
 template <class T>
@@ -148,7 +153,8 @@ inline constexpr bool is_bytes<T, std::void_t<decltype(std::declval<const T&>().
     std::is_same_v<decltype(std::declval<const T&>().data()), const std::uint8_t*> ||
     std::is_same_v<decltype(std::declval<const T&>().data()), std::uint8_t*>;
 
-/// A number or truth value as JSON, whatever the program's locale is. Code::payload: JSON has no infinity and no NaN.
+/// Writes a number or bool as JSON, independent of the program's locale. Fails with Code::payload for infinity and NaN,
+/// which JSON cannot represent.
 template <class T>
 expected<std::string> number_to_json(T value) {
     if constexpr (std::is_same_v<T, bool>) {
@@ -157,10 +163,10 @@ expected<std::string> number_to_json(T value) {
         return std::to_string(value);
     } else {
         if (!std::isfinite(value)) {
-            return failed(Code::payload, "this value can't be written as JSON: it is infinite or not a number");
+            return failed(Code::payload, "this value cannot be written as JSON: it is infinite or not a number");
         }
         std::string text;
-        // As few digits as give the same number again.
+        // Uses the smallest number of digits that gives the same number again.
         for (int digits = std::numeric_limits<T>::digits10; digits <= std::numeric_limits<T>::max_digits10; ++digits) {
             std::ostringstream written;
             written.imbue(std::locale::classic());
@@ -173,12 +179,12 @@ expected<std::string> number_to_json(T value) {
                 break;
             }
         }
-        // A number with a fraction stays one for the receiver.
+        // A floating-point number must remain one for the receiver.
         return text.find_first_of(".e") == std::string::npos ? text + ".0" : text;
     }
 }
 
-/// Calls `use` with the value as C wants it.
+/// Calls `use` with the value as a payload of rect.h.
 template <class T, class Use>
 expected<void> with_payload(const T& value, Use use) {
     if constexpr (std::is_same_v<T, PayloadView>) {

@@ -1,5 +1,5 @@
 /// @file
-/// Owns pictures: rows of pixels without gaps, from the upper left.
+/// Defines uncompressed pictures.
 #ifndef RECT_PICTURE_HPP
 #define RECT_PICTURE_HPP
 
@@ -13,47 +13,51 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// What a pixel is; 8 bits each.
+/// The format of a pixel, with 8 bits per channel.
 enum class Format : std::uint32_t {
-    /// Grey.
+    /// Grey: 1 byte per pixel.
     grey8 = RECT_FORMAT_GREY8,
-    /// Red, green, blue.
+    /// Red, green and blue: 3 bytes per pixel.
     rgb8 = RECT_FORMAT_RGB8,
-    /// Red, green, blue, and how opaque it is; not multiplied with that.
+    /// Red, green, blue and alpha, not premultiplied: 4 bytes per pixel.
     rgba8 = RECT_FORMAT_RGBA8,
 };
 
-/// What may come out of one payload, whatever a peer sends.
+/// Limits for decoding one payload. They protect against payloads that become extremely large.
 struct Limits {
-    /// The most bytes; 0: 64 MiB.
+    /// Maximum size of the decoded payload in bytes. 0 means 64 MiB.
     std::size_t max_bytes = 0;
-    /// The most pixels of a picture; 0: 16 million.
+    /// Maximum number of pixels of a picture. 0 means 16 million.
     std::size_t max_pixels = 0;
 };
 
-/// A picture: the library's own, or the program's pixels.
+/// An uncompressed picture: rows of pixels without padding, from the top left. It either refers to pixels of the program or
+/// owns those that PayloadView::picture has decoded.
+///
+///     const rect::Picture picture(320, 240, rect::Format::rgb8, pixels);
+///     rect::must(camera.send(picture));
 class Picture {
 public:
-    /// The program's pixels, which live as long as this.
+    /// Refers to pixels of the program, which must outlive this object.
     Picture(std::uint32_t width, std::uint32_t height, Format format, span<const std::uint8_t> pixels) noexcept
         : raw_{0, width, height, static_cast<std::uint32_t>(format), pixels.data(), pixels.size()} {}
 
-    /// Pixels of a row.
+    /// Returns the width in pixels.
     [[nodiscard]] std::uint32_t width() const noexcept { return raw_.width; }
-    /// Rows.
+    /// Returns the height in pixels.
     [[nodiscard]] std::uint32_t height() const noexcept { return raw_.height; }
-    /// What a pixel is.
+    /// Returns the format of the pixels.
     [[nodiscard]] Format format() const noexcept { return static_cast<Format>(raw_.format); }
-    /// The pixels.
+    /// Returns the pixels.
     [[nodiscard]] span<const std::uint8_t> pixels() const noexcept { return {raw_.pixels, raw_.len}; }
 
     /// @cond
     static expected<Picture> read(const rect_payload& payload, Limits limits) {
-        const rect_limits most{limits.max_bytes, limits.max_pixels};
+        const rect_limits raw_limits{limits.max_bytes, limits.max_pixels};
         rect_picture picture;
         rect_error error;
-        const auto code = rect_picture_read(&payload, &most, &picture, &error);
-        return detail::got<Picture>(code, error, [&] { return Picture(picture); });
+        const auto code = rect_picture_read(&payload, &raw_limits, &picture, &error);
+        return detail::value_or_error<Picture>(code, error, [&] { return Picture(picture); });
     }
 
     template <class Use>
@@ -62,7 +66,7 @@ public:
         rect_error error;
         const auto code = rect_picture_payload(raw_.width, raw_.height, raw_.format, raw_.pixels, raw_.len, &buffer, &error);
         const Handle handle(code == RECT_CODE_OK ? buffer.id : 0);
-        return code == RECT_CODE_OK ? use(buffer.payload) : detail::done(code, error);
+        return code == RECT_CODE_OK ? use(buffer.payload) : detail::ok_or_error(code, error);
     }
     /// @endcond
 

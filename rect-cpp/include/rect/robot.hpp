@@ -1,5 +1,5 @@
 /// @file
-/// Owns a program's place among the robots: what it says, hears, asks, serves and knows.
+/// Connects a program to the other robots: rect::connect and rect::Robot.
 #ifndef RECT_ROBOT_HPP
 #define RECT_ROBOT_HPP
 
@@ -23,230 +23,255 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// A program of a robot, joined with the others. All may be called by several threads at a time, and in callbacks. The
-/// session ends with the last of the robot and what was made by it, or with `close`.
+/// A program's connection to the other robots. All functions may be called by several threads at a time, and in callbacks.
+/// The session ends when the robot and everything that was created with it are destroyed, or with `close`.
 ///
-/// What can be said is text, bytes (a span or vector of `std::uint8_t`), a Picture, a Payload, and whatever has an Adapter:
-/// with `rect/nlohmann.hpp` all that nlohmann::json can write.
+/// The values that can be published, sent and transferred are text, bytes (a span or vector of `std::uint8_t`), numbers,
+/// bools, a Picture, a Payload, and all types that have an Adapter. `rect/nlohmann.hpp` adds all types that nlohmann::json
+/// can write.
+///
+///     const auto robot = rect::must(rect::connect("wombat-1"));
+///     const auto angles = rect::must(robot.subscribe("*/arm/*", [](const rect::MessageView& message) {
+///         std::cout << message.sender() << ": " << message.payload.text().value_or("?") << std::endl;
+///     }));
+///     rect::must(robot.publish("arm/angle", 12.5));
 class Robot : public Handle {
     using Milliseconds = std::chrono::milliseconds;
 
 public:
     using Handle::Handle;
 
-    /// Its name.
+    /// Returns the name of the robot.
     [[nodiscard]] expected<std::string> name() const {
         char name[RECT_NAME_BYTES];
         rect_error error;
         const auto code = rect_robot_name(raw(), &name, &error);
-        return detail::got<std::string>(code, error, [&] { return std::string(name); });
+        return detail::value_or_error<std::string>(code, error, [&] { return std::string(name); });
     }
 
-    /// The same robot, speaking with that urgency: `robot.with(rect::Urgency::urgent)`.
-    [[nodiscard]] expected<Robot> with(Urgency urgency) const {
-        return same([&](rect_robot* same, rect_error* error) {
-            return rect_robot_with(raw(), static_cast<std::uint32_t>(urgency), same, error);
+    /// Returns a handle of the same robot that publishes and sends with another urgency:
+    /// `robot.with_urgency(rect::Urgency::urgent)`.
+    [[nodiscard]] expected<Robot> with_urgency(Urgency urgency) const {
+        return derive([&](rect_robot* derived, rect_error* error) {
+            return rect_robot_with_urgency(raw(), static_cast<std::uint32_t>(urgency), derived, error);
         });
     }
 
-    /// The same robot; what it says goes through that codec: `robot.encoded("zstd:9")`.
-    [[nodiscard]] expected<Robot> encoded(const Text& codec) const {
-        return same([&](rect_robot* same, rect_error* error) {
-            return rect_robot_encoded(raw(), codec.c_str(), same, error);
+    /// Returns a handle of the same robot that encodes everything it publishes and sends: `robot.with_codec("zstd:9")`.
+    /// Fails with Code::codec if the codec is unknown.
+    [[nodiscard]] expected<Robot> with_codec(const Text& codec) const {
+        return derive([&](rect_robot* derived, rect_error* error) {
+            return rect_robot_with_codec(raw(), codec.c_str(), derived, error);
         });
     }
 
-    /// The same robot; what it says is packed with that dictionary, which others fetch by themselves.
-    [[nodiscard]] expected<Robot> packed_with(const Dictionary& dictionary) const {
-        return same([&](rect_robot* same, rect_error* error) {
-            return rect_robot_packed_with(raw(), {dictionary.id()}, same, error);
+    /// Returns a handle of the same robot that compresses everything it publishes and sends with a dictionary. Receivers
+    /// fetch the dictionary once, automatically.
+    [[nodiscard]] expected<Robot> with_dictionary(const Dictionary& dictionary) const {
+        return derive([&](rect_robot* derived, rect_error* error) {
+            return rect_robot_with_dictionary(raw(), {dictionary.handle_id()}, derived, error);
         });
     }
 
-    /// Says it to all. Waits for room where a large payload finds none.
+    /// Publishes a value on `topic` to every subscriber. Blocks while the send queue has no room for a large value. Fails
+    /// with Code::topic if the topic is invalid, and with Code::payload or Code::codec if the value cannot be encoded.
     template <class T>
     expected<void> publish(const Text& topic, const T& value) const {
         return detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
-            return detail::done(rect_robot_publish(raw(), topic.c_str(), &payload, &error), error);
+            return detail::ok_or_error(rect_robot_publish(raw(), topic.c_str(), &payload, &error), error);
         });
     }
 
-    /// Says it to one robot alone. Nobody is asked whether it is there: `request` does that.
+    /// Sends a value on `topic` to one robot only. Otherwise the same as `publish`. The sender is not notified whether the
+    /// recipient is reachable; use `request` if that matters.
     template <class T>
-    expected<void> send(const Text& to, const Text& topic, const T& value) const {
+    expected<void> send(const Text& recipient, const Text& topic, const T& value) const {
         return detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
-            return detail::done(rect_robot_send(raw(), to.c_str(), topic.c_str(), &payload, &error), error);
+            return detail::ok_or_error(rect_robot_send(raw(), recipient.c_str(), topic.c_str(), &payload, &error), error);
         });
     }
 
-    /// The next message of the robot `from` about `topic`, to all or to this one alone, that is sent from now on.
-    [[nodiscard]] expected<Message> listen(const Text& from, const Text& topic, Milliseconds timeout) const {
+    /// Waits for the next message that `sender` publishes on `topic`, or sends to this robot. Earlier messages are not
+    /// returned. Fails with Code::timed_out if there is none within `timeout`.
+    [[nodiscard]] expected<Message> wait_for_message(const Text& sender, const Text& topic, Milliseconds timeout) const {
         rect_message message;
         rect_error error;
         const auto code =
-            rect_robot_listen(raw(), from.c_str(), topic.c_str(), detail::ms(timeout), &message, &error);
-        return detail::got<Message>(code, error, [&] { return Message(message); });
+            rect_robot_wait_for_message(raw(), sender.c_str(), topic.c_str(), detail::ms(timeout), &message, &error);
+        return detail::value_or_error<Message>(code, error, [&] { return Message(message); });
     }
 
-    /// The messages of a pattern, `<robot>/<topic>` with wildcards, as `*/arm/*`: what those robots say to all, and to this
-    /// one alone. They wait until they are taken.
-    [[nodiscard]] expected<Subscriber> subscribe(const Text& pattern, Receiving receiving = {}) const {
-        const auto waiting = detail::raw(receiving);
+    /// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The Subscriber receives the matching
+    /// messages that are published, and those that are sent to this robot. Fails with Code::topic if the pattern is invalid.
+    [[nodiscard]] expected<Subscriber> subscribe(const Text& pattern, QueueOptions queue = {}) const {
+        const auto raw_queue = detail::raw(queue);
         rect_subscriber subscriber;
         rect_error error;
-        const auto code = rect_robot_subscribe(raw(), pattern.c_str(), &waiting, &subscriber, &error);
-        return detail::got<Subscriber>(code, error, [&] { return Subscriber(subscriber.id); });
+        const auto code = rect_robot_subscribe(raw(), pattern.c_str(), &raw_queue, &subscriber, &error);
+        return detail::value_or_error<Subscriber>(code, error, [&] { return Subscriber(subscriber.id); });
     }
 
-    /// Calls `function(const rect::MessageView&)` for each message of a pattern, one after another, on a thread of its own,
-    /// until what this returns ends. It may use all of RECT. What it throws is reported (`rect::on_callback_error`).
+    /// Calls `function(const rect::MessageView&)` for each message that matches a pattern, one after another, on a thread of
+    /// its own, until the Subscription is destroyed. The function may use all of RECT. Exceptions that it throws are passed
+    /// to rect::on_callback_error.
     template <class F, class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const MessageView&>>>
-    [[nodiscard]] expected<Subscription> subscribe(const Text& pattern, F&& function, Receiving receiving = {}) const {
-        const auto waiting = detail::raw(receiving);
-        return called(std::forward<F>(function), [&](auto& callback, rect_subscription* made, rect_error* error) {
+    [[nodiscard]] expected<Subscription> subscribe(const Text& pattern, F&& function, QueueOptions queue = {}) const {
+        const auto raw_queue = detail::raw(queue);
+        return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
             using C = std::decay_t<decltype(callback)>;
-            return rect_robot_on_message(raw(), pattern.c_str(), &waiting, C::template call<rect_message, MessageView>,
-                                         callback.context(), C::done, made, error);
+            return rect_robot_on_message(raw(), pattern.c_str(), &raw_queue, C::template call<rect_message, MessageView>,
+                                         callback.context(), C::release, subscription, error);
         });
     }
 
-    /// Asks a service of a robot, and waits for its first answer. Code::service: it answers with an error; Code::no_service:
-    /// nobody serves that there.
+    /// Sends a request to the service `topic` of the robot `recipient`, and waits for the first reply.
+    ///
+    /// Fails with Code::service if the service replies with an error, with Code::no_service if the robot does not offer the
+    /// service or is not reachable, and with Code::timed_out if there is no reply within `timeout`.
     template <class T>
-    [[nodiscard]] expected<Reply> request(const Text& of, const Text& topic, const T& value, Milliseconds timeout) const {
+    [[nodiscard]] expected<Reply> request(const Text& recipient, const Text& topic, const T& value, Milliseconds timeout) const {
         rect_reply reply;
-        const auto asked = detail::with_payload(value, [&](const rect_payload& payload) {
+        const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
-            return detail::done(
-                rect_robot_request(raw(), of.c_str(), topic.c_str(), &payload, detail::ms(timeout), &reply, &error), error);
+            const auto code =
+                rect_robot_request(raw(), recipient.c_str(), topic.c_str(), &payload, detail::ms(timeout), &reply, &error);
+            return detail::ok_or_error(code, error);
         });
-        return asked ? expected<Reply>(Reply(reply)) : unexpected<Error>(asked.error());
+        return requested ? expected<Reply>(Reply(reply)) : unexpected<Error>(requested.error());
     }
 
-    /// Asks a service of all robots that have it; answers come until all have answered, or the time is over.
+    /// Sends a request to the service `topic` of every robot that offers it. The replies arrive until all robots have
+    /// replied or `timeout` has passed.
     template <class T>
     [[nodiscard]] expected<Replies> request_all(const Text& topic, const T& value, Milliseconds timeout) const {
         rect_replies replies{};
-        const auto asked = detail::with_payload(value, [&](const rect_payload& payload) {
+        const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
-            return detail::done(
+            return detail::ok_or_error(
                 rect_robot_request_all(raw(), topic.c_str(), &payload, detail::ms(timeout), &replies, &error), error);
         });
-        return asked ? expected<Replies>(Replies(replies.id)) : unexpected<Error>(asked.error());
+        return requested ? expected<Replies>(Replies(replies.id)) : unexpected<Error>(requested.error());
     }
 
-    /// Serves `topic` by `function(const rect::Request&)`: what it returns is the answer. A Refusal that it throws, or the
-    /// error of an `expected` that it returns, is answered as an error. Up to 16 requests are worked on at a time, on several
-    /// threads, until what this returns ends. It may use all of RECT.
+    /// Serves requests to `topic` with `function(const rect::Request&)`, which returns the reply. If it throws a Refusal, or
+    /// returns an `expected` with an error, that is sent as an error. Up to 16 requests are handled at a time, on several
+    /// threads, until the Service is destroyed. The function may use all of RECT.
     template <class F>
     [[nodiscard]] expected<Service> serve(const Text& topic, F&& function) const {
         detail::Callback<std::decay_t<F>> callback(std::forward<F>(function));
         rect_service service;
         rect_error error;
         const auto code = rect_robot_serve(raw(), topic.c_str(), detail::serve<std::decay_t<F>>, callback.context(),
-                                           decltype(callback)::done, &service, &error);
-        return detail::got<Service>(code, error, [&] { return Service(service.id); });
+                                           decltype(callback)::release, &service, &error);
+        return detail::value_or_error<Service>(code, error, [&] { return Service(service.id); });
     }
 
-    /// A stream of which the newest frame counts: what is old, a slow link drops.
+    /// Creates a stream of which only the newest frame matters: a slow link drops older ones. Fails with Code::argument if
+    /// an option is invalid.
     [[nodiscard]] expected<Stream> stream(const Text& topic, StreamOptions options = {}) const {
-        const rect_stream_options how{static_cast<std::uint32_t>(options.mode), options.webp, options.most_frames_per_s,
-                                      options.least_frames_per_s};
+        const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp, options.max_frames_per_s,
+                                              options.min_frames_per_s};
         rect_stream stream;
         rect_error error;
-        const auto code = rect_robot_stream(raw(), topic.c_str(), &how, &stream, &error);
-        return detail::got<Stream>(code, error, [&] { return Stream(stream.id); });
+        const auto code = rect_robot_stream(raw(), topic.c_str(), &raw_options, &stream, &error);
+        return detail::value_or_error<Stream>(code, error, [&] { return Stream(stream.id); });
     }
 
-    /// Watches a robot's stream: the newest frame waits until it is taken.
-    [[nodiscard]] expected<Watch> watch(const Text& from, const Text& topic, Receiving receiving = {}) const {
-        const auto waiting = detail::raw(receiving);
+    /// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program.
+    [[nodiscard]] expected<Watch> watch(const Text& sender, const Text& topic, QueueOptions queue = {}) const {
+        const auto raw_queue = detail::raw(queue);
         rect_watch watch;
         rect_error error;
-        const auto code = rect_robot_watch(raw(), from.c_str(), topic.c_str(), &waiting, &watch, &error);
-        return detail::got<Watch>(code, error, [&] { return Watch(watch.id); });
+        const auto code = rect_robot_watch(raw(), sender.c_str(), topic.c_str(), &raw_queue, &watch, &error);
+        return detail::value_or_error<Watch>(code, error, [&] { return Watch(watch.id); });
     }
 
-    /// Calls `function(const rect::FrameView&)` for each frame of a robot's stream, as `subscribe` does for messages; while it
-    /// runs, older frames are dropped.
+    /// Calls `function(const rect::FrameView&)` for each frame of a stream, like `subscribe` does for messages. Frames that
+    /// arrive during a call wait or are dropped as `queue` specifies; by default only the newest one is kept.
     template <class F, class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const FrameView&>>>
-    [[nodiscard]] expected<Subscription> watch(const Text& from, const Text& topic, F&& function,
-                                               Receiving receiving = {}) const {
-        const auto waiting = detail::raw(receiving);
-        return called(std::forward<F>(function), [&](auto& callback, rect_subscription* made, rect_error* error) {
+    [[nodiscard]] expected<Subscription> watch(const Text& sender, const Text& topic, F&& function,
+                                               QueueOptions queue = {}) const {
+        const auto raw_queue = detail::raw(queue);
+        return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
             using C = std::decay_t<decltype(callback)>;
-            return rect_robot_on_frame(raw(), from.c_str(), topic.c_str(), &waiting, C::template call<rect_frame, FrameView>,
-                                       callback.context(), C::done, made, error);
+            return rect_robot_on_frame(raw(), sender.c_str(), topic.c_str(), &raw_queue, C::template call<rect_frame, FrameView>,
+                                       callback.context(), C::release, subscription, error);
         });
     }
 
-    /// Transfers a File, or whatever can be said, of any size to one robot, and waits until all is there and right.
+    /// Transfers a File, or a value of any size, to the robot `recipient`, and waits until it is complete and verified.
+    /// Fails with Code::transfer_refused, Code::transfer_failed, Code::file, or Code::timed_out if `options.timeout`
+    /// expired.
     template <class T>
-    expected<void> transfer(const Text& to, const Text& topic, const T& source, const TransferOptions& options = {}) const {
-        return transfer(to, topic, source, options, [](const Progress&) {});
+    expected<void> transfer(const Text& recipient, const Text& topic, const T& source,
+                            const TransferOptions& options = {}) const {
+        return transfer(recipient, topic, source, options, [](const Progress&) {});
     }
 
-    /// The same; calls `function(const rect::Progress&)` up to ten times a second, on the transfer's thread.
+    /// Transfers like the overload above, and calls `function(const rect::Progress&)` up to ten times per second, on the
+    /// thread of the transfer.
     template <class T, class F>
-    expected<void> transfer(const Text& to, const Text& topic, const T& source, const TransferOptions& options,
+    expected<void> transfer(const Text& recipient, const Text& topic, const T& source, const TransferOptions& options,
                             F&& function) const {
-        const auto begun = begin_transfer(to, topic, source, options, [&](const Progress& progress) { function(progress); });
-        return begun ? begun->wait() : unexpected<Error>(begun.error());
+        const auto on_progress = [&](const Progress& progress) { function(progress); };
+        const auto transfer = begin_transfer(recipient, topic, source, options, on_progress);
+        return transfer ? transfer->wait() : unexpected<Error>(transfer.error());
     }
 
-    /// Begins to transfer it, and does not wait: it goes on until it ends, or what this returns does.
+    /// Starts a transfer without waiting for it. It runs until it is complete, fails, or the Transfer is destroyed.
     template <class T>
-    [[nodiscard]] expected<Transfer> begin_transfer(const Text& to, const Text& topic, const T& source,
+    [[nodiscard]] expected<Transfer> begin_transfer(const Text& recipient, const Text& topic, const T& source,
                                                     const TransferOptions& options = {}) const {
-        return begin_transfer(to, topic, source, options, [](const Progress&) {});
+        return begin_transfer(recipient, topic, source, options, [](const Progress&) {});
     }
 
-    /// The same; calls `function(const rect::Progress&)` up to ten times a second, on the transfer's thread. It may end its own
-    /// transfer, and must not wait for it.
+    /// Starts a transfer like the overload above, and calls `function(const rect::Progress&)` up to ten times per second, on
+    /// the thread of the transfer. The function may end its own transfer, but must not wait for it.
     template <class T, class F>
-    [[nodiscard]] expected<Transfer> begin_transfer(const Text& to, const Text& topic, const T& source,
+    [[nodiscard]] expected<Transfer> begin_transfer(const Text& recipient, const Text& topic, const T& source,
                                                     const TransferOptions& options, F&& function) const {
         using C = detail::Callback<std::decay_t<F>>;
         rect_transfer transfer{};
-        const auto go = [&](const char* file, const rect_payload& payload) {
-            const rect_transfer_options how{file, payload, detail::or_null(options.name), detail::or_null(options.encoding),
-                                            detail::ms(options.patience)};
+        const auto start = [&](const char* file, const rect_payload& payload) {
+            const rect_transfer_options raw_options{file, payload, detail::or_null(options.name),
+                                                    detail::or_null(options.encoding), detail::ms(options.timeout)};
             const C callback(std::forward<F>(function));
             rect_error error;
-            const auto code =
-                rect_robot_begin_transfer(raw(), to.c_str(), topic.c_str(), &how, C::template call<rect_progress, Progress>,
-                                          callback.context(), C::done, &transfer, &error);
-            return detail::done(code, error);
+            const auto code = rect_robot_begin_transfer(raw(), recipient.c_str(), topic.c_str(), &raw_options,
+                                                        C::template call<rect_progress, Progress>, callback.context(),
+                                                        C::release, &transfer, &error);
+            return detail::ok_or_error(code, error);
         };
-        const auto begun = [&] {
+        const auto started = [&] {
             if constexpr (std::is_same_v<T, File>) {
-                return go(source.path.c_str(), rect_payload{});
+                return start(source.path.c_str(), rect_payload{});
             } else {
-                return detail::with_payload(source, [&](const rect_payload& payload) { return go(nullptr, payload); });
+                return detail::with_payload(source, [&](const rect_payload& payload) { return start(nullptr, payload); });
             }
         }();
-        return begun ? expected<Transfer>(Transfer(transfer.id)) : unexpected<Error>(begun.error());
+        return started ? expected<Transfer>(Transfer(transfer.id)) : unexpected<Error>(started.error());
     }
 
-    /// Takes the transfers of a pattern, as `*/maps/*`, that others send to this robot, until what this returns ends. Without
-    /// it none is taken.
+    /// Receives the transfers that others send to this robot and that match a pattern, e.g. `*/maps/*`, until the Transfers
+    /// object is destroyed. Transfers that no receiver matches are refused. Fails with Code::argument if `options.max_bytes`
+    /// is 0.
     [[nodiscard]] expected<Transfers> receive_transfers(const Text& pattern, const ReceiveOptions& options) const {
-        const rect_receive_options how{detail::or_null(options.folder), options.max_bytes, options.at_once,
-                                       detail::ms(options.patience)};
+        const rect_receive_options raw_options{detail::or_null(options.folder), options.max_bytes, options.max_concurrent,
+                                               detail::ms(options.timeout)};
         rect_transfers transfers;
         rect_error error;
-        const auto code = rect_robot_receive_transfers(raw(), pattern.c_str(), &how, &transfers, &error);
-        return detail::got<Transfers>(code, error, [&] { return Transfers(transfers.id); });
+        const auto code = rect_robot_receive_transfers(raw(), pattern.c_str(), &raw_options, &transfers, &error);
+        return detail::value_or_error<Transfers>(code, error, [&] { return Transfers(transfers.id); });
     }
 
-    /// The other robots of the fleet that are there now, by name.
+    /// Returns the names of the other robots of the fleet that are reachable now.
     [[nodiscard]] expected<std::vector<std::string>> peers() const {
         rect_names names;
         rect_error error;
         const auto code = rect_robot_peers(raw(), &names, &error);
-        return detail::got<std::vector<std::string>>(code, error, [&] {
+        return detail::value_or_error<std::vector<std::string>>(code, error, [&] {
             const Handle handle(names.id);
             std::vector<std::string> all;
             for (const auto& name : span<const rect_text>(names.items, names.len)) {
@@ -256,13 +281,14 @@ public:
         });
     }
 
-    /// The connections of a router. `which`: all, or as `method=ble`, `peer=wombat-2;state=connected` (docs/registry.md);
-    /// `of`: of which robot; empty: of this one.
-    [[nodiscard]] expected<std::vector<Connection>> connections(const Text& which = "", const std::string& of = {}) const {
+    /// Returns the connections of a router. `filter` selects connections, e.g. `method=ble` or
+    /// `peer=wombat-2;state=connected` (docs/registry.md). `target` is the robot whose router is queried; empty means this
+    /// robot.
+    [[nodiscard]] expected<std::vector<Connection>> connections(const Text& filter = "", const std::string& target = {}) const {
         rect_connections connections;
         rect_error error;
-        const auto code = rect_robot_connections(raw(), detail::or_null(of), which.c_str(), &connections, &error);
-        return detail::got<std::vector<Connection>>(code, error, [&] {
+        const auto code = rect_robot_connections(raw(), detail::or_null(target), filter.c_str(), &connections, &error);
+        return detail::value_or_error<std::vector<Connection>>(code, error, [&] {
             const Handle handle(connections.id);
             std::vector<Connection> all;
             for (const auto& one : span<const rect_connection>(connections.items, connections.len)) {
@@ -272,91 +298,102 @@ public:
         });
     }
 
-    /// Any question of the registry, as `connections/count` or `status` (docs/registry.md); the answer is JSON.
-    [[nodiscard]] expected<std::string> ask_registry(const Text& question, const Text& which = "",
-                                                     const std::string& of = {}) const {
+    /// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and returns
+    /// the answer, which is JSON. `filter` and `target` are the same as for `connections`.
+    [[nodiscard]] expected<std::string> query_registry(const Text& question, const Text& filter = "",
+                                                       const std::string& target = {}) const {
         rect_string answer;
         rect_error error;
         const auto code =
-            rect_robot_ask_registry(raw(), detail::or_null(of), question.c_str(), which.c_str(), &answer, &error);
-        return detail::got<std::string>(code, error, [&] {
+            rect_robot_query_registry(raw(), detail::or_null(target), question.c_str(), filter.c_str(), &answer, &error);
+        return detail::value_or_error<std::string>(code, error, [&] {
             const Handle handle(answer.id);
             return std::string(detail::view(answer.text));
         });
     }
 
-    /// Gives a router a connection, instead of the one of that name if it has one; it is dialled from now on, and after a
-    /// restart. `of`: of which robot, whose access control has to allow that; empty: of this one.
-    expected<void> add_connection(const NamedConnection& connection, const std::string& of = {}) const {
-        const rect_named_connection one{connection.name.c_str(), connection.method.c_str(), connection.address.c_str(),
+    /// Adds a named connection to a router, or replaces the one with the same name. The router dials it from now on, also
+    /// after a restart. `target` is the robot whose router is changed; empty means this robot. The access control of another
+    /// robot's router must permit the change. Fails with Code::service if the router rejects the connection.
+    expected<void> add_connection(const NamedConnection& connection, const std::string& target = {}) const {
+        const rect_named_connection raw_connection{connection.name.c_str(), connection.method.c_str(), connection.address.c_str(),
                                         connection.port,         connection.psm,            detail::or_null(connection.options)};
         rect_error error;
-        return detail::done(rect_robot_add_connection(raw(), detail::or_null(of), &one, &error), error);
+        return detail::ok_or_error(rect_robot_add_connection(raw(), detail::or_null(target), &raw_connection, &error), error);
     }
 
-    /// Takes a connection from a router; its link ends.
-    expected<void> remove_connection(const Text& name, const std::string& of = {}) const {
+    /// Removes a named connection from a router and closes its link. Fails with Code::service if there is no such
+    /// connection.
+    expected<void> remove_connection(const Text& name, const std::string& target = {}) const {
         rect_error error;
-        return detail::done(rect_robot_remove_connection(raw(), detail::or_null(of), name.c_str(), &error), error);
+        return detail::ok_or_error(rect_robot_remove_connection(raw(), detail::or_null(target), name.c_str(), &error), error);
     }
 
-    /// Calls `function(const rect::Event&)` for each change of who can be reached, as `subscribe` does for messages, and first
-    /// of all for who is there already.
+    /// Calls `function(const rect::Event&)` for each event, like `subscribe` does for messages: robots, links and the router
+    /// that become reachable or unreachable. At first it is called for everything that is already reachable.
     template <class F>
-    [[nodiscard]] expected<Subscription> on_state(F&& function) const {
-        return called(std::forward<F>(function), [&](auto& callback, rect_subscription* made, rect_error* error) {
+    [[nodiscard]] expected<Subscription> on_event(F&& function) const {
+        return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
             using C = std::decay_t<decltype(callback)>;
-            return rect_robot_on_state(raw(), C::template call<rect_event, Event>, callback.context(), C::done, made, error);
+            return rect_robot_on_event(raw(), C::template call<rect_event, Event>, callback.context(), C::release, subscription,
+                                       error);
         });
     }
 
-    /// What this program has said and heard.
+    /// Returns the counts of this program's messages.
     [[nodiscard]] expected<Counters> counters() const {
         Counters counters;
         rect_error error;
         const auto code = rect_robot_counters(raw(), &counters, &error);
-        return detail::got<Counters>(code, error, [&] { return counters; });
+        return detail::value_or_error<Counters>(code, error, [&] { return counters; });
     }
 
-    /// Ends the session now, and all that belongs to it.
+    /// Closes the session and everything that belongs to it.
     expected<void> close() const {
         rect_error error;
-        return detail::done(rect_robot_close(raw(), &error), error);
+        return detail::ok_or_error(rect_robot_close(raw(), &error), error);
     }
 
-    /// For functions of rect.h.
-    [[nodiscard]] rect_robot raw() const noexcept { return {id()}; }
+    /// Returns the handle for functions of rect.h. It stays valid as long as this object.
+    [[nodiscard]] rect_robot raw() const noexcept { return {handle_id()}; }
 
 private:
     template <class Make>
-    expected<Robot> same(Make make) const {
+    expected<Robot> derive(Make make) const {
         rect_robot robot;
         rect_error error;
         const auto code = make(&robot, &error);
-        return detail::got<Robot>(code, error, [&] { return Robot(robot.id); });
+        return detail::value_or_error<Robot>(code, error, [&] { return Robot(robot.id); });
     }
 
     template <class F, class Make>
-    static expected<Subscription> called(F&& function, Make make) {
+    static expected<Subscription> with_callback(F&& function, Make make) {
         detail::Callback<std::decay_t<F>> callback(std::forward<F>(function));
         rect_subscription subscription;
         rect_error error;
         const auto code = make(callback, &subscription, &error);
-        return detail::got<Subscription>(code, error, [&] { return Subscription(subscription.id); });
+        return detail::value_or_error<Subscription>(code, error, [&] { return Subscription(subscription.id); });
     }
 };
 
-/// Joins as a program of that robot: at the router of this computer, or as the options say. Waits until the router answers.
+/// Connects as a program of a robot, to the router of this computer or as the options specify. Blocks until the router
+/// answers, at most `options.timeout`.
+///
+///     const auto robot = rect::must(rect::connect("wombat-1"));
+///
+/// Fails with Code::no_router if there is no router at the endpoint, Code::login_refused if the login is missing or wrong,
+/// Code::wrong_robot if the router belongs to another robot, Code::name if the name is invalid, and Code::option if Zenoh
+/// rejects an option.
 [[nodiscard]] inline expected<Robot> connect(const Text& robot, const Options& options = {}) {
     return detail::with_options(options, [&](const rect_options& raw) {
-        rect_robot joined;
+        rect_robot connected;
         rect_error error;
-        const auto code = rect_connect(robot.c_str(), &raw, &joined, &error);
-        return detail::got<Robot>(code, error, [&] { return Robot(joined.id); });
+        const auto code = rect_connect(robot.c_str(), &raw, &connected, &error);
+        return detail::value_or_error<Robot>(code, error, [&] { return Robot(connected.id); });
     });
 }
 
-/// The version of the library, as `0.1.0`.
+/// Returns the version of the library, e.g. `0.1.0`.
 [[nodiscard]] inline const char* version() noexcept { return rect_version(); }
 
 }  // namespace RECT_ABI

@@ -1,6 +1,7 @@
 /// @file
-/// Owns what a thread sanitizer is told. The library's locks order a callback's calls, its release, and whoever drops it; a
-/// sanitizer does not see that, since the library is Rust and not built with it.
+/// Informs the thread sanitizer of the order that the library's locks guarantee between the calls of a callback, its
+/// release, and the thread that drops it. The sanitizer cannot see these locks, because the library is Rust and built
+/// without it.
 #ifndef RECT_SANITIZER_HPP
 #define RECT_SANITIZER_HPP
 
@@ -24,7 +25,7 @@ namespace rect {
 inline namespace RECT_ABI {
 namespace detail {
 
-/// What was done before `release` on any thread is done for who does this.
+/// Orders everything that any thread did before its `release` of the same address before what follows.
 inline void acquire([[maybe_unused]] void* context) noexcept {
 #if defined(RECT_THREAD_SANITIZER)
     __tsan_acquire(context);
@@ -37,10 +38,10 @@ inline void release([[maybe_unused]] void* context) noexcept {
 #endif
 }
 
-/// Stands for all that is dropped.
+/// The address that stands for all dropped objects.
 inline char dropped = 0;
 
-/// Who drops something has waited for its callbacks.
+/// Called after dropping an object, which has waited for its callbacks.
 inline void acquire_all() noexcept { acquire(&dropped); }
 inline void release_all() noexcept { release(&dropped); }
 

@@ -1,5 +1,5 @@
 /// @file
-/// Owns asking services, and serving.
+/// Defines requests, replies and services.
 #ifndef RECT_SERVICE_HPP
 #define RECT_SERVICE_HPP
 
@@ -17,50 +17,56 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// An answer.
+/// A reply to a request.
 class Reply {
 public:
-    /// Takes over what C has given.
-    explicit Reply(const rect_reply& raw) noexcept : payload(raw.payload), handle_(raw.id), from_(raw.from) {}
+    /// Takes ownership of a reply of rect.h.
+    explicit Reply(const rect_reply& raw) noexcept : payload(raw.payload), handle_(raw.id), sender_(raw.sender) {}
 
-    /// What it says.
+    /// The payload.
     PayloadView payload;
 
-    /// Who answers.
-    [[nodiscard]] std::string_view from() const noexcept { return detail::view(from_); }
+    /// Returns the robot that replied.
+    [[nodiscard]] std::string_view sender() const noexcept { return detail::view(sender_); }
 
 private:
     Handle handle_;
-    rect_text from_;
+    rect_text sender_;
 };
 
-/// The answers to one request, as they come. Dropped, it cancels the request.
+/// The replies to one request, in the order of arrival. Destroying it cancels the request.
+///
+///     const auto replies = rect::must(robot.request_all("battery", "", std::chrono::seconds(2)));
+///     while (const auto reply = replies.next()) {
+///         std::cout << reply->sender() << std::endl;
+///     }
 class Replies : public Handle {
 public:
     using Handle::Handle;
 
-    /// The next answer. Code::service: this one is an error, and there may be more; Code::end: all have answered;
-    /// Code::timed_out: the time of the request is over, and some have not.
+    /// Waits for the next reply. Fails with Code::service if a robot replied with an error, after which there may be more
+    /// replies; with Code::end if all robots have replied; and with Code::timed_out if the request's timeout expired before
+    /// that.
     [[nodiscard]] expected<Reply> next() const {
         rect_reply reply;
         rect_error error;
-        const auto code = rect_replies_next({id()}, &reply, &error);
-        return detail::got<Reply>(code, error, [&] { return Reply(reply); });
+        const auto code = rect_replies_next({handle_id()}, &reply, &error);
+        return detail::value_or_error<Reply>(code, error, [&] { return Reply(reply); });
     }
 };
 
-/// A request, which belongs to the function that is called with it.
+/// A request to a service. It is valid until the function that receives it returns.
 class Request {
 public:
-    /// As C has it.
+    /// Refers to a struct of rect.h.
     explicit Request(const rect_request& raw) noexcept : payload(raw.payload), raw_(raw) {}
 
-    /// What is asked.
+    /// The payload.
     PayloadView payload;
 
-    /// Who asks; empty: a stock program, which does not say.
-    [[nodiscard]] std::string_view from() const noexcept { return detail::view(raw_.from); }
-    /// How long an answer is of use still.
+    /// Returns the robot that sent the request; empty if the sender is a plain Zenoh program.
+    [[nodiscard]] std::string_view sender() const noexcept { return detail::view(raw_.sender); }
+    /// Returns the time until the sender stops waiting for the reply.
     [[nodiscard]] std::chrono::milliseconds remaining() const noexcept {
         return std::chrono::milliseconds(raw_.remaining_ms);
     }
@@ -69,15 +75,15 @@ private:
     rect_request raw_;
 };
 
-/// What a service throws, or returns as `rect::unexpected<rect::Refusal>`, to answer with an error: the asker gets its text.
-/// What `rect::must` throws is answered so, too.
+/// The error with which a service replies: its function throws it, or returns it as `rect::unexpected<rect::Refusal>`. The
+/// sender receives its text. An Exception of rect::must that the function throws is treated in the same way.
 class Refusal : public std::runtime_error {
 public:
     using std::runtime_error::runtime_error;
 };
 
-/// A service that answers by a function, until this ends; that waits for calls that are under way. It may be ended in its own
-/// function, whose answer is not sent then.
+/// A service of this program, which calls a function for each request. Destroying it ends the service and waits for calls in
+/// progress. The function may end its own service; its reply is not sent then.
 class Service : public Handle {
 public:
     using Handle::Handle;
@@ -104,39 +110,39 @@ inline void refuse(std::uint64_t request, std::string_view text) {
 }
 
 template <class T>
-void answer(std::uint64_t request, const T& value) {
+void reply(std::uint64_t request, const T& value) {
     if constexpr (is_expected<T>::value) {
         if (value) {
-            answer(request, *value);
+            reply(request, *value);
         } else {
             refuse(request, refusal_text(value.error()));
         }
     } else {
-        const auto said = with_payload(value, [&](const rect_payload& payload) {
+        const auto sent = with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
-            return done(rect_request_reply(request, &payload, &error), error);
+            return ok_or_error(rect_request_reply(request, &payload, &error), error);
         });
-        if (!said) {
-            refuse(request, said.error().text);
+        if (!sent) {
+            refuse(request, sent.error().text);
         }
     }
 }
 
-/// For C: answers a request by a function of the program's.
+/// The callback for C: replies to a request with the result of the program's function.
 template <class F>
 void serve(const rect_request* raw, void* context) noexcept {
     acquire(context);
-    const bool is_answered = guarded([&] {
+    const bool has_replied = guarded([&] {
         try {
-            answer(raw->id, (*static_cast<F*>(context))(Request(*raw)));
+            reply(raw->id, (*static_cast<F*>(context))(Request(*raw)));
         } catch (const Refusal& refusal) {
             refuse(raw->id, refusal.what());
-        } catch (const Failed& failed) {
-            refuse(raw->id, failed.what());
+        } catch (const Exception& exception) {
+            refuse(raw->id, exception.what());
         }
     });
-    if (!is_answered) {
-        guarded([&] { refuse(raw->id, "the service has a fault"); });
+    if (!has_replied) {
+        guarded([&] { refuse(raw->id, "the service failed with an internal error"); });
     }
     release(context);
     release_all();

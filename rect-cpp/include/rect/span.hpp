@@ -1,5 +1,5 @@
 /// @file
-/// Owns `rect::span`: `std::span` where the standard has it, otherwise as much of it as RECT needs.
+/// Defines `rect::span`: `std::span` if the standard library has it, otherwise the part of it that RECT needs.
 #ifndef RECT_SPAN_HPP
 #define RECT_SPAN_HPP
 
@@ -18,13 +18,13 @@ inline namespace RECT_ABI {
 
 #if RECT_HAS_STD_SPAN
 
-/// Items that are somewhere, without owning them.
+/// A view of contiguous items that belong to another object.
 template <class T>
 using span = std::span<T>;
 
 #else
 
-/// Items that are somewhere, without owning them: `std::span` of C++20, for C++17.
+/// A view of contiguous items that belong to another object: the part of C++20's `std::span` that RECT needs, for C++17.
 template <class T>
 class span {
     template <class C>
@@ -34,44 +34,44 @@ class span {
                                   std::is_convertible_v<decltype(std::declval<C&>().size()), std::size_t>>;
 
 public:
-    /// What it is of.
+    /// The type of the items.
     using element_type = T;
-    /// The same, without `const`.
+    /// The type of the items without `const`.
     using value_type = std::remove_cv_t<T>;
-    /// What its length is.
+    /// The type of the size.
     using size_type = std::size_t;
 
-    /// Nothing.
+    /// Creates an empty span.
     constexpr span() noexcept = default;
-    /// `size` items from `data` on.
+    /// Refers to `size` items from `data` on.
     constexpr span(T* data, std::size_t size) noexcept : data_(data), size_(size) {}
-    /// All of an array.
+    /// Refers to all items of an array.
     template <std::size_t N>
     constexpr span(T (&array)[N]) noexcept : data_(array), size_(N) {}
-    /// All of a container.
+    /// Refers to all items of a container.
     template <class C, class = fits<C>>
     constexpr span(C& container) noexcept : data_(container.data()), size_(container.size()) {}
-    /// All of a container, that lives at least as long.
+    /// Refers to all items of a constant container, which must outlive the span.
     template <class C, class = fits<const C>>
     constexpr span(const C& container) noexcept : data_(container.data()), size_(container.size()) {}
 
-    /// The first.
+    /// Returns the address of the first item.
     [[nodiscard]] constexpr T* data() const noexcept { return data_; }
-    /// How many.
+    /// Returns the number of items.
     [[nodiscard]] constexpr std::size_t size() const noexcept { return size_; }
-    /// How many bytes they take.
+    /// Returns the size of the items in bytes.
     [[nodiscard]] constexpr std::size_t size_bytes() const noexcept { return size_ * sizeof(T); }
-    /// Whether there is none.
+    /// Returns whether there are no items.
     [[nodiscard]] constexpr bool empty() const noexcept { return size_ == 0; }
-    /// The one at `index`, which has to be there.
+    /// Returns the item at `index`, which must be less than `size()`.
     [[nodiscard]] constexpr T& operator[](std::size_t index) const noexcept { return data_[index]; }
-    /// The first one, which has to be there.
+    /// Returns the first item. The span must not be empty.
     [[nodiscard]] constexpr T& front() const noexcept { return data_[0]; }
-    /// The last one, which has to be there.
+    /// Returns the last item. The span must not be empty.
     [[nodiscard]] constexpr T& back() const noexcept { return data_[size_ - 1]; }
-    /// Where it begins.
+    /// Returns an iterator to the first item.
     [[nodiscard]] constexpr T* begin() const noexcept { return data_; }
-    /// Where it ends.
+    /// Returns an iterator past the last item.
     [[nodiscard]] constexpr T* end() const noexcept { return data_ + size_; }
 
 private:

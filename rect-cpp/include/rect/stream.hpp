@@ -1,5 +1,5 @@
 /// @file
-/// Owns streams, of which the newest frame counts.
+/// Sends and watches streams, of which only the newest frame matters.
 #ifndef RECT_STREAM_HPP
 #define RECT_STREAM_HPP
 
@@ -13,107 +13,115 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// How a stream is sent.
+/// The options of a stream: Robot::stream.
 struct StreamOptions {
-    /// How its frames are fitted to what gets through.
+    /// How a stream adapts to the links.
     enum class Mode : std::uint32_t {
-        /// Frames are as good as what gets through allows: pictures become smaller and coarser by themselves.
+        /// Pictures are scaled and compressed automatically so that they fit what the links can carry.
         adaptive = RECT_STREAM_MODE_ADAPTIVE,
-        /// Frames go as they are given, at most `most_frames_per_s`.
+        /// Frames are sent unchanged, at most `max_frames_per_s`.
         fixed = RECT_STREAM_MODE_FIXED,
-        /// A sensor's values: as they are, as often as they come, and nothing comes back.
+        /// Values of a sensor: frames are sent unchanged, as often as they come, and receivers send no feedback.
         sensor = RECT_STREAM_MODE_SENSOR,
     };
 
-    /// How its frames are fitted.
+    /// The mode.
     Mode mode = Mode::adaptive;
-    /// Pictures with a quality are written as WebP instead of JPEG: smaller, and several times as long to write.
+    /// Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     bool webp = false;
-    /// Not more frames per second than that; 0: 15. For a fixed one it has to be given.
-    double most_frames_per_s = 0;
-    /// Frames per second that are wanted even of the smallest; 0: 5.
-    double least_frames_per_s = 0;
+    /// Maximum frame rate, in frames per second. 0 means the default, 15. Required for a fixed stream.
+    double max_frames_per_s = 0;
+    /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. 0 means the
+    /// default, 5.
+    double min_frames_per_s = 0;
 
-    /// For a sensor's values.
+    /// Returns the options for the values of a sensor.
     static StreamOptions sensor() { return {Mode::sensor, false, 0, 0}; }
-    /// For frames that go as they are, at most so often.
-    static StreamOptions fixed(double most_frames_per_s) { return {Mode::fixed, false, most_frames_per_s, 0}; }
+    /// Returns the options for frames that are sent unchanged, at a limited rate in frames per second.
+    static StreamOptions fixed(double max_frames_per_s) { return {Mode::fixed, false, max_frames_per_s, 0}; }
 };
 
-/// A stream that this program sends. It ends when this does.
+/// A stream that this program sends. Destroying it ends the stream.
+///
+///     const auto camera = rect::must(robot.stream("camera"));
+///     rect::must(camera.send(rect::Picture(320, 240, rect::Format::rgb8, pixels)));
 class Stream : public Handle {
 public:
     using Handle::Handle;
 
-    /// Sends a frame as it is, if anyone wants one now; to how many groups of receivers it went. Does not wait for the link.
+    /// Sends a frame unchanged, if any receiver needs one now. Returns the number of groups of receivers that it is sent to,
+    /// 0 to 2. Does not wait for the link.
     template <class T>
     expected<std::uint32_t> send(const T& frame) const {
         std::uint32_t sent = 0;
         const auto done = detail::with_payload(frame, [&](const rect_payload& payload) {
             rect_error error;
-            return detail::done(rect_stream_send({id()}, &payload, &sent, &error), error);
+            return detail::ok_or_error(rect_stream_send({handle_id()}, &payload, &sent, &error), error);
         });
         return done ? expected<std::uint32_t>(sent) : unexpected<Error>(done.error());
     }
 
-    /// Sends a picture, at the size and quality that get through; to how many groups of receivers it went. Takes as long as
-    /// writing it, and nothing where nobody wants one.
+    /// Sends a picture, scaled and compressed as the links require. Returns the number of groups of receivers that it is
+    /// sent to, 0 to 2. Takes as long as compressing the picture; if no receiver needs a frame now, it returns immediately.
     expected<std::uint32_t> send(const Picture& picture) const {
         std::uint32_t sent = 0;
         rect_error error;
         const auto pixels = picture.pixels();
-        const auto code = rect_stream_send_picture({id()}, picture.width(), picture.height(),
+        const auto code = rect_stream_send_picture({handle_id()}, picture.width(), picture.height(),
                                                    static_cast<std::uint32_t>(picture.format()), pixels.data(),
                                                    pixels.size(), &sent, &error);
-        return detail::got<std::uint32_t>(code, error, [&] { return sent; });
+        return detail::value_or_error<std::uint32_t>(code, error, [&] { return sent; });
     }
 
-    /// What goes out, what gets through, and why it is as it is: JSON (docs/streams.md).
+    /// Returns the state of the stream as JSON: what is sent, what arrives, and why the current quality was chosen
+    /// (docs/streams.md).
     [[nodiscard]] expected<std::string> status() const {
         rect_string status;
         rect_error error;
-        const auto code = rect_stream_status({id()}, &status, &error);
-        return detail::got<std::string>(code, error, [&] {
+        const auto code = rect_stream_status({handle_id()}, &status, &error);
+        return detail::value_or_error<std::string>(code, error, [&] {
             const Handle handle(status.id);
             return std::string(detail::view(status.text));
         });
     }
 };
 
-/// A frame of a stream, which belongs to the callback that is called with it.
+/// A frame of a stream. It is valid until the callback that receives it returns.
 class FrameView {
 public:
-    /// As C has it.
+    /// Refers to a struct of rect.h.
     explicit FrameView(const rect_frame& raw) noexcept : payload(raw.payload), raw_(raw) {}
 
-    /// What it is.
+    /// The payload.
     PayloadView payload;
 
-    /// Its number. The sender numbers anew when it starts, and when this robot gets other frames than before.
+    /// Returns the number of the frame. Numbering restarts when the sender restarts, and when this robot joins another group
+    /// of receivers.
     [[nodiscard]] std::uint32_t number() const noexcept { return raw_.number; }
-    /// How old it was when it came; until the sender has told its time, how much older than the fastest of the last minute.
-    /// Nothing: another program's, which does not tell.
+    /// Returns the age of the frame on arrival. Until the offset of the sender's clock is known, this is the delay relative
+    /// to the fastest frame of the last minute. Returns nothing if the sender is a plain Zenoh program.
     [[nodiscard]] std::optional<std::chrono::microseconds> age() const noexcept {
         if (raw_.age_us < 0) {
             return std::nullopt;
         }
         return std::chrono::microseconds(raw_.age_us);
     }
-    /// So many before it were not seen: the link dropped them, or this program was not there to take them.
+    /// Returns how many frames directly before this one the program did not receive, because the link or the receive queue
+    /// dropped them.
     [[nodiscard]] std::uint32_t skipped() const noexcept { return raw_.skipped; }
 
 private:
     rect_frame raw_;
 };
 
-/// A frame of the program's own: what Watch::next gives.
+/// A frame that the program owns, as Watch::next returns it. `->` accesses the FrameView.
 class Frame {
 public:
-    /// Takes over what C has given.
+    /// Takes ownership of a frame of rect.h.
     explicit Frame(const rect_frame& raw) noexcept : handle_(raw.id), view_(raw) {}
-    /// What it is.
+    /// Returns the frame, which is valid as long as this object.
     [[nodiscard]] const FrameView& operator*() const noexcept { return view_; }
-    /// What it is.
+    /// Returns the frame, which is valid as long as this object.
     [[nodiscard]] const FrameView* operator->() const noexcept { return &view_; }
 
 private:
@@ -121,17 +129,23 @@ private:
     FrameView view_;
 };
 
-/// A stream that this program watches. It ends when this does.
+/// A stream that this program watches. Destroying it ends the watch.
+///
+///     const auto camera = rect::must(robot.watch("wombat-2", "camera"));
+///     while (const auto frame = camera.next()) {
+///         const auto picture = rect::must((*frame)->payload.picture());
+///     }
 class Watch : public Handle {
 public:
     using Handle::Handle;
 
-    /// The next frame; Code::timed_out: there was none; Code::closed: the session was closed, or another thread dropped this.
+    /// Waits for the next frame. Fails with Code::timed_out if none arrives within `timeout`, and with Code::closed if the
+    /// session was closed or another thread dropped this. this.
     [[nodiscard]] expected<Frame> next(std::chrono::milliseconds timeout = forever) const {
         rect_frame frame;
         rect_error error;
-        const auto code = rect_watch_next({id()}, detail::ms(timeout), &frame, &error);
-        return detail::got<Frame>(code, error, [&] { return Frame(frame); });
+        const auto code = rect_watch_next({handle_id()}, detail::ms(timeout), &frame, &error);
+        return detail::value_or_error<Frame>(code, error, [&] { return Frame(frame); });
     }
 };
 

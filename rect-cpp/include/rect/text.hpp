@@ -1,5 +1,5 @@
 /// @file
-/// Owns text: as C gives it, and as C wants it.
+/// Converts text and durations between C++ and C.
 #ifndef RECT_TEXT_HPP
 #define RECT_TEXT_HPP
 
@@ -14,16 +14,16 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// A text that a call takes: a literal, a `std::string` or a `std::string_view`. One with a zero byte in it is
-/// Code::argument.
+/// A text argument: a literal, a `std::string` or a `std::string_view`. The call fails with Code::argument if the text
+/// contains a zero byte.
 class Text {
 public:
-    /// A text with a zero byte at its end, that lives as long as the call; not copied.
+    /// Refers to a text with a terminating zero byte, which must outlive the call.
     Text(const char* text) noexcept : text_(text) {}
-    /// A string that lives as long as the call; not copied.
+    /// Refers to a string, which must outlive the call.
     Text(const std::string& text) noexcept
         : text_(text.find('\0') == std::string::npos ? text.c_str() : nullptr) {}
-    /// Any text; copied.
+    /// Copies a text.
     Text(std::string_view text) : copy_(text), text_(copy_.c_str()) {
         if (text.find('\0') != std::string_view::npos) {
             text_ = nullptr;
@@ -33,7 +33,7 @@ public:
     Text& operator=(const Text&) = delete;
     ~Text() = default;
 
-    /// For C.
+    /// Returns the text for C; NULL if it contains a zero byte.
     [[nodiscard]] const char* c_str() const noexcept { return text_; }
 
 private:
@@ -52,27 +52,27 @@ inline rect_text raw(std::string_view text) noexcept {
     return {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()};
 }
 
-/// NULL for nothing.
+/// Returns the text for C, or NULL if it is empty.
 inline const char* or_null(const std::string& text) noexcept {
     return text.empty() ? nullptr : text.c_str();
 }
 
-/// As C counts; what is longer than 49 days is so long.
+/// Converts a timeout for C. Timeouts of more than 49 days are limited to that, except rect::forever.
 inline std::uint32_t ms(std::chrono::milliseconds time) noexcept {
-    constexpr auto most = std::numeric_limits<std::uint32_t>::max() - 1;
+    constexpr auto max = std::numeric_limits<std::uint32_t>::max() - 1;
     if (time == std::chrono::milliseconds::max()) {
         return RECT_FOREVER;
     }
     if (time.count() < 0) {
         return 0;
     }
-    return time.count() > static_cast<std::int64_t>(most) ? most : static_cast<std::uint32_t>(time.count());
+    return time.count() > static_cast<std::int64_t>(max) ? max : static_cast<std::uint32_t>(time.count());
 }
 
 }  // namespace detail
 /// @endcond
 
-/// As a timeout: waits as long as it takes.
+/// A timeout that never expires.
 inline constexpr std::chrono::milliseconds forever = std::chrono::milliseconds::max();
 
 }  // namespace RECT_ABI

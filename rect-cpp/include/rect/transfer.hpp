@@ -1,5 +1,5 @@
 /// @file
-/// Owns transfers: files and bytes of any size.
+/// Sends and receives transfers: files and values of any size.
 #ifndef RECT_TRANSFER_HPP
 #define RECT_TRANSFER_HPP
 
@@ -15,82 +15,90 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// A file to transfer, by its path. It must not change before all is there.
+/// A file to transfer. It must not change until the transfer is complete.
 struct File {
-    /// Where it is.
+    /// The path of the file.
     std::string path;
 };
 
-/// How a transfer goes.
+/// The options of an outgoing transfer.
 struct TransferOptions {
-    /// What it is called there; empty: the file's name, and bytes have none.
+    /// The name that the receiver gets. If it is empty, a file keeps its own name, and a value has none.
     std::string name{};
-    /// What a file is; empty: bytes.
+    /// The encoding of a file. If it is empty, the file is arbitrary bytes.
     std::string encoding{};
-    /// How long nothing may be heard of the receiver; 0: it may come back whenever it likes.
-    std::chrono::milliseconds patience{0};
+    /// How long the receiver may be unreachable before the transfer fails. 0 means no limit.
+    std::chrono::milliseconds timeout{0};
 };
 
-/// How transfers are taken.
+/// The options for receiving transfers.
 struct ReceiveOptions {
-    /// The largest that is taken, in bytes. It has to be given.
+    /// Maximum size of a transfer in bytes. Larger ones are refused. Required.
     std::uint64_t max_bytes = 0;
-    /// Into a folder for each sender in this one, under the name that the sender gives; empty: into memory.
+    /// The folder for received files. Each sender has a subfolder, and files keep the names that their senders give. If it
+    /// is empty, transfers are kept in memory.
     std::string folder{};
-    /// How many at once, half of them (rounded up) of one sender at most; 0: 4.
-    std::size_t at_once = 0;
-    /// How long nothing may come before one is given up; 0: 10 minutes.
-    std::chrono::milliseconds patience{0};
+    /// Maximum number of transfers at the same time, of which at most half (rounded up) have the same sender. 0 means the
+    /// default, 4.
+    std::size_t max_concurrent = 0;
+    /// How long a transfer may make no progress before it is given up. 0 means the default, 10 minutes.
+    std::chrono::milliseconds timeout{0};
 };
 
-/// How much of a transfer the receiver holds.
+/// The progress of an outgoing transfer.
 struct Progress {
-    /// What it holds.
-    std::uint64_t held_bytes;
-    /// Of how many.
+    /// Number of bytes that the receiver has.
+    std::uint64_t received_bytes;
+    /// Size of the transfer in bytes.
     std::uint64_t size_bytes;
 
-    /// As C has it.
-    explicit Progress(const rect_progress& raw) noexcept : held_bytes(raw.held_bytes), size_bytes(raw.size_bytes) {}
-    /// 0 to 1; of nothing, all is there.
+    /// Copies a struct of rect.h.
+    explicit Progress(const rect_progress& raw) noexcept : received_bytes(raw.received_bytes), size_bytes(raw.size_bytes) {}
+    /// Returns the completed fraction, 0 to 1. An empty transfer is complete.
     [[nodiscard]] double fraction() const noexcept {
-        return size_bytes == 0 ? 1 : static_cast<double>(held_bytes) / static_cast<double>(size_bytes);
+        return size_bytes == 0 ? 1 : static_cast<double>(received_bytes) / static_cast<double>(size_bytes);
     }
 };
 
-/// A transfer that this program sends. It ends when this does, all there or not.
+/// An outgoing transfer. Destroying it ends the transfer, whether or not it is complete.
+///
+///     const auto transfer = rect::must(robot.begin_transfer("wombat-2", "maps/hall", rect::File{"hall.pcd"}));
+///     rect::must(transfer.wait());
 class Transfer : public Handle {
 public:
     using Handle::Handle;
 
-    /// Waits until all is there and right, or can't be. Code::timed_out: it goes on; Code::closed: the session was closed, or
-    /// another thread dropped this; Code::end: its end was told before. Not for the transfer's own callback.
+    /// Waits until the transfer is complete and verified, or has failed. Must not be called in the transfer's own callback.
+    ///
+    /// Fails with Code::timed_out if the transfer is still running after `timeout`, or if the timeout of its options has
+    /// expired; with Code::transfer_refused, Code::transfer_failed or Code::file; with Code::closed if the session was
+    /// closed or another thread dropped this; and with Code::end if an earlier call has already returned the result.
     expected<void> wait(std::chrono::milliseconds timeout = forever) const {
         rect_error error;
-        const auto code = rect_transfer_wait({id()}, detail::ms(timeout), &error);
+        const auto code = rect_transfer_wait({handle_id()}, detail::ms(timeout), &error);
         detail::acquire_all();
-        return detail::done(code, error);
+        return detail::ok_or_error(code, error);
     }
 };
 
-/// A transfer that came, with the right checksum.
+/// A transfer that was received completely and whose checksum is correct.
 class Received {
 public:
-    /// Takes over what C has given.
+    /// Takes ownership of a transfer of rect.h.
     explicit Received(const rect_received& raw) noexcept : payload(raw.payload), handle_(raw.id), raw_(raw) {}
 
-    /// What it is, and its bytes, unless they are in a file.
+    /// The encoding, and the bytes unless they are in a file.
     PayloadView payload;
 
-    /// Of whom.
-    [[nodiscard]] std::string_view from() const noexcept { return detail::view(raw_.from); }
-    /// About what.
+    /// Returns the robot that sent the transfer.
+    [[nodiscard]] std::string_view sender() const noexcept { return detail::view(raw_.sender); }
+    /// Returns the topic.
     [[nodiscard]] std::string_view topic() const noexcept { return detail::view(raw_.topic); }
-    /// What its sender calls it; may be empty.
+    /// Returns the name that the sender gave it; may be empty.
     [[nodiscard]] std::string_view name() const noexcept { return detail::view(raw_.name); }
-    /// The file that it is in, which stays; empty, where it is in memory.
+    /// Returns the path of the received file, which remains when this is destroyed; empty if the transfer is in memory.
     [[nodiscard]] std::string_view file() const noexcept { return detail::view(raw_.file); }
-    /// How long it is.
+    /// Returns the size of the transfer in bytes.
     [[nodiscard]] std::uint64_t size_bytes() const noexcept { return raw_.size_bytes; }
 
 private:
@@ -98,18 +106,25 @@ private:
     rect_received raw_;
 };
 
-/// The transfers that come. No more are taken when this ends.
+/// A receiver of transfers. Destroying it ends the receiving.
+///
+///     rect::ReceiveOptions options;
+///     options.max_bytes = 100 << 20;
+///     options.folder = "/var/lib/maps";
+///     const auto maps = rect::must(robot.receive_transfers("*/maps/*", options));
+///     const auto map = rect::must(maps.next());
 class Transfers : public Handle {
 public:
     using Handle::Handle;
 
-    /// The next one that ended: all of it, or Code::transfer_failed, and there may be more. Code::timed_out: none did;
-    /// Code::closed: the session was closed, or another thread dropped this.
+    /// Waits for the next transfer to finish. Fails with Code::transfer_failed if an incoming transfer failed, after which
+    /// there may be more; with Code::timed_out if none finished within `timeout`; and with Code::closed if the session was
+    /// closed or another thread dropped this.
     [[nodiscard]] expected<Received> next(std::chrono::milliseconds timeout = forever) const {
         rect_received received;
         rect_error error;
-        const auto code = rect_transfers_next({id()}, detail::ms(timeout), &received, &error);
-        return detail::got<Received>(code, error, [&] { return Received(received); });
+        const auto code = rect_transfers_next({handle_id()}, detail::ms(timeout), &received, &error);
+        return detail::value_or_error<Received>(code, error, [&] { return Received(received); });
     }
 };
 

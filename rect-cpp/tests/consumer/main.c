@@ -1,4 +1,4 @@
-/* The same in C. */
+/* Connects without a router and publishes a message, in C. */
 #include <rect.h>
 #include <stdio.h>
 
@@ -15,6 +15,6 @@ int main(void) {
         printf("%s\n", error.text);
         return 1;
     }
-    printf("%s: said\n", rect_version());
+    printf("%s: published\n", rect_version());
     return rect_drop(&robot.id, NULL) == RECT_CODE_OK ? 0 : 1;
 }

@@ -1,4 +1,4 @@
-"""RECT: robots that talk over TCP, UDP and Bluetooth Low Energy, on Zenoh.
+"""RECT, the Robot Extensible Communication Toolkit: robots communicate over TCP, UDP and Bluetooth Low Energy.
 
     import rect
 
@@ -7,10 +7,12 @@
         for message in robot.subscribe("*/arm/angle"):
             print(message.sender, message.value)
 
-`rect.aio` is the same for asyncio.
+`connect` joins a fleet and returns a `Robot`, which publishes, subscribes, requests, serves, streams and transfers.
+`rect.aio` is the same API for asyncio. All errors are subclasses of `RectError`.
 """
 
 from rect._rect import Codec, Dictionary, __version__
+from rect.choices import ConnectionState, EventKind, LossyFormat, PixelFormat, StreamMode, Urgency, WhenFull
 from rect.errors import (
     Closed,
     CodecError,
@@ -33,14 +35,14 @@ from rect.errors import (
     ZenohError,
 )
 from rect.message import Message
-from rect.registry import Connection, Connections
+from rect.registry import Connection, Connections, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
 from rect.state import Counters, Event, Events
 from rect.stream import Frame, Stream, Watch
-from rect.subscriber import Subscriber, Subscription, Tally
-from rect.transfer import Progress, Received, Transfers
+from rect.subscriber import SenderCounts, Subscriber, Subscription
+from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
 from rect.values import Cbor, Payload, Picture
 
 __all__ = [
@@ -49,24 +51,30 @@ __all__ = [
     "Codec",
     "CodecError",
     "Connection",
+    "ConnectionState",
     "Connections",
     "Counters",
     "Dictionary",
     "DictionaryError",
     "Event",
+    "EventKind",
     "Events",
     "FileError",
     "Frame",
     "InvalidNameError",
     "InvalidTopicError",
     "LoginRefused",
+    "LossyFormat",
     "Message",
     "NoRouter",
     "NoService",
     "OptionError",
+    "OutgoingTransfer",
     "Payload",
     "PayloadError",
+    "Peer",
     "Picture",
+    "PixelFormat",
     "Progress",
     "Received",
     "RectError",
@@ -75,18 +83,21 @@ __all__ = [
     "Reply",
     "Request",
     "Robot",
+    "SenderCounts",
     "Service",
     "ServiceError",
     "Stream",
+    "StreamMode",
     "Subscriber",
     "Subscription",
-    "Tally",
     "TimedOut",
     "TransferError",
     "TransferFailed",
     "TransferRefused",
     "Transfers",
+    "Urgency",
     "Watch",
+    "WhenFull",
     "WrongRobot",
     "ZenohError",
     "__version__",

@@ -1,8 +1,8 @@
-"""Owns `python -m rect ...` and `rect-router`: the router and its commands, which the wheel brings.
+"""Runs `python -m rect ...` and `rect-router`: the router and its commands, which the wheel contains.
 
-python -m rect sim                              # two simulated robots to play with
-python -m rect router -l tcp/127.0.0.1:7447     # runs a router; everything after `router` is its own
-python -m rect doctor                           # so is any other command: doctor, status, connections, scan, init
+python -m rect sim                              # runs two simulated robots
+python -m rect router -l tcp/127.0.0.1:7447     # runs a router; the arguments after `router` are passed on to it
+python -m rect doctor                           # runs another command: doctor, status, connections, scan, init
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import NoReturn
 
 _ROUTER = Path(__file__).parent / "bin" / "rect-router"
-#: Where another router is named than the wheel's.
+#: Environment variable with the path of a router to use instead of the wheel's.
 _VARIABLE = "RECT_ROUTER"
 
 
 def main() -> NoReturn:
-    """`python -m rect`."""
+    """Runs `python -m rect`."""
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("-h", "--help"):
         print((__doc__ or "").partition("\n\n")[2])
@@ -28,7 +28,7 @@ def main() -> NoReturn:
 
 
 def router() -> NoReturn:
-    """`rect-router`."""
+    """Runs `rect-router`."""
     _run(sys.argv[1:])
 
 
@@ -36,14 +36,14 @@ def _run(arguments: list[str]) -> NoReturn:
     program = os.environ.get(_VARIABLE) or (str(_ROUTER) if _ROUTER.exists() else _elsewhere())
     if program is None:
         raise SystemExit(
-            "this installation of rect has no router: install a wheel that brings it (`make dist` makes one), "
-            "or name a rect-router by RECT_ROUTER"
+            "this installation of rect has no router: install a wheel that contains it (`make dist` builds one), "
+            "or set RECT_ROUTER to the path of a rect-router"
         )
     os.execv(program, [program, *arguments])
 
 
 def _elsewhere() -> str | None:
-    """One that is installed otherwise, and is not the script that called this."""
+    """Returns the path of a `rect-router` that is installed separately, unless it is the script that runs now."""
     found = shutil.which("rect-router")
     is_this = found is not None and Path(found).resolve() == Path(sys.argv[0]).resolve()
     return None if is_this else found

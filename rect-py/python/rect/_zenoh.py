@@ -1,4 +1,4 @@
-"""Owns how this package calls eclipse-zenoh: quality of service, callbacks, and waiting that Ctrl-C ends."""
+"""Wraps eclipse-zenoh for this package: quality of service, callbacks, and waiting that Ctrl-C interrupts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import zenoh
 
 from rect import _rect
 from rect.errors import ZenohError
-from rect.waiting import at_once, is_main
+from rect.waiting import is_main, next_wait
 
 T = TypeVar("T")
 
@@ -28,39 +28,42 @@ _PRIORITIES = (
     zenoh.Priority.DATA_LOW,
     zenoh.Priority.BACKGROUND,
 )
-#: Payloads larger than this may have to wait for room, and do so on a thread of their own.
+#: Payloads of at least this size may have to wait until a link accepts them; they are sent on a separate thread.
 LARGE_BYTES = 16 * 1024
 
 
-def qos(treated: tuple[int, bool, bool]) -> dict[str, Any]:
-    """The arguments of Zenoh's calls for what the core says."""
-    priority, express, droppable = treated
+def qos(qos_fields: tuple[int, bool, bool]) -> dict[str, Any]:
+    """Converts the quality of service that the core chose into keyword arguments of Zenoh's calls."""
+    priority, express, droppable = qos_fields
     congestion = zenoh.CongestionControl.DROP if droppable else zenoh.CongestionControl.BLOCK
     return {"priority": _PRIORITIES[priority - 1], "express": express, "congestion_control": congestion}
 
 
 def direct(callback: Callable[[Any], object], drop: Callable[[], object] | None = None) -> Any:
-    """A callback on Zenoh's own thread, which nothing of a program's runs on."""
+    """Wraps a callback that runs directly on a Zenoh thread. User code never runs there."""
     return zenoh.handlers.Callback(callback, drop, indirect=False)
 
 
-def refused(what: str, error: BaseException) -> ZenohError:
-    """What Zenoh says, in one line."""
-    return ZenohError(what, _rect.in_words(str(error)))
+def zenoh_error(operation: str, error: BaseException) -> ZenohError:
+    """Makes a `ZenohError` with the reason on one line."""
+    return ZenohError(operation, _rect.on_one_line(str(error)))
 
 
 def payload_bytes(payload: Any) -> bytes:
-    """The bytes of what Zenoh delivers, where there are any."""
+    """Returns the bytes of a Zenoh payload; empty if there is none."""
     return b"" if payload is None else cast(bytes, payload.to_bytes())
 
 
-def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None, timeout: float | None = None) -> T:
-    """The same as `call()`, which may take long: on a thread of its own, so that Ctrl-C ends the wait at once.
+def call_interruptibly(
+    call: Callable[[], T], undo: Callable[[T], object] | None = None, timeout: float | None = None
+) -> T:
+    """Runs `call()`, which may take long, on a separate thread, so that Ctrl-C ends the wait at once.
 
-    `undo` is given the result if nobody waits for it any more. Raises `TimeoutError` after `timeout` seconds.
+    If the wait ends before the call does, `undo` is called with its result. Raises `TimeoutError` after `timeout`
+    seconds.
     """
     if timeout is None and not is_main():
-        # Ctrl-C is the main thread's.
+        # Only the main thread receives Ctrl-C.
         return call()
     try:
         worker = _IDLE.pop()
@@ -71,7 +74,7 @@ def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None, 
     try:
         job.wait(timeout)
     except BaseException:
-        job.leave()
+        job.abandon()
         raise
     if job.error is not None:
         raise job.error
@@ -79,7 +82,7 @@ def patiently(call: Callable[[], T], undo: Callable[[T], object] | None = None, 
 
 
 class _Job:
-    """A call that somebody waits for, as long as they like."""
+    """A call on a worker thread, and the wait for its result, which may be abandoned."""
 
     def __init__(self, call: Callable[[], Any], undo: Callable[[Any], object] | None) -> None:
         self._done: SimpleQueue[None] = SimpleQueue()
@@ -88,7 +91,7 @@ class _Job:
         self._call = call
         self._undo = undo
         self._lock = threading.Lock()
-        self._is_made = self._is_left = False
+        self._is_done = self._is_abandoned = False
 
     def run(self) -> None:
         try:
@@ -96,31 +99,32 @@ class _Job:
         except BaseException as error:
             self.error = error
         else:
-            self._either(made=True)
+            self._settle(done=True)
         self._done.put(None)
 
     def wait(self, timeout: float | None) -> None:
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
+            remaining = None if deadline is None else deadline - time.monotonic()
+            if remaining is not None and remaining <= 0:
                 raise TimeoutError
             with contextlib.suppress(Empty):
-                return self._done.get(timeout=at_once(left))
+                return self._done.get(timeout=next_wait(remaining))
 
-    def leave(self) -> None:
-        self._either(made=False)
+    def abandon(self) -> None:
+        self._settle(done=False)
 
-    def _either(self, made: bool) -> None:
+    def _settle(self, done: bool) -> None:
+        """Records that the call is done or the wait abandoned. After both, undoes the call."""
         with self._lock:
-            other = self._is_left if made else self._is_made
-            self._is_made, self._is_left = self._is_made or made, self._is_left or not made
-        if other and self._undo is not None:
+            is_both = self._is_abandoned if done else self._is_done
+            self._is_done, self._is_abandoned = self._is_done or done, self._is_abandoned or not done
+        if is_both and self._undo is not None:
             self._undo(self.result)
 
 
 class _Worker(threading.Thread):
-    """Makes calls, one after another."""
+    """A thread that runs jobs one after another."""
 
     def __init__(self) -> None:
         super().__init__(name="rect call", daemon=True)
@@ -135,7 +139,7 @@ class _Worker(threading.Thread):
             _IDLE.append(self)
 
 
-#: Those that wait for a call.
+#: Workers without a job.
 _IDLE: deque[_Worker] = deque()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_IDLE.clear)

@@ -1,12 +1,12 @@
-"""The same for asyncio: the names of `rect`, where what waits is awaited, and what iterates goes by `async for`.
+"""The API of `rect` for asyncio, with the same names: calls that wait are awaited, and iterators use `async for`.
 
     async with rect.aio.connect("wombat-1") as robot:
         await robot.publish("arm/angle", {"degrees": 12.5})
         async for message in robot.subscribe("*/arm/angle"):
             print(message.sender, message.value)
 
-A robot belongs to the loop that it was made in. Callbacks and handlers may be plain functions or `async def`; they run
-on the loop.
+A robot belongs to the event loop in which it was connected. Callbacks and handlers may be plain functions or
+`async def`; they run in that loop. The classes of the same names in `rect` document parameters, defaults and errors.
 """
 
 from __future__ import annotations
@@ -23,22 +23,23 @@ import zenoh as stock
 from rect import _rect
 from rect import robot as blocking
 from rect._zenoh import LARGE_BYTES
+from rect.choices import Urgency, WhenFull
 from rect.errors import CodecError, NoService, TimedOut
-from rect.inbox import DEFAULT_CAPACITY, Ended
 from rect.message import Message
 from rect.options import Options, seconds, text
+from rect.receive_queue import DEFAULT_CAPACITY, Ended
 from rect.registry import Connections
 from rect.request import Replies as BlockingReplies
 from rect.request import Reply
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
-from rect.service import AT_A_TIME, Request, Requests
+from rect.service import MAX_CONCURRENT, Request, Requests
 from rect.state import Counters, Event
 from rect.state import Events as BlockingEvents
 from rect.stream import Frame
 from rect.stream import Stream as BlockingStream
 from rect.stream import Watch as BlockingWatch
+from rect.subscriber import SenderCounts, callable_or_none, undecoded
 from rect.subscriber import Subscriber as BlockingSubscriber
-from rect.subscriber import Tally, as_it_came, callable_or_none
 from rect.transfer import Progress, Received
 from rect.transfer import Transfers as BlockingTransfers
 from rect.values import codec_of, payload_of
@@ -62,14 +63,14 @@ def connect(
     zenoh: Mapping[str, Any] | None = None,
     allow_name_mismatch: bool = False,
 ) -> Connecting:
-    """Joins, as `rect.connect`: `async with connect(...) as robot:`, or `robot = await connect(...)`."""
+    """Connects as `rect.connect` does: `async with connect(...) as robot:`, or `robot = await connect(...)`."""
     settings = zenoh or {}
     options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch)
     return Connecting(Options(name, *options))
 
 
 class Connecting:
-    """A robot that is to be awaited."""
+    """The result of `connect`: awaiting it, or entering it with `async with`, returns the `Robot`."""
 
     def __init__(self, options: Options) -> None:
         self._options = options
@@ -91,7 +92,7 @@ class Connecting:
 
 
 class Robot:
-    """A program of a robot; see `rect.Robot`."""
+    """A program of a robot, connected to the other robots of the fleet; see `rect.Robot`."""
 
     def __init__(self, robot: blocking.Robot) -> None:
         self._robot = robot
@@ -100,33 +101,33 @@ class Robot:
 
     @property
     def name(self) -> str:
-        """This robot's name."""
+        """Name of this robot."""
         return self._robot.name
 
     @property
     def fleet(self) -> str:
-        """The fleet's name."""
+        """Name of the fleet."""
         return self._robot.fleet
 
     @property
     def zenoh(self) -> stock.Session:
-        """The session of Zenoh below."""
+        """Zenoh session of this robot; see `rect.Robot.zenoh`."""
         return self._robot.zenoh
 
     @property
     def is_closed(self) -> bool:
-        """Whether it was closed."""
+        """Whether the robot was closed."""
         return self._robot.is_closed
 
-    async def publish(self, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None) -> None:
-        """Says it to all; see `rect.Robot.publish`."""
-        await self._say(topic, None, value, urgency, codec)
+    async def publish(self, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
+        """Publishes `value` on `topic` to every subscriber; see `rect.Robot.publish`."""
+        await self._publish(topic, None, value, urgency, codec)
 
     async def send(
-        self, robot: str, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None
+        self, robot: str, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None
     ) -> None:
-        """Says it to one robot alone; see `rect.Robot.send`."""
-        await self._say(topic, text("robot", robot), value, urgency, codec)
+        """Sends `value` on `topic` to one robot only; see `rect.Robot.send`."""
+        await self._publish(topic, text("robot", robot), value, urgency, codec)
 
     @overload
     def subscribe(
@@ -135,7 +136,7 @@ class Robot:
         callback: None = None,
         *,
         capacity: int = DEFAULT_CAPACITY,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscriber: ...
     @overload
     def subscribe(
@@ -144,7 +145,7 @@ class Robot:
         callback: Callable[[Message], object],
         *,
         capacity: int = DEFAULT_CAPACITY,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscription[Message]: ...
     def subscribe(
         self,
@@ -152,15 +153,15 @@ class Robot:
         callback: Callable[[Message], object] | None = None,
         *,
         capacity: int = DEFAULT_CAPACITY,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscriber | Subscription[Message]:
-        """The messages of a pattern, for `async for` or a callback; see `rect.Robot.subscribe`."""
+        """Subscribes to a pattern, for `async for` or a callback; see `rect.Robot.subscribe`."""
         callable_or_none(callback)
         subscriber = Subscriber(self._robot.subscribe(pattern, capacity=capacity, when_full=when_full))
         return subscriber if callback is None else Subscription(self, subscriber, callback, pattern)
 
-    async def listen(self, robot: str, topic: str, timeout: float | None = None) -> Message:
-        """The next message of a robot about a topic; see `rect.Robot.listen`."""
+    async def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
+        """Waits for the next message of `robot` on `topic`; see `rect.Robot.wait_for_message`."""
         if timeout is not None:
             seconds("timeout", timeout)
         with self.subscribe(_rect.pattern_of(text("robot", robot), text("topic", topic))) as subscriber:
@@ -173,11 +174,11 @@ class Robot:
         value: Any = "",
         *,
         timeout: float = DEFAULT_TIMEOUT,
-        urgency: str = "normal",
+        urgency: Urgency = "normal",
         codec: CodecLike = None,
     ) -> Reply:
-        """Asks a service of a robot, and waits for its first answer; see `rect.Robot.request`."""
-        replies = self._robot._ask(text("robot", robot), topic, value, timeout, urgency, codec)
+        """Sends a request to a service of `robot`, and returns its first reply; see `rect.Robot.request`."""
+        replies = self._robot._request(text("robot", robot), topic, value, timeout, urgency, codec)
         try:
             reply = await replies.next_async()
         finally:
@@ -192,33 +193,33 @@ class Robot:
         value: Any = "",
         *,
         timeout: float = DEFAULT_TIMEOUT,
-        urgency: str = "normal",
+        urgency: Urgency = "normal",
         codec: CodecLike = None,
     ) -> Replies:
-        """Asks a service of all robots that have it, for `async for`; see `rect.Robot.request_all`."""
-        return Replies(self._robot._ask(None, topic, value, timeout, urgency, codec))
+        """Sends a request to the services of all robots, for `async for`; see `rect.Robot.request_all`."""
+        return Replies(self._robot._request(None, topic, value, timeout, urgency, codec))
 
     @overload
     def serve(self, topic: str) -> Callable[[Handler], Service]: ...
     @overload
     def serve(self, topic: str, handler: Handler) -> Service: ...
     def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
-        """Serves a topic by a function or an `async def`, which may yield several answers; see `rect.Robot.serve`."""
+        """Serves requests with a function or an `async def`; see `rect.Robot.serve`. Both may yield several replies."""
         self._session.check()
         text("topic", topic)
         if handler is None:
             return lambda handler: self.serve(topic, handler)
         if not callable(handler):
-            raise TypeError(f"handler is a function, not a {type(handler).__name__}")
+            raise TypeError(f"handler must be a function, not {type(handler).__name__}")
         return Service(self, topic, handler)
 
     def stream(self, topic: str, **options: Any) -> Stream:
-        """A stream of which the newest frame counts; see `rect.Robot.stream`."""
+        """Opens a stream for sending frames; see `rect.Robot.stream`."""
         return Stream(self._robot.stream(topic, **options))
 
     @overload
     def watch(
-        self, robot: str, topic: str, callback: None = None, *, capacity: int = 1, when_full: str = "newest wins"
+        self, robot: str, topic: str, callback: None = None, *, capacity: int = 1, when_full: WhenFull = "drop_oldest"
     ) -> Watch: ...
     @overload
     def watch(
@@ -228,7 +229,7 @@ class Robot:
         callback: Callable[[Frame], object],
         *,
         capacity: int = 1,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscription[Frame]: ...
     def watch(
         self,
@@ -237,9 +238,9 @@ class Robot:
         callback: Callable[[Frame], object] | None = None,
         *,
         capacity: int = 1,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Watch | Subscription[Frame]:
-        """Watches a robot's stream, for `async for` or a callback; see `rect.Robot.watch`."""
+        """Receives the stream of `robot` on `topic`, for `async for` or a callback; see `rect.Robot.watch`."""
         callable_or_none(callback)
         watch = Watch(self._robot.watch(robot, topic, capacity=capacity, when_full=when_full))
         return watch if callback is None else Subscription(self, watch, callback, f"{robot}/{topic}")
@@ -254,59 +255,61 @@ class Robot:
         timeout: float | None = None,
         on_progress: Callable[[Progress], object] | None = None,
     ) -> None:
-        """Transfers a file or bytes of any size to one robot; cancelled, it stops. See `rect.Robot.transfer`."""
+        """Transfers a file or bytes of any size to one robot; see `rect.Robot.transfer`.
+
+        Cancelling the task stops the transfer.
+        """
         loop = asyncio.get_running_loop()
-        told = on_progress and (lambda progress: loop.call_soon_threadsafe(on_progress, progress))
-        sending = await asyncio.to_thread(self._robot.sending, robot, topic, data, name, timeout, told)
+        report = on_progress and (lambda progress: loop.call_soon_threadsafe(on_progress, progress))
+        outgoing = await asyncio.to_thread(self._robot.outgoing_transfer, robot, topic, data, name, timeout, report)
         try:
-            await asyncio.to_thread(sending.run)
+            await asyncio.to_thread(outgoing.run)
         finally:
-            sending.stop()
+            outgoing.stop()
 
     def receive_transfers(self, pattern: str, **options: Any) -> Transfers:
-        """Takes the transfers of a pattern, for `async for`; see `rect.Robot.receive_transfers`."""
+        """Accepts the transfers that match a pattern, for `async for`; see `rect.Robot.receive_transfers`."""
         return Transfers(self._robot.receive_transfers(pattern, **options))
 
-    def share(self, dictionary: _rect.Dictionary) -> _rect.Codec:
-        """Gives a dictionary to whoever asks for it; see `rect.Robot.share`."""
-        return self._robot.share(dictionary)
+    def share_dictionary(self, dictionary: _rect.Dictionary) -> _rect.Codec:
+        """Shares a dictionary with all robots, and returns its codec; see `rect.Robot.share_dictionary`."""
+        return self._robot.share_dictionary(dictionary)
 
     async def peers(self) -> list[str]:
-        """The other robots of the fleet that are there now, by name."""
+        """Returns the names of the other robots of the fleet that are reachable now; see `rect.Robot.peers`."""
         return await asyncio.to_thread(self._robot.peers)
 
-    async def connections(self, robot: str | None = None, which: str = "") -> Connections:
-        """The connections of a robot's router; see `rect.Robot.connections`."""
-        return await asyncio.to_thread(self._robot.connections, robot, which)
+    async def connections(self, robot: str | None = None, filter: str = "") -> Connections:
+        """Returns the connections of the router of `robot`; see `rect.Robot.connections`."""
+        return await asyncio.to_thread(self._robot.connections, robot, filter)
 
     async def add_connection(self, name: str, method: str, address: str, **options: Any) -> None:
-        """Gives a robot's router a connection; see `rect.Robot.add_connection`."""
+        """Adds a named connection to the router of a robot; see `rect.Robot.add_connection`."""
         await asyncio.to_thread(lambda: self._robot.add_connection(name, method, address, **options))
 
     async def remove_connection(self, name: str, *, robot: str | None = None) -> None:
-        """Takes a connection from a robot's router; see `rect.Robot.remove_connection`."""
+        """Removes a named connection from the router of a robot; see `rect.Robot.remove_connection`."""
         await asyncio.to_thread(lambda: self._robot.remove_connection(name, robot=robot))
 
-    async def ask_registry(self, question: str, *, robot: str | None = None, which: str = "") -> Any:
-        """Any other question of the registry; see `rect.Robot.ask_registry`."""
-        return await asyncio.to_thread(lambda: self._robot.ask_registry(question, robot=robot, which=which))
+    async def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
+        """Sends a question to the registry of a router, and returns its answer; see `rect.Robot.query_registry`."""
+        return await asyncio.to_thread(lambda: self._robot.query_registry(question, robot=robot, filter=filter))
 
-    @overload
-    def on_state(self, callback: None = None) -> Events: ...
-    @overload
-    def on_state(self, callback: Callable[[Event], object]) -> Subscription[Event]: ...
-    def on_state(self, callback: Callable[[Event], object] | None = None) -> Events | Subscription[Event]:
-        """What changes about who can be reached, for `async for` or a callback; see `rect.Robot.on_state`."""
+    def events(self) -> Events:
+        """Returns the events of robots, links and the router, for `async for`; see `rect.Robot.events`."""
+        return Events(self._robot.events())
+
+    def on_event(self, callback: Callable[[Event], object]) -> Subscription[Event]:
+        """Calls `callback` for each event; see `rect.Robot.on_event`."""
         callable_or_none(callback)
-        events = Events(self._robot.on_state())
-        return events if callback is None else Subscription(self, events, callback, "state")
+        return Subscription(self, self.events(), callback, "events")
 
     def counters(self) -> Counters:
-        """What this program has said and heard."""
+        """Returns the counts of messages that this program has sent and received; see `rect.Robot.counters`."""
         return self._robot.counters()
 
     async def close(self) -> None:
-        """Ends the session, and all that belongs to it."""
+        """Closes the session and everything that belongs to it."""
         await asyncio.to_thread(self._robot.close)
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
@@ -320,7 +323,7 @@ class Robot:
         return repr(self._robot)
 
     def begin(self, work: Awaitable[None]) -> asyncio.Task[None]:
-        """A task that lives no longer than the robot."""
+        """Starts a task; `close` waits for it."""
         task = asyncio.ensure_future(work)
         assert isinstance(task, asyncio.Task)
         self._tasks.add(task)
@@ -330,27 +333,27 @@ class Robot:
     def _on_done(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         error = None if task.cancelled() else task.exception()
-        # `sys.exit` has ended the loop, and asyncio raises it where the loop runs.
+        # asyncio itself raises `SystemExit` from the running loop.
         if isinstance(error, Exception):
             _LOG.error("a task of %r failed", self, exc_info=error)
 
-    async def _say(self, topic: str, to: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
+    async def _publish(self, topic: str, recipient: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
-        if len(payload.bytes) < LARGE_BYTES and self._session.lanes.is_open(urgency):
-            self._robot._say(topic, to, payload, urgency, None)
+        if len(payload.bytes) < LARGE_BYTES and self._session.urgency_sessions.is_open(urgency):
+            self._robot._publish(topic, recipient, payload, urgency, None)
         else:
-            await asyncio.to_thread(self._robot._say, topic, to, payload, urgency, None)
+            await asyncio.to_thread(self._robot._publish, topic, recipient, payload, urgency, None)
 
 
 class _Handle:
-    """What ends when it is closed; see the one of the same name in `rect`, which does it."""
+    """Wraps a handle of `rect` that is to be closed."""
 
     def __init__(self, handle: Any) -> None:
         self._handle = handle
 
     def close(self) -> None:
-        """Ends it."""
+        """Closes the handle; see the class of the same name in `rect`."""
         self._handle.close()
 
     async def __aenter__(self: H) -> H:
@@ -360,12 +363,12 @@ class _Handle:
         self.close()
 
 
-class _Coming(_Handle, Generic[T]):
-    """What comes, one after another, for `async for`; `pop` waits for the next, or raises `Ended` or `TimeoutError`."""
+class _Source(_Handle, Generic[T]):
+    """Iterates over items with `async for`. `pop` waits for the next item, or raises `Ended` or `TimeoutError`."""
 
-    def __init__(self, handle: Any, what: str, pop: Callable[[float | None], Awaitable[T]]) -> None:
+    def __init__(self, handle: Any, expected: str, pop: Callable[[float | None], Awaitable[T]]) -> None:
         super().__init__(handle)
-        self._what = what
+        self._expected = expected
         self._pop = pop
 
     async def _next(self, timeout: float | None) -> T:
@@ -374,7 +377,7 @@ class _Coming(_Handle, Generic[T]):
         except Ended:
             raise self._handle._session.closed_error() from None
         except TimeoutError:
-            raise TimedOut(self._what, timeout or 0) from None
+            raise TimedOut(self._expected, timeout or 0) from None
 
     def __aiter__(self: H) -> H:
         return self
@@ -386,26 +389,26 @@ class _Coming(_Handle, Generic[T]):
             raise StopAsyncIteration from None
 
 
-class Subscriber(_Coming[Message]):
-    """The messages of a pattern, as they come, for `async for`; see `rect.Subscriber`."""
+class Subscriber(_Source[Message]):
+    """Receives the messages of a pattern, for `async for`; see `rect.Subscriber`."""
 
     def __init__(self, subscriber: BlockingSubscriber) -> None:
         super().__init__(subscriber, f"message {subscriber._pattern}", self._take)
         self._subscriber = subscriber
 
     async def next(self, timeout: float | None = None) -> Message:
-        """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits for the next message and returns it; see `rect.Subscriber.next`."""
         return await self._next(timeout)
 
     @property
     def dropped(self) -> int:
-        """How many were dropped because the program did not take them in time."""
+        """Number of messages dropped because the receive queue was full."""
         return self._subscriber.dropped
 
     @property
-    def tallies(self) -> dict[str, Tally]:
-        """How many came of each robot, and how many of its did not."""
-        return self._subscriber.tallies
+    def counts_by_sender(self) -> dict[str, SenderCounts]:
+        """Number of received and missed messages by sender."""
+        return self._subscriber.counts_by_sender
 
     def __enter__(self) -> Subscriber:
         return self
@@ -414,37 +417,38 @@ class Subscriber(_Coming[Message]):
         self.close()
 
     async def _take(self, timeout: float | None) -> Message:
-        message = as_it_came(await self._subscriber._inbox.pop_async(timeout))
+        message = undecoded(await self._subscriber._queue.pop_async(timeout))
         decoder = self._subscriber._session.decoder
         try:
             message.payload = decoder.payload_now(message.sender, message.payload)
         except CodecError as error:
             if error.dictionary is None:
-                message.flaw = error
+                message.problem = error
             else:
-                # The dictionary has to come first; others of the loop go on meanwhile.
-                await asyncio.to_thread(self._subscriber._unpacked, message)
+                # Fetching the dictionary blocks, so it happens on another thread.
+                await asyncio.to_thread(self._subscriber._decoded, message)
         return message
 
 
-class Events(_Coming[Event]):
-    """What changes about who can be reached, for `async for`; see `rect.Events`."""
+class Events(_Source[Event]):
+    """Iterates over events with `async for`; see `rect.Events`."""
 
     dropped = 0
-    tallies: Mapping[str, Tally] = {}
+    counts_by_sender: Mapping[str, SenderCounts] = {}
 
     def __init__(self, events: BlockingEvents) -> None:
-        super().__init__(events, events._WHAT, events._inbox.pop_async)
+        super().__init__(events, events._EXPECTED, events._queue.pop_async)
 
     async def next(self, timeout: float | None = None) -> Event:
-        """The next one, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits for the next event and returns it; see `rect.Events.next`."""
         return await self._next(timeout)
 
 
 class Subscription(Generic[T]):
-    """A callback that is called for each of what comes, one after another, until this is closed, or the robot is.
+    """Calls a callback for each item of a subscriber, watch or event source, one call at a time, in the event loop.
 
-    A callback that raises is reported (`logging.getLogger("rect")`), and called again for the next.
+    It ends when it or the robot is closed. An exception of the callback is logged (`logging.getLogger("rect")`), and
+    the callback is called again for the next item.
     """
 
     def __init__(self, robot: Robot, source: Any, callback: Callable[[T], object], about: str) -> None:
@@ -455,81 +459,81 @@ class Subscription(Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """How many were dropped because the callback was not done in time."""
+        """Number of items dropped because the receive queue was full while the callback ran."""
         return int(self._source.dropped)
 
     @property
-    def tallies(self) -> dict[str, Tally]:
-        """How many came of each robot, and how many of its did not."""
-        return dict(self._source.tallies)
+    def counts_by_sender(self) -> dict[str, SenderCounts]:
+        """Number of received and missed messages by sender."""
+        return dict(self._source.counts_by_sender)
 
     def close(self) -> None:
-        """Ends it. A call that runs is not waited for."""
+        """Ends the subscription. Does not wait for a running callback."""
         self._source.close()
 
     def __repr__(self) -> str:
         return f"Subscription({self._about})"
 
     async def _run(self) -> None:
-        async for what in self._source:
+        async for item in self._source:
             try:
-                said = self._callback(what)
-                if inspect.isawaitable(said):
-                    await said
+                result = self._callback(item)
+                if inspect.isawaitable(result):
+                    await result
             except Exception:
-                _LOG.exception("the callback for %s raised", self._about)
+                _LOG.exception("the callback for %s raised an exception", self._about)
 
 
 class Stream(_Handle):
-    """A stream that this program sends; see `rect.Stream`."""
+    """Sends the frames of a stream; see `rect.Stream`."""
 
     def __init__(self, stream: BlockingStream) -> None:
         super().__init__(stream)
         self._stream = stream
 
     async def send(self, frame: Any) -> int:
-        """Sends a frame, if anyone wants one now; pictures are made smaller beside the loop."""
+        """Sends a frame if a receiver is due for one; see `rect.Stream.send`. Encodes pictures on another thread."""
         return await asyncio.to_thread(self._stream.send, frame)
 
     @property
     def status(self) -> dict[str, Any]:
-        """What goes out, what gets through, and why it is as it is."""
+        """State of the stream; see `rect.Stream.status`."""
         return self._stream.status
 
 
-class Watch(_Coming[Frame]):
-    """A stream that this program watches, for `async for`; see `rect.Watch`."""
+class Watch(_Source[Frame]):
+    """Receives the frames of a stream, for `async for`; see `rect.Watch`."""
 
     dropped = 0
-    tallies: Mapping[str, Tally] = {}
+    counts_by_sender: Mapping[str, SenderCounts] = {}
 
     def __init__(self, watch: BlockingWatch) -> None:
         super().__init__(watch, f"frame of {watch._name}", watch.next_async)
         self._watch = watch
 
     async def next(self, timeout: float | None = None) -> Frame:
-        """The newest frame, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits for a frame that was not returned yet and returns it; see `rect.Watch.next`."""
         return await self._next(timeout)
 
     @property
     def round_trip(self) -> float | None:
-        """What a small message takes to the sender and back, in seconds, once it has answered one."""
+        """Round trip of a small message to the sender, in seconds. `None` until it is measured."""
         return self._watch.round_trip
 
 
-class Transfers(_Coming[Received]):
-    """The transfers that come, for `async for`; see `rect.Transfers`."""
+class Transfers(_Source[Received]):
+    """Iterates over the transfers that ended, with `async for`; see `rect.Transfers`."""
 
     def __init__(self, transfers: BlockingTransfers) -> None:
         super().__init__(transfers, f"transfer {transfers._pattern}", transfers.next_async)
 
     async def next(self, timeout: float | None = None) -> Received:
-        """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits until a transfer ends and returns it; see `rect.Transfers.next`."""
         return await self._next(timeout)
 
 
 class Replies(_Handle):
-    """The answers to one request, as they come, for `async for`; see `rect.Replies`."""
+    """Iterates over the replies to one request, with `async for`; see `rect.Replies`."""
 
     def __init__(self, replies: BlockingReplies) -> None:
         super().__init__(replies)
@@ -546,22 +550,22 @@ class Replies(_Handle):
 
 
 class Service:
-    """A service that answers by a function, until this is closed, or the robot is. Up to 16 requests at a time."""
+    """Answers the requests to a topic by calling a function; see `rect.Service`."""
 
     def __init__(self, robot: Robot, topic: str, handler: Handler) -> None:
         self._topic = topic
         self._handler = handler
         self._robot = robot
         self._requests = Requests(robot._session, topic)
-        self._room = asyncio.Semaphore(AT_A_TIME)
+        self._room = asyncio.Semaphore(MAX_CONCURRENT)
         self._task = robot.begin(self._run())
 
     def close(self) -> None:
-        """Ends it. What is worked on is still answered."""
+        """Ends the service. Requests that are being handled are still answered."""
         self._requests.close()
 
     def __call__(self, request: Request) -> Any:
-        """The function itself, so that what `@robot.serve` decorates stays one."""
+        """Calls the handler, so that a function decorated by `@robot.serve` remains callable."""
         return self._handler(request)
 
     def __repr__(self) -> str:
@@ -579,27 +583,27 @@ class Service:
     async def _answer(self, request: Request) -> None:
         try:
             try:
-                said = self._handler(request)
-                if inspect.isasyncgen(said):
-                    async for one in said:
-                        request.reply(one)
+                result = self._handler(request)
+                if inspect.isasyncgen(result):
+                    async for value in result:
+                        request.reply(value)
                     return
-                if inspect.isgenerator(said):
-                    for one in said:
-                        request.reply(one)
+                if inspect.isgenerator(result):
+                    for value in result:
+                        request.reply(value)
                     return
-                request.reply(await said if inspect.isawaitable(said) else said)
+                request.reply(await result if inspect.isawaitable(result) else result)
             except Exception as error:
                 request.refuse_for(error)
             except asyncio.CancelledError:
-                request.refuse("the service ends")
+                request.refuse("the service was closed")
                 raise
             except BaseException as error:
-                # `sys.exit` ends the loop; the requester is told so first.
+                # `sys.exit` ends the loop. The requester is informed first.
                 request.refuse_for(error)
                 raise
         except Exception as error:
-            _LOG.warning("an answer was not sent: %s", error)
+            _LOG.warning("cannot send a reply: %s", error)
         finally:
             request.close()
             self._room.release()

@@ -1,4 +1,4 @@
-"""Owns undoing what a sender's codec has packed, and fetching the dictionaries for that from whoever made them."""
+"""Decodes compressed payloads, and fetches the dictionaries that this requires from the robots that share them."""
 
 from __future__ import annotations
 
@@ -9,70 +9,70 @@ import time
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, refused
+from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.errors import CodecError, DictionaryError
-from rect.inbox import Ended, Inbox
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.values import Payload
 
 _LOG = logging.getLogger("rect")
-#: How long a dictionary may take to come: 100 kB at 34 kB/s, and what else is on the link.
-_PATIENCE_S = 5.0
-#: Who did not have it is asked again after this time at the earliest, so that messages of that kind do not wait each.
-_ASK_AGAIN_S = 30.0
-#: The most that are remembered as not to be had.
+#: Timeout for fetching a dictionary, in seconds: 100 kB at 34 kB/s, plus other traffic on the link.
+_TIMEOUT_S = 5.0
+#: Minimum interval between two requests for a missing dictionary, in seconds, so that not every message waits for it.
+_QUERY_INTERVAL_S = 30.0
+#: Maximum number of missing dictionaries to remember.
 _MAX_MISSING = 256
 
 
 class Decoder:
-    """What one program knows of codecs."""
+    """Decodes the messages of one program, and serves the dictionaries that it shares."""
 
-    def __init__(self, session: zenoh.Session, place: _rect.Place) -> None:
+    def __init__(self, session: zenoh.Session, key_space: _rect.KeySpace) -> None:
         self._session = session
-        self._place = place
+        self._key_space = key_space
         self._lock = threading.Lock()
-        self._known = _rect.Known()
+        self._dictionaries = _rect.DictionaryStore()
         self._missing: dict[tuple[str, int], float] = {}
         self._served: dict[int, object] = {}
 
-    def payload(self, sender: str, packed: Payload) -> Payload:
-        """A payload of that robot's as it was before it was packed; fetches what is needed for that."""
+    def payload(self, sender: str, payload: Payload) -> Payload:
+        """Decodes a payload of that sender; fetches a missing dictionary first. Raises `CodecError`."""
         try:
-            return self.payload_now(sender, packed)
+            return self.payload_now(sender, payload)
         except CodecError as error:
             if error.dictionary is None or not self.fetch(sender, error.dictionary):
                 raise
-        return self.payload_now(sender, packed)
+        return self.payload_now(sender, payload)
 
-    def payload_now(self, sender: str, packed: Payload) -> Payload:
-        """The same with what is known already."""
-        if not _rect.is_packed(packed.encoding):
-            return packed
-        return Payload(*self._known.unpack(sender, packed.bytes, packed.encoding))
+    def payload_now(self, sender: str, payload: Payload) -> Payload:
+        """Decodes a payload of that sender with the dictionaries that are present. Raises `CodecError`."""
+        if not _rect.is_encoded(payload.encoding):
+            return payload
+        return Payload(*self._dictionaries.decode(sender, payload.bytes, payload.encoding))
 
     def fetch(self, sender: str, id: int) -> bool:
-        """Asks the sender for a dictionary; whether it is here now."""
-        which = (sender, id)
+        """Requests a dictionary from the sender. Returns whether it is present now."""
+        key = (sender, id)
         with self._lock:
-            asked = self._missing.get(which)
-        if asked is not None and time.monotonic() - asked < _ASK_AGAIN_S:
+            queried_at = self._missing.get(key)
+        if queried_at is not None and time.monotonic() - queried_at < _QUERY_INTERVAL_S:
             return False
-        found = self._ask(sender, id)
+        found = self._query(sender, id)
         with self._lock:
             if found is not None:
-                self._known.add(sender, found)
+                self._dictionaries.add(sender, found)
                 return True
             if len(self._missing) >= _MAX_MISSING:
                 self._missing.clear()
-            self._missing[which] = time.monotonic()
-        _LOG.warning("%s has no dictionary %d: its messages that were packed with it stay packed", sender, id)
+            self._missing[key] = time.monotonic()
+        _LOG.warning("%s did not send its dictionary %d: messages that need it are delivered undecoded", sender, id)
         return False
 
-    def share(self, dictionary: _rect.Dictionary) -> None:
-        """Gives it to whoever asks, until the session ends."""
+    def share_dictionary(self, dictionary: _rect.Dictionary) -> None:
+        """Serves the dictionary to other robots until the session closes."""
         with self._lock:
             if dictionary.id in self._served:
                 return
-            key = self._key(self._place.robot, dictionary.id)
+            key = self._key(self._key_space.robot, dictionary.id)
 
             def answer(query: zenoh.Query) -> None:
                 with query:
@@ -81,22 +81,22 @@ class Decoder:
             try:
                 declared = self._session.declare_queryable(key, direct(answer), complete=True)
             except zenoh.ZError as error:
-                raise refused("the dictionary can't be shared", error) from None
+                raise zenoh_error("cannot share the dictionary", error) from None
             self._served[dictionary.id] = declared
-            # One's own messages are heard, too.
-            self._known.add(self._place.robot, dictionary)
+            # This program may subscribe to its own messages.
+            self._dictionaries.add(self._key_space.robot, dictionary)
 
-    def _ask(self, sender: str, id: int) -> _rect.Dictionary | None:
-        replies: Inbox[zenoh.Reply] = Inbox(16, "oldest wins")
+    def _query(self, sender: str, id: int) -> _rect.Dictionary | None:
+        replies: ReceiveQueue[zenoh.Reply] = ReceiveQueue(16, "drop_newest")
         try:
             self._session.get(
                 self._key(sender, id),
                 direct(replies.queue, replies.queue.end),
-                timeout=_PATIENCE_S,
+                timeout=_TIMEOUT_S,
                 priority=zenoh.Priority.DATA_HIGH,
             )
             while True:
-                reply = replies.pop(_PATIENCE_S)
+                reply = replies.pop(_TIMEOUT_S)
                 if reply.ok is None:
                     continue
                 try:
@@ -111,5 +111,5 @@ class Decoder:
             replies.close()
 
     def _key(self, robot: str, id: int) -> str:
-        """Where a robot has a dictionary that it made."""
-        return self._place.own(robot, f"dictionary/{id}")
+        """Returns the key under which a robot serves a dictionary."""
+        return self._key_space.own(robot, f"dictionary/{id}")

@@ -1,4 +1,4 @@
-"""Owns what can go wrong, with what to do about it. The words are those of the Rust library."""
+"""Defines the exceptions of the package. Their texts match those of the Rust library and say what to do."""
 
 from __future__ import annotations
 
@@ -7,128 +7,132 @@ from typing import Any
 
 
 class RectError(Exception):
-    """Something did not work. Each text says what to do."""
+    """Base class of all errors of RECT. The text says what happened and what to do."""
 
 
 class InvalidNameError(RectError, ValueError):
-    """The name of a robot or fleet. Choose another."""
+    """The name of a robot or fleet is invalid. Choose another name."""
 
 
 class InvalidTopicError(RectError, ValueError):
-    """A topic or pattern. Write it as the text says."""
+    """A topic or pattern is invalid. The text says which part is wrong."""
 
 
 class OptionError(RectError, ValueError):
-    """An argument that can't be what it was given as."""
+    """An argument has a value that is not allowed."""
 
-    def __init__(self, what: str, value: object, reason: str) -> None:
-        super().__init__(f"the option {what} can't be {_quoted(value)}: {reason}")
+    def __init__(self, option: str, value: object, reason: str) -> None:
+        super().__init__(f"the option {option} cannot be {_quoted(value)}: {reason}")
 
 
 class PayloadError(RectError, ValueError):
-    """A value that can't be sent, or read as asked for.
-
-    `kind`: `write`, `read`, `other` (the payload is something else), or that of a `CodecError`.
-    """
+    """A value cannot be encoded, or a payload cannot be decoded as requested."""
 
     def __init__(self, text: str, kind: str = "other") -> None:
         super().__init__(text)
+        #: `write` (the value cannot be encoded), `read` (the bytes do not match the encoding), `encoding` (the encoding
+        #: is invalid), `other` (the payload has another type), or the kind of a `CodecError`.
         self.kind = kind
 
 
 class CodecError(PayloadError):
-    """A codec that does not fit, or a payload that is damaged.
+    """A codec does not suit the value, or a compressed payload is damaged.
 
-    `kind`: `unknown`, `option`, `kind`, `damaged`, `too large`, `dictionary` (then `dictionary` is its id), `failed`.
+    `kind` is `unknown`, `option`, `kind`, `damaged`, `too large`, `dictionary` or `failed`.
     """
 
     def __init__(self, text: str, kind: str, dictionary: int | None = None) -> None:
         super().__init__(text, kind)
+        #: Id of the missing dictionary, if `kind` is `dictionary`.
         self.dictionary = dictionary
 
 
 class DictionaryError(RectError, ValueError):
-    """No dictionary can be made or read of this."""
+    """A dictionary cannot be trained from these samples, or the bytes are not a zstd dictionary."""
 
 
 class NoRouter(RectError, ConnectionError):
-    """No router. Start one, or name another."""
+    """No router answers at the endpoint. Start one, or select another one."""
 
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(
-            f"no router answers at {endpoint}: {reason}. `python -m rect router -l tcp/127.0.0.1:7447` starts one "
-            "here; another one is named by the option `router`, or by RECT_ENDPOINT"
+            f"no router answers at {endpoint}: {reason}. Start one on this computer with `python -m rect router "
+            "-l tcp/127.0.0.1:7447`, or select another one with the option `router` or the environment variable "
+            "RECT_ENDPOINT"
         )
+        #: Locator of the router.
         self.endpoint = endpoint
 
 
 class LoginRefused(RectError, ConnectionError):
-    """The router asks for a login, and this program's is missing or wrong. Name the team's login file."""
+    """The router requires a login, and the login of this program is missing or wrong. Select the team's login file."""
 
     def __init__(self, text: str, endpoint: str) -> None:
         super().__init__(text)
+        #: Locator of the router.
         self.endpoint = endpoint
 
 
 class WrongRobot(RectError):
-    """The router serves another robot (`serves`) than the program joins as. Join under that name, or at the right
-    router."""
+    """The router belongs to another robot. Connect under the router's name, or to the right router."""
 
     def __init__(self, text: str, serves: str) -> None:
         super().__init__(text)
+        #: Name of the robot that the router serves.
         self.serves = serves
 
 
 class NoService(RectError, LookupError):
-    """Nobody has that service. Is the robot there, and does its program run? `there`: the robots that are."""
+    """No program serves the topic. Is the robot reachable, and is its program running?"""
 
-    def __init__(self, robot: str, topic: str, there: list[str]) -> None:
-        names = ", ".join(there) or "none"
-        super().__init__(f"nobody serves {topic} at {robot}; robots there: {names}")
-        self.there = there
+    def __init__(self, robot: str, topic: str, available: list[str]) -> None:
+        names = ", ".join(available) or "none"
+        super().__init__(f"no program serves {topic} at {robot}; reachable robots: {names}")
+        #: Names of the robots that are reachable.
+        self.available = available
 
 
 class TimedOut(RectError, TimeoutError):
-    """It took too long. Ask again, allow more time, or look at the link (`python -m rect connections`)."""
+    """The timeout expired. Try again, allow more time, or check the link (`python -m rect connections`)."""
 
-    def __init__(self, what: str, after_s: float) -> None:
-        super().__init__(f"no {what} within {_seconds(after_s)}")
-        self.after_s = after_s
+    def __init__(self, expected: str, timeout: float) -> None:
+        super().__init__(f"no {expected} within {_seconds(timeout)}")
+        #: Duration of the wait, in seconds.
+        self.timeout = timeout
 
 
 class ServiceError(RectError):
-    """The service answered with an error.
+    """The service replied with an error."""
 
-    `robot`: who (`None`: a stock program, which does not say); `value`: the error.
-    """
-
-    def __init__(self, robot: str | None, value: Any, said: str) -> None:
-        super().__init__(f"{robot or 'the service'} answers with an error: {said[:500]}")
+    def __init__(self, robot: str | None, value: Any, text: str) -> None:
+        super().__init__(f"{robot or 'the service'} replied with an error: {text[:500]}")
+        #: Name of the robot that replied. `None` if its program does not use RECT.
         self.robot = robot
+        #: The error as the service sent it.
         self.value = value
 
 
 class ZenohError(RectError):
-    """Zenoh refuses."""
+    """Zenoh reported an error."""
 
-    def __init__(self, what: str, reason: str) -> None:
-        super().__init__(f"{what}: {reason}")
+    def __init__(self, operation: str, reason: str) -> None:
+        super().__init__(f"{operation}: {reason}")
 
 
 class TransferError(RectError):
-    """A transfer that does not get there."""
+    """A transfer cannot be offered or completed."""
 
 
 class TransferRefused(TransferError):
-    """A transfer is not taken there. Who is to receive it says what it takes (`receive_transfers`)."""
+    """The receiver refused the transfer. Its program states what it accepts with `receive_transfers`."""
 
 
 class TransferFailed(TransferError):
-    """A transfer began and ended before all was there. The reason says whether to send it again."""
+    """A transfer began and ended before it was complete. The text says why, and so whether to send it again."""
 
 
 class FileError(RectError, OSError):
-    """A file or folder of a transfer can't be used."""
+    """A file or folder of a transfer cannot be used."""
 
     def __init__(self, text: str, errno: int | None = None) -> None:
         super().__init__(text)
@@ -136,7 +140,7 @@ class FileError(RectError, OSError):
 
 
 class Closed(RectError):
-    """The session was closed, or is of another process (after a fork)."""
+    """The robot was closed, or belongs to another process (after a fork)."""
 
     def __init__(self, text: str = "the session is closed") -> None:
         super().__init__(text)
@@ -147,7 +151,7 @@ def _quoted(value: object) -> str:
 
 
 def _seconds(seconds: float) -> str:
-    """A duration, rounded as Rust rounds it for people: `2 s`, `4.2 s`, `500 ms`."""
+    """Formats a duration with the same rounding as the Rust library: `2 s`, `4.2 s`, `500 ms`."""
     if 0 < seconds < 0.9995:
         return f"{seconds * 1000:.{int(seconds < 0.001)}f} ms"
     if seconds < 9.95:

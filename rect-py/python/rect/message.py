@@ -1,4 +1,4 @@
-"""Owns messages as a program gets them."""
+"""Defines `Message`, which subscribers and callbacks receive."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import html
 from typing import Any
 
 from rect import _rect
+from rect.choices import Urgency
 from rect.errors import CodecError
 from rect.values import Payload
 
@@ -13,85 +14,82 @@ _UNREAD: Any = object()
 
 
 class Message:
-    """A message from another robot, or another program of this one."""
+    """A message from another robot, or from another program of this robot."""
 
-    __slots__ = ("_said", "_value", "flaw", "over", "payload")
+    __slots__ = ("_metadata", "_value", "method", "payload", "problem")
 
-    def __init__(self, said: _rect.Said, payload: Payload, over: str | None = None) -> None:
-        self._said = said
+    def __init__(self, metadata: _rect.MessageMetadata, payload: Payload, method: str | None = None) -> None:
+        self._metadata = metadata
         self._value = _UNREAD
-        #: What it says, as bytes with an encoding.
+        #: The payload: bytes with an encoding.
         self.payload = payload
-        #: By what it came, as `ble`, where its sender has one link with this robot, and that is known.
-        self.over = over
-        #: Why it is still packed as it came, if it is: it is damaged, or of a codec that is not known here.
-        self.flaw: CodecError | None = None
+        #: The method by which the message arrived, such as `ble`. `None` if it is unknown, or if the sender has links
+        #: of several methods to this robot.
+        self.method = method
+        #: Why `payload` could not be decoded and is still compressed: it is damaged, or its codec is not supported
+        #: here. `None` if the payload was decoded.
+        self.problem: CodecError | None = None
 
     @property
     def value(self) -> Any:
-        """What it says: a dict, text, a numpy array, a `Picture`...; bytes where the encoding is not known here.
+        """The decoded payload: a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown.
 
-        Raises `PayloadError` where the bytes are not what the encoding says.
+        Raises `PayloadError` if the bytes do not match the encoding, and `problem` if there is one.
         """
         if self._value is _UNREAD:
-            if self.flaw is not None:
-                raise self.flaw
+            if self.problem is not None:
+                raise self.problem
             self._value = self.payload.value
         return self._value
 
     @property
     def sender(self) -> str:
-        """Who sent it."""
-        return self._said.sender
+        """Name of the robot that sent the message."""
+        return self._metadata.sender
 
     @property
-    def from_(self) -> str:
-        """The same; `from` is a word of Python's own."""
-        return self._said.sender
-
-    @property
-    def to(self) -> str | None:
-        """To whom alone; `None`: to all."""
-        return self._said.to
+    def recipient(self) -> str | None:
+        """Name of the robot that the message was sent to directly. `None` if it was published to all robots."""
+        return self._metadata.recipient
 
     @property
     def topic(self) -> str:
-        """About what."""
-        return self._said.topic
+        """Topic of the message."""
+        return self._metadata.topic
 
     @property
     def encoding(self) -> str:
-        """What its payload is."""
+        """Encoding of the payload, such as `application/json`."""
         return self.payload.encoding
 
     @property
-    def urgency(self) -> str:
-        """`urgent`, `normal` or `bulk`."""
-        return self._said.urgency
+    def urgency(self) -> Urgency:
+        """Urgency with which the message was sent."""
+        return self._metadata.urgency
 
     @property
     def sent_at(self) -> float | None:
-        """When, by the sender's clock, in seconds since 1970; `None` for one of a stock program.
+        """Time of sending by the sender's clock, in seconds since 1970. `None` if the sender does not use RECT.
 
-        A robot without a clock of its own may be years off.
+        The clock of a robot without a real-time clock may be years off.
         """
-        sent_ms = self._said.sent_ms
+        sent_ms = self._metadata.sent_ms
         return None if sent_ms is None else sent_ms / 1000
 
     @property
     def sequence(self) -> int | None:
-        """Its number at its publisher; `None` for one of a stock program."""
-        return self._said.sequence
+        """Sequence number of the message at its publisher. `None` if the sender does not use RECT."""
+        return self._metadata.sequence
 
     @property
     def missed(self) -> int:
-        """So many of its publisher, before it, did not arrive."""
-        return self._said.missed
+        """Number of messages that the publisher sent just before this one and that did not arrive."""
+        return self._metadata.missed
 
     @property
     def late(self) -> bool:
-        """Whether it was overtaken on its way."""
-        return self._said.late
+        """Whether a message that was published later arrived before this one."""
+        return self._metadata.late
 
     def __repr__(self) -> str:
         return f"Message({self.sender}/{self.topic}, {self._shown()})"
@@ -105,7 +103,7 @@ class Message:
 
     def _repr_html_(self) -> str:
         head = f"<b>{html.escape(self.sender)}</b>/{html.escape(self.topic)}"
-        picture = getattr(self.value, "_repr_png_", None) if self.flaw is None else None
+        picture = getattr(self.value, "_repr_png_", None) if self.problem is None else None
         if picture is None:
             return f"{head}: <code>{html.escape(self._shown())}</code>"
         import base64

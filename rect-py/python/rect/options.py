@@ -1,4 +1,4 @@
-"""Owns how a program joins: by which router, or directly, as whom."""
+"""Opens the Zenoh session of a robot: through a router, or directly with other programs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import patiently
+from rect._zenoh import call_interruptibly
 from rect.errors import OptionError
 
-#: Where a robot's router serves its programs unless told otherwise.
+#: Default locator of the router on this computer.
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
-#: Where another router is named for all programs that do not name one.
+#: Environment variable with the locator of the router for all programs that do not name one.
 ROUTER_VARIABLE = "RECT_ENDPOINT"
-#: What Zenoh needs to report why it can't connect: as a client it reports only that it could not.
+#: Settings with which Zenoh reports why it cannot connect: in client mode it reports only that it cannot.
 _DIAGNOSIS: dict[str, Any] = {
     "mode": "peer",
     "connect/exit_on_failure": True,
@@ -32,18 +32,18 @@ _DIAGNOSIS: dict[str, Any] = {
 
 
 def default_router() -> str:
-    """The router of programs that name none: what the environment's `RECT_ENDPOINT` says, else `tcp/127.0.0.1:7447`."""
+    """Returns the router of programs that name none: the value of `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`."""
     return os.environ.get(ROUTER_VARIABLE) or DEFAULT_ROUTER
 
 
 def default_login_file() -> str:
-    """The login file of programs that name none: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`."""
+    """Returns the login file of programs that name none: the value of `RECT_LOGIN`, or else `/etc/rect/users`."""
     return _rect.default_login_file(os.environ.get(_rect.LOGIN_VARIABLE))
 
 
 @dataclass
 class Options:
-    """How to join; `rect.connect` says what each is."""
+    """The arguments of `rect.connect`, which documents them."""
 
     name: str
     fleet: str = "rect"
@@ -57,65 +57,70 @@ class Options:
     allow_name_mismatch: bool = False
 
     def __post_init__(self) -> None:
-        for what in ("name", "fleet"):
-            text(what, getattr(self, what))
-        for what in ("endpoints", "listen"):
-            given = getattr(self, what)
-            is_list = isinstance(given, Sequence) and not isinstance(given, str)
-            if not is_list or not all(isinstance(one, str) for one in given):
-                raise TypeError(f"{what} is a list of locators such as ['tcp/192.168.0.7:7447'], not {given!r}")
+        for option in ("name", "fleet"):
+            text(option, getattr(self, option))
+        for option in ("endpoints", "listen"):
+            locators = getattr(self, option)
+            is_list = isinstance(locators, Sequence) and not isinstance(locators, str)
+            if not is_list or not all(isinstance(locator, str) for locator in locators):
+                raise TypeError(
+                    f"{option} must be a list of locators such as ['tcp/192.168.0.7:7447'], not {locators!r}"
+                )
         if self.router is not None:
             text("router", self.router)
         if self.login is not None:
             is_pair = isinstance(self.login, (tuple, list)) and len(self.login) == 2
-            if not is_pair or not all(isinstance(one, str) for one in self.login):
-                raise TypeError("login is (user, password), two texts")
+            if not is_pair or not all(isinstance(part, str) for part in self.login):
+                raise TypeError("login must be a pair of strings: (user, password)")
         seconds("timeout", self.timeout)
 
     @property
     def is_direct(self) -> bool:
-        """Without a router."""
+        """Whether the program connects without a router."""
         return bool(self.endpoints or self.listen)
 
-    def place(self) -> _rect.Place:
-        return _rect.Place(self.fleet, self.name)
+    def key_space(self) -> _rect.KeySpace:
+        return _rect.KeySpace(self.fleet, self.name)
 
     @property
     def endpoint(self) -> str:
-        """The router, where there is one."""
+        """Locator of the router."""
         return self.router or default_router()
 
     def open(self) -> zenoh.Session:
-        """Joins. Raises `NoRouter`, `LoginRefused`, `OptionError`."""
-        joining = self._joining()
+        """Opens the session.
+
+        Raises `NoRouter`, `LoginRefused` and `OptionError`.
+        """
+        attempts = self._join_attempts()
         if self.is_direct:
-            return self._open_directly(joining)
+            return self._open_directly(attempts)
         began = time.monotonic()
         while True:
-            settings = self._settings(joining.credentials())
+            settings = self._settings(attempts.credentials())
             _config(settings)
             reason: str | None
             try:
-                return patiently(
+                return call_interruptibly(
                     lambda settings=settings: _attempt(settings),  # type: ignore[misc]
                     lambda session: session.close(),
-                    joining.limit(time.monotonic() - began),
+                    attempts.limit(time.monotonic() - began),
                 )
             except TimeoutError:
                 reason = None
             except zenoh.ZError as error:
                 reason = str(error)
-            time.sleep(joining.on_failure(time.monotonic() - began, reason))
+            time.sleep(attempts.on_failure(time.monotonic() - began, reason))
 
-    def _open_directly(self, joining: _rect.Joining) -> zenoh.Session:
-        config = _config(self._settings(joining.credentials()))
+    def _open_directly(self, attempts: _rect.JoinAttempts) -> zenoh.Session:
+        config = _config(self._settings(attempts.credentials()))
         try:
-            return patiently(lambda: zenoh.open(config), lambda session: session.close())
+            return call_interruptibly(lambda: zenoh.open(config), lambda session: session.close())
         except zenoh.ZError as error:
             locators = " ".join([*self.listen, *self.endpoints])
-            raise OptionError("listen or endpoint", locators, _rect.in_words(str(error))) from None
+            raise OptionError("listen or endpoint", locators, _rect.on_one_line(str(error))) from None
 
-    def _joining(self) -> _rect.Joining:
+    def _join_attempts(self) -> _rect.JoinAttempts:
         file = Path(self.login_file or default_login_file())
         text, unreadable = None, ""
         if self.login is None:
@@ -124,15 +129,15 @@ class Options:
             except OSError as error:
                 unreadable = error.strerror or str(error)
             except UnicodeDecodeError:
-                unreadable = "it is not text"
+                unreadable = "it is not a text file"
         login = None if self.login is None else (self.login[0], self.login[1])
-        return _rect.Joining(self.endpoint, self.timeout, login, str(file), text, unreadable)
+        return _rect.JoinAttempts(self.endpoint, self.timeout, login, str(file), text, unreadable)
 
     def _settings(self, credentials: tuple[str, str] | None) -> dict[str, Any]:
         settings: dict[str, Any] = {
-            # Identical robots in one network are told apart by their links, not by who hears whose multicast.
+            # Robots connect by their configured links. Multicast would connect robots of other fleets, too.
             "scouting/multicast/enabled": False,
-            # What does not fit into a slow link waits, and does not cost the link (config/README.md).
+            # A message that a slow link cannot accept yet waits; it does not close the link (config/README.md).
             "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
         }
         if self.is_direct:
@@ -153,7 +158,7 @@ class Options:
                 {
                     "mode": "client",
                     "connect/endpoints": [self.endpoint],
-                    # One attempt: `open` decides about more. The pauses are those of reconnecting.
+                    # A single attempt: `open` decides about further ones. These pauses apply to reconnecting.
                     "connect/timeout_ms": 0,
                     "connect/retry": _retry(100),
                 }
@@ -171,23 +176,26 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
         try:
             config.insert_json5(key, value)
         except zenoh.ZError as error:
-            raise OptionError("of Zenoh", f"{key}: {value}", _rect.in_words(str(error))) from None
+            raise OptionError("zenoh", f"{key}: {value}", _rect.on_one_line(str(error))) from None
     return config
 
 
 def _attempt(settings: Mapping[str, Any]) -> zenoh.Session:
-    """One attempt to join. Raises `zenoh.ZError` with the reason."""
+    """Tries once to open the session. Raises `zenoh.ZError` with the reason."""
     try:
         return zenoh.open(_config(settings))
     except zenoh.ZError:
-        # Raises the reason; where this succeeds, the router has come up just now.
+        # Raises an error with the reason. If it succeeds instead, the router has just started: the error is kept.
         with contextlib.closing(zenoh.open(_config({**settings, **_DIAGNOSIS}))):
             raise
 
 
 def tokens_of_router(session: zenoh.Session) -> list[str]:
-    """The keys of the liveliness tokens that name the robot of the session's router; none where it serves no robot, or
-    does not answer in time. The router answers by itself: nothing goes over the air."""
+    """Returns the keys of the liveliness tokens that name the robot of the session's router.
+
+    The list is empty if the router serves no robot or does not answer in time. The router answers from its own state:
+    nothing is sent over the air.
+    """
     router = next(iter(session.info.routers_zid()), None)
     if router is None:
         return []
@@ -196,28 +204,28 @@ def tokens_of_router(session: zenoh.Session) -> list[str]:
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
-def text(what: str, value: object) -> str:
-    """The argument, if it is text."""
+def text(name: str, value: object) -> str:
+    """Returns `value` if it is a string. Raises `TypeError`."""
     if not isinstance(value, str):
-        raise TypeError(f"{what} is text, not a {type(value).__name__}")
+        raise TypeError(f"{name} must be a str, not {type(value).__name__}")
     return value
 
 
-def seconds(what: str, value: object) -> float:
-    """The argument, if it is a length of time."""
+def seconds(name: str, value: object) -> float:
+    """Returns `value` as a duration in seconds. Raises `TypeError` and `OptionError`."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{what} is a number of seconds, not a {type(value).__name__}")
+        raise TypeError(f"{name} must be a number of seconds, not {type(value).__name__}")
     if not 0 <= value <= 1e9:
-        raise OptionError(what, value, "it is a number of seconds, not below 0")
+        raise OptionError(name, value, "it must be 0 to 1e9 seconds")
     return float(value)
 
 
-def whole(what: str, value: object, least: int) -> int:
-    """The argument, if it is a whole number from `least` on."""
+def whole(name: str, value: object, minimum: int) -> int:
+    """Returns `value` if it is an integer of at least `minimum`. Raises `TypeError` and `OptionError`."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{what} is a whole number, not a {type(value).__name__}")
-    if not least <= value < 2**63:
-        raise OptionError(what, value, f"it is a whole number from {least} on")
+        raise TypeError(f"{name} must be an integer, not {type(value).__name__}")
+    if not minimum <= value < 2**63:
+        raise OptionError(name, value, f"it must be an integer of at least {minimum}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Owns what a program says about one topic: a publisher of Zenoh's, and the numbers of its messages."""
+"""Publishes the messages of one topic, and numbers them."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import qos, refused
+from rect._zenoh import qos, zenoh_error
 from rect.values import Payload
 
 _HIGHEST = 2**32
 
 
 class Publication:
-    """Says things, each with its number."""
+    """A Zenoh publisher whose messages carry a source and a sequence number."""
 
     def __init__(self, session: zenoh.Session, key: str, urgency: str, check: Callable[[], None]) -> None:
         try:
             self._publisher = session.declare_publisher(key, **qos(_rect.qos(urgency)))
         except zenoh.ZError as error:
-            raise refused("the publisher is refused", error) from None
+            raise zenoh_error("cannot declare the publisher", error) from None
         self._check = check
         self._source = random.getrandbits(16)
         self._next = 0
@@ -31,27 +31,27 @@ class Publication:
         self._encoding: tuple[str, zenoh.Encoding | None] = ("", None)
 
     def put(self, payload: Payload) -> None:
-        """Says it; waits where the link has no room."""
-        # Held while it is sent: two threads' messages go out in the order of their numbers.
+        """Publishes a payload. Waits if the link is congested."""
+        # The lock is held while sending, so that messages of several threads are sent in order of their numbers.
         with self._lock:
             self._check()
             attachment = _rect.write_attachment_now(self._source, self._next)
             try:
-                self._publisher.put(payload.bytes, encoding=self._as_zenohs(payload.encoding), attachment=attachment)
+                self._publisher.put(payload.bytes, encoding=self._convert(payload.encoding), attachment=attachment)
             except zenoh.ZError as error:
-                # It may have been closed meanwhile.
+                # The session may have been closed in the meantime.
                 self._check()
-                raise refused("the message is not sent", error) from None
+                raise zenoh_error("cannot send the message", error) from None
             self._next = (self._next + 1) % _HIGHEST
 
     def finish(self, timeout: float) -> None:
-        """Waits for who is saying something: a thread that Python's end finds in Zenoh ends the process."""
+        """Waits for a message that is being sent: Python aborts if a thread is inside Zenoh when it exits."""
         if self._lock.acquire(timeout=timeout):
             self._lock.release()
 
-    def _as_zenohs(self, encoding: str) -> Any:
-        known, made = self._encoding
-        if made is None or known != encoding:
-            made = zenoh.Encoding(encoding)
-            self._encoding = (encoding, made)
-        return made
+    def _convert(self, encoding: str) -> Any:
+        name, converted = self._encoding
+        if converted is None or name != encoding:
+            converted = zenoh.Encoding(encoding)
+            self._encoding = (encoding, converted)
+        return converted

@@ -1,4 +1,4 @@
-"""Owns asking the routers' registry: who is there, and by which connections (docs/registry.md has the keys)."""
+"""Queries the registry of routers: which robots are reachable, and over which connections (docs/registry.md)."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, refused
+from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect.choices import ConnectionState
 from rect.errors import NoService, PayloadError
-from rect.inbox import Ended, Inbox
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.request import service_error
 from rect.values import JSON, Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
 
-#: Routers answer at once; a slow link with much on it takes a while.
-_PATIENCE_S = 5.0
+#: Timeout of a query, in seconds. A router answers at once, but a congested slow link adds delay.
+_TIMEOUT_S = 5.0
 _ANSWERS = 4096
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Who is at the other end."""
+    """The other end of a connection."""
 
-    #: Zenoh's id of its router or program.
+    #: Zenoh id of the router or program.
     id: str
-    #: The robot, where it is one of RECT.
+    #: Name of the robot, if it uses RECT.
     robot: str | None = None
 
 
@@ -37,41 +38,42 @@ class Peer:
 class Connection:
     """A connection of a robot's router."""
 
-    #: `ble`, `tcp`, `udp`...
+    #: Method of the link: `ble`, `tcp`, `udp` and so on.
     method: str
-    #: Whom or where, without the method.
+    #: Address of the peer, without the method.
     address: str
-    #: `connected`, `connecting` (wanted, and not there), `discovered` (a robot that is heard, and not linked).
-    state: str
-    #: As the file of connections names it, if it does.
+    #: State: `connected`, `connecting` or `discovered`.
+    state: ConnectionState
+    #: Name in the connections file. `None` if the connection is not configured there.
     name: str | None = None
-    #: Who is at the other end, once that is known.
+    #: The other end, once it is known.
     peer: Peer | None = None
-    #: For how long it has been there, in seconds.
+    #: Time since the link was opened, in seconds.
     up_s: float | None = None
-    #: What went out, `{"batches": ..., "bytes": ...}`, where it is counted; `batches` is None where only bytes are.
+    #: Batches and bytes sent: `{"batches": ..., "bytes": ...}`. `None` if they are not counted; `batches` is `None` if
+    #: only bytes are counted.
     sent: dict[str, int | None] | None = None
-    #: What came, where it is counted.
+    #: Batches and bytes received, in the same form.
     received: dict[str, int | None] | None = None
-    #: There and back, in milliseconds, where it is measured.
+    #: Round trip, in milliseconds. `None` if it is not measured.
     round_trip_ms: float | None = None
-    #: How strong its signal is, where it was heard within a minute.
+    #: Received signal strength, in dBm. `None` if no signal was received within the last minute.
     rssi_dbm: int | None = None
-    #: How often it was made.
+    #: Number of times that the link was opened.
     linked: int | None = None
-    #: Attempts that came to nothing since then.
+    #: Number of failed attempts since the link was last opened.
     failed: int | None = None
-    #: What went wrong last: `{"what": ..., "ago_s": ...}`.
+    #: The last error: `{"what": ..., "ago_s": ...}`.
     last_error: dict[str, Any] | None = None
 
     @property
     def robot(self) -> str | None:
-        """The robot at the other end, where that is known."""
+        """Name of the robot at the other end. `None` if it is unknown."""
         return None if self.peer is None else self.peer.robot
 
 
 class Connections(list[Connection]):
-    """The connections of a robot: a list, which a notebook shows as a table."""
+    """A list of the connections of a robot. A notebook displays it as a table."""
 
     def _repr_html_(self) -> str:
         columns = ("name", "method", "address", "state", "robot", "up_s", "round_trip_ms", "rssi_dbm")
@@ -80,79 +82,79 @@ class Connections(list[Connection]):
         return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
-def ask(session: Session, robot: str, question: str, which: str) -> Any:
-    """The answer of a robot's registry to a question (docs/registry.md), of those that `which` selects."""
-    return _ask_router(session, robot, question, which, None).value
+def query(session: Session, robot: str, question: str, filter: str) -> Any:
+    """Returns the answer of a robot's registry to a question (docs/registry.md) about what `filter` selects."""
+    return _query_router(session, robot, question, filter, None).value
 
 
-def configure(session: Session, robot: str, how: str, what: str) -> None:
-    """Changes a robot's connections."""
-    _ask_router(session, robot, _rect.CONFIG, f"{how};by={session.place.robot}", what.encode())
+def configure(session: Session, robot: str, action: str, argument: str) -> None:
+    """Adds or removes a connection of a robot's router."""
+    _query_router(session, robot, _rect.CONFIG, f"{action};by={session.key_space.robot}", argument.encode())
 
 
-def _of_registry(question: str) -> str:
-    """What was asked for, for the error that nobody answers."""
+def _service_name(question: str) -> str:
+    """Returns the description of a question for the error that no router answers it."""
     if question != _rect.CONFIG:
         return f"the registry ({question})"
     return (
-        "changes of connections (the router's access control has to allow them, and its settings have to name a "
+        "changes of connections (the router's access control must allow them, and its settings must name a "
         "connections file)"
     )
 
 
-def _ask_router(session: Session, robot: str, question: str, parameters: str, payload: bytes | None) -> Payload:
-    key = session.place.own(robot, question)
-    replies: Inbox[zenoh.Reply] = Inbox(1, "oldest wins")
-    session.inboxes.add(replies)
+def _query_router(session: Session, robot: str, question: str, parameters: str, payload: bytes | None) -> Payload:
+    key = session.key_space.own(robot, question)
+    replies: ReceiveQueue[zenoh.Reply] = ReceiveQueue(1, "drop_newest")
+    session.receive_queues.add(replies)
     try:
         selector = f"{key}?{parameters}" if parameters else key
-        session.zenoh.get(selector, direct(replies.queue, replies.queue.end), timeout=_PATIENCE_S, payload=payload)
-        reply = replies.pop(_PATIENCE_S)
+        session.zenoh.get(selector, direct(replies.queue, replies.queue.end), timeout=_TIMEOUT_S, payload=payload)
+        reply = replies.pop(_TIMEOUT_S)
     except zenoh.ZError as error:
-        raise refused("the router can't be asked", error) from None
+        raise zenoh_error("cannot query the router", error) from None
     except (Ended, TimeoutError):
-        raise NoService(robot, _of_registry(question), peers(session)) from None
+        raise NoService(robot, _service_name(question), peers(session)) from None
     finally:
-        session.inboxes.discard(replies)
+        session.receive_queues.discard(replies)
     if reply.ok is not None:
         return Payload(payload_bytes(reply.ok.payload), JSON)
-    said = payload_bytes(None if reply.err is None else reply.err.payload)
-    raise service_error(robot, Payload(said, "text/plain"))
+    error_bytes = payload_bytes(None if reply.err is None else reply.err.payload)
+    raise service_error(robot, Payload(error_bytes, "text/plain"))
 
 
 def peers(session: Session) -> list[str]:
-    """The other robots of the fleet that are there now, by name."""
-    replies: Inbox[zenoh.Reply] = Inbox(_ANSWERS, "oldest wins")
-    session.inboxes.add(replies)
-    there = set()
+    """Returns the names of the other robots of the fleet that are reachable now, in order."""
+    replies: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_ANSWERS, "drop_newest")
+    session.receive_queues.add(replies)
+    reachable = set()
     try:
-        alive = session.place.own(None, "alive/*")
-        session.zenoh.liveliness().get(alive, direct(replies.queue, replies.queue.end), timeout=_PATIENCE_S)
+        alive = session.key_space.own(None, "alive/*")
+        session.zenoh.liveliness().get(alive, direct(replies.queue, replies.queue.end), timeout=_TIMEOUT_S)
         while True:
-            reply = replies.pop(_PATIENCE_S)
+            reply = replies.pop(_TIMEOUT_S)
             if reply.ok is not None:
-                there.add(session.place.robot_of(str(reply.ok.key_expr)))
+                reachable.add(session.key_space.robot_of(str(reply.ok.key_expr)))
     except zenoh.ZError as error:
-        raise refused("who is there is not known", error) from None
+        raise zenoh_error("cannot query which robots are reachable", error) from None
     except (Ended, TimeoutError):
         session.check()
     finally:
-        session.inboxes.discard(replies)
-    return sorted(robot for robot in there - {session.place.robot} if robot is not None)
+        session.receive_queues.discard(replies)
+    return sorted(robot for robot in reachable - {session.key_space.robot} if robot is not None)
 
 
-def connections(session: Session, robot: str, which: str) -> Connections:
-    """The connections of a robot's router."""
-    return Connections(_connection(one) for one in ask(session, robot, "connections", which))
+def connections(session: Session, robot: str, filter: str) -> Connections:
+    """Returns those connections of a robot's router that `filter` selects."""
+    return Connections(_connection(row) for row in query(session, robot, "connections", filter))
 
 
-def _connection(told: Any) -> Connection:
+def _connection(row: Any) -> Connection:
     try:
-        known = {field.name: told.get(field.name) for field in fields(Connection)}
-        peer = known.pop("peer")
-        return Connection(**known, peer=None if peer is None else Peer(peer["id"], peer.get("robot")))
+        values = {field.name: row.get(field.name) for field in fields(Connection)}
+        peer = values.pop("peer")
+        return Connection(**values, peer=None if peer is None else Peer(peer["id"], peer.get("robot")))
     except (AttributeError, KeyError, TypeError) as error:
-        text = f"the payload says that it is JSON, and is not, or not of the wanted shape: {error!r}"
+        text = f"the payload is not a list of connections in JSON: {error!r}"
         raise PayloadError(text, "read") from None
 
 

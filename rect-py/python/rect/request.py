@@ -1,4 +1,4 @@
-"""Owns asking a service, and its answers."""
+"""Requests from a program to services, and their replies."""
 
 from __future__ import annotations
 
@@ -11,44 +11,41 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, qos, refused
+from rect._zenoh import direct, payload_bytes, qos, zenoh_error
 from rect.errors import RectError, ServiceError, TimedOut, ZenohError
-from rect.inbox import Ended, Inbox
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
 
-#: How many answers wait for the program; a service that sends more waits.
+#: Number of replies that may wait for the program. A service that sends more is blocked.
 _REPLIES = 64
-#: Zenoh's own, when the time is over.
+#: Payload of the error that Zenoh itself sends when a request times out.
 _TIMEOUT = b"Timeout"
 
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer."""
+    """A reply to a request."""
 
-    #: Who answers.
+    #: Name of the robot that replied.
     sender: str
-    #: What it says, as bytes with an encoding.
+    #: The payload: bytes with an encoding.
     payload: Payload
 
     @property
     def value(self) -> Any:
-        """What it says; see `Message.value`."""
+        """The decoded payload; see `Message.value`."""
         return self.payload.value
-
-    @property
-    def from_(self) -> str:
-        """Who answers; `from` is a word of Python's own."""
-        return self.sender
 
 
 class Replies:
-    """The answers to one request, as they come: an iterator that waits for the next. Closing it cancels the request.
+    """Iterates over the replies to one request as they arrive. Returned by `Robot.request_all`.
 
-    An error of a service is raised by the `next` that would have given its answer; the one after goes on.
+    The iteration ends when all services have replied. Each step raises `ServiceError` if a service answered with an
+    error (the iteration can be continued after it), `TimedOut` after the timeout, and `Closed` if the robot is closed.
+    Closing this object cancels the request.
     """
 
     def __init__(
@@ -56,34 +53,34 @@ class Replies:
     ) -> None:
         self._session = session
         self._robot = robot
-        self._what = f"answer about {topic}"
+        self._expected = f"reply about {topic}"
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
-        self._inbox: Inbox[zenoh.Reply] = Inbox(_REPLIES, "wait")
+        self._queue: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_REPLIES, "block")
         self._cancellation = zenoh.CancellationToken()
-        asking = _rect.write_asking(session.place.robot, min(int(timeout * 1000), 2**32 - 1))
-        session.inboxes.add(self._inbox)
+        header = _rect.write_request_header(session.key_space.robot, min(int(timeout * 1000), 2**32 - 1))
+        session.receive_queues.add(self._queue)
         try:
-            session.lanes.of(urgency).get(
-                session.place.service(robot, topic),
-                # Zenoh drops the callback when the last answer has come.
-                direct(self._inbox.queue, self._inbox.queue.end),
+            session.urgency_sessions.of(urgency).get(
+                session.key_space.service(robot, topic),
+                # Zenoh drops the callback after the last reply.
+                direct(self._queue.queue, self._queue.queue.end),
                 payload=payload.bytes,
                 encoding=payload.encoding,
-                attachment=asking,
+                attachment=header,
                 timeout=timeout,
                 cancellation_token=self._cancellation,
-                **_asked(urgency),
+                **_get_arguments(urgency),
             )
         except zenoh.ZError as error:
-            raise refused("the request is not sent", error) from None
+            raise zenoh_error("cannot send the request", error) from None
 
     def __iter__(self) -> Iterator[Reply]:
         return self
 
     def __next__(self) -> Reply:
         try:
-            reply = self._inbox.pop(self._left())
+            reply = self._queue.pop(self._remaining())
         except Ended:
             self._check_closed()
             raise StopIteration from None
@@ -92,9 +89,9 @@ class Replies:
         return self._reply(reply)
 
     async def next_async(self) -> Reply | None:
-        """The next answer, for asyncio; `None`: there are no more."""
+        """Waits for the next reply with asyncio; returns `None` after the last one."""
         try:
-            reply = await self._inbox.pop_async(self._left())
+            reply = await self._queue.pop_async(self._remaining())
         except Ended:
             self._check_closed()
             return None
@@ -103,22 +100,22 @@ class Replies:
         return self._reply(reply)
 
     def leave(self) -> None:
-        """No more answers are taken; what still runs of the request is cancelled a little later, if it does then."""
-        self._inbox.close()
-        self._session.inboxes.discard(self._inbox)
-        if not self._inbox.queue.is_over:
-            self._session.left.append(self)
+        """Ignores further replies. If the request has not ended, it is cancelled later, without blocking now."""
+        self._queue.close()
+        self._session.receive_queues.discard(self._queue)
+        if not self._queue.queue.is_finished:
+            self._session.abandoned.append(self)
 
     def end(self) -> None:
-        """As `close`."""
+        """Does the same as `close`."""
         self.close()
 
     def close(self) -> None:
-        """Cancels the request, if it has not ended."""
-        self._inbox.close()
-        self._session.inboxes.discard(self._inbox)
-        if not self._inbox.queue.is_over and not self._session.is_closed:
-            # Waits for a callback that is running, which, once the inbox is closed, waits for nobody.
+        """Cancels the request if it has not ended."""
+        self._queue.close()
+        self._session.receive_queues.discard(self._queue)
+        if not self._queue.queue.is_finished and not self._session.is_closed:
+            # This waits for a running callback; since the queue is closed, that callback does not block.
             self._cancellation.cancel()
 
     def __enter__(self) -> Replies:
@@ -128,9 +125,9 @@ class Replies:
         self.close()
 
     def __repr__(self) -> str:
-        return f"Replies({self._what})"
+        return f"Replies({self._expected})"
 
-    def _left(self) -> float:
+    def _remaining(self) -> float:
         return max(self._deadline - time.monotonic(), 0)
 
     def _check_closed(self) -> None:
@@ -138,42 +135,42 @@ class Replies:
             raise self._session.closed_error()
 
     def timed_out(self) -> TimedOut:
-        self._inbox.close()
-        return TimedOut(self._what, self._timeout)
+        self._queue.close()
+        return TimedOut(self._expected, self._timeout)
 
     def _reply(self, reply: zenoh.Reply) -> Reply:
         if reply.ok is None:
             raise self._error(reply)
         key = str(reply.ok.key_expr)
-        address = self._session.place.address(key)
+        address = self._session.key_space.address(key)
         if address is None:
-            raise ZenohError("the answer is none of a robot", f"its key is {key!r}")
+            raise ZenohError("the reply does not come from a robot", f"its key is {key!r}")
         sender = address[0]
         payload = Payload(payload_bytes(reply.ok.payload), str(reply.ok.encoding))
         return Reply(sender, self._session.decoder.payload(sender, payload))
 
     def _error(self, reply: zenoh.Reply) -> RectError:
-        answer = reply.err
-        if answer is None:
-            return ZenohError("the answer is neither an answer nor an error", repr(reply))
-        robot, encoding = _rect.error_from(str(answer.encoding))
-        payload = Payload(payload_bytes(answer.payload), encoding)
+        error = reply.err
+        if error is None:
+            return ZenohError("the reply is neither a value nor an error", repr(reply))
+        robot, encoding = _rect.error_from(str(error.encoding))
+        payload = Payload(payload_bytes(error.payload), encoding)
         if robot is None and payload.bytes == _TIMEOUT:
             return self.timed_out()
-        # Only the robot that was asked can answer, whatever name the answer has.
+        # Only the requested robot can reply, so the name in the reply is not trusted.
         return service_error(None if robot is None else self._robot or robot, payload)
 
 
 @lru_cache
-def _asked(urgency: str) -> dict[str, Any]:
-    """How Zenoh is to treat a request of that urgency."""
-    treated = qos(_rect.qos(urgency))
-    del treated["congestion_control"]
-    return {**treated, "target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
+def _get_arguments(urgency: str) -> dict[str, Any]:
+    """Returns the arguments of Zenoh's `get` for a request of that urgency."""
+    arguments = qos(_rect.qos(urgency))
+    del arguments["congestion_control"]
+    return {**arguments, "target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
 
 
 def service_error(robot: str | None, payload: Payload) -> ServiceError:
-    """An error that came as an answer."""
+    """Makes a `ServiceError` from the payload of an error reply."""
     try:
         value = payload.value
     except RectError:

@@ -1,4 +1,4 @@
-"""Owns a program's place among the robots: everything that it can do there, in blocking form."""
+"""Defines `connect` and `Robot`, the blocking API of the package."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typing import Any, Union, overload
 import zenoh
 
 from rect import _rect, registry
-from rect._zenoh import LARGE_BYTES, patiently
+from rect._zenoh import LARGE_BYTES, call_interruptibly
+from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
 from rect.errors import NoService, OptionError
-from rect.inbox import DEFAULT_CAPACITY
 from rect.message import Message
 from rect.options import Options, seconds, text, whole
+from rect.receive_queue import DEFAULT_CAPACITY
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
@@ -22,13 +23,13 @@ from rect.session import Session
 from rect.state import Counters, Event, Events
 from rect.stream import Frame, Stream, Watch
 from rect.subscriber import Subscriber, Subscription, callable_or_none
-from rect.transfer import OnProgress, Progress, Received, Sending, Transfers
+from rect.transfer import OnProgress, OutgoingTransfer, Progress, Received, Transfers
 from rect.values import codec_of, payload_of
 
-#: How long a request waits unless told otherwise, in seconds.
+#: Default timeout of a request, in seconds.
 DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_MS / 1000
 
-#: The largest transfer that is taken unless told otherwise.
+#: Default for the size of the largest transfer that is accepted, in bytes.
 DEFAULT_MAX_BYTES = 64 << 20
 
 Handler = Callable[[Request], Any]
@@ -48,22 +49,23 @@ def connect(
     zenoh: Mapping[str, Any] | None = None,
     allow_name_mismatch: bool = False,
 ) -> Robot:
-    """Joins as a program of that robot, at the router of this computer.
+    """Connects to the router of this computer as a program of the robot `name`.
 
-    - `fleet`: the team's name.
-    - `router`: another router, as `tcp/192.168.0.7:7447`; default: what the environment's `RECT_ENDPOINT` says, else
-      `tcp/127.0.0.1:7447`.
-    - `endpoints`, `listen`: without a router: whom to connect to directly, and where others may connect to this
-      program, as `["ble/wombat-2"]`, `["tcp/0.0.0.0:7447"]`. They are dialled until they are there; joining does not
-      wait for that.
-    - `login`: user and password; default: the first line of `login_file`, `user:password`, if it can be read.
-    - `login_file`: default: what the environment's `RECT_LOGIN` says, else `/etc/rect/users`.
-    - `timeout`: how long to wait for the router, in seconds, so that a program may be started together with it.
-    - `zenoh`: any setting of Zenoh's configuration, by its path; goes before ours.
-    - `allow_name_mismatch`: joins although the router serves another robot, for a program that uses another name on
-      purpose. A router with access control as `rect-router init` writes it drops what such a program publishes.
+    - `fleet`: name of the team's fleet. Default: `rect`.
+    - `router`: locator of another router, such as `tcp/192.168.0.7:7447`. Default: the value of the environment
+      variable `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`.
+    - `endpoints`, `listen`: locators for a program that uses no router: `endpoints` are dialled until they are
+      reachable, such as `["ble/wombat-2"]`, and at `listen` others may connect, such as `["tcp/0.0.0.0:7447"]`. This
+      function does not wait for these links.
+    - `login`: user and password. Default: the first line of `login_file`, `user:password`, if it can be read.
+    - `login_file`: path of the login file. Default: the value of the environment variable `RECT_LOGIN`, or else
+      `/etc/rect/users`.
+    - `timeout`: time to wait for the router, in seconds, so that a program can be started together with it. Default: 5.
+    - `zenoh`: settings of Zenoh's configuration by their paths. They override the settings of this package.
+    - `allow_name_mismatch`: connects even if the router serves another robot, for a program that uses another name on
+      purpose. A router with access control as written by `rect-router init` drops what such a program publishes.
 
-    Raises `NoRouter`, `LoginRefused`, `WrongRobot`, `InvalidNameError`, `OptionError`.
+    Raises `NoRouter`, `LoginRefused`, `WrongRobot`, `InvalidNameError` and `OptionError`.
 
     >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
     ...     robot.publish("greeting", "hello")
@@ -74,50 +76,62 @@ def connect(
 
 
 class Robot:
-    """A program of a robot, joined with the others. Made by `connect`; may be used by several threads."""
+    """A program of a robot, connected to the other robots of the fleet.
+
+    Returned by `connect`. It may be used from several threads. Every method raises `Closed` after `close`.
+    """
 
     def __init__(self, options: Options) -> None:
         self._session = Session(options)
 
     @property
     def name(self) -> str:
-        """This robot's name."""
-        return self._session.place.robot
+        """Name of this robot."""
+        return self._session.key_space.robot
 
     @property
     def fleet(self) -> str:
-        """The fleet's name."""
-        return self._session.place.fleet
+        """Name of the fleet."""
+        return self._session.key_space.fleet
 
     @property
     def zenoh(self) -> zenoh.Session:
-        """The session of Zenoh below, for whatever Zenoh can do and this has no word for. What is urgent, and bulk,
-        goes over sessions of their own where there is a router."""
+        """Zenoh session of this robot, for features of Zenoh that this package does not cover.
+
+        With a router, urgent and bulk messages use separate sessions.
+        """
         session: zenoh.Session = self._session.zenoh
         return session
 
     @property
     def is_closed(self) -> bool:
-        """Whether it was closed."""
+        """Whether the robot was closed."""
         return self._session.is_closed
 
-    def publish(self, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None) -> None:
-        """Says it to all.
+    def publish(self, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
+        """Publishes `value` on `topic` to every subscriber.
 
-        `value`: text, bytes, a picture, a numpy array, or what JSON can say: dicts, lists, numbers, dataclasses...
-        `urgency`: `urgent` overtakes everything else, `bulk` is overtaken. `codec`: makes it smaller, as `zstd:9`,
-        `jpeg:60` or `packing(dictionary)`.
+        - `value`: text, bytes, a picture, a numpy array, or whatever JSON can represent: dicts, lists, numbers,
+          dataclasses and so on.
+        - `urgency`: `urgent` overtakes all other messages, and `bulk` is overtaken by them. Default: `normal`.
+        - `codec`: compresses the value: the name of a codec such as `zstd:9` or `jpeg:60`, or the result of
+          `share_dictionary`. Default: no compression.
 
-        Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `Closed`.
+        Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `OptionError` and `Closed`.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     robot.publish("arm/angle", {"degrees": 12.5}, urgency="urgent")
         """
-        self._say(topic, None, value, urgency, codec)
+        self._publish(topic, None, value, urgency, codec)
 
-    def send(self, robot: str, topic: str, value: Any, *, urgency: str = "normal", codec: CodecLike = None) -> None:
-        """Says it to one robot alone. Nobody is asked whether it is there: `request` does that.
+    def send(self, robot: str, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
+        """Sends `value` on `topic` to one robot only.
 
-        Raises as `publish`, and `InvalidNameError`.
+        This method does not check whether that robot is reachable; `request` does.
+
+        Raises the same errors as `publish`, and `InvalidNameError`.
         """
-        self._say(topic, text("robot", robot), value, urgency, codec)
+        self._publish(topic, text("robot", robot), value, urgency, codec)
 
     @overload
     def subscribe(
@@ -126,7 +140,7 @@ class Robot:
         callback: None = None,
         *,
         capacity: int = DEFAULT_CAPACITY,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscriber: ...
     @overload
     def subscribe(
@@ -135,7 +149,7 @@ class Robot:
         callback: Callable[[Message], object],
         *,
         capacity: int = DEFAULT_CAPACITY,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscription[Message]: ...
     def subscribe(
         self,
@@ -143,25 +157,34 @@ class Robot:
         callback: Callable[[Message], object] | None = None,
         *,
         capacity: int = DEFAULT_CAPACITY,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscriber | Subscription[Message]:
-        """The messages of a pattern, `<robot>/<topic>` with wildcards (`*/arm/*`): what those robots say to all, and
-        to this one alone. An iterator; or, with a callback, that is called for each, one after another.
+        """Subscribes to a pattern: messages that are published to all robots, or sent to this one.
 
-        `capacity`: how many wait for the program. `when_full`: `newest wins` (the oldest is dropped), `oldest wins`, or
-        `wait` (whoever sends does).
+        A pattern is `<robot>/<topic>`, both with wildcards: `*/arm/*`. Without a callback, returns a `Subscriber` to
+        iterate over. With a callback, calls it for each message, one call at a time, on a separate thread.
 
-        Raises `InvalidTopicError`, `OptionError`, `Closed`.
+        - `capacity`: number of messages that may wait for the program.
+        - `when_full`: `drop_oldest` (default) drops the message that has waited longest, `drop_newest` drops the
+          message that arrived last, and `block` makes the sender wait.
+
+        Raises `InvalidTopicError`, `OptionError` and `Closed`. Example:
+
+            for message in robot.subscribe("*/arm/angle"):
+                print(message.sender, message.value)
         """
         callable_or_none(callback)
         self._session.check()
         subscriber = Subscriber(self._session, text("pattern", pattern), capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
 
-    def listen(self, robot: str, topic: str, timeout: float | None = None) -> Message:
-        """The next message of a robot about a topic, to all or to this one alone, that is sent from now on.
+    def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
+        """Waits for the next message of `robot` on `topic` and returns it.
 
-        Raises `TimedOut` (seconds), `InvalidNameError`, `InvalidTopicError`, `Closed`.
+        Only messages that are sent after this call count. `timeout` is in seconds; `None`, the default, waits without
+        limit.
+
+        Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError` and `Closed`.
         """
         if timeout is not None:
             seconds("timeout", timeout)
@@ -175,15 +198,23 @@ class Robot:
         value: Any = "",
         *,
         timeout: float = DEFAULT_TIMEOUT,
-        urgency: str = "normal",
+        urgency: Urgency = "normal",
         codec: CodecLike = None,
     ) -> Reply:
-        """Asks a service of a robot, and waits for its first answer.
+        """Sends a request to a service of `robot`, and returns its first reply.
 
-        Raises `ServiceError` (it answers with an error), `NoService` (nobody serves that there; the text says who is
-        there), `TimedOut` (seconds), `InvalidNameError`, `InvalidTopicError`, `PayloadError`, `Closed`.
+        `timeout` is in seconds; default: 10. For `urgency` and `codec` see `publish`.
+
+        Raises `ServiceError` if the service replies with an error, `NoService` if no program of that robot serves the
+        topic (its text lists the reachable robots), `TimedOut`, `InvalidNameError`, `InvalidTopicError`,
+        `PayloadError` and `Closed`.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     service = robot.serve("double", lambda request: request.value * 2)
+        ...     robot.request("wombat-1", "double", 21).value
+        42
         """
-        replies = self._ask(text("robot", robot), topic, value, timeout, urgency, codec)
+        replies = self._request(text("robot", robot), topic, value, timeout, urgency, codec)
         try:
             for reply in replies:
                 return reply
@@ -197,21 +228,25 @@ class Robot:
         value: Any = "",
         *,
         timeout: float = DEFAULT_TIMEOUT,
-        urgency: str = "normal",
+        urgency: Urgency = "normal",
         codec: CodecLike = None,
     ) -> Replies:
-        """Asks a service of all robots that have it; answers come until all have answered, or the time is over."""
-        return self._ask(None, topic, value, timeout, urgency, codec)
+        """Sends a request to the services of all robots that serve `topic`, and returns an iterator of their replies.
+
+        The iteration ends when all have replied. For the parameters see `request`.
+        """
+        return self._request(None, topic, value, timeout, urgency, codec)
 
     @overload
     def serve(self, topic: str) -> Callable[[Handler], Service]: ...
     @overload
     def serve(self, topic: str, handler: Handler) -> Service: ...
     def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
-        """Serves a topic by a function of a `Request`: what it returns is the answer; a generator gives several. What
-        it raises arrives at the asker as `ServiceError`, and is logged here unless it is a `Refusal`.
+        """Serves requests on `topic` by calling `handler` with each `Request`.
 
-        As a decorator, or called with the function:
+        The return value of the handler is sent as the reply; a generator sends several. An exception of the handler
+        arrives at the requester as `ServiceError`, and is logged here unless it is a `Refusal`. Without `handler`, this
+        method is a decorator:
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     @robot.serve("double")
@@ -219,56 +254,77 @@ class Robot:
         ...         return request.value * 2
         ...     robot.request("wombat-1", "double", 21).value
         42
+
+        Raises `InvalidTopicError` and `Closed`.
         """
         self._session.check()
         text("topic", topic)
         if handler is None:
             return lambda handler: self.serve(topic, handler)
         if not callable(handler):
-            raise TypeError(f"handler is a function, not a {type(handler).__name__}")
+            raise TypeError(f"handler must be a function, not {type(handler).__name__}")
         return Service(self._session, topic, handler)
 
     def stream(
         self,
         topic: str,
         *,
-        mode: str | None = None,
+        mode: StreamMode | None = None,
         codec: CodecLike = None,
-        frames_per_s: float | None = None,
-        least_frames_per_s: float | None = None,
-        most_bytes_per_s: float | None = None,
-        feedback: float | None = None,
-        photographs: str = "jpeg",
-        urgency: str = "normal",
+        max_frames_per_s: float | None = None,
+        min_frames_per_s: float | None = None,
+        max_bytes_per_s: float | None = None,
+        feedback_interval: float | None = None,
+        lossy_format: LossyFormat = "jpeg",
+        urgency: Urgency = "normal",
     ) -> Stream:
-        """A stream of which the newest frame counts: what is old, a slow link drops.
+        """Opens a stream for sending frames. Only the newest frame counts: a slow link drops older ones.
 
-        `mode`: `adaptive` (pictures at the size, quality and rate that get through; the default without a codec),
-        `fixed` (frames as they are, at most `frames_per_s`; the default with a codec), `sensor` (values as they come;
-        nothing comes back). `feedback`: how often receivers say what comes, in seconds. `photographs`: `jpeg`, or
-        `webp`, which is smaller and takes longer to write. docs/streams.md tells the rest.
+        - `mode`: `adaptive` sends pictures at the size, quality and rate that the link allows (the default without a
+          codec); `fixed` sends frames unchanged, at most `max_frames_per_s` (the default with a codec); `sensor` sends
+          every value and receives no feedback.
+        - `codec`: compresses each frame; see `publish`.
+        - `max_frames_per_s`: maximum rate of frames. Default: 15.
+        - `min_frames_per_s`: rate that an adaptive stream maintains by reducing the size and quality of pictures.
+          Default: 5.
+        - `max_bytes_per_s`: maximum rate of bytes of an adaptive stream. Default: 20 million.
+        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never) to 3600. Default:
+          0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
+        - `lossy_format`: format of an adaptive stream's lossy pictures: `jpeg` (default), or `webp`, which is smaller
+          and takes longer to encode.
+        - `urgency`: see `publish`.
 
-        Raises `InvalidTopicError`, `OptionError`, `CodecError`, `Closed`.
+        docs/streams.md describes streams in detail.
+
+        Raises `InvalidTopicError`, `OptionError`, `CodecError` and `Closed`. Example:
+
+            camera = robot.stream("camera")
+            camera.send(numpy.zeros((240, 320, 3), numpy.uint8))
         """
         self._session.check()
         codec = codec_of(codec)
-        mode = mode or ("adaptive" if codec is None else "fixed")
         return Stream(
             self._session,
             text("topic", topic),
-            text("mode", mode),
+            text("mode", mode or ("adaptive" if codec is None else "fixed")),
             codec,
-            photographs,
+            lossy_format,
             text("urgency", urgency),
-            frames_per_s=frames_per_s,
-            least_frames_per_s=least_frames_per_s,
-            most_bytes_per_s=most_bytes_per_s,
-            feedback_s=feedback,
+            max_frames_per_s=max_frames_per_s,
+            min_frames_per_s=min_frames_per_s,
+            max_bytes_per_s=max_bytes_per_s,
+            feedback_interval_s=feedback_interval,
         )
 
     @overload
     def watch(
-        self, robot: str, topic: str, callback: None = None, *, capacity: int = 1, when_full: str = "newest wins"
+        self,
+        robot: str,
+        topic: str,
+        callback: None = None,
+        *,
+        capacity: int = 1,
+        when_full: WhenFull = "drop_oldest",
     ) -> Watch: ...
     @overload
     def watch(
@@ -278,7 +334,7 @@ class Robot:
         callback: Callable[[Frame], object],
         *,
         capacity: int = 1,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Subscription[Frame]: ...
     def watch(
         self,
@@ -287,12 +343,18 @@ class Robot:
         callback: Callable[[Frame], object] | None = None,
         *,
         capacity: int = 1,
-        when_full: str = "newest wins",
+        when_full: WhenFull = "drop_oldest",
     ) -> Watch | Subscription[Frame]:
-        """Watches a robot's stream: the newest frame waits until it is taken. An iterator; or, with a callback, that is
-        called for each. A program that wants all values of a sensor gives a larger `capacity`.
+        """Receives the stream of `robot` on `topic`.
 
-        Raises `InvalidNameError`, `InvalidTopicError`, `Closed`.
+        Without a callback, returns a `Watch` to iterate over. With a callback, calls it for each frame, one call at a
+        time, on a separate thread. By default only the newest frame waits for the program; to receive all values of a
+        sensor, choose a larger `capacity`. For `when_full` see `subscribe`.
+
+        Raises `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`. Example:
+
+            for frame in robot.watch("wombat-1", "camera"):
+                print(frame.number, frame.age, frame.value)
         """
         callable_or_none(callback)
         self._session.check()
@@ -309,16 +371,42 @@ class Robot:
         timeout: float | None = None,
         on_progress: OnProgress | None = None,
     ) -> None:
-        """Transfers a file (a path, as text or `Path`) or bytes of any size to one robot, and waits until all is there
-        and right. Everything else overtakes it. Links may come and go meanwhile, and either side may be restarted.
+        """Transfers a file or bytes of any size to one robot, and waits until the data has arrived and is verified.
 
-        `name`: what it is called there; default: the file's. `timeout`: how long nothing may be heard of the receiver,
-        in seconds; default: it may come back whenever it likes. `on_progress` gets a `Progress` up to ten times a
-        second.
+        All other messages overtake a transfer. It continues after a link was interrupted or either program restarted.
 
-        Raises `TransferRefused`, `TransferFailed`, `TimedOut`, `FileError`, `InvalidNameError`, `InvalidTopicError`.
+        - `data`: the path of a file (as text or `Path`), bytes, or any other value that `publish` accepts.
+        - `name`: file name for the receiver. Default: the name of the file.
+        - `timeout`: longest time without any sign of the receiver, in seconds. Default: no limit, so the receiver may
+          return at any time.
+        - `on_progress`: called with a `Progress`, at most ten times a second.
+
+        Raises `TransferRefused`, `TransferFailed`, `TimedOut`, `FileError`, `InvalidNameError`, `InvalidTopicError` and
+        `Closed`. Example:
+
+            robot.transfer("wombat-2", "maps", "kitchen.pcd", on_progress=print)
         """
-        self.sending(robot, topic, data, name, timeout, on_progress).run()
+        self.outgoing_transfer(robot, topic, data, name, timeout, on_progress).run()
+
+    def outgoing_transfer(
+        self,
+        robot: str,
+        topic: str,
+        data: Any,
+        name: str | None = None,
+        timeout: float | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> OutgoingTransfer:
+        """Prepares a transfer without starting it, so that the program can run it on another thread and stop it.
+
+        For the parameters and errors see `transfer`.
+        """
+        callable_or_none(on_progress)
+        self._session.check()
+        if timeout is not None:
+            seconds("timeout", timeout)
+        robot, topic = text("robot", robot), text("topic", topic)
+        return OutgoingTransfer(self._session, robot, topic, data, name=name, timeout=timeout, on_progress=on_progress)
 
     def receive_transfers(
         self,
@@ -326,18 +414,26 @@ class Robot:
         *,
         folder: str | os.PathLike[str] | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
-        at_once: int = 4,
-        patience: float = 600.0,
+        max_concurrent: int = 4,
+        timeout: float = 600.0,
         on_progress: Callable[[Received, Progress], object] | None = None,
     ) -> Transfers:
-        """Takes the transfers of a pattern (`*/maps/*`) that others send to this robot, until what this returns is
-        closed: an iterator of those that ended. Without it none is taken.
+        """Accepts the transfers that match a pattern such as `*/maps/*`, and returns an iterator of those that ended.
 
-        `folder`: they become files there, in a folder for each sender, and go on after a restart; default: in memory.
-        `max_bytes`: larger ones are refused. `at_once`: more of them wait; of one sender, more than half. `patience`:
-        how long nothing may come before one is given up, in seconds.
+        A robot refuses all transfers that none of its programs accepts. Closing the iterator ends the acceptance.
 
-        Raises `InvalidTopicError`, `FileError`, `Closed`.
+        - `folder`: stores transfers as files, in one subfolder per sender, so that they continue after a restart of the
+          program. Default: in memory.
+        - `max_bytes`: larger transfers are refused. Default: 64 MiB.
+        - `max_concurrent`: number of transfers received concurrently; further ones wait. One sender may use at most
+          half of them, rounded up. Default: 4.
+        - `timeout`: a transfer fails if nothing of it arrives for this time, in seconds. Default: 600.
+        - `on_progress`: called with the transfer and its `Progress`, at most ten times a second.
+
+        Raises `InvalidTopicError`, `FileError`, `OptionError` and `Closed`. Example:
+
+            for received in robot.receive_transfers("*/maps", folder="maps"):
+                print(received.error or received.content)
         """
         callable_or_none(on_progress)
         self._session.check()
@@ -346,48 +442,40 @@ class Robot:
             text("pattern", pattern),
             folder=folder,
             max_bytes=whole("max_bytes", max_bytes, 0),
-            at_once=whole("at_once", at_once, 1),
-            patience=seconds("patience", patience),
+            max_concurrent=whole("max_concurrent", max_concurrent, 1),
+            timeout=seconds("timeout", timeout),
             on_progress=on_progress,
         )
 
-    def sending(
-        self,
-        robot: str,
-        topic: str,
-        data: Any,
-        name: str | None = None,
-        timeout: float | None = None,
-        on_progress: OnProgress | None = None,
-    ) -> Sending:
-        """What `transfer` runs, for a program that runs it on a thread of its own and may stop it."""
-        callable_or_none(on_progress)
-        self._session.check()
-        if timeout is not None:
-            seconds("timeout", timeout)
-        robot, topic = text("robot", robot), text("topic", topic)
-        return Sending(self._session, robot, topic, data, name=name, patience=timeout, on_progress=on_progress)
+    def share_dictionary(self, dictionary: _rect.Dictionary) -> _rect.Codec:
+        """Shares a dictionary with all robots, and returns the codec that compresses with it.
 
-    def share(self, dictionary: _rect.Dictionary) -> _rect.Codec:
-        """Gives a dictionary to whoever asks for it. What is said with the codec that this returns is packed with it,
-        which small JSON needs to get much smaller; whoever hears it fetches the dictionary once."""
+        Pass the codec to `publish` or `send`. A receiver fetches the dictionary once, on the first message that needs
+        it. Small JSON messages compress well only with a dictionary.
+
+        Raises `ZenohError` and `Closed`. Example:
+
+            codec = robot.share_dictionary(rect.Dictionary.train(samples, 4096))
+            robot.publish("telemetry", {"angle_deg": 3}, codec=codec)
+        """
         self._session.check()
-        self._session.decoder.share(dictionary)
-        return _rect.Codec.packed(dictionary)
+        self._session.decoder.share_dictionary(dictionary)
+        return _rect.Codec.with_dictionary(dictionary)
 
     def peers(self) -> list[str]:
-        """The other robots of the fleet that are there now, by name."""
+        """Returns the names of the other robots of the fleet that are reachable now, in alphabetical order."""
         self._session.check()
         return registry.peers(self._session)
 
-    def connections(self, robot: str | None = None, which: str = "") -> Connections:
-        """The connections of this robot's router, or another's; those that `which` selects, as `method=ble` or
-        `peer=wombat-2;state=connected` (docs/registry.md).
+    def connections(self, robot: str | None = None, filter: str = "") -> Connections:
+        """Returns the connections of the router of `robot`. Default: this robot.
 
-        Raises `NoService` (no router with RECT's registry), `ServiceError`.
+        `filter` selects some of them, such as `method=ble` or `peer=wombat-2;state=connected` (docs/registry.md).
+
+        Raises `NoService` if there is no router with a registry, `ServiceError` if the filter is invalid, and `Closed`.
         """
         self._session.check()
-        return registry.connections(self._session, robot or self.name, which)
+        return registry.connections(self._session, robot or self.name, filter)
 
     def add_connection(
         self,
@@ -400,54 +488,68 @@ class Robot:
         options: Mapping[str, Any] | None = None,
         robot: str | None = None,
     ) -> None:
-        """Gives this robot's router, or another's, a connection, instead of the one of that name if it has one; it is
-        dialled from now on, and after a restart.
+        """Adds a named connection to the router of `robot`. Default: this robot.
 
-        `method`: `ble`, `tcp`, `udp`; `address`: a host, for `ble` a robot's name or Bluetooth address; `options` of
-        the method's locator, as `{"mtu": 512}`.
+        The connection replaces one of the same name. The router dials it from now on, also after a restart.
 
-        Raises `ServiceError` (it can't be, and why), `NoService` (no router whose settings name a file of connections).
+        - `method`: `ble`, `tcp` or `udp`.
+        - `address`: a host, or for `ble` a robot's name or Bluetooth address.
+        - `port`, `psm`: port of the host, or PSM of the Bluetooth channel; 0 to 65535. Default: that of the method.
+        - `options`: options of the method's locator, such as `{"mtu": 512}`.
+
+        Raises `ServiceError` if the connection is invalid (its text says why), `NoService` if the router's settings
+        name no connections file, `OptionError` and `Closed`.
         """
         self._session.check()
-        known = _rect.write_value(dict(options or {}))[0]
-        given = (text("name", name), text("method", method), text("address", address))
-        for what, number in (("port", port), ("psm", psm)):
-            if number is not None and not 0 <= whole(what, number, 0) < 2**16:
-                raise OptionError(what, number, "it is a whole number from 0 to 65535")
-        connection = _rect.named_connection(*given, port, psm, known)
+        encoded_options = _rect.write_value(dict(options or {}))[0]
+        arguments = (text("name", name), text("method", method), text("address", address))
+        for option, number in (("port", port), ("psm", psm)):
+            if number is not None and not 0 <= whole(option, number, 0) < 2**16:
+                raise OptionError(option, number, "it must be an integer from 0 to 65535")
+        connection = _rect.named_connection(*arguments, port, psm, encoded_options)
         registry.configure(self._session, robot or self.name, _rect.ADD, connection)
 
     def remove_connection(self, name: str, *, robot: str | None = None) -> None:
-        """Takes a connection from this robot's router, or another's; its link ends.
+        """Removes a named connection from the router of `robot`, and closes its link. Default: this robot.
 
-        Raises `ServiceError` (it has none of that name), `NoService` as `add_connection`.
+        Raises `ServiceError` if there is no connection of that name, `NoService` if the router's settings name no
+        connections file, and `Closed`.
         """
         self._session.check()
         registry.configure(self._session, robot or self.name, _rect.REMOVE, text("name", name))
 
-    def ask_registry(self, question: str, *, robot: str | None = None, which: str = "") -> Any:
-        """Any other question of the registry, as `connections/count` or `status` (docs/registry.md)."""
-        self._session.check()
-        return registry.ask(self._session, robot or self.name, text("question", question), which)
+    def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
+        """Sends a question such as `connections/count` or `status` to the registry of a router, and returns its answer.
 
-    @overload
-    def on_state(self, callback: None = None) -> Events: ...
-    @overload
-    def on_state(self, callback: Callable[[Event], object]) -> Subscription[Event]: ...
-    def on_state(self, callback: Callable[[Event], object] | None = None) -> Events | Subscription[Event]:
-        """What changes about who can be reached: robots that come and go, links and over which radio, and the router
-        itself; first of all who is there already. An iterator; or, with a callback, that is called for each."""
-        callable_or_none(callback)
+        docs/registry.md lists the questions and filters. `robot` defaults to this robot.
+
+        Raises `NoService` if there is no router with a registry, `ServiceError` if the filter is invalid, and `Closed`.
+        """
         self._session.check()
-        events = Events(self._session)
-        return events if callback is None else Subscription(events, callback, "state")
+        return registry.query(self._session, robot or self.name, text("question", question), filter)
+
+    def events(self) -> Events:
+        """Returns an iterator of events: robots, links and the router that appear and disappear.
+
+        The first events report the robots and links that exist already. Example:
+
+            for event in robot.events():
+                print(event.kind, event.robot)
+        """
+        self._session.check()
+        return Events(self._session)
+
+    def on_event(self, callback: Callable[[Event], object]) -> Subscription[Event]:
+        """Calls `callback` for each event, one call at a time, on a separate thread; see `events`."""
+        callable_or_none(callback)
+        return Subscription(self.events(), callback, "events")
 
     def counters(self) -> Counters:
-        """What this program has said and heard."""
-        return Counters(*self._session.counting.read())
+        """Returns the counts of messages that this program has sent and received since it connected."""
+        return Counters(*self._session.counters.read())
 
     def close(self) -> None:
-        """Ends the session, and all that belongs to it. Closed twice is closed."""
+        """Closes the session and everything that belongs to it. Closing it again has no effect."""
         self._session.close()
 
     def __enter__(self) -> Robot:
@@ -459,18 +561,18 @@ class Robot:
     def __repr__(self) -> str:
         return f"Robot({self.fleet}/{self.name}{', closed' if self.is_closed else ''})"
 
-    def _say(self, topic: str, to: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
+    def _publish(self, topic: str, recipient: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         session = self._session
         session.check()
         payload = payload_of(value, codec_of(codec))
-        publication = session.publication(text("topic", topic), to, text("urgency", urgency))
+        publication = session.publication(text("topic", topic), recipient, text("urgency", urgency))
         if len(payload.bytes) < LARGE_BYTES:
             publication.put(payload)
         else:
-            patiently(lambda: publication.put(payload))
-        session.counting.on_sent(len(payload.bytes))
+            call_interruptibly(lambda: publication.put(payload))
+        session.counters.on_sent(len(payload.bytes))
 
-    def _ask(
+    def _request(
         self, robot: str | None, topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike
     ) -> Replies:
         self._session.check()

@@ -1,4 +1,4 @@
-"""Owns serving: the requests that come to a service of this program, and their answers."""
+"""Serves requests: receives those for one topic, calls the handler, and sends its replies."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, refused
+from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.errors import CodecError, RectError
-from rect.inbox import Ended, Inbox
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.subscriber import Declared
 from rect.values import Payload, payload_of
 
@@ -22,14 +22,17 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 _LOG = logging.getLogger("rect")
-#: How many requests wait for the program; more are answered with an error at once.
+#: Number of requests that may wait for the program. Any further request is answered with an error at once.
 _WAITING = 256
-#: How many are worked on at a time.
-AT_A_TIME = 16
+#: Number of requests that a service handles concurrently.
+MAX_CONCURRENT = 16
 
 
 class Refusal(Exception):
-    """Raised by a handler: the asker gets the value as the error, and nothing is logged here."""
+    """Answers a request with an error. To be raised by a handler.
+
+    The requester receives `value` in a `ServiceError`. Unlike for any other exception, nothing is logged.
+    """
 
     def __init__(self, value: Any) -> None:
         super().__init__(value)
@@ -37,119 +40,123 @@ class Refusal(Exception):
 
 
 class Request:
-    """A request. Closed without an answer it tells the asker that there is none."""
+    """A request to a service. If it is closed without a reply, the requester receives none."""
 
     __slots__ = ("_key", "_me", "_query", "deadline", "payload", "sender")
 
-    def __init__(self, query: zenoh.Query, me: str, key: str, ago: float = 0) -> None:
+    def __init__(self, query: zenoh.Query, me: str, key: str, age: float = 0) -> None:
         attachment = query.attachment
-        asking = None if attachment is None else _rect.read_asking(attachment.to_bytes())
-        sender, timeout_ms = asking or (None, _rect.DEFAULT_TIMEOUT_MS)
+        header = None if attachment is None else _rect.read_request_header(attachment.to_bytes())
+        sender, timeout_ms = header or (None, _rect.DEFAULT_TIMEOUT_MS)
         encoding = query.encoding
         self._query = query
         self._me = me
         self._key = key
-        #: Who asks, as the program says of itself; `None`: a stock program, which does not say. Zenoh does not verify
-        #: it: do not let permissions depend on it.
+        #: Name of the robot that sent the request, as stated by its program. `None` if that program does not use RECT.
+        #: The name is not verified: do not base permissions on it.
         self.sender = sender
-        #: What is asked, as bytes with an encoding.
+        #: The payload: bytes with an encoding.
         self.payload = Payload(payload_bytes(query.payload), "zenoh/bytes" if encoding is None else str(encoding))
-        #: Until when an answer is of use, by `time.monotonic()`.
-        self.deadline = time.monotonic() - ago + timeout_ms / 1000
+        #: Time at which the requester stops waiting, by `time.monotonic()`.
+        self.deadline = time.monotonic() - age + timeout_ms / 1000
 
     @property
     def value(self) -> Any:
-        """What is asked; see `Message.value`."""
+        """The decoded payload; see `Message.value`."""
         return self.payload.value
 
     @property
-    def from_(self) -> str | None:
-        """Who asks; `from` is a word of Python's own."""
-        return self.sender
-
-    @property
     def topic(self) -> str:
-        """Which service is asked."""
+        """Topic of the service."""
         return self._key.split("/", 2)[2]
 
     @property
     def remaining(self) -> float:
-        """How long an answer is of use still, in seconds."""
+        """Time until the requester stops waiting, in seconds; 0 if it has stopped."""
         return max(self.deadline - time.monotonic(), 0)
 
     def reply(self, value: Any) -> None:
-        """Answers; several answers are several calls. Raises `PayloadError`, `ZenohError`."""
+        """Sends a reply. May be called several times.
+
+        Raises `PayloadError` and `ZenohError`.
+        """
         payload = payload_of(value)
         try:
             self._query.reply(self._key, payload.bytes, encoding=payload.encoding)
         except zenoh.ZError as error:
-            raise refused("the answer is not sent", error) from None
+            raise zenoh_error("cannot send the reply", error) from None
 
     def refuse(self, error: Any) -> None:
-        """Answers with an error, which the asker gets as `ServiceError`."""
+        """Sends an error, which the requester receives as `ServiceError`.
+
+        Raises `PayloadError` and `ZenohError`.
+        """
         payload = payload_of(error)
         encoding = _rect.error_encoding(self._me, payload.encoding)
         try:
             self._query.reply_err(payload.bytes, encoding=encoding)
         except zenoh.ZError as refusal:
-            raise refused("the answer is not sent", refusal) from None
+            raise zenoh_error("cannot send the reply", refusal) from None
 
     def close(self) -> None:
-        """No more answers come."""
+        """Ends the request: no more replies follow."""
         self._query.drop()
 
     def refuse_for(self, error: BaseException) -> None:
-        """Answers with what a handler raised."""
+        """Sends an error that describes the exception of a handler, and logs it unless it was raised on purpose."""
         if isinstance(error, Refusal):
             self.refuse(error.value)
             return
         if not isinstance(error, RectError):
-            _LOG.error("the service %s raised", self.topic, exc_info=error)
-        self.refuse(shown(error))
+            _LOG.error("the handler of the service %s raised an exception", self.topic, exc_info=error)
+        self.refuse(error_text(error))
 
     def __repr__(self) -> str:
         return f"Request({self.sender}, {self.topic})"
 
 
 class Requests:
-    """The requests to a service, as they come."""
+    """Receives the requests to a service."""
 
     def __init__(self, session: Session, topic: str) -> None:
         self._session = session
-        self._inbox: Inbox[tuple[zenoh.Query, _rect.Moment]] = Inbox(_WAITING, "oldest wins")
-        self._key = session.place.publication(topic)
-        on_request = _rect.OnRequest(self._inbox.queue, _busy(session.place.robot, self._key))
-        self._declared = Declared(session, self._inbox)
+        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(_WAITING, "drop_newest")
+        self._key = session.key_space.publication(topic)
+        on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot, self._key))
+        self._declared = Declared(session, self._queue)
         try:
             self._declared.add(session.zenoh.declare_queryable(self._key, direct(on_request), complete=True))
         except zenoh.ZError as error:
             self._declared.end()
-            raise refused("the service is refused", error) from None
+            raise zenoh_error("cannot declare the service", error) from None
 
     def next(self) -> Request:
-        """The next request that is of use. Raises `Ended`."""
+        """Waits for the next request that can still be answered. Raises `Ended`."""
         while True:
-            request = self._request(*self._inbox.pop())
-            if self._is_of_use(request):
+            request = self._request(*self._queue.pop())
+            if self._decode(request):
                 return request
 
     async def next_async(self) -> Request:
-        """The same for asyncio."""
+        """Does the same as `next`, for asyncio."""
         while True:
-            request = self._request(*await self._inbox.pop_async())
-            if self._is_of_use(request):
+            request = self._request(*await self._queue.pop_async())
+            if self._decode(request):
                 return request
 
-    def _request(self, query: zenoh.Query, came: _rect.Moment) -> Request:
-        return Request(query, self._session.place.robot, self._key, came.ago())
+    def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request:
+        return Request(query, self._session.key_space.robot, self._key, arrived_at.ago())
 
-    def _is_of_use(self, request: Request) -> bool:
-        """Unpacks it; one that can't be unpacked is answered with that error, and one too late is left."""
+    def _decode(self, request: Request) -> bool:
+        """Decodes the request, and returns whether to handle it.
+
+        A request that cannot be decoded is answered with the error. One that is too late is dropped.
+        """
         if request.remaining == 0:
             request.close()
             return False
         try:
-            sender = request.sender or self._session.place.robot
+            sender = request.sender or self._session.key_space.robot
             request.payload = self._session.decoder.payload(sender, request.payload)
         except CodecError as error:
             request.refuse(str(error))
@@ -162,7 +169,10 @@ class Requests:
 
 
 class Service:
-    """A service that answers by a function, until this is closed, or the robot is. Up to 16 requests at a time."""
+    """Answers the requests to a topic by calling a function, for up to 16 requests concurrently.
+
+    Returned by `Robot.serve`. It ends when it or the robot is closed.
+    """
 
     def __init__(self, session: Session, topic: str, handler: Callable[[Request], Any]) -> None:
         self._topic = topic
@@ -171,10 +181,10 @@ class Service:
         self._workers = 0
         self._idle = 0
         self._requests = Requests(session, topic)
-        self._see_to_the_next()
+        self._ensure_waiting_worker()
 
     def close(self) -> None:
-        """Ends it. What is worked on is still answered."""
+        """Ends the service. Requests that are being handled are still answered."""
         self._requests.close()
 
     def __enter__(self) -> Service:
@@ -184,16 +194,16 @@ class Service:
         self.close()
 
     def __call__(self, request: Request) -> Any:
-        """The function itself, so that what `@robot.serve` decorates stays one."""
+        """Calls the handler, so that a function decorated by `@robot.serve` remains callable."""
         return self._handler(request)
 
     def __repr__(self) -> str:
         return f"Service({self._topic})"
 
-    def _see_to_the_next(self) -> None:
-        """Somebody waits for the next request, unless all that may work do."""
+    def _ensure_waiting_worker(self) -> None:
+        """Starts a worker unless one waits for a request already, or the limit is reached."""
         with self._lock:
-            if self._idle or self._workers >= AT_A_TIME:
+            if self._idle or self._workers >= MAX_CONCURRENT:
                 return
             self._idle += 1
             self._workers += 1
@@ -207,42 +217,42 @@ class Service:
                 return
             with self._lock:
                 self._idle -= 1
-            self._see_to_the_next()
+            self._ensure_waiting_worker()
             answer(request, self._handler)
             with self._lock:
                 self._idle += 1
 
 
-def shown(error: BaseException) -> str:
-    """What an asker is told of what a handler raised."""
+def error_text(error: BaseException) -> str:
+    """Returns the text with which the requester is informed of the exception of a handler."""
     if isinstance(error, SystemExit):
         return f"the service called sys.exit({'' if error.code is None else repr(error.code)})"
     return str(error) or type(error).__name__
 
 
-def _busy(me: str, key: str) -> Callable[[zenoh.Query], None]:
+def _refuse_overload(me: str, key: str) -> Callable[[zenoh.Query], None]:
     def refuse(query: zenoh.Query) -> None:
         request = Request(query, me, key)
-        request.refuse(f"{_WAITING} requests wait already: ask later")
+        request.refuse(f"the service is overloaded: {_WAITING} requests are waiting. Try again later.")
         request.close()
 
     return refuse
 
 
 def answer(request: Request, handler: Callable[[Request], Any]) -> None:
-    """Answers by what the handler returns, yields or raises."""
+    """Calls the handler and sends what it returns, yields or raises."""
     try:
         try:
-            said = handler(request)
-            if inspect.isgenerator(said):
-                for one in said:
-                    request.reply(one)
+            result = handler(request)
+            if inspect.isgenerator(result):
+                for value in result:
+                    request.reply(value)
             else:
-                request.reply(said)
+                request.reply(result)
         except BaseException as error:
-            # `sys.exit` too: it would end this thread alone, and the requester would be told that nobody serves.
+            # `sys.exit` included: it would end only this thread, and the requester would receive no reply.
             request.refuse_for(error)
     except Exception as error:
-        _LOG.warning("an answer was not sent: %s", error)
+        _LOG.warning("cannot send a reply: %s", error)
     finally:
         request.close()

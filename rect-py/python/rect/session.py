@@ -1,4 +1,4 @@
-"""Owns what all of one program's handles share: the session below, how it ends, and what a fork makes of it."""
+"""Holds the state that all handles of one robot share, closes it in order, and disables it after a fork."""
 
 from __future__ import annotations
 
@@ -14,61 +14,62 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect, state
-from rect._zenoh import patiently, refused
+from rect._zenoh import call_interruptibly, zenoh_error
 from rect.decoder import Decoder
 from rect.errors import Closed
-from rect.inbox import Inbox
-from rect.lanes import Lanes
 from rect.options import Options, tokens_of_router
 from rect.publication import Publication
+from rect.receive_queue import ReceiveQueue
 from rect.request import Replies
-from rect.state import Known
+from rect.state import RouterLinks
 from rect.subscriber import Declared, undeclared
+from rect.urgency_sessions import UrgencySessions
 
 if TYPE_CHECKING:
     from rect.stream import Stream
 
-#: The most topics whose publishers are kept; of more, they are declared anew when one speaks about them again.
+#: Maximum number of publishers to keep. Beyond it, they are declared again when their topics are used again.
 _MAX_PUBLICATIONS = 256
 
 
 class Session:
-    """What all of one program's handles share: the session below, and what has to end with it."""
+    """The shared state of one robot: its Zenoh sessions, and everything that ends with them."""
 
     def __init__(self, options: Options) -> None:
         if _FORKED:
             raise Closed(_AFTER_FORK)
-        self.place = options.place()
+        self.key_space = options.key_space()
         self.is_direct = options.is_direct
         _ONCE_OPEN[:] = [True]
         self.zenoh = options.open()
-        self.lanes = Lanes(self.zenoh, None if self.is_direct else options.open)
-        self.decoder = Decoder(self.zenoh, self.place)
-        self.counting = _rect.Counting()
-        #: Whatever is declared, until it ends.
+        self.urgency_sessions = UrgencySessions(self.zenoh, None if self.is_direct else options.open)
+        self.decoder = Decoder(self.zenoh, self.key_space)
+        self.counters = _rect.AtomicCounters()
+        #: Handles with open declarations.
         self.handles: set[Declared] = set()
-        #: What nobody has any more, and is to be ended where that may take a moment.
-        self.left: deque[Declared | Replies] = deque()
-        #: Where somebody waits for answers.
-        self.inboxes: set[Inbox[Any]] = set()
-        #: Called when it closes, before Zenoh does.
-        self.endings: list[Callable[[], object]] = []
-        #: What sends frames.
+        #: Garbage-collected handles; `check` ends them, since that may block.
+        self.abandoned: deque[Declared | Replies] = deque()
+        #: Queues at which a call waits for replies.
+        self.receive_queues: set[ReceiveQueue[Any]] = set()
+        #: Functions to call on close, before the Zenoh sessions are closed.
+        self.close_callbacks: list[Callable[[], object]] = []
+        #: Streams that send frames.
         self.streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str], Publication] = {}
-        self.known: Known | None = None
+        #: Links of the robot's router; `None` without a router.
+        self.router_links: RouterLinks | None = None
         self._presence: zenoh.LivelinessToken | None = None
         _OPEN.add(self)
         try:
             if self.is_direct:
-                self._presence = state.say_there(self.zenoh, self.place)
+                self._presence = state.declare_liveliness(self.zenoh, self.key_space)
             else:
                 if not options.allow_name_mismatch:
-                    _rect.check_router(self.place, options.endpoint, tokens_of_router(self.zenoh))
-                self.known = Known(self)
+                    _rect.check_router(self.key_space, options.endpoint, tokens_of_router(self.zenoh))
+                self.router_links = RouterLinks(self)
         except BaseException:
             self.close()
             raise
@@ -81,55 +82,56 @@ class Session:
         return Closed(self._why_closed or "the session is closed")
 
     def check(self) -> None:
-        """Raises if it is closed; ends what nobody has any more."""
+        """Raises `Closed` if the session is closed. Ends the garbage-collected handles."""
         if self._why_closed is not None:
             raise self.closed_error()
-        while self.left:
+        while self.abandoned:
             with contextlib.suppress(IndexError):
-                self.left.popleft().end()
+                self.abandoned.popleft().end()
 
-    def publication(self, topic: str, to: str | None, urgency: str) -> Publication:
-        spoken = (topic, to, urgency)
-        known = self._publications.get(spoken)
-        if known is not None:
-            return known
-        place = self.place
-        key = place.publication(topic) if to is None else place.message(to, topic)
-        made = Publication(self.lanes.of(urgency), key, urgency, self.check)
+    def publication(self, topic: str, recipient: str | None, urgency: str) -> Publication:
+        """Returns the publisher of a topic, for all robots or one recipient, and declares it if necessary."""
+        key_parts = (topic, recipient, urgency)
+        publication = self._publications.get(key_parts)
+        if publication is not None:
+            return publication
+        key_space = self.key_space
+        key = key_space.publication(topic) if recipient is None else key_space.message(recipient, topic)
+        publication = Publication(self.urgency_sessions.of(urgency), key, urgency, self.check)
         with self._lock:
             if len(self._publications) >= _MAX_PUBLICATIONS:
                 self._publications.clear()
-            return self._publications.setdefault(spoken, made)
+            return self._publications.setdefault(key_parts, publication)
 
     def close(self) -> None:
         with self._lock:
             if self._why_closed is not None:
                 return
             self._why_closed = "the session is closed"
-        for ending in list(self.endings):
-            ending()
+        for callback in list(self.close_callbacks):
+            callback()
         for handle in list(self.handles):
             handle.end()
-        for inbox in list(self.inboxes):
-            inbox.close()
+        for queue in list(self.receive_queues):
+            queue.close()
         if self._presence is not None:
             undeclared(self._presence)
         _OPEN.discard(self)
         try:
-            patiently(self.lanes.close)
+            call_interruptibly(self.urgency_sessions.close)
         except zenoh.ZError as error:
-            raise refused("the session does not close", error) from None
+            raise zenoh_error("cannot close the session", error) from None
         finally:
             self._finish()
 
     def start(self, name: str, run: Callable[[], object]) -> None:
-        """Runs something on a thread of its own, which ends soon after the session does."""
+        """Runs a function on a new thread, which has to end soon after the session is closed."""
         thread = threading.Thread(target=run, name=name, daemon=True)
         self._threads.add(thread)
         thread.start()
 
     def _finish(self) -> None:
-        """Waits for what is in Zenoh still: where Python ends, nobody may be."""
+        """Waits for threads that are still inside Zenoh: none may be there when Python exits."""
         with self._lock:
             publications = list(self._publications.values())
         for publication in publications:
@@ -141,27 +143,27 @@ class Session:
                 thread.join(_FINISH_S)
 
     def on_fork(self) -> None:
-        """In a child process, where Zenoh's threads are not: nothing of it may be touched, not even to end it."""
+        """Disables the session in a child process, which has no Zenoh threads: it must not even be closed there."""
         self._why_closed = _AFTER_FORK
-        # With it all of Zenoh's that it leads to: their ends would wait for locks that the parent's threads held.
+        # Leak it and all its Zenoh objects: dropping them would wait for locks that threads of the parent held.
         _rect.forget(self)
-        for inbox in list(self.inboxes):
-            inbox.on_fork()
+        for queue in list(self.receive_queues):
+            queue.on_fork()
         for handle in list(self.handles):
             handle.on_fork()
 
 
-#: How long the end waits for one that is in Zenoh still, in seconds.
+#: Longest wait on close for one thread that is still inside Zenoh, in seconds.
 _FINISH_S = 1.0
 _AFTER_FORK = (
     "Zenoh does not work in a process that was forked from one where it ran: fork before rect.connect, or start "
-    'processes by multiprocessing.get_context("spawn")'
+    'processes with multiprocessing.get_context("spawn")'
 )
-#: Whether a robot was joined in the process that this one was forked from.
+#: Not empty if this process was forked from one that had used Zenoh.
 _FORKED: list[bool] = []
-#: Whether one was joined in this process.
+#: Not empty if this process has used Zenoh.
 _ONCE_OPEN: list[bool] = []
-#: All that are open: they end before Python does, whose threads Zenoh's would wait for.
+#: All open sessions. They are closed before Python exits, because Zenoh's threads would wait for Python's.
 _OPEN: weakref.WeakSet[Session] = weakref.WeakSet()
 
 

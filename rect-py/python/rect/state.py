@@ -1,4 +1,4 @@
-"""Owns what a program is told about who can be reached, and its counters."""
+"""Reports robots and links that appear and disappear, and the counters of a program."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, refused
+from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect.choices import EventKind
 from rect.errors import TimedOut
-from rect.inbox import DEFAULT_CAPACITY, Ended, Inbox
+from rect.receive_queue import DEFAULT_CAPACITY, Ended, ReceiveQueue
 from rect.subscriber import Declared
 
 if TYPE_CHECKING:
@@ -21,111 +22,117 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Event:
-    """Something has changed about who can be reached."""
+    """A robot, a link or the router that appeared or disappeared."""
 
-    #: `peer_up`, `peer_down` (a robot of the fleet), `link_up`, `link_down` (of this robot's router; without a router,
-    #: of this program), `router_up`, `router_down` (of this program). `link_up` comes again, with the robot, if
-    #: the link turns out to lead to one later on.
-    what: str
-    #: Which robot, where that is known.
+    #: Kind of the event.
+    kind: EventKind
+    #: Name of the robot, if it is known.
     robot: str | None = None
-    #: Of a link: `ble`, `tcp`, `udp`...
+    #: Method of the link: `ble`, `tcp`, `udp` and so on. `None` for other kinds.
     method: str | None = None
-    #: Of a link: where it leads.
+    #: Address of the peer of the link. `None` for other kinds.
     address: str | None = None
 
 
 @dataclass(frozen=True)
 class Counters:
-    """What a program has said and heard, since it joined."""
+    """Counts of the messages of a program since it connected. Requests and replies are not included."""
 
-    #: Messages said, answers and requests not counted.
+    #: Messages published or sent.
     sent: int
-    #: Their payloads, in bytes, as they were sent.
+    #: Size of their payloads after compression, in bytes.
     sent_bytes: int
-    #: Messages heard, each subscription's.
+    #: Messages received, summed over all subscriptions.
     received: int
-    #: Their payloads, in bytes, as they came.
+    #: Size of their payloads before decompression, in bytes.
     received_bytes: int
-    #: Messages that did not arrive, by their numbers.
+    #: Messages that did not arrive, according to the sequence numbers.
     missed: int
-    #: Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
-    #: more than 200 bytes, reserved parts).
+    #: Messages of other Zenoh programs that were dropped because their topic is invalid in RECT: it contains control
+    #: characters or reserved parts, or is longer than 200 bytes.
     rejected: int
 
 
 class Events:
-    """What changes about who can be reached, as it changes; first of all who is there already. An iterator."""
+    """Iterates over events: robots, links and the router that appear and disappear. Returned by `Robot.events`.
+
+    The first events report the robots and links that exist already.
+    """
 
     dropped = 0
-    _WHAT = "news of who can be reached"
+    _EXPECTED = "event"
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._inbox: Inbox[Event] = Inbox(DEFAULT_CAPACITY, "newest wins")
-        self._declared = Declared(session, self._inbox)
-        place, direct_links = session.place, session.is_direct
-        inbox = self._inbox
+        self._queue: ReceiveQueue[Event] = ReceiveQueue(DEFAULT_CAPACITY, "drop_oldest")
+        self._declared = Declared(session, self._queue)
+        key_space, direct_links = session.key_space, session.is_direct
+        queue = self._queue
 
         def on_link(event: zenoh.LinkEvent) -> None:
             is_up = event.kind == zenoh.SampleKind.PUT
             if direct_links:
-                inbox.push(_link(event.link.dst, is_up))
+                queue.push(_link(event.link.dst, is_up))
             else:
-                inbox.push(Event("router_up" if is_up else "router_down"))
+                queue.push(Event("router_up" if is_up else "router_down"))
 
         presence = _rect.Presence()
 
         def on_presence(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr)
-            robot = place.robot_of(key)
-            if robot is None or robot == place.robot:
+            robot = key_space.robot_of(key)
+            if robot is None or robot == key_space.robot:
                 return
             id = key.rsplit("/", 1)[-1]
-            told = presence.on_up if sample.kind == zenoh.SampleKind.PUT else presence.on_down
-            event = told(robot, id)
+            on_change = presence.on_up if sample.kind == zenoh.SampleKind.PUT else presence.on_down
+            event = on_change(robot, id)
             if event is not None:
-                inbox.push(Event(*event))
+                queue.push(Event(*event))
 
         zenoh_session = session.zenoh
         try:
             self._declared.add(zenoh_session.info.declare_link_events_listener(direct(on_link), history=False))
-            alive = place.own(None, "alive/*")
-            heard = zenoh_session.liveliness().declare_subscriber(alive, direct(on_presence), history=True)
-            self._declared.add(heard)
+            alive = key_space.own(None, "alive/*")
+            subscriber = zenoh_session.liveliness().declare_subscriber(alive, direct(on_presence), history=True)
+            self._declared.add(subscriber)
             if not direct_links:
                 links = _rect.Links()
 
                 def on_connections(json: bytes) -> None:
                     for event in links.on_connections(json):
-                        inbox.push(Event(*event))
+                        queue.push(Event(*event))
 
                 self._declared.add(follow(session, on_connections))
         except zenoh.ZError as error:
             self._declared.end()
-            raise refused("who is there is not told", error) from None
+            raise zenoh_error("cannot subscribe to the presence of robots", error) from None
         weakref.finalize(self, self._declared.leave).atexit = False
 
     def next(self, timeout: float | None = None) -> Event:
-        """The next one, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits for the next event and returns it.
+
+        `timeout` is in seconds; `None`, the default, waits without limit.
+
+        Raises `TimedOut` if there is none in time, and `Closed` if this object or the robot is closed.
+        """
         try:
-            return self._inbox.pop(timeout)
+            return self._queue.pop(timeout)
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
-            raise TimedOut(self._WHAT, timeout or 0) from None
+            raise TimedOut(self._EXPECTED, timeout or 0) from None
 
     def __iter__(self) -> Iterator[Event]:
         return self
 
     def __next__(self) -> Event:
         try:
-            return self._inbox.pop()
+            return self._queue.pop()
         except Ended:
             raise StopIteration from None
 
     def close(self) -> None:
-        """Ends it."""
+        """Ends the subscription to events."""
         self._declared.end()
 
     def __enter__(self) -> Events:
@@ -135,8 +142,8 @@ class Events:
         self.close()
 
 
-class Known:
-    """The links of this robot's router, as far as it tells."""
+class RouterLinks:
+    """Keeps track of the links that this robot's router reports."""
 
     def __init__(self, session: Session) -> None:
         self.links = _rect.Links()
@@ -144,8 +151,8 @@ class Known:
 
 
 def follow(session: Session, on_connections: Callable[[bytes], object]) -> zenoh.Subscriber[None]:
-    """Gives what this robot's router says of its connections, now and whenever they change."""
-    key = session.place.own(session.place.robot, "connections")
+    """Calls `on_connections` with the connections of this robot's router, now and after each change."""
+    key = session.key_space.own(session.key_space.robot, "connections")
 
     def on_sample(sample: zenoh.Sample) -> None:
         on_connections(payload_bytes(sample.payload))
@@ -158,17 +165,17 @@ def follow(session: Session, on_connections: Callable[[bytes], object]) -> zenoh
         published: zenoh.Subscriber[None] = session.zenoh.declare_subscriber(key, direct(on_sample))
         session.zenoh.get(key, direct(on_reply))
     except zenoh.ZError as error:
-        raise refused("the router's connections are not told", error) from None
+        raise zenoh_error("cannot subscribe to the connections of the router", error) from None
     return published
 
 
-def say_there(session: zenoh.Session, place: _rect.Place) -> zenoh.LivelinessToken:
-    """Says that this robot is there, where it has no router that does."""
-    key = place.own(place.robot, f"alive/{session.zid()}")
+def declare_liveliness(session: zenoh.Session, key_space: _rect.KeySpace) -> zenoh.LivelinessToken:
+    """Declares the liveliness token of this robot, if no router does so."""
+    key = key_space.own(key_space.robot, f"alive/{session.zid()}")
     try:
         return session.liveliness().declare_token(key)
     except zenoh.ZError as error:
-        raise refused("the robot can't say that it is there", error) from None
+        raise zenoh_error("cannot declare the liveliness of the robot", error) from None
 
 
 def _link(locator: str, is_up: bool) -> Event:

@@ -1,4 +1,4 @@
-"""Owns streams as a program has them: `Stream` sends, `Watch` receives. What they do, the core decides."""
+"""Defines `Stream`, which sends frames, and `Watch`, which receives them. The core makes their decisions."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, qos, refused
+from rect._zenoh import direct, payload_bytes, qos, zenoh_error
 from rect.errors import OptionError, PayloadError, TimedOut
-from rect.inbox import Ended, Inbox
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.subscriber import Declared
 from rect.values import JSON, Payload, Picture, payload_of
 
@@ -24,14 +24,18 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 _LOG = logging.getLogger("rect")
-#: The key of a group that is left is listened to for so long still: what is on its way comes.
+#: After a change of groups, the subscription to the old one stays for this time, in seconds, so that frames in flight
+#: still arrive.
 _LINGER_S = 0.3
-_PATIENCE_S = 3.0
+_TIMEOUT_S = 3.0
 _GROUPS = (0, 1)
 
 
 class Stream:
-    """A stream that this program sends. It ends when it is closed, or the robot is, or nobody has it any more."""
+    """Sends the frames of a stream. Returned by `Robot.stream`.
+
+    The stream ends when it or the robot is closed, or when it is garbage-collected.
+    """
 
     def __init__(
         self,
@@ -39,47 +43,49 @@ class Stream:
         topic: str,
         mode: str,
         codec: _rect.Codec | None,
-        photographs: str,
+        lossy_format: str,
         urgency: str,
         **options: float | None,
     ) -> None:
-        if photographs not in ("jpeg", "webp"):
-            raise OptionError("photographs", photographs, 'it is "jpeg" or "webp"')
+        if lossy_format not in ("jpeg", "webp"):
+            raise OptionError("lossy_format", lossy_format, 'it must be "jpeg" or "webp"')
         self._session = session
         self._codec = codec
         self._is_adaptive = mode == "adaptive"
-        webp = photographs == "webp"
+        webp = lossy_format == "webp"
         self._core = _rect.StreamSender(mode, random.getrandbits(16), _rect.now_ms(), webp=webp, **options)
         self._sending = threading.Lock()
         self._declared = Declared(session)
-        place, me = session.place, session.place.robot
-        self._notice_key = place.notice(me, topic)
+        key_space, me = session.key_space, session.key_space.robot
+        self._notice_key = key_space.notice(me, topic)
         try:
-            treated = qos(_rect.qos_of_frames(urgency))
-            self._publishers = [self._frames(place.frames(me, topic, group), group, treated) for group in _GROUPS]
-            heard = session.zenoh.declare_subscriber(place.feedbacks(topic), direct(self._on_feedback))
-            self._declared.add(heard)
-            asked = direct(_answerer(self._core, self._notice_key))
-            self._declared.add(session.zenoh.declare_queryable(self._notice_key, asked, complete=True))
+            qos_fields = qos(_rect.stream_qos(urgency))
+            self._publishers = [
+                self._frames(key_space.frames(me, topic, group), group, qos_fields) for group in _GROUPS
+            ]
+            subscriber = session.zenoh.declare_subscriber(key_space.feedbacks(topic), direct(self._on_feedback))
+            self._declared.add(subscriber)
+            on_query = direct(_reply_with_notice(self._core, self._notice_key))
+            self._declared.add(session.zenoh.declare_queryable(self._notice_key, on_query, complete=True))
         except zenoh.ZError as error:
             self._declared.end()
-            raise refused("the stream is refused", error) from None
+            raise zenoh_error("cannot declare the stream", error) from None
         session.streams.add(self)
         weakref.finalize(self, self._declared.leave).atexit = False
 
     def send(self, frame: Any) -> int:
-        """Sends a frame, if anyone wants one now; to how many groups it went. Does not wait for the link.
+        """Sends a frame if a receiver is due for one. Does not wait for the link.
 
-        A picture (numpy, Pillow or `Picture`) of an adaptive stream goes at the size and quality that get through; all
-        else goes as it is, by the stream's codec if it has one.
+        Returns the number of groups of receivers to which the frame was sent: 0 to 2. A picture (numpy, Pillow or
+        `Picture`) of an adaptive stream is sent at the size and quality that the link allows. Any other frame is sent
+        unchanged, or compressed by the codec of the stream. A frame is dropped if a slow link cannot accept it, or if
+        the robot is closed meanwhile.
 
-        A frame during which the robot is closed is dropped, like one that a slow link has no room for.
-
-        Raises `PayloadError`, `CodecError`, `Closed`.
+        Raises `PayloadError`, `CodecError` and `Closed`.
         """
         self._session.check()
         picture = _picture(frame) if self._is_adaptive and self._codec is None else None
-        # One frame at a time: they go out in the order of their numbers.
+        # One frame at a time, so that frames are sent in the order of their numbers.
         with self._sending:
             if self._session.is_closed:
                 return 0
@@ -97,9 +103,15 @@ class Stream:
         return len(jobs)
 
     def send_with(self, pixels: int, encode: Callable[[int | None, float | None], Any]) -> int:
-        """There is a frame of so many pixels: `encode(quality, scale)` makes it, once for each group that gets one
-        now, and is not called where nobody does. `quality` 1 to 100, `None`: lossless; `scale` of width and height;
-        both `None` where the program's own choice counts. To how many it went."""
+        """Sends a frame of `pixels` pixels that the program encodes itself.
+
+        Calls `encode(quality, scale)` once for each group of receivers that is due for a frame, and not at all if there
+        is none. `quality` is 1 to 100, or `None` for lossless; `scale` applies to width and height. Both are `None` if
+        the stream is not adaptive. `encode` returns the frame, for example as a `Payload`. Returns the number of groups
+        to which the frame was sent: 0 to 2.
+
+        Raises `PayloadError` and `Closed`.
+        """
         self._session.check()
         with self._sending:
             if self._session.is_closed:
@@ -112,16 +124,16 @@ class Stream:
 
     @property
     def status(self) -> dict[str, Any]:
-        """What goes out (`groups`), what gets through (`receivers`), and why it is as it is (docs/streams.md)."""
+        """State of the stream: what is sent (`groups`), what arrives (`receivers`), and why (docs/streams.md)."""
         status: dict[str, Any] = _rect.read_value(self._core.status(), JSON)
         return status
 
     def close(self) -> None:
-        """Ends it."""
+        """Ends the stream."""
         self._declared.end()
 
     def finish(self, timeout: float) -> None:
-        """Waits for who is sending a frame: a thread that Python's end finds in Zenoh ends the process."""
+        """Waits for a frame that is being sent: Python aborts if a thread is inside Zenoh when it exits."""
         if self._sending.acquire(timeout=timeout):
             self._sending.release()
 
@@ -134,16 +146,16 @@ class Stream:
     def __repr__(self) -> str:
         return f"Stream({self._notice_key})"
 
-    def _frames(self, key: str, group: int, treated: dict[str, Any]) -> zenoh.Publisher:
-        """What puts a group's frames, and knows whether anyone wants them."""
+    def _frames(self, key: str, group: int, qos_fields: dict[str, Any]) -> zenoh.Publisher:
+        """Declares the publisher of a group's frames, and watches whether the group has subscribers."""
         core = self._core
-        publisher: zenoh.Publisher = self._session.zenoh.declare_publisher(key, **treated)
+        publisher: zenoh.Publisher = self._session.zenoh.declare_publisher(key, **qos_fields)
         self._declared.add(publisher)
         listener = publisher.declare_matching_listener(
             direct(lambda status: core.on_subscribers(group, status.matching))
         )
         self._declared.add(listener)
-        # A `MatchingStatus`, whatever the stubs of eclipse-zenoh 1.10 say.
+        # This is a `MatchingStatus`; the stubs of eclipse-zenoh 1.10 are wrong here.
         status: Any = publisher.matching_status
         core.on_subscribers(group, status.matching)
         return publisher
@@ -154,19 +166,19 @@ class Stream:
             self._publishers[job.group].put(frame, encoding=encoding, attachment=attachment)
         except zenoh.ZError as error:
             if not self._session.is_closed:
-                raise refused("the frame is not sent", error) from None
+                raise zenoh_error("cannot send the frame", error) from None
 
     @property
     def _on_feedback(self) -> Callable[[zenoh.Sample], None]:
-        # Not of this object, so that it ends when nobody has it.
+        # The function does not refer to `self`, so that the stream can be garbage-collected.
         core, session, notice_key = self._core, self._session, self._notice_key
 
         def on_feedback(sample: zenoh.Sample) -> None:
-            core.on_feedback(session.place, str(sample.key_expr), payload_bytes(sample.payload))
+            core.on_feedback(session.key_space, str(sample.key_expr), payload_bytes(sample.payload))
             notice = core.poll_notice()
             if notice is not None:
-                # Rare, and reliable: it may have to wait for room, which Zenoh's thread may not.
-                session.start("rect notice", lambda: _tell(session, notice_key, notice))
+                # Notices are rare and reliable. Sending one may block, which a Zenoh thread must not.
+                session.start("rect notice", lambda: _publish_notice(session, notice_key, notice))
 
         return on_feedback
 
@@ -175,19 +187,19 @@ class Stream:
 class Frame:
     """A frame of a stream."""
 
-    #: What it is, as bytes with an encoding.
+    #: The payload: bytes with an encoding.
     payload: Payload
-    #: Its number. The sender numbers anew when it starts, and when this robot gets other frames than before.
+    #: Sequence number. It restarts when the sender does, and when this robot is moved to another group of receivers.
     number: int
-    #: How old it was when it came, in seconds; until the sender has told its time, how much older than the fastest of
-    #: the last minute. `None`: another program's, which does not tell.
+    #: Age of the frame on arrival, in seconds. If the offset of the clocks is unknown, the delay relative to the
+    #: fastest frame of the last minute. `None` if the sender does not use RECT.
     age: float | None
-    #: So many before it were not seen: the link dropped them, or this program was not there to take them.
+    #: Number of frames before this one that a link dropped, or that the program was too slow to read.
     skipped: int
 
     @property
     def value(self) -> Any:
-        """What it says; see `Message.value`."""
+        """The decoded payload; see `Message.value`."""
         return self.payload.value
 
     def _repr_png_(self) -> bytes | None:
@@ -196,21 +208,29 @@ class Frame:
 
 
 class Watch:
-    """A stream that this program watches: an iterator that waits for the newest frame that was not taken yet."""
+    """Receives the frames of a stream. Returned by `Robot.watch`.
+
+    Iterating waits for one frame after another and skips outdated ones; it ends when the watch or the robot is closed.
+    """
 
     dropped = 0
 
     def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str) -> None:
         self._session = session
         self._name = f"{robot}/{topic}"
-        self._listening = _Listening(session, robot, topic, capacity, when_full)
+        self._receiver = _FrameReceiver(session, robot, topic, capacity, when_full)
         self._last: int | None = None
-        weakref.finalize(self, self._listening.leave).atexit = False
+        weakref.finalize(self, self._receiver.leave).atexit = False
 
     def next(self, timeout: float | None = None) -> Frame:
-        """The newest frame, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits for a frame that was not returned yet and returns it; by default the newest one.
+
+        `timeout` is in seconds; `None`, the default, waits without limit.
+
+        Raises `TimedOut` if no frame arrives in time, and `Closed` if the watch or the robot is closed.
+        """
         try:
-            return self.counted(self._listening.inbox.pop(timeout))
+            return self.counted(self._receiver.queue.pop(timeout))
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
@@ -221,22 +241,22 @@ class Watch:
 
     def __next__(self) -> Frame:
         try:
-            return self.counted(self._listening.inbox.pop())
+            return self.counted(self._receiver.queue.pop())
         except Ended:
             raise StopIteration from None
 
     async def next_async(self, timeout: float | None = None) -> Frame:
-        """The same for asyncio. Raises `Ended`, `TimeoutError`."""
-        return self.counted(await self._listening.inbox.pop_async(timeout))
+        """Does the same as `next`, for asyncio. Raises `Ended` and `TimeoutError`."""
+        return self.counted(await self._receiver.queue.pop_async(timeout))
 
     @property
     def round_trip(self) -> float | None:
-        """What a small message takes to the sender and back, in seconds, once it has answered one."""
-        return self._listening.core.round_trip()
+        """Round trip of a small message to the sender, in seconds. `None` until it is measured."""
+        return self._receiver.core.round_trip()
 
     def close(self) -> None:
-        """Ends it."""
-        self._listening.stop()
+        """Stops receiving the stream."""
+        self._receiver.stop()
 
     def __enter__(self) -> Watch:
         return self
@@ -254,35 +274,35 @@ class Watch:
         return Frame(frame.payload, frame.number, frame.age, skipped)
 
 
-class _Listening:
-    """The thread behind a `Watch`."""
+class _FrameReceiver:
+    """The subscriptions of a `Watch`, and the thread that sends its feedback."""
 
     def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str) -> None:
-        place = session.place
-        self.inbox: Inbox[tuple[int, Frame]] = Inbox(capacity, when_full)
-        self.core = _rect.StreamReceiver(place.robot, random.getrandbits(16))
+        key_space = session.key_space
+        self.queue: ReceiveQueue[tuple[int, Frame]] = ReceiveQueue(capacity, when_full)
+        self.core = _rect.StreamReceiver(key_space.robot, random.getrandbits(16))
         self._session = session
-        self._keys = [place.frames(robot, topic, group) for group in _GROUPS]
-        self._notice_key = place.notice(robot, topic)
-        self._hears: list[zenoh.Subscriber[None] | None] = [None, None]
+        self._keys = [key_space.frames(robot, topic, group) for group in _GROUPS]
+        self._notice_key = key_space.notice(robot, topic)
+        self._subscribers: list[zenoh.Subscriber[None] | None] = [None, None]
         self._group: tuple[int, float] | None = None
-        #: Frames that were sent since the first that came.
+        #: Number of frames sent since the first one that arrived.
         self._ordinal = 0
         self._lock = threading.Lock()
         self._is_ended = False
-        #: The sender has said something, or it ends.
-        self._told = threading.Event()
-        self._declared = Declared(session, self.inbox)
-        treated = qos(_rect.qos("urgent"))
-        treated["congestion_control"] = zenoh.CongestionControl.DROP
+        #: Set when the sender has published a notice, or when this ends.
+        self._wake = threading.Event()
+        self._declared = Declared(session, self.queue)
+        qos_fields = qos(_rect.qos("urgent"))
+        qos_fields["congestion_control"] = zenoh.CongestionControl.DROP
         try:
-            self._says = session.zenoh.declare_publisher(place.feedback(robot, topic), **treated)
-            self._declared.add(self._says)
+            self._feedback = session.zenoh.declare_publisher(key_space.feedback(robot, topic), **qos_fields)
+            self._declared.add(self._feedback)
             self._declared.add(session.zenoh.declare_subscriber(self._notice_key, direct(self._on_notice)))
         except zenoh.ZError as error:
             self._declared.end()
-            raise refused("the stream's notices are refused", error) from None
-        session.endings.append(self._told.set)
+            raise zenoh_error("cannot subscribe to the notices of the stream", error) from None
+        session.close_callbacks.append(self._wake.set)
         session.start("rect watch", self._run)
 
     def stop(self) -> None:
@@ -295,64 +315,64 @@ class _Listening:
 
     def _end(self) -> None:
         self._is_ended = True
-        self._told.set()
+        self._wake.set()
 
     def _run(self) -> None:
         try:
             while True:
-                self._told.clear()
+                self._wake.clear()
                 if self._is_ended or self._session.is_closed:
                     break
-                self._told.wait(self._poll())
+                self._wake.wait(self._poll())
         except zenoh.ZError as error:
             _LOG.debug("%s: %s", self._notice_key, error)
         finally:
-            self.inbox.close()
+            self.queue.close()
 
     def _poll(self) -> float:
-        """Does what is due; in how many seconds there may be more to do."""
+        """Does what is due now. Returns the time until the next call, in seconds."""
         group = self.core.poll_group()
-        asks, says = self.core.poll_question(), self.core.poll_feedback()
-        if asks:
-            self._ask()
+        is_query_due, feedback = self.core.poll_question(), self.core.poll_feedback()
+        if is_query_due:
+            self._query_notice()
         if group is not None:
-            self._listen(group)
-        if says is not None:
-            self._says.put(says)
+            self._subscribe(group)
+        if feedback is not None:
+            self._feedback.put(feedback)
         poll_in: float = self.core.poll_in()
-        if self._group is not None and self._hears[1 - self._group[0]] is not None:
+        if self._group is not None and self._subscribers[1 - self._group[0]] is not None:
             return min(poll_in, max(self._group[1] + _LINGER_S - time.monotonic(), 0))
         return poll_in
 
-    def _ask(self) -> None:
-        core, told, asked = self.core, self._told, time.monotonic()
+    def _query_notice(self) -> None:
+        core, wake, sent_at = self.core, self._wake, time.monotonic()
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                core.on_answer(payload_bytes(reply.ok.payload), time.monotonic() - asked)
-                told.set()
+                core.on_answer(payload_bytes(reply.ok.payload), time.monotonic() - sent_at)
+                wake.set()
 
-        treated = qos(_rect.qos("urgent"))
-        del treated["congestion_control"]
-        self._session.zenoh.get(self._notice_key, direct(on_reply), timeout=_PATIENCE_S, **treated)
+        qos_fields = qos(_rect.qos("urgent"))
+        del qos_fields["congestion_control"]
+        self._session.zenoh.get(self._notice_key, direct(on_reply), timeout=_TIMEOUT_S, **qos_fields)
 
-    def _listen(self, group: int) -> None:
-        """Listens to a group's key; the other's is left a little later."""
-        if self._hears[group] is None:
-            heard = self._session.zenoh.declare_subscriber(self._keys[group], direct(self._on_frame))
-            self._hears[group] = heard
-            self._declared.add(heard)
+    def _subscribe(self, group: int) -> None:
+        """Subscribes to the frames of a group; the other group is unsubscribed a little later."""
+        if self._subscribers[group] is None:
+            subscriber = self._session.zenoh.declare_subscriber(self._keys[group], direct(self._on_frame))
+            self._subscribers[group] = subscriber
+            self._declared.add(subscriber)
         if self._group is None or self._group[0] != group:
             self._group = (group, time.monotonic())
             return
-        other = self._hears[1 - group]
+        other = self._subscribers[1 - group]
         if other is not None and time.monotonic() - self._group[1] >= _LINGER_S:
-            self._hears[1 - group] = None
+            self._subscribers[1 - group] = None
             other.undeclare()
 
     def _on_notice(self, sample: zenoh.Sample) -> None:
         self.core.on_notice(payload_bytes(sample.payload))
-        self._told.set()
+        self._wake.set()
 
     def _on_frame(self, sample: zenoh.Sample) -> None:
         attachment = sample.attachment
@@ -364,10 +384,10 @@ class _Listening:
             number, age, skipped = seen
             self._ordinal += 1 + skipped
             ordinal = self._ordinal
-        self.inbox.push((ordinal, Frame(Payload(frame, str(sample.encoding)), number, age, skipped)))
+        self.queue.push((ordinal, Frame(Payload(frame, str(sample.encoding)), number, age, skipped)))
 
 
-def _answerer(core: _rect.StreamSender, key: str) -> Callable[[zenoh.Query], None]:
+def _reply_with_notice(core: _rect.StreamSender, key: str) -> Callable[[zenoh.Query], None]:
     def answer(query: zenoh.Query) -> None:
         with query:
             query.reply(key, core.notice(), encoding=JSON)
@@ -375,16 +395,16 @@ def _answerer(core: _rect.StreamSender, key: str) -> Callable[[zenoh.Query], Non
     return answer
 
 
-def _tell(session: Session, key: str, notice: bytes) -> None:
-    """Who is to listen elsewhere is told, reliably."""
+def _publish_notice(session: Session, key: str, notice: bytes) -> None:
+    """Publishes a notice reliably: it tells receivers which group they belong to."""
     try:
         session.zenoh.put(key, notice, encoding=JSON, congestion_control=zenoh.CongestionControl.BLOCK)
     except zenoh.ZError as error:
-        _LOG.debug("%s is not told any more: %s", key, error)
+        _LOG.debug("cannot publish the notice %s: %s", key, error)
 
 
 def _picture(frame: Any) -> Picture | None:
-    """The frame as a picture, if it is one."""
+    """Converts the frame to a picture, if it is one."""
     if isinstance(frame, (str, bytes, dict, list, tuple, int, float, Payload)) or frame is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Owns receiving: the messages of a pattern, one after another, for a callback, or just the next one."""
+"""Receives the messages of a pattern, for iteration or for a callback."""
 
 from __future__ import annotations
 
@@ -12,59 +12,71 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, Union
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, refused
+from rect._zenoh import direct, zenoh_error
 from rect.errors import CodecError, TimedOut
-from rect.inbox import Ended, Inbox
 from rect.message import Message
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
 
 T = TypeVar("T")
-#: What a message says of itself, its payload, its encoding, and by what it came, where that is known.
-_Heard = tuple[_rect.Said, bytes, str, Union[str, None]]
+#: Metadata, payload bytes, encoding, and the method of the link, if it is known.
+_Arrived = tuple[_rect.MessageMetadata, bytes, str, Union[str, None]]
 _LOG = logging.getLogger("rect")
 
 
 @dataclass(frozen=True)
-class Tally:
-    """What arrived of one robot."""
+class SenderCounts:
+    """Counts of the messages from one sender."""
 
     #: Messages that arrived.
     received: int
-    #: Messages that did not, by their numbers.
+    #: Messages that did not arrive, according to the sequence numbers.
     missed: int
 
 
 class Subscriber:
-    """The messages of a pattern, as they come: an iterator that waits for the next, and ends when the session is
-    closed.
+    """Receives the messages of a pattern. Returned by `Robot.subscribe`.
 
-    It ends when it is closed, when its `with` ends, or when nobody has it any more.
+    Iterating waits for one message after another, and ends when the subscriber or the robot is closed. The subscription
+    ends when the subscriber is closed, leaves its `with` block, or is garbage-collected.
+
+    >>> import rect
+    >>> with rect.connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+    ...     with robot.subscribe("*/greeting") as subscriber:
+    ...         robot.publish("greeting", "hello")
+    ...         print(subscriber.next(timeout=5).value)
+    hello
     """
 
     def __init__(self, session: Session, pattern: str, capacity: int, when_full: str) -> None:
         self._session = session
         self._pattern = pattern
-        self._inbox: Inbox[_Heard] = Inbox(capacity, when_full)
-        self._inbound = _rect.Inbound(session.place)
-        keys = session.place.subscriptions(pattern)
-        links = None if session.known is None else session.known.links
-        self._declared = Declared(session, self._inbox)
+        self._queue: ReceiveQueue[_Arrived] = ReceiveQueue(capacity, when_full)
+        self._inbound = _rect.Inbound(session.key_space)
+        keys = session.key_space.subscriptions(pattern)
+        links = None if session.router_links is None else session.router_links.links
+        self._declared = Declared(session, self._queue)
         for key, directed in zip(keys, (False, True)):
-            heard = _rect.OnMessage(self._inbox.queue, self._inbound, session.counting, links, directed)
+            on_message = _rect.OnMessage(self._queue.queue, self._inbound, session.counters, links, directed)
             try:
-                self._declared.add(session.zenoh.declare_subscriber(key, direct(heard)))
+                self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
             except zenoh.ZError as error:
                 self._declared.end()
-                raise refused("the subscription is refused", error) from None
+                raise zenoh_error("cannot declare the subscriber", error) from None
         weakref.finalize(self, self._declared.leave).atexit = False
 
     def next(self, timeout: float | None = None) -> Message:
-        """The next message, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits for the next message and returns it.
+
+        `timeout` is in seconds; `None`, the default, waits without limit.
+
+        Raises `TimedOut` if no message arrives in time, and `Closed` if the subscriber or the robot is closed.
+        """
         try:
-            return self._unpacked(as_it_came(self._inbox.pop(timeout)))
+            return self._decoded(undecoded(self._queue.pop(timeout)))
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
@@ -75,22 +87,22 @@ class Subscriber:
 
     def __next__(self) -> Message:
         try:
-            return self._unpacked(as_it_came(self._inbox.pop()))
+            return self._decoded(undecoded(self._queue.pop()))
         except Ended:
             raise StopIteration from None
 
     @property
     def dropped(self) -> int:
-        """How many were dropped because the program did not take them in time."""
-        return self._inbox.dropped
+        """Number of messages dropped because the receive queue was full."""
+        return self._queue.dropped
 
     @property
-    def tallies(self) -> dict[str, Tally]:
-        """How many came of each robot, and how many of its did not."""
-        return {robot: Tally(received, missed) for robot, received, missed in self._inbound.tallies()}
+    def counts_by_sender(self) -> dict[str, SenderCounts]:
+        """Number of received and missed messages by sender."""
+        return {robot: SenderCounts(received, missed) for robot, received, missed in self._inbound.counts_by_sender()}
 
     def close(self) -> None:
-        """Ends it."""
+        """Ends the subscription. Messages that are already in the receive queue can still be read."""
         self._declared.end()
 
     def __enter__(self) -> Subscriber:
@@ -102,27 +114,27 @@ class Subscriber:
     def __repr__(self) -> str:
         return f"Subscriber({self._pattern}, dropped={self.dropped})"
 
-    def _unpacked(self, message: Message) -> Message:
-        """The message as it was said. What can't be undone stays as it came, with what is wrong with it."""
+    def _decoded(self, message: Message) -> Message:
+        """Decodes the payload of the message, or sets `problem`."""
         try:
             message.payload = self._session.decoder.payload(message.sender, message.payload)
-        except CodecError as flaw:
-            message.flaw = flaw
+        except CodecError as error:
+            message.problem = error
         return message
 
 
-def as_it_came(heard: _Heard) -> Message:
-    """The message, still packed."""
-    said, payload, encoding, over = heard
-    return Message(said, Payload(payload, encoding), over)
+def undecoded(arrived: _Arrived) -> Message:
+    """Makes a message whose payload is not decoded yet."""
+    metadata, payload, encoding, method = arrived
+    return Message(metadata, Payload(payload, encoding), method)
 
 
 class Declared:
-    """What is declared at Zenoh for one handle, and the inbox that it fills; ends once."""
+    """The Zenoh declarations of one handle, and the receive queue that they fill."""
 
-    def __init__(self, session: Session, inbox: Inbox[Any] | None = None) -> None:
+    def __init__(self, session: Session, queue: ReceiveQueue[Any] | None = None) -> None:
         self._session = session
-        self._inbox = inbox
+        self._queue = queue
         self._declared: list[Any] = []
         session.handles.add(self)
 
@@ -130,10 +142,10 @@ class Declared:
         self._declared.append(declared)
 
     def end(self) -> None:
-        """Nothing more comes; what waits can still be taken."""
-        # First, since one of Zenoh's threads may wait for room.
-        if self._inbox is not None:
-            self._inbox.close()
+        """Undeclares everything and closes the queue. Items that are waiting can still be taken."""
+        # The queue comes first, since a thread of Zenoh may be waiting for room in it.
+        if self._queue is not None:
+            self._queue.close()
         self._session.handles.discard(self)
         declared, self._declared = self._declared, []
         for one in declared:
@@ -141,31 +153,32 @@ class Declared:
                 undeclared(one)
 
     def on_fork(self) -> None:
-        """In a child process: what is declared belongs to the parent's threads."""
+        """Drops the declarations in a child process: they belong to threads of the parent."""
         for one in self._declared:
             _rect.forget(one)
-        if self._inbox is not None:
-            self._inbox.on_fork()
+        if self._queue is not None:
+            self._queue.on_fork()
 
     def leave(self) -> None:
-        """Nobody has the handle any more. Called where nothing may wait: the session ends it a little later."""
-        if self._inbox is not None:
-            self._inbox.close()
-        self._session.left.append(self)
+        """Schedules `end` for a handle that was garbage-collected. Does not block: the session calls `end` later."""
+        if self._queue is not None:
+            self._queue.close()
+        self._session.abandoned.append(self)
 
 
 def undeclared(declared: Any) -> None:
-    """Ends what is declared; when it has ended already, that is as good."""
+    """Undeclares a Zenoh declaration, if it has not ended already."""
     try:
         declared.undeclare()
     except zenoh.ZError as error:
-        _LOG.debug("it had ended already: %s", error)
+        _LOG.debug("the declaration had already ended: %s", error)
 
 
 class Subscription(Generic[T]):
-    """A callback that is called for each of what comes, one after another, until this is closed, or the robot is.
+    """Calls a callback for each item of a subscriber, watch or event source, one call at a time, on a separate thread.
 
-    A callback that raises is reported (`logging.getLogger("rect")`), and called again for the next.
+    It ends when it or the robot is closed. An exception of the callback is logged (`logging.getLogger("rect")`), and
+    the callback is called again for the next item.
     """
 
     def __init__(self, source: Any, callback: Callable[[T], object], about: str) -> None:
@@ -177,17 +190,17 @@ class Subscription(Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """How many were dropped because the callback was not done in time."""
+        """Number of items dropped because the receive queue was full while the callback ran."""
         return int(self._source.dropped)
 
     @property
-    def tallies(self) -> dict[str, Tally]:
-        """How many came of each robot, and how many of its did not."""
-        tallies: dict[str, Tally] = self._source.tallies
-        return tallies
+    def counts_by_sender(self) -> dict[str, SenderCounts]:
+        """Number of received and missed messages by sender."""
+        counts_by_sender: dict[str, SenderCounts] = self._source.counts_by_sender
+        return counts_by_sender
 
     def close(self) -> None:
-        """Ends it. A call that runs is not waited for."""
+        """Ends the subscription. Does not wait for a running callback."""
         self._source.close()
 
     def __enter__(self) -> Subscription[T]:
@@ -200,15 +213,15 @@ class Subscription(Generic[T]):
         return f"Subscription({self._about})"
 
     def _run(self) -> None:
-        for what in self._source:
+        for item in self._source:
             try:
-                self._callback(what)
+                self._callback(item)
             except BaseException:
-                # `sys.exit` too: on a thread it would end nothing but the callback, and without a word.
-                _LOG.exception("the callback for %s raised", self._about)
+                # `sys.exit` included: on this thread it would silently end the subscription, and not the program.
+                _LOG.exception("the callback for %s raised an exception", self._about)
 
 
 def callable_or_none(callback: object) -> None:
-    """Raises unless it can be called."""
+    """Raises `TypeError` unless the callback is callable or `None`."""
     if callback is not None and not callable(callback):
-        raise TypeError(f"callback is a function, not a {type(callback).__name__}")
+        raise TypeError(f"callback must be a function, not {type(callback).__name__}")

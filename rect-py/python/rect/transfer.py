@@ -1,7 +1,7 @@
-"""Owns the transfers of a session: what a program sends, and what it takes. What is decided, the core decides.
+"""Sends and receives transfers: files and bytes of any size. The core makes the decisions.
 
-Each transfer that comes has a thread of its own, since files and a full link make it wait; one that is sent has its
-caller's.
+Each incoming transfer has a separate thread, because files and congested links block it. An outgoing transfer runs on
+the thread of its caller.
 """
 
 from __future__ import annotations
@@ -22,75 +22,76 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, patiently, payload_bytes, refused
+from rect._zenoh import call_interruptibly, direct, payload_bytes, zenoh_error
 from rect.errors import Closed, TimedOut, TransferError, TransferFailed
-from rect.inbox import Ended, Inbox
+from rect.receive_queue import Ended, ReceiveQueue
 from rect.subscriber import Declared
 from rect.values import Payload, payload_of
-from rect.waiting import at_once
+from rect.waiting import next_wait
 
 if TYPE_CHECKING:
     from rect.session import Session
 
 _LOG = logging.getLogger("rect")
-#: How many requests and answers wait for the thread of a transfer. What has no room is lost, and asked for again.
+#: Number of requests and replies that may wait for the thread of a transfer. Any further one is dropped and repeated.
 _WAITING = 256
-#: How many programs of a robot are heard about one offer.
+#: Maximum number of answers from the programs of a robot to one offer.
 _MAX_ANSWERS = 16
-#: How many receivers' programs are kept waiting for the end of the transfer.
+#: Maximum number of queries that stay open until the transfer ends.
 _MAX_HELD = 16
+#: Number of offers that may wait for an answer.
 _OFFERS = 64
-#: How often progress is told at most.
-_PROGRESS_EVERY_S = 0.1
-#: How long nobody looks whether the session was closed.
-_LOOK_EVERY_S = 1.0
-#: How long a sender may take to learn how a transfer ended.
+#: Minimum interval between two calls of a progress callback, in seconds.
+_PROGRESS_INTERVAL_S = 0.1
+#: Interval for checking whether the session was closed, in seconds.
+_CHECK_INTERVAL_S = 1.0
+#: Timeout for informing the sender of the end of a transfer, in seconds.
 _ENDED_TIMEOUT_S = 3.0
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How much of a transfer the receiver holds."""
+    """Progress of a transfer."""
 
-    #: What it holds.
-    held_bytes: int
-    #: Of how many.
+    #: Bytes that the receiver has stored.
+    received_bytes: int
+    #: Size of the transfer, in bytes.
     size_bytes: int
 
     @property
     def fraction(self) -> float:
-        """0 to 1; of nothing, all is there."""
-        return self.held_bytes / self.size_bytes if self.size_bytes else 1.0
+        """Share that the receiver has stored: 0 to 1. It is 1 for an empty transfer."""
+        return self.received_bytes / self.size_bytes if self.size_bytes else 1.0
 
 
 @dataclass(frozen=True)
 class Received:
-    """A transfer that ended."""
+    """A received transfer, complete or failed."""
 
-    #: Of whom.
+    #: Name of the robot that sent it.
     sender: str
-    #: About what.
+    #: Topic of the transfer.
     topic: str
-    #: What its sender calls it; may be empty.
+    #: File name that the sender chose; may be empty.
     name: str
-    #: What it is.
+    #: Encoding of the content.
     encoding: str
-    #: How long it is.
+    #: Size, in bytes.
     size_bytes: int
-    #: Why it is not there, if it is not.
+    #: Why the transfer failed. `None` if it is complete.
     error: TransferError | None = None
     _content: bytes | Path = field(default=b"", repr=False)
 
     @property
     def content(self) -> bytes | Path:
-        """The bytes, or the path of the file. Raises `error`, if it is not there."""
+        """The bytes, or the path of the file. Raises `error` if the transfer failed."""
         if self.error is not None:
             raise self.error
         return self._content
 
     @property
     def value(self) -> Any:
-        """What it says, by its encoding; see `Message.value`. A file is read for it."""
+        """The decoded content; see `Message.value`. Reads the file, if there is one. Raises `error` if it failed."""
         content = self.content
         return Payload(content.read_bytes() if isinstance(content, Path) else content, self.encoding).value
 
@@ -98,18 +99,18 @@ class Received:
 OnProgress = Callable[[Progress], object]
 
 
-class Sending:
-    """A transfer to a robot, from the checksum to the end."""
+class OutgoingTransfer:
+    """A transfer to one robot. Returned by `Robot.outgoing_transfer`."""
 
     def __init__(
         self,
         session: Session,
-        to: str,
+        recipient: str,
         topic: str,
         data: Any,
         *,
         name: str | None,
-        patience: float | None,
+        timeout: float | None,
         on_progress: OnProgress | None,
     ) -> None:
         encoding = None
@@ -120,12 +121,12 @@ class Sending:
             payload = payload_of(data)
             source, encoding = payload.bytes, payload.encoding
         self._session = session
-        self._to = to
-        self._told = _Told(on_progress)
+        self._recipient = recipient
+        self._progress = _ProgressThrottle(on_progress)
         call = random.getrandbits(64)
-        self._core = patiently(
+        self._core = call_interruptibly(
             lambda: _rect.TransferSender(
-                session.place, to, topic, source, call, name=name, encoding=encoding, patience_s=patience
+                session.key_space, recipient, topic, source, call, name=name, encoding=encoding, timeout_s=timeout
             )
         )
         self._events: SimpleQueue[tuple[str, Any, Any]] = SimpleQueue()
@@ -133,43 +134,46 @@ class Sending:
         self._held: list[tuple[int, zenoh.Query]] = []
 
     def stop(self) -> None:
-        """Ends it. What is there is kept where it is kept in a file."""
+        """Stops the transfer: `run` raises `Closed`. If the receiver stores files, a later transfer continues it."""
         self._events.put(("stop", None, None))
 
     def run(self) -> None:
-        """Until all is there and right."""
-        session, place = self._session, self._session.place
-        key = place.own(place.robot, self._core.key)
-        session.endings.append(self.stop)
+        """Runs the transfer until the data has arrived and is verified.
+
+        Raises `TransferRefused`, `TransferFailed`, `TimedOut` and `Closed`.
+        """
+        session, key_space = self._session, self._session.key_space
+        key = key_space.own(key_space.robot, self._core.key)
+        session.close_callbacks.append(self.stop)
         declared = Declared(session)
         try:
-            # It may have closed before it knew of this.
+            # The session may have been closed before the line above.
             session.check()
             on_query = direct(lambda query: self._push(("query", query, None)))
             declared.add(session.zenoh.declare_queryable(key, on_query, complete=True))
             self._run(key)
         except zenoh.ZError as error:
             session.check()
-            raise refused("the transfer can't be served", error) from None
+            raise zenoh_error("cannot offer the transfer", error) from None
         finally:
             declared.end()
-            session.endings.remove(self.stop)
-            self._drain()
+            session.close_callbacks.remove(self.stop)
+            self._end_queries()
 
     def _run(self, key: str) -> None:
         number, answers = 0, list[bytes]()
         while True:
-            self._told.tell(self._core.progress())
+            self._progress.report(self._core.progress())
             step, seconds = self._core.poll()
             if step == "done":
-                self._told.tell(self._core.progress(), last=True)
+                self._progress.report(self._core.progress(), last=True)
                 return
             if step == "offer":
                 number, answers = number + 1, []
                 self._offer(number, seconds)
                 continue
             try:
-                what, about, answer = self._events.get(timeout=at_once(max(seconds, 0)))
+                what, about, answer = self._events.get(timeout=next_wait(max(seconds, 0)))
             except Empty:
                 self._session.check()
                 continue
@@ -195,14 +199,14 @@ class Sending:
             if reply.ok is not None:
                 self._push(("answer", number, payload_bytes(reply.ok.payload)))
 
-        # Where nobody is there, Zenoh calls it at once, on this thread: without a word of Python, in which a Ctrl-C
-        # would be raised, and lost in Zenoh.
+        # If there is no receiver, Zenoh calls this at once, on this thread. It contains no Python code, since a Ctrl-C
+        # in it would be lost inside Zenoh.
         on_end = partial(self._events.put, ("answered", number, None))
-        key = self._session.place.own(self._to, _rect.TRANSFER_INBOX)
-        _ask(self._session, key, self._core.offer, timeout, on_reply, on_end, zenoh.QueryTarget.ALL)
+        key = self._session.key_space.own(self._recipient, _rect.TRANSFER_OFFERS)
+        _query(self._session, key, self._core.offer, timeout, on_reply, on_end, zenoh.QueryTarget.ALL)
 
     def _serve(self, key: str, query: zenoh.Query) -> None:
-        """Answers a request; what is no request gets no answer."""
+        """Answers a request of the receiver. An invalid one gets no reply."""
         answer = self._core.on_request(payload_bytes(query.payload))
         if answer is not None and answer[1] is None and len(self._held) < _MAX_HELD:
             self._held.append((answer[2], query))
@@ -210,17 +214,17 @@ class Sending:
         with query:
             if answer is None or answer[1] is None:
                 return
-            is_right, reply, _ = answer
+            is_valid, reply, _ = answer
             try:
-                if is_right:
+                if is_valid:
                     query.reply(key, reply)
                 else:
                     query.reply_err(reply)
             except zenoh.ZError as error:
-                _LOG.debug("a piece was not sent: %s", error)
+                _LOG.debug("cannot send a piece: %s", error)
 
     def _release(self, number: int | None = None) -> None:
-        """Ends the queries that waited for the answers to this offer; `None`: all of them."""
+        """Ends the queries that wait for the answers to this offer, or with `None` all queries."""
         held, self._held = self._held, []
         for after, query in held:
             if number is not None and after > number:
@@ -228,8 +232,8 @@ class Sending:
             else:
                 query.drop()
 
-    def _drain(self) -> None:
-        """Whoever still asks is told at once that there is no answer."""
+    def _end_queries(self) -> None:
+        """Ends all remaining queries without a reply."""
         self._release()
         while not self._events.empty():
             what, about, _ = self._events.get()
@@ -238,9 +242,10 @@ class Sending:
 
 
 class Transfers:
-    """The transfers that come: an iterator of `Received`, of those that failed too (`error`).
+    """Iterates over the transfers that ended, complete or failed (see `Received.error`).
 
-    Closed, it takes no more; what came of those that run is kept where it is kept in files.
+    Returned by `Robot.receive_transfers`. Closing it refuses further transfers, and interrupts those in progress. With
+    a folder, their received parts are kept.
     """
 
     dropped = 0
@@ -252,19 +257,24 @@ class Transfers:
         *,
         folder: str | os.PathLike[str] | None,
         max_bytes: int,
-        at_once: int,
-        patience: float,
+        max_concurrent: int,
+        timeout: float,
         on_progress: Callable[[Received, Progress], object] | None,
     ) -> None:
         self._session = session
         self._pattern = pattern
-        self._taking = _Taking(session, pattern, folder, max_bytes, at_once, patience, on_progress)
-        weakref.finalize(self, self._taking.leave).atexit = False
+        self._receiver = _TransferReceiver(session, pattern, folder, max_bytes, max_concurrent, timeout, on_progress)
+        weakref.finalize(self, self._receiver.leave).atexit = False
 
     def next(self, timeout: float | None = None) -> Received:
-        """The next one that ended, once there is one. Raises `TimedOut` (seconds), `Closed`."""
+        """Waits until a transfer ends and returns it.
+
+        `timeout` is in seconds; `None`, the default, waits without limit.
+
+        Raises `TimedOut` if none ends in time, and `Closed` if this object or the robot is closed.
+        """
         try:
-            return self._taking.take(self._taking.ended.pop(timeout))
+            return self._receiver.take(self._receiver.ended.pop(timeout))
         except Ended:
             raise self._session.closed_error() from None
         except TimeoutError:
@@ -275,17 +285,17 @@ class Transfers:
 
     def __next__(self) -> Received:
         try:
-            return self._taking.take(self._taking.ended.pop())
+            return self._receiver.take(self._receiver.ended.pop())
         except Ended:
             raise StopIteration from None
 
     async def next_async(self, timeout: float | None = None) -> Received:
-        """The same for asyncio. Raises `Ended`, `TimeoutError`."""
-        return self._taking.take(await self._taking.ended.pop_async(timeout))
+        """Does the same as `next`, for asyncio. Raises `Ended` and `TimeoutError`."""
+        return self._receiver.take(await self._receiver.ended.pop_async(timeout))
 
     def close(self) -> None:
-        """Takes no more."""
-        self._taking.stop()
+        """Ends the acceptance of transfers."""
+        self._receiver.stop()
 
     def __enter__(self) -> Transfers:
         return self
@@ -297,8 +307,8 @@ class Transfers:
         return f"Transfers({self._pattern})"
 
 
-class _Taking:
-    """The offers that come to a program: the thread that answers them, and those that begin."""
+class _TransferReceiver:
+    """Answers the offers to a program, and receives the accepted transfers."""
 
     def __init__(
         self,
@@ -306,40 +316,40 @@ class _Taking:
         pattern: str,
         folder: str | os.PathLike[str] | None,
         max_bytes: int,
-        at_once: int,
-        patience: float,
+        max_concurrent: int,
+        timeout: float,
         on_progress: Callable[[Received, Progress], object] | None,
     ) -> None:
-        self.ended: Inbox[Received] = Inbox(at_once, "wait")
+        self.ended: ReceiveQueue[Received] = ReceiveQueue(max_concurrent, "block")
         self._session = session
         self._folder = None if folder is None else Path(folder)
-        self._patience = patience
+        self._timeout = timeout
         self._on_progress = on_progress
-        self._inbox = _rect.Inbox(session.place, pattern, max_bytes, at_once, self._folder)
-        self._key = session.place.own(session.place.robot, _rect.TRANSFER_INBOX)
+        self._admission = _rect.Admission(session.key_space, pattern, max_bytes, max_concurrent, self._folder)
+        self._key = session.key_space.own(session.key_space.robot, _rect.TRANSFER_OFFERS)
         self._lock = threading.Lock()
         self._running: dict[str, SimpleQueue[tuple[str, int, bytes]]] = {}
         self._is_stopped = False
-        #: `offer` with a query, `confirmed` with a question and the reply, `silence` with a question, or `end`.
+        #: `offer` with a query, `confirmed` with a question and the reply, `no_reply` with a question, or `end`.
         self._events: SimpleQueue[tuple[str, Any, bytes]] = SimpleQueue()
-        #: Places for what ended and the program has not taken yet.
-        self._room = threading.Semaphore(max(at_once, 1))
-        session.endings.append(self.stop)
-        session.start("rect inbox", self._answer_all)
+        #: Free places for transfers that ended and that the program has not read yet.
+        self._room = threading.Semaphore(max(max_concurrent, 1))
+        session.close_callbacks.append(self.stop)
+        session.start("rect transfers", self._handle_events)
         self._declared = Declared(session)
         try:
             self._declared.add(session.zenoh.declare_queryable(self._key, direct(self._on_query)))
         except zenoh.ZError as error:
             self.stop()
-            raise refused("transfers can't be taken", error) from None
+            raise zenoh_error("cannot receive transfers", error) from None
 
     def stop(self) -> None:
-        """Nothing more is taken, and what runs ends."""
+        """Refuses further transfers, and interrupts those in progress."""
         self._end()
         self._declared.end()
 
     def leave(self) -> None:
-        """Nobody has the handle any more."""
+        """Does the same as `stop`, for a handle that was garbage-collected; it does not block."""
         self._end()
         self._declared.leave()
 
@@ -351,7 +361,7 @@ class _Taking:
         self._events.put(("end", None, b""))
 
     def take(self, received: Received) -> Received:
-        """The program has taken it: there is room for another one."""
+        """Frees the place of a transfer that the program has read."""
         self._room.release()
         return received
 
@@ -361,10 +371,10 @@ class _Taking:
         else:
             query.drop()
 
-    def _answer_all(self) -> None:
+    def _handle_events(self) -> None:
         while True:
             try:
-                what, about, reply = self._events.get(timeout=self._ask_senders())
+                what, about, reply = self._events.get(timeout=self._query_senders())
             except Empty:
                 continue
             if what == "offer":
@@ -372,77 +382,77 @@ class _Taking:
                     try:
                         about.reply(self._key, self._on_offer(payload_bytes(about.payload)))
                     except zenoh.ZError as error:
-                        _LOG.debug("an offer was not answered: %s", error)
+                        _LOG.debug("cannot answer an offer: %s", error)
             elif what == "confirmed":
                 self._on_confirmed(about, reply)
-            elif what == "silence":
-                self._inbox.on_silence(about)
+            elif what == "no_reply":
+                self._admission.on_no_reply(about)
             else:
                 return
 
-    def _ask_senders(self) -> float | None:
-        """Asks the robots that offers name whether they make them. How long there is nothing to do after that."""
+    def _query_senders(self) -> float | None:
+        """Asks the robots named in offers to confirm them. Returns the time until the next call, in seconds."""
         while True:
-            question, seconds = self._inbox.poll()
+            question, seconds = self._admission.poll()
             if question is None:
-                return None if seconds is None else at_once(max(seconds, 0))
-            self._ask_sender(question)
+                return None if seconds is None else next_wait(max(seconds, 0))
+            self._query_sender(question)
 
-    def _ask_sender(self, question: _rect.Question) -> None:
+    def _query_sender(self, question: _rect.Question) -> None:
         answered: list[bool] = []
 
         def on_reply(reply: zenoh.Reply) -> None:
-            # One question, one answer: more would fill the memory.
+            # Only one reply per question counts: more would fill the memory.
             if reply.ok is not None and not answered:
                 answered.append(True)
                 self._events.put(("confirmed", question, payload_bytes(reply.ok.payload)))
 
-        on_end = partial(self._events.put, ("silence", question, b""))
-        key = self._session.place.own(question.robot, question.key)
+        on_end = partial(self._events.put, ("no_reply", question, b""))
+        key = self._session.key_space.own(question.robot, question.key)
         target = zenoh.QueryTarget.BEST_MATCHING
-        _ask(self._session, key, question.payload, question.timeout, on_reply, on_end, target)
+        _query(self._session, key, question.payload, question.timeout, on_reply, on_end, target)
 
     def _on_offer(self, offer: bytes) -> bytes:
-        answer, known = self._inbox.on_offer(offer)
-        self._tell_offered(known)
+        answer, running = self._admission.on_offer(offer)
+        self._notify_offered(running)
         return answer
 
     def _on_confirmed(self, question: _rect.Question, reply: bytes) -> None:
-        offered, known = self._inbox.on_confirmed(question, reply)
-        self._tell_offered(known)
+        offered, running = self._admission.on_confirmed(question, reply)
+        self._notify_offered(running)
         if offered is None:
             return
         if self._is_stopped:
-            self._inbox.on_stopped(offered)
+            self._admission.on_stopped(offered)
             return
-        taken: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
-        self._running[offered.id] = taken
-        self._session.start("rect transfer", lambda: self._pull(offered, taken))
+        events: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
+        self._running[offered.id] = events
+        self._session.start("rect transfer", lambda: self._pull(offered, events))
 
-    def _tell_offered(self, id: str | None) -> None:
+    def _notify_offered(self, id: str | None) -> None:
         events = None if id is None else self._running.get(id)
         if events is not None:
             events.put(("offered", 0, b""))
 
     def _pull(self, offered: _rect.Offered, events: SimpleQueue[tuple[str, int, bytes]]) -> None:
         about = Received(offered.sender, offered.topic, offered.name, offered.encoding, offered.size_bytes)
-        key = self._session.place.own(offered.sender, offered.key)
-        pull = _rect.Pull(offered, self._folder, self._patience)
-        told = _Told(None)
+        key = self._session.key_space.own(offered.sender, offered.key)
+        pull = _rect.Pull(offered, self._folder, self._timeout)
+        throttle = _ProgressThrottle(None)
         if self._on_progress is not None:
             on_progress = self._on_progress
-            told = _Told(lambda progress: on_progress(about, progress))
+            throttle = _ProgressThrottle(lambda progress: on_progress(about, progress))
         while True:
             step, ticket, payload, seconds = pull.poll()
-            self._inbox.on_held(offered, pull.progress()[0])
-            if step == "over":
+            self._admission.on_received_bytes(offered, pull.progress()[0])
+            if step == "finished":
                 break
-            if step == "ask" and payload is not None:
-                self._ask(key, ticket, payload, seconds, events)
+            if step == "request" and payload is not None:
+                self._query(key, ticket, payload, seconds, events)
                 continue
-            self._wait(pull, events, min(max(seconds, 0), _LOOK_EVERY_S))
-            told.tell(pull.progress())
-        told.tell(pull.progress(), last=True)
+            self._wait(pull, events, min(max(seconds, 0), _CHECK_INTERVAL_S))
+            throttle.report(pull.progress())
+        throttle.report(pull.progress(), last=True)
         self._over(offered, pull, about, key)
 
     def _wait(self, pull: _rect.Pull, events: SimpleQueue[tuple[str, int, bytes]], seconds: float) -> None:
@@ -461,7 +471,7 @@ class _Taking:
         if what == "stop" or self._session.is_closed:
             pull.stop()
 
-    def _ask(
+    def _query(
         self, key: str, ticket: int, payload: bytes, timeout: float, events: SimpleQueue[tuple[str, int, bytes]]
     ) -> None:
         def on_reply(reply: zenoh.Reply) -> None:
@@ -473,61 +483,61 @@ class _Taking:
         def on_end() -> None:
             events.put(("end", ticket, b""))
 
-        # What comes late is of use, too.
-        _ask(self._session, key, payload, timeout * 2, on_reply, on_end, zenoh.QueryTarget.BEST_MATCHING)
+        # A late reply is useful, too.
+        _query(self._session, key, payload, timeout * 2, on_reply, on_end, zenoh.QueryTarget.BEST_MATCHING)
 
     def _over(self, offered: _rect.Offered, pull: _rect.Pull, about: Received, key: str) -> None:
-        # Only what the program has, or will have, is done. It may be slow: then this waits, and a place stays taken.
+        # A transfer is done when the program has read it or will read it. A slow program makes this wait.
         has_room = not pull.is_stopped and self._wait_for_room()
-        self._inbox.on_ended(offered, pull, has_room or pull.is_stopped)
+        self._admission.on_ended(offered, pull, has_room or pull.is_stopped)
         self._running.pop(offered.id, None)
-        # First the sender: the program may exit as soon as it has been told.
+        # Inform the sender first: the program may exit as soon as it has read the transfer.
         if not self._session.is_closed:
-            known = threading.Event()
+            informed = threading.Event()
             ended = _rect.transfer_ended()
-            _ask(self._session, key, ended, _ENDED_TIMEOUT_S, _ignored, known.set, zenoh.QueryTarget.BEST_MATCHING)
-            known.wait(_ENDED_TIMEOUT_S)
+            _query(self._session, key, ended, _ENDED_TIMEOUT_S, _ignored, informed.set, zenoh.QueryTarget.BEST_MATCHING)
+            informed.wait(_ENDED_TIMEOUT_S)
         if has_room:
             self.ended.push(_received(about, pull))
 
     def _wait_for_room(self) -> bool:
-        """Waits until the program can take one more; `False`: it takes nothing any more."""
+        """Waits until the program can read one more transfer. Returns `False` if it has stopped."""
         while not self._is_stopped:
-            if self._room.acquire(timeout=_LOOK_EVERY_S):
+            if self._room.acquire(timeout=_CHECK_INTERVAL_S):
                 return True
         return False
 
 
 def _received(about: Received, pull: _rect.Pull) -> Received:
-    known = (about.sender, about.topic, about.name, about.encoding, about.size_bytes)
+    fields = (about.sender, about.topic, about.name, about.encoding, about.size_bytes)
     try:
         content = pull.content()
     except TransferFailed as error:
-        return Received(*known, error)
-    return Received(*known, None, Path(content) if isinstance(content, str) else content)
+        return Received(*fields, error)
+    return Received(*fields, None, Path(content) if isinstance(content, str) else content)
 
 
-class _Told:
-    """Tells progress: each news once, and not too often."""
+class _ProgressThrottle:
+    """Reports progress to a callback: each change once, and at most ten times a second."""
 
     def __init__(self, callback: OnProgress | None) -> None:
         self._callback = callback
-        self._told: tuple[int, int] | None = None
-        self._at = 0.0
+        self._reported: tuple[int, int] | None = None
+        self._reported_at = 0.0
 
-    def tell(self, progress: tuple[int, int], last: bool = False) -> None:
+    def report(self, progress: tuple[int, int], last: bool = False) -> None:
         now = time.monotonic()
-        due = self._told is None or last or now - self._at >= _PROGRESS_EVERY_S
-        if self._callback is None or not due or progress == self._told:
+        is_due = self._reported is None or last or now - self._reported_at >= _PROGRESS_INTERVAL_S
+        if self._callback is None or not is_due or progress == self._reported:
             return
-        self._told, self._at = progress, now
+        self._reported, self._reported_at = progress, now
         try:
             self._callback(Progress(*progress))
         except Exception:
-            _LOG.exception("the callback for a transfer's progress raised")
+            _LOG.exception("the progress callback of a transfer raised an exception")
 
 
-def _ask(
+def _query(
     session: Session,
     key: str,
     payload: bytes,
@@ -536,7 +546,7 @@ def _ask(
     on_end: Callable[[], object],
     target: zenoh.QueryTarget,
 ) -> None:
-    """Asks, in no hurry, and dropped nowhere. `on_end` is called once, after the last reply."""
+    """Sends a query that is reliable and overtaken by all other messages. `on_end` is called after the last reply."""
     try:
         session.zenoh.get(
             key,
@@ -549,7 +559,7 @@ def _ask(
             timeout=timeout,
         )
     except zenoh.ZError as error:
-        _LOG.debug("%s can't be asked: %s", key, error)
+        _LOG.debug("cannot query %s: %s", key, error)
 
 
 def _ignored(*_: object) -> None:

@@ -1,7 +1,6 @@
-"""Owns values: how what a program says becomes bytes with an encoding, and what came becomes a value again.
+"""Converts values to payloads (bytes with an encoding), and payloads to values.
 
-What the bytes are, the Rust library decides. numpy and Pillow are imported only where a value of theirs is given or
-asked for.
+The Rust library defines the bytes. numpy and Pillow are imported only when a value of theirs is passed or requested.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rect import _rect
+from rect.choices import PixelFormat
 from rect.errors import PayloadError
 
 if TYPE_CHECKING:
@@ -26,27 +26,29 @@ CBOR = "application/cbor"
 _RAW = "application/octet-stream"
 _PICTURES = ("image/png", "image/jpeg", "image/webp")
 _PICTURE_CODECS = ("png", "jpeg", "webp")
-_CHANNELS = {"grey8": 1, "rgb8": 3, "rgba8": 4}
-_MODES = {"grey8": "L", "rgb8": "RGB", "rgba8": "RGBA"}
-#: What goes as JSON, as most messages do.
+_CHANNELS: dict[PixelFormat, int] = {"grey8": 1, "rgb8": 3, "rgba8": 4}
+_MODES: dict[PixelFormat, str] = {"grey8": "L", "rgb8": "RGB", "rgba8": "RGBA"}
+#: Types of most values; they are sent as JSON.
 _PLAIN = frozenset((dict, list, float, int, bool, type(None)))
-#: So many characters are never more bytes than an encoding may have.
+#: An encoding of at most this many characters never exceeds the maximum length in bytes.
 _SHORT_ENCODING = 50
 _ELEMENTS = ("u8", "i8", "u16", "i16", "u32", "i32", "i64", "f32", "f64")
 
 
 class Payload:
-    """Bytes, and what they are: an encoding as Zenoh's tools show it.
+    """Bytes with their encoding, in the form that Zenoh's tools show.
 
     >>> Payload(b"[1, 2]", "application/json").value
     [1, 2]
     """
 
-    # No dataclass: a frozen one takes four times as long to make, and each message has two.
+    # Not a dataclass: a frozen one takes four times as long to construct, and each message needs two.
     __slots__ = ("bytes", "encoding")
     __match_args__ = ("bytes", "encoding")
 
+    #: The encoded value.
     bytes: builtins.bytes
+    #: The encoding, such as `application/json`. Default: `zenoh/bytes`.
     encoding: str
 
     def __init__(self, bytes: builtins.bytes, encoding: str = BYTES) -> None:
@@ -55,9 +57,9 @@ class Payload:
 
     @property
     def value(self) -> Any:
-        """What it says: a dict, text, a numpy array, a `Picture`...; bytes where the encoding is not known here.
+        """The decoded bytes: a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown.
 
-        Raises `PayloadError` where the bytes are not what the encoding says.
+        Raises `PayloadError` if the bytes do not match the encoding.
         """
         return value_of(self)
 
@@ -75,19 +77,22 @@ class Payload:
 
 @dataclass(frozen=True)
 class Cbor:
-    """Sends a value as CBOR: shorter than JSON, bytes and NaN included, and not readable by eye.
+    """Wraps a value so that it is sent as CBOR instead of JSON.
+
+    CBOR is shorter, and can contain bytes and NaN; it is not human-readable.
 
     >>> payload_of(Cbor({"angle": 12.5})).encoding
     'application/cbor'
     """
 
+    #: The value to send.
     value: Any
 
 
 class Picture:
-    """A picture as a camera gives it: rows of pixels without gaps, from the upper left.
+    """A picture: rows of pixels from the top left, without padding.
 
-    `numpy.asarray(picture)` has its pixels, `picture.pillow()` is the same for Pillow.
+    `numpy.asarray(picture)` returns its pixels, and `picture.pillow()` returns it as a Pillow image.
 
     >>> Picture.of_pixels(2, 1, "rgb8", bytes(6))
     Picture(2x1 rgb8)
@@ -95,15 +100,23 @@ class Picture:
 
     __slots__ = ("format", "height", "pixels", "width")
 
+    #: Width, in pixels.
     width: int
+    #: Height, in pixels.
     height: int
-    #: `grey8`, `rgb8` or `rgba8`.
-    format: str
+    #: Channels of a pixel: `grey8`, `rgb8` or `rgba8`, one byte per channel.
+    format: PixelFormat
+    #: The pixels: `width * height` times 1, 3 or 4 bytes.
     pixels: bytes
 
     def __init__(self, picture: numpy.ndarray[Any, Any] | PIL.Image.Image | Picture) -> None:
-        """Of a numpy array of bytes (height x width, or height x width x 3 or 4), or of a Pillow image."""
-        size: tuple[int, int, str, bytes]
+        """Makes a picture from a numpy array of bytes or from a Pillow image.
+
+        The shape of the array is height x width (grey), or height x width x 3 (RGB) or x 4 (RGBA).
+
+        Raises `PayloadError` if the array has another type or shape.
+        """
+        size: tuple[int, int, PixelFormat, bytes]
         if isinstance(picture, Picture):
             size = (picture.width, picture.height, picture.format, picture.pixels)
         elif _is_array(picture):
@@ -112,13 +125,16 @@ class Picture:
             size = _pixels_of_pillow(picture)
         else:
             name = type(picture).__name__
-            raise TypeError(f"picture is a numpy array, a Pillow image or a rect.Picture, not a {name}")
+            raise TypeError(f"picture must be a numpy array, a Pillow image or a rect.Picture, not {name}")
         self.width, self.height, self.format, self.pixels = size
         _rect.picture(*size)
 
     @classmethod
-    def of_pixels(cls, width: int, height: int, format: str, pixels: bytes) -> Picture:
-        """Of pixels, `grey8`, `rgb8` or `rgba8`. Raises `CodecError` where it is another number of bytes."""
+    def of_pixels(cls, width: int, height: int, format: PixelFormat, pixels: bytes) -> Picture:
+        """Makes a picture from pixels of the format `grey8`, `rgb8` or `rgba8`.
+
+        Raises `CodecError` if the number of bytes does not match the size and format.
+        """
         _rect.picture(width, height, format, pixels)
         made = cls.__new__(cls)
         made.width, made.height, made.format, made.pixels = width, height, format, pixels
@@ -133,17 +149,17 @@ class Picture:
         return array if dtype is None else array.astype(dtype)
 
     def numpy(self) -> numpy.ndarray[Any, Any]:
-        """Its pixels, height x width (x 3 or 4)."""
+        """Returns the pixels as an array of bytes: height x width for `grey8`, else height x width x 3 or 4."""
         return self.__array__()
 
     def pillow(self) -> PIL.Image.Image:
-        """The same for Pillow."""
+        """Returns the picture as a Pillow image."""
         import PIL.Image
 
         return PIL.Image.frombytes(_MODES[self.format], (self.width, self.height), self.pixels)
 
     def scaled(self, width: int, height: int) -> Picture:
-        """The same in another size."""
+        """Returns the picture scaled to `width` x `height` pixels. Raises `CodecError` if that size is not possible."""
         return Picture.of_pixels(*_rect.scaled((self.width, self.height, self.format), self.pixels, (width, height)))
 
     def _repr_png_(self) -> bytes:
@@ -167,7 +183,7 @@ class Picture:
 
 
 def payload_of(value: Any, codec: _rect.Codec | None = None) -> Payload:
-    """A value as it is sent, made smaller by a codec if there is one."""
+    """Encodes a value, and compresses it if a codec is given."""
     if codec is None:
         bytes, encoding = _parts(value)
     else:
@@ -180,7 +196,7 @@ def payload_of(value: Any, codec: _rect.Codec | None = None) -> Payload:
 
 
 def value_of(payload: Payload) -> Any:
-    """What a payload says, by its encoding."""
+    """Decodes a payload by its encoding."""
     if payload.encoding in (JSON, CBOR, "text/json"):
         return _rect.read_value(payload.bytes, payload.encoding)
     media_type, _, rest = payload.encoding.partition(";")
@@ -188,7 +204,7 @@ def value_of(payload: Payload) -> Any:
         try:
             return payload.bytes.decode()
         except UnicodeDecodeError as error:
-            text = f"the payload says that it is text, and is not, or not of the wanted shape: {error}"
+            text = f"the payload is not valid text: {error}"
             raise PayloadError(text, "read") from None
     if media_type in _PICTURES or (media_type == _RAW and rest.startswith("picture;")):
         return Picture.of_pixels(*_rect.read_picture(payload.bytes, payload.encoding))
@@ -198,12 +214,12 @@ def value_of(payload: Payload) -> Any:
 
 
 def codec_of(codec: str | _rect.Codec | None) -> _rect.Codec | None:
-    """The codec that a program names, as `zstd:9` or `jpeg:60`."""
+    """Returns the codec with this name, such as `zstd:9` or `jpeg:60`."""
     if codec is None or isinstance(codec, _rect.Codec):
         return codec
     if isinstance(codec, str):
         return _rect.Codec(codec)
-    raise TypeError(f"codec is text such as 'zstd:9', or a rect.Codec, not a {type(codec).__name__}")
+    raise TypeError(f"codec must be a name such as 'zstd:9' or a rect.Codec, not {type(codec).__name__}")
 
 
 def _parts(value: Any) -> tuple[bytes, str]:
@@ -213,7 +229,7 @@ def _parts(value: Any) -> tuple[bytes, str]:
         try:
             return value.encode(), TEXT
         except UnicodeEncodeError as error:
-            raise PayloadError(f"this value can't be written as text: {error}", "write") from None
+            raise PayloadError(f"the value cannot be encoded as text: {error}", "write") from None
     if isinstance(value, bytes):
         return value, BYTES
     if isinstance(value, Payload):
@@ -232,15 +248,15 @@ def _parts(value: Any) -> tuple[bytes, str]:
 
 
 def _checked(payload: Payload) -> tuple[bytes, str]:
-    """What a program's own payload has, if it can be sent."""
+    """Returns the parts of a payload that the program made, if it can be sent."""
     if not isinstance(payload.bytes, bytes):
-        raise TypeError(f"a payload has bytes, not a {type(payload.bytes).__name__}")
+        raise TypeError(f"Payload.bytes must be bytes, not {type(payload.bytes).__name__}")
     if not isinstance(payload.encoding, str):
-        raise TypeError(f"an encoding is text, not a {type(payload.encoding).__name__}")
+        raise TypeError(f"Payload.encoding must be a str, not {type(payload.encoding).__name__}")
     try:
         payload.encoding.encode()
     except UnicodeEncodeError as error:
-        raise PayloadError(f"this encoding is not text in UTF-8: {error}", "encoding") from None
+        raise PayloadError(f"the encoding is not valid UTF-8: {error}", "encoding") from None
     return payload.bytes, payload.encoding
 
 
@@ -253,8 +269,8 @@ def _raw_array(array: numpy.ndarray[Any, Any]) -> tuple[bytes, str]:
 
     kind = f"{array.dtype.kind}{array.dtype.itemsize * 8}"
     if kind not in _ELEMENTS:
-        # numpy counts bytes, this library bits: "f4" is f32.
-        raise PayloadError(f"an array of {array.dtype} can't be sent: {', '.join(_ELEMENTS)} can", "write")
+        # numpy counts bytes and this library bits: "f4" is f32.
+        raise PayloadError(f"an array of {array.dtype} cannot be sent; possible types: {', '.join(_ELEMENTS)}", "write")
     little = numpy.ascontiguousarray(array, array.dtype.newbyteorder("<"))
     numbers = little.tobytes()
     return numbers, _rect.array_encoding(kind, list(array.shape), numbers)
@@ -265,22 +281,22 @@ def _numpy_of(payload: Payload) -> numpy.ndarray[Any, Any]:
     try:
         import numpy
     except ImportError:
-        raise PayloadError("an array came, for which numpy is needed: `pip install numpy`") from None
+        raise PayloadError("numpy is needed to decode an array: `pip install numpy`") from None
     dtype = numpy.dtype(f"<{element[0]}{int(element[1:]) // 8}")
     return numpy.frombuffer(numbers, dtype).reshape(shape)
 
 
-def _pixels_of_array(array: numpy.ndarray[Any, Any]) -> tuple[int, int, str, bytes]:
+def _pixels_of_array(array: numpy.ndarray[Any, Any]) -> tuple[int, int, PixelFormat, bytes]:
     channels = 1 if array.ndim == 2 else array.shape[-1]
     formats = {count: name for name, count in _CHANNELS.items()}
     if array.dtype != "uint8" or array.ndim not in (2, 3) or channels not in formats:
         found = f"{array.dtype}, {'x'.join(map(str, array.shape))}"
-        text = f"this array is no picture: bytes of height x width (x 1, 3 or 4) are, and it is {found}"
+        text = f"a picture must be an array of uint8, height x width or height x width x 1, 3 or 4; this one is {found}"
         raise PayloadError(text, "write")
     return int(array.shape[1]), int(array.shape[0]), formats[channels], array.tobytes()
 
 
-def _pixels_of_pillow(image: PIL.Image.Image) -> tuple[int, int, str, bytes]:
+def _pixels_of_pillow(image: PIL.Image.Image) -> tuple[int, int, PixelFormat, bytes]:
     modes = {mode: name for name, mode in _MODES.items()}
     if image.mode not in modes:
         image = image.convert("RGBA" if "transparency" in image.info or "A" in image.mode else "RGB")

@@ -1,21 +1,21 @@
-"""Owns how a thread waits: at a lock of Python's own, which Ctrl-C ends at once."""
+"""Computes how long a thread may wait at a time, so that Ctrl-C interrupts the wait."""
 
 from __future__ import annotations
 
 import threading
 
-#: A Ctrl-C that comes while the main thread is about to wait, but does not yet, ends no wait: so it looks up as often,
-#: in seconds. Other threads need not: Ctrl-C is the main thread's.
-_GLANCE_S = 0.5
+#: Longest wait of the main thread at a time, in seconds. A Ctrl-C that arrives just before a wait begins does not
+#: interrupt it, so the main thread wakes up regularly. Other threads never receive Ctrl-C.
+_MAX_WAIT_S = 0.5
 
 
 def is_main() -> bool:
-    """Whether this is the main thread."""
+    """Returns whether this is the main thread."""
     return threading.get_ident() == threading.main_thread().ident
 
 
-def at_once(left: float | None) -> float | None:
-    """How long this thread may wait at once, of so many seconds; `None`: for ever."""
+def next_wait(remaining: float | None) -> float | None:
+    """Returns how many of the remaining seconds this thread may wait at a time; `None` means without limit."""
     if not is_main():
-        return left
-    return _GLANCE_S if left is None else min(left, _GLANCE_S)
+        return remaining
+    return _MAX_WAIT_S if remaining is None else min(remaining, _MAX_WAIT_S)

@@ -1,4 +1,4 @@
-//! Owns the receiving end of transfers: which offers are taken, and one that comes.
+//! Wraps the receiving end of transfers: the admission of offers, and one incoming transfer.
 use std::{
     collections::HashMap,
     path::PathBuf,
@@ -14,39 +14,39 @@ use rect::{
     core::topic::Pattern,
     core::transfer::{
         self,
-        inbox::{self, Confirmed, Decision, Wanted},
-        receiver::{Ask, Receiver, Step},
+        admission::{self, AdmissionRules, Confirmed, Decision},
+        receiver::{PieceRequest, Receiver, Step},
         Fault, Offer, Request, TransferId,
     },
     storage::{Content, Store},
 };
 
-use super::{file_error, patience, seconds_until};
+use super::{file_error, seconds_until, timeout};
 use crate::{
     detached::detached,
     errors::{raised, OrRaise},
-    place::Place,
+    key_space::KeySpace,
 };
 
-/// How often what is there is written down.
-const SAVE_EVERY: Duration = Duration::from_secs(2);
+/// Interval for saving which pieces are stored.
+const SAVE_INTERVAL: Duration = Duration::from_secs(2);
 
-/// The offers to one program's wish.
+/// Decides which offers a program accepts.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Inbox(Mutex<inbox::Inbox>);
+pub struct Admission(Mutex<admission::Admission>);
 
-/// A question to the robot that an offer names.
+/// A query that asks the robot named in an offer to confirm it.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Question(inbox::Question);
+pub struct Question(admission::Question);
 
-/// A transfer that was offered, and is taken.
+/// An offer that was accepted.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Offered {
     id: TransferId,
     offer: Offer,
 }
 
-/// A transfer that comes.
+/// An incoming transfer.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Pull(Mutex<Pulling>);
 
@@ -54,27 +54,27 @@ struct Pulling {
     offer: Offer,
     core: Receiver,
     store: Option<Store>,
-    asks: HashMap<u64, Ask>,
+    asks: HashMap<u64, PieceRequest>,
     saved: (Instant, u64),
-    how: Option<Result<Content, Fault>>,
+    result: Option<Result<Content, Fault>>,
 }
 
-/// The transfer that begins, or the id of one that goes on.
-type Taken = (Option<Offered>, Option<String>);
+/// The transfer that begins, or the id of one that continues.
+type Accepted = (Option<Offered>, Option<String>);
 
-/// `ask` (ticket, payload, time-out in seconds), `wait` (seconds), or `over`.
-type Next<'py> = (&'static str, u64, Option<Bound<'py, PyBytes>>, f64);
+/// The next step: `request` (id, payload and timeout in seconds), `wait` (time in seconds) or `finished`.
+type NextStep<'py> = (&'static str, u64, Option<Bound<'py, PyBytes>>, f64);
 
 #[pymethods]
-impl Inbox {
-    /// `folder`: where files are kept, if they are.
+impl Admission {
+    /// Creates the admission for a pattern. `folder` is where files are stored; `None` for memory.
     #[new]
     fn new(
         py: Python<'_>,
-        place: &Place,
+        key_space: &KeySpace,
         pattern: &str,
         max_bytes: u64,
-        at_once: usize,
+        max_concurrent: usize,
         folder: Option<PathBuf>,
     ) -> PyResult<Self> {
         let pattern = Pattern::new(pattern).or_raise()?;
@@ -86,96 +86,96 @@ impl Inbox {
             });
             made.map_err(|error| file_error(py, &folder, &error))?;
         }
-        let wanted = Wanted {
+        let rules = AdmissionRules {
             pattern,
             max_bytes,
-            max_running: at_once.max(1),
+            max_concurrent: max_concurrent.max(1),
         };
-        let inbox = inbox::Inbox::new(place.0.robot.clone(), wanted);
-        Ok(Self(Mutex::new(inbox)))
+        let admission = admission::Admission::new(key_space.0.robot.clone(), rules);
+        Ok(Self(Mutex::new(admission)))
     }
 
-    /// Handles an offer: the answer, and the id of the transfer if it is running.
+    /// Handles an offer. Returns the answer, and the id of the transfer if it is in progress.
     fn on_offer<'py>(
         &self,
         py: Python<'py>,
         offer: &[u8],
     ) -> (Bound<'py, PyBytes>, Option<String>) {
         let decision = lock(&self.0).on_offer(Instant::now(), offer);
-        let (answer, known) = match decision {
+        let (answer, running) = match decision {
             Decision::Answer(answer) => (answer, None),
-            Decision::Known(id, answer) => (answer, Some(id.to_string())),
+            Decision::Running(id, answer) => (answer, Some(id.to_string())),
         };
-        (PyBytes::new(py, &answer.encode()), known)
+        (PyBytes::new(py, &answer.encode()), running)
     }
 
-    /// Returns the next question, or how many seconds to wait (`None`: until something comes).
+    /// Returns the next question, or the time to wait in seconds (`None` means until the next event).
     fn poll(&self) -> (Option<Question>, Option<f64>) {
         match lock(&self.0).poll(Instant::now()) {
-            inbox::Step::Ask(question) => (Some(Question(question)), None),
-            inbox::Step::Wait(until) => (None, until.map(seconds_until)),
+            admission::Step::Ask(question) => (Some(Question(question)), None),
+            admission::Step::Wait(until) => (None, until.map(seconds_until)),
         }
     }
 
-    /// The asked robot has replied: the transfer that begins, or the id of one that goes on.
-    fn on_confirmed(&self, question: &Question, reply: &[u8]) -> Taken {
+    /// Handles the reply to a question. Returns the transfer that begins, or the id of one that continues.
+    fn on_confirmed(&self, question: &Question, reply: &[u8]) -> Accepted {
         match lock(&self.0).on_confirmed(&question.0, reply) {
             None => (None, None),
-            Some(Confirmed::Known(id)) => (None, Some(id.to_string())),
-            Some(Confirmed::Take(id, offer)) => {
+            Some(Confirmed::Running(id)) => (None, Some(id.to_string())),
+            Some(Confirmed::Accept(id, offer)) => {
                 let offer = *offer;
                 (Some(Offered { id, offer }), None)
             }
         }
     }
 
-    /// Nothing more comes of a question.
-    fn on_silence(&self, question: &Question) {
-        lock(&self.0).on_silence(Instant::now(), &question.0);
+    /// Handles the end of the replies to a question.
+    fn on_no_reply(&self, question: &Question) {
+        lock(&self.0).on_no_reply(Instant::now(), &question.0);
     }
 
-    /// It does not begin, because the program takes nothing any more.
+    /// Handles an accepted transfer that does not begin, because the program receives no more transfers.
     fn on_stopped(&self, offered: &Offered) {
         lock(&self.0).on_ended(offered.id, &Err(Fault::Stopped));
     }
 
-    /// So much of it is there.
-    fn on_held(&self, offered: &Offered, held_bytes: u64) {
-        lock(&self.0).on_held(offered.id, held_bytes);
+    /// Handles progress: `received_bytes` bytes of the transfer are stored.
+    fn on_received_bytes(&self, offered: &Offered, received_bytes: u64) {
+        lock(&self.0).on_received_bytes(offered.id, received_bytes);
     }
 
-    /// It is over; `delivered`: the program has it, or knows why not.
+    /// Handles the end of a transfer. `delivered` is whether the program receives the result.
     fn on_ended(&self, offered: &Offered, pull: &Pull, delivered: bool) {
-        let how = match &lock(&pull.0).how {
+        let result = match &lock(&pull.0).result {
             Some(Ok(_)) if delivered => Ok(()),
             Some(Err(fault)) if delivered => Err(fault.clone()),
             _ => Err(Fault::Stopped),
         };
-        lock(&self.0).on_ended(offered.id, &how);
+        lock(&self.0).on_ended(offered.id, &result);
     }
 }
 
 #[pymethods]
 impl Question {
-    /// The robot to ask.
+    /// The robot to query.
     #[getter]
     fn robot(&self) -> &str {
-        self.0.from.as_str()
+        self.0.sender.as_str()
     }
 
-    /// The key, without that robot's `@rect/`.
+    /// The key to query, after that robot's `@rect/`.
     #[getter]
     fn key(&self) -> String {
         transfer::source(self.0.id)
     }
 
-    /// How long to wait for the reply, in seconds.
+    /// The timeout of the query, in seconds.
     #[getter]
     fn timeout(&self) -> f64 {
         self.0.timeout.as_secs_f64()
     }
 
-    /// The query's payload.
+    /// The payload of the query.
     #[getter]
     fn payload<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, &Request::Confirm.encode())
@@ -191,7 +191,7 @@ impl Offered {
 
     #[getter]
     fn sender(&self) -> &str {
-        self.offer.from.as_str()
+        self.offer.sender.as_str()
     }
 
     #[getter]
@@ -214,7 +214,7 @@ impl Offered {
         self.offer.size_bytes
     }
 
-    /// What goes after the sender's `@rect/` for its pieces.
+    /// The key of the pieces, after the sender's `@rect/`.
     #[getter]
     fn key(&self) -> String {
         transfer::source(self.id)
@@ -223,136 +223,140 @@ impl Offered {
 
 #[pymethods]
 impl Pull {
-    /// Begins, or goes on where a restart ended it. `folder`: where it is kept; `None`: in memory.
+    /// Begins a transfer, or continues one that a restart interrupted. `folder` is where it is stored; `None` for memory.
     #[new]
     fn new(
         py: Python<'_>,
         offered: &Offered,
         folder: Option<PathBuf>,
-        patience_s: f64,
+        timeout_s: f64,
     ) -> PyResult<Self> {
-        let patience = patience(py, patience_s)?;
+        let timeout = timeout(py, timeout_s)?;
         let offer = offered.offer.clone();
         let opened = detached(py, || match folder {
             None => Store::in_memory(offer.size_bytes).map(|store| (store, Default::default())),
             Some(folder) => Store::in_folder(&folder, offered.id, &offer),
         });
-        let (store, held, how) = match opened {
+        let (store, held, result) = match opened {
             Ok((store, held)) => (Some(store), held, None),
             Err(error) => {
-                let fault = Fault::NotKept(error.to_string());
+                let fault = Fault::NotStored(error.to_string());
                 (None, Default::default(), Some(Err(fault)))
             }
         };
         let now = Instant::now();
-        let core = Receiver::new(now, offer.size_bytes, held, patience);
-        let saved = (now, core.progress().held_bytes);
+        let core = Receiver::new(now, offer.size_bytes, held, timeout);
+        let saved = (now, core.progress().received_bytes);
         Ok(Self(Mutex::new(Pulling {
             offer,
             core,
             store,
             asks: HashMap::new(),
             saved,
-            how,
+            result,
         })))
     }
 
-    /// What to do now. Takes as long as the checksum, once all is there.
-    fn poll<'py>(&self, py: Python<'py>) -> Next<'py> {
+    /// Returns the next step. After the last piece, this call computes the checksum.
+    fn poll<'py>(&self, py: Python<'py>) -> NextStep<'py> {
         match detached(py, || lock(&self.0).poll()) {
-            Step::Ask(ask) => {
+            Step::Request(ask) => {
                 let payload = PyBytes::new(py, &ask.request.encode());
-                let (ticket, timeout) = (ask.ticket, ask.timeout.as_secs_f64());
-                ("ask", ticket, Some(payload), timeout)
+                let (ticket, timeout) = (ask.id, ask.timeout.as_secs_f64());
+                ("request", ticket, Some(payload), timeout)
             }
             Step::Wait(until) => ("wait", 0, None, seconds_until(until)),
-            Step::Check | Step::Over(_) => ("over", 0, None, 0.0),
+            Step::Check | Step::Finished(_) => ("finished", 0, None, 0.0),
         }
     }
 
-    /// A reply has come.
+    /// Handles the reply to a request.
     fn on_reply(&self, py: Python<'_>, ticket: u64, bytes: &[u8]) {
         detached(py, || lock(&self.0).on_reply(ticket, bytes));
     }
 
-    /// An error has come; Zenoh's own, such as that it took too long, is none of the sender's.
+    /// Handles an error reply. Errors of Zenoh itself, such as a timeout, are not from the sender and are ignored.
     fn on_error(&self, ticket: u64, bytes: &[u8]) {
         if let Some(fault) = Fault::decode(bytes) {
             lock(&self.0).core.on_fault(ticket, fault);
         }
     }
 
-    /// No more comes of a request.
+    /// Handles the end of the replies to a request.
     fn on_end(&self, ticket: u64) {
         let mut pulling = lock(&self.0);
         pulling.asks.remove(&ticket);
-        pulling.core.on_silence(Instant::now(), ticket);
+        pulling.core.on_no_reply(Instant::now(), ticket);
     }
 
-    /// Its sender offers it again.
+    /// Handles a repeated offer of the sender.
     fn on_offered(&self) {
         lock(&self.0).core.on_offered(Instant::now());
     }
 
-    /// The program wants it no more.
+    /// Stops the transfer on behalf of the program.
     fn stop(&self) {
         lock(&self.0).core.end(Fault::Stopped);
     }
 
-    /// How many bytes are there, of how many.
+    /// Returns the number of stored bytes, and the size.
     fn progress(&self) -> (u64, u64) {
         let progress = lock(&self.0).core.progress();
-        (progress.held_bytes, progress.size_bytes)
+        (progress.received_bytes, progress.size_bytes)
     }
 
-    /// Whether it was ended by the program's wish.
+    /// Whether the program stopped it.
     #[getter]
     fn is_stopped(&self) -> bool {
-        matches!(lock(&self.0).how, Some(Err(Fault::Stopped)))
+        matches!(lock(&self.0).result, Some(Err(Fault::Stopped)))
     }
 
-    /// What came, once it is over: bytes, or a file's path. Raises why it did not.
+    /// Returns the content once the transfer has ended: bytes, or the path of a file. Raises `TransferFailed`.
     fn content<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let pulling = lock(&self.0);
-        match &pulling.how {
+        match &pulling.result {
             Some(Ok(Content::Bytes(bytes))) => Ok(PyBytes::new(py, bytes).into_any()),
             Some(Ok(Content::File(path))) => {
                 Ok(PyString::new(py, &path.to_string_lossy()).into_any())
             }
             Some(Err(fault)) => {
-                let Offer { from, topic, .. } = &pulling.offer;
-                let text = format!("the transfer {topic} with {from} did not get there: {fault}");
+                let Offer { sender, topic, .. } = &pulling.offer;
+                let text = format!("the transfer {topic} with {sender} failed: {fault}");
                 Err(raised(py, "TransferFailed", (text,)))
             }
-            None => Err(raised(py, "TransferFailed", ("it is not over",))),
+            None => Err(raised(
+                py,
+                "TransferFailed",
+                ("the transfer has not ended",),
+            )),
         }
     }
 }
 
 impl Pulling {
     fn poll(&mut self) -> Step {
-        if self.how.is_some() {
-            return Step::Over(Ok(()));
+        if self.result.is_some() {
+            return Step::Finished(Ok(()));
         }
         self.save_sometimes();
         loop {
             match self.core.poll(Instant::now()) {
-                Step::Ask(ask) => {
-                    self.asks.insert(ask.ticket, ask.clone());
-                    return Step::Ask(ask);
+                Step::Request(ask) => {
+                    self.asks.insert(ask.id, ask.clone());
+                    return Step::Request(ask);
                 }
                 Step::Wait(until) => return Step::Wait(until),
                 Step::Check => self.check(),
-                Step::Over(how) => {
-                    self.how = Some(self.finish(how));
-                    return Step::Over(Ok(()));
+                Step::Finished(result) => {
+                    self.result = Some(self.finish(result));
+                    return Step::Finished(Ok(()));
                 }
             }
         }
     }
 
     fn on_reply(&mut self, ticket: u64, bytes: &[u8]) {
-        // One question, one answer: more would fill the memory.
+        // Only one reply per request counts: more would fill the memory.
         let (Some(ask), Some(store)) = (self.asks.remove(&ticket), self.store.as_mut()) else {
             return;
         };
@@ -360,8 +364,8 @@ impl Pulling {
             return;
         }
         match store.write(ask.range.start, bytes) {
-            Ok(()) => self.core.on_kept(ask.range),
-            Err(error) => self.core.on_not_kept(error.to_string()),
+            Ok(()) => self.core.on_written(ask.range),
+            Err(error) => self.core.on_write_failed(error.to_string()),
         }
     }
 
@@ -371,14 +375,14 @@ impl Pulling {
         };
         match store.checksum() {
             Ok(checksum) => self.core.on_checked(checksum == self.offer.checksum),
-            Err(error) => self.core.on_not_kept(error.to_string()),
+            Err(error) => self.core.on_write_failed(error.to_string()),
         }
     }
 
     fn save_sometimes(&mut self) {
         let (at, bytes) = self.saved;
-        let held_bytes = self.core.progress().held_bytes;
-        if held_bytes == bytes || at.elapsed() < SAVE_EVERY {
+        let received_bytes = self.core.progress().received_bytes;
+        if received_bytes == bytes || at.elapsed() < SAVE_INTERVAL {
             return;
         }
         if let Some(Err(error)) = self
@@ -386,19 +390,19 @@ impl Pulling {
             .as_ref()
             .map(|store| store.save(self.core.held()))
         {
-            self.core.on_not_kept(error.to_string());
+            self.core.on_write_failed(error.to_string());
         }
-        self.saved = (Instant::now(), held_bytes);
+        self.saved = (Instant::now(), received_bytes);
     }
 
-    fn finish(&mut self, how: Result<(), Fault>) -> Result<Content, Fault> {
+    fn finish(&mut self, result: Result<(), Fault>) -> Result<Content, Fault> {
         let store = self.store.take().ok_or(Fault::Stopped)?;
-        match how {
+        match result {
             Ok(()) => store
                 .finish()
-                .map_err(|error| Fault::NotKept(error.to_string())),
+                .map_err(|error| Fault::NotStored(error.to_string())),
             Err(fault) => {
-                // What is not saved is sent again: why it ended counts more.
+                // Pieces that are not saved are sent again. The reason for the end is more important.
                 let _ = store.interrupt(self.core.held(), &fault);
                 Err(fault)
             }
@@ -406,7 +410,7 @@ impl Pulling {
     }
 }
 
-/// That it is over, as the sender is told.
+/// Encodes the request that informs the sender of the end of a transfer.
 #[pyfunction]
 pub fn transfer_ended(py: Python<'_>) -> Bound<'_, PyBytes> {
     PyBytes::new(py, &Request::Ended.encode())

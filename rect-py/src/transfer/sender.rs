@@ -1,4 +1,4 @@
-//! Owns the sending end of a transfer.
+//! Wraps the sending end of a transfer.
 use std::{
     path::PathBuf,
     sync::{Mutex, MutexGuard, PoisonError},
@@ -22,66 +22,64 @@ use rect::{
     storage::Source,
 };
 
-use super::{file_error, patience, seconds_until};
+use super::{file_error, seconds_until, timeout};
 use crate::{
     detached::detached,
     errors::{raised, OrRaise},
-    place::{name, topic, Place},
+    key_space::{name, topic, KeySpace},
 };
 
-/// A transfer that is sent.
+/// An outgoing transfer.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct TransferSender {
-    to: Name,
+    recipient: Name,
     topic: Topic,
     offer: Offer,
     source: Source,
     core: Mutex<Sender>,
 }
 
-/// What is sent.
+/// The data of a transfer.
 #[derive(FromPyObject)]
-enum Given<'py> {
+enum Data<'py> {
     Bytes(Bound<'py, PyBytes>),
     File(PathBuf),
 }
 
 #[pymethods]
 impl TransferSender {
-    /// Reads the source once, for its checksum.
+    /// Prepares a transfer. Reads the data once, for its checksum.
     #[new]
-    #[pyo3(signature = (place, to, topic, source, call, *, name=None, encoding=None, patience_s=None))]
+    #[pyo3(signature = (key_space, recipient, topic, source, call, *, name=None, encoding=None, timeout_s=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
-        place: &Place,
-        to: &str,
+        key_space: &KeySpace,
+        recipient: &str,
         topic: &str,
-        source: Given<'_>,
+        source: Data<'_>,
         call: u64,
         name: Option<String>,
         encoding: Option<String>,
-        patience_s: Option<f64>,
+        timeout_s: Option<f64>,
     ) -> PyResult<Self> {
-        let (to, topic) = (self::name(to)?, self::topic(topic)?);
-        let patience = patience_s
-            .map(|seconds| patience(py, seconds))
-            .transpose()?;
-        let (source, given_name) = match source {
-            Given::Bytes(bytes) => {
+        let (recipient, topic) = (self::name(recipient)?, self::topic(topic)?);
+        let timeout = timeout_s.map(|seconds| timeout(py, seconds)).transpose()?;
+        let (source, file_name) = match source {
+            Data::Bytes(bytes) => {
                 let bytes = Bytes::copy_from_slice(bytes.as_bytes());
                 (detached(py, || Source::of_bytes(bytes)), None)
             }
-            Given::File(path) => {
+            Data::File(path) => {
                 let source = detached(py, || Source::of_file(&path));
                 let source = source.map_err(|error| file_error(py, &path, &error))?;
                 let name = path.file_name();
                 (source, name.map(|name| name.to_string_lossy().into_owned()))
             }
         };
-        let name = name.or(given_name).unwrap_or_default();
+        let name = name.or(file_name).unwrap_or_default();
         let offer = Offer {
-            from: place.0.robot.clone(),
+            sender: key_space.0.robot.clone(),
             topic: topic.clone(),
             name: FileName::new(&name).or_raise()?,
             encoding: encoding.map_or(Encoding::BYTES, Encoding::new),
@@ -90,9 +88,9 @@ impl TransferSender {
             call,
         };
         let now = Instant::now();
-        let core = Mutex::new(Sender::new(now, offer.size_bytes, patience, call));
+        let core = Mutex::new(Sender::new(now, offer.size_bytes, timeout, call));
         Ok(Self {
-            to,
+            recipient,
             topic,
             offer,
             source,
@@ -100,38 +98,39 @@ impl TransferSender {
         })
     }
 
-    /// What goes after this robot's `@rect/` for its pieces.
+    /// The key at which this robot serves the pieces, after its `@rect/`.
     #[getter]
     fn key(&self) -> String {
-        transfer::source(self.offer.id(&self.to))
+        transfer::source(self.offer.id(&self.recipient))
     }
 
-    /// What to offer.
+    /// The encoded offer.
     #[getter]
     fn offer<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, &self.offer.encode())
     }
 
-    /// What to do: `offer` it, for so many seconds; `wait` so long; or it is `done`. Raises why it is not.
+    /// Returns the next step: `offer` (with the timeout in seconds), `wait` (with the time in seconds) or `done`. Raises
+    /// `TransferRefused`, `TransferFailed` and `TimedOut`.
     fn poll(&self, py: Python<'_>) -> PyResult<(&'static str, f64)> {
         let step = self.core().poll(Instant::now());
         match step {
             Step::Offer(timeout) => Ok(("offer", timeout.as_secs_f64())),
             Step::Wait(until) => Ok(("wait", seconds_until(until))),
-            Step::Over(Outcome::Done) => Ok(("done", 0.0)),
-            Step::Over(outcome) => Err(self.error(py, outcome)),
+            Step::Finished(Outcome::Done) => Ok(("done", 0.0)),
+            Step::Finished(outcome) => Err(self.error(py, outcome)),
         }
     }
 
-    /// What programs of the receiver answered to an offer.
+    /// Handles the answers of the receiver's programs to an offer.
     fn on_answers(&self, answers: Vec<Vec<u8>>) {
         let answers = answers.iter().filter_map(|bytes| Answer::decode(bytes));
         let answers: Vec<_> = answers.collect();
         self.core().on_answers(Instant::now(), &answers);
     }
 
-    /// Handles a request: the reply (`True`), or what is wrong (`False`), or the number of the offer until whose answers the
-    /// query stays open; `None`: it is no request.
+    /// Handles a request of the receiver. Returns the reply (`True`), or the error (`False`), or the number of the offer up to
+    /// whose answers the query must stay open. Returns `None` if the request is invalid.
     fn on_request<'py>(
         &self,
         py: Python<'py>,
@@ -155,10 +154,10 @@ impl TransferSender {
         })
     }
 
-    /// How many bytes the receiver holds, of how many.
+    /// Returns the number of bytes that the receiver has stored, and the size.
     fn progress(&self) -> (u64, u64) {
         let progress = self.core().progress();
-        (progress.held_bytes, progress.size_bytes)
+        (progress.received_bytes, progress.size_bytes)
     }
 }
 
@@ -168,19 +167,21 @@ impl TransferSender {
     }
 
     fn error(&self, py: Python<'_>, outcome: Outcome) -> PyErr {
-        let Self { to, topic, .. } = self;
+        let Self {
+            recipient, topic, ..
+        } = self;
         match outcome {
             Outcome::Refused(refusal) => {
-                let text = format!("{to} does not take the transfer {topic}: {refusal}");
+                let text = format!("{recipient} refused the transfer {topic}: {refusal}");
                 raised(py, "TransferRefused", (text,))
             }
             Outcome::Failed(fault) => {
-                let text = format!("the transfer {topic} with {to} did not get there: {fault}");
+                let text = format!("the transfer {topic} with {recipient} failed: {fault}");
                 raised(py, "TransferFailed", (text,))
             }
-            Outcome::Unanswered(after) => {
-                let what = format!("word of {to} about the transfer {topic}");
-                raised(py, "TimedOut", (what, after.as_secs_f64()))
+            Outcome::NoAnswer(after) => {
+                let expected = format!("reply of {recipient} about the transfer {topic}");
+                raised(py, "TimedOut", (expected, after.as_secs_f64()))
             }
             Outcome::Done => raised(py, "TimedOut", ("end", Duration::ZERO.as_secs_f64())),
         }

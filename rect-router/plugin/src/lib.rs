@@ -1,10 +1,10 @@
 //! RECT as a plugin of a stock zenohd: `libzenoh_plugin_rect.so`, configured under `plugins/rect`.
 //!
-//! A stock zenohd has no `ble` link, and its own connections can't be changed while it runs. So the plugin opens a router
-//! of its own in the same process, with the Bluetooth listeners and the named connections, and connects it to the host's
-//! listener (`second.rs`); everything else is `rect-router`'s code.
+//! A stock zenohd has no `ble` link, and its connections cannot be changed while it runs. The plugin therefore opens a second
+//! router in the same process, with the Bluetooth listeners and the named connections, and connects it to the host's
+//! listener (`embedded_router.rs`). Everything else is code of `rect-router`.
 
-mod second;
+mod embedded_router;
 
 use std::{
     sync::{
@@ -14,7 +14,7 @@ use std::{
     thread,
 };
 
-use rect::core::wording;
+use rect::core::humanize;
 use rect_router::{config::Settings, threads};
 use zenoh::{
     internal::{
@@ -28,9 +28,9 @@ use zenoh_plugin_trait::{
     declare_plugin, plugin_long_version, plugin_version, Plugin, PluginControl,
 };
 
-use self::second::Second;
+use self::embedded_router::EmbeddedRouter;
 
-/// What zenohd loads.
+/// The plugin, as zenohd loads it.
 pub struct RectPlugin;
 
 declare_plugin!(RectPlugin);
@@ -46,27 +46,27 @@ impl Plugin for RectPlugin {
     const PLUGIN_LONG_VERSION: &'static str = plugin_long_version!();
 
     fn start(name: &str, host: &DynamicRuntime) -> ZResult<RunningPlugin> {
-        // This library has a copy of Zenoh of its own, with threads of its own and no log yet.
+        // This library contains its own copy of Zenoh, with its own threads and without a log.
         threads::set();
         zenoh::try_init_log_from_env();
         let given = host.get_config().get_plugin_config(name)?;
         let settings = Settings::parse(given)?;
         let running = Running::default();
         let (state, host) = (Arc::clone(&running.0), host.clone());
-        // The host listens only when all plugins have started.
+        // The host listens only after all plugins have started, so the router is opened on another thread.
         thread::Builder::new()
             .name("rect".to_owned())
             .spawn(move || {
-                match Second::open(settings, &host, &state.is_stopped) {
-                    Ok(Some(second)) => {
-                        tracing::info!("rect: its router is up, with id {}", second.id());
-                        // Stopped meanwhile: dropped here, or by whoever dropped the rest.
-                        let _ = state.second.set(second);
+                match EmbeddedRouter::open(settings, &host, &state.is_stopped) {
+                    Ok(Some(router)) => {
+                        tracing::info!("rect: the plugin's router is up, with id {}", router.id());
+                        // If the plugin was stopped in the meantime, this thread drops the last reference.
+                        let _ = state.router.set(router);
                     }
                     Ok(None) => {}
                     Err(error) => {
-                        let why = wording::with_causes(error.as_ref());
-                        tracing::error!("rect: can't start: {why}");
+                        let why = humanize::with_causes(error.as_ref());
+                        tracing::error!("rect: cannot start: {why}");
                         let _ = state.trouble.set(why);
                     }
                 }
@@ -75,14 +75,15 @@ impl Plugin for RectPlugin {
     }
 }
 
+/// The state shared with the thread that opens the router.
 #[derive(Default)]
 struct State {
-    second: OnceLock<Second>,
+    router: OnceLock<EmbeddedRouter>,
     trouble: OnceLock<String>,
     is_stopped: AtomicBool,
 }
 
-/// Dropping it ends the plugin's router.
+/// The running plugin. Dropping it stops the plugin's router.
 #[derive(Default)]
 struct Running(Arc<State>);
 
@@ -105,7 +106,7 @@ impl RunningPluginTrait for Running {
             return Ok(Vec::new());
         }
         let status = serde_json::json!({
-            "id": self.0.second.get().map(|second| second.id().to_string()),
+            "id": self.0.router.get().map(|router| router.id().to_string()),
             "trouble": self.0.trouble.get(),
         });
         Ok(vec![Response::new(key.to_string(), status)])

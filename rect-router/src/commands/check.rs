@@ -1,12 +1,15 @@
-//! Owns `rect-router check`: a configuration, read as the router reads it, and what this computer lacks for it.
+//! Implements `rect-router check`: reads a configuration as the router would, and checks that this computer can run it.
 use std::path::Path;
 
 use clap::Parser;
 
 use super::{service, CheckArgs, Failure};
-use crate::{args::Args, config, limits::SessionLimits, robot::Robot};
+use crate::{args::Args, config, limits::SessionLimits, robot_services::RobotServices};
 
-/// Reads everything and starts nothing; the error names all that would not work.
+/// Checks the configuration, the login file, the connections file and the listeners without starting anything.
+///
+/// # Errors
+/// The first invalid setting or file, or else all listeners that cannot start.
 pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     let flags = Args::try_parse_from(["rect-router", "--config", &args.config])?;
     let (mut config, settings) = config::from_args(&flags)?;
@@ -14,29 +17,30 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
         .as_ref()
         .map_or_else(Default::default, |settings| settings.sessions.clone());
     if let Some(settings) = settings {
-        Robot::prepare(settings, &mut config)?.check()?;
+        RobotServices::prepare(settings, &mut config)?.check()?;
     }
     SessionLimits::of(&config, &sessions)?;
     let is_service = is_of_service(Path::new(&args.config));
-    let is_made = |folder: &Path| is_service && folder == Path::new(service::RUNTIME);
-    let wrong: Vec<_> = (config::unstartable(&config, is_made).iter())
+    let is_created_at_start =
+        |folder: &Path| is_service && folder == Path::new(service::RUNTIME_FOLDER);
+    let problems: Vec<_> = (config::listener_problems(&config, is_created_at_start).iter())
         .map(ToString::to_string)
         .collect();
-    if !wrong.is_empty() {
-        return Err(format!("{}: {}", args.config, wrong.join("; ")).into());
+    if !problems.is_empty() {
+        return Err(format!("{}: {}", args.config, problems.join("; ")).into());
     }
     match config::exposed_login_file(&config) {
-        // The router starts all the same.
+        // The router starts in spite of this.
         Some(exposed) => {
             let remedy = exposed.remedy();
             rect::outln!("{}: warning: {exposed}; run: {remedy}", args.config);
         }
-        None => rect::outln!("{}: nothing is wrong with it", args.config),
+        None => rect::outln!("{}: no problems found", args.config),
     }
     Ok(())
 }
 
-/// Whether the installed service runs with that configuration.
+/// Returns whether the installed service uses this configuration.
 fn is_of_service(config: &Path) -> bool {
     let folder = std::path::absolute(config).ok();
     let folder = folder.as_deref().and_then(Path::parent);

@@ -1,4 +1,4 @@
-//! Owns what the commands share that ask a running router: a session with it, and the robots' answers.
+//! Connects to a running router and queries the registry, for all commands that do so.
 use std::{
     net::{TcpStream, ToSocketAddrs},
     os::unix::net::UnixStream,
@@ -7,39 +7,42 @@ use std::{
 
 use rect::{
     core::{
+        humanize::{self, short_reason},
         login,
-        wording::{self, short_reason},
     },
     terminal::{self, Table},
 };
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
-use super::{AskArgs, Failure, RouterArgs};
+use super::{Failure, QueryArgs, RouterArgs};
 use crate::config::read_login_file;
 
-/// How long to wait for answers: over a slow link, with several robots.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Timeout for replies, which several robots may send over a slow link.
+const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long to wait for the router to accept a connection at all.
+/// Timeout for finding out whether the router accepts connections at all.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// There is no session with a router.
+/// The reason why no session with a router could be opened.
 #[derive(Debug, thiserror::Error)]
 #[error("{what}; {advice}")]
-pub(super) struct NoSession {
-    /// Why.
+pub(super) struct SessionError {
+    /// Description of the problem.
     pub what: String,
-    /// How to mend it.
+    /// Advice on how to solve it.
     pub advice: &'static str,
 }
 
-/// A client of that router, logged in where there is a login file.
-pub(super) fn session(args: &RouterArgs) -> Result<Session, NoSession> {
+/// Opens a client session with the router, logged in as the first user of the login file if there is one.
+///
+/// # Errors
+/// The reason why the router did not accept the session, with advice.
+pub(super) fn session(args: &RouterArgs) -> Result<Session, SessionError> {
     let users = read_login_file(&args.users).unwrap_or_default();
     let login = login::logins(&users).next();
     let opened = config(args, login).and_then(|config| zenoh::open(config).wait());
-    opened.map_err(|error| no_session(args, login.map(|(user, _)| user), &error))
+    opened.map_err(|error| session_error(args, login.map(|(user, _)| user), &error))
 }
 
 fn config(args: &RouterArgs, login: Option<(&str, &str)>) -> zenoh::Result<Config> {
@@ -58,27 +61,27 @@ fn config(args: &RouterArgs, login: Option<(&str, &str)>) -> zenoh::Result<Confi
     Ok(config)
 }
 
-/// Why there is no session: nobody listens there, or the router does not let this program in.
-fn no_session(args: &RouterArgs, user: Option<&str>, error: &zenoh::Error) -> NoSession {
+/// Finds out why there is no session: nothing listens at the endpoint, or the router rejected the login.
+fn session_error(args: &RouterArgs, user: Option<&str>, error: &zenoh::Error) -> SessionError {
     let (router, file) = (&args.router, args.users.display());
     let (what, advice) = match (is_listening(router), user) {
         (false, _) => (
-            format!("no router answers at {router}: {}", short_reason(&wording::with_causes(error.as_ref()))),
-            "start it (`rect init` writes its configuration), or name another one with --router",
+            format!("no router answers at {router}: {}", short_reason(&humanize::with_causes(error.as_ref()))),
+            "start it (`rect init` writes its configuration), or give another endpoint with --router",
         ),
         (true, Some(user)) => (
             format!("the router at {router} refuses the login {user} of {file}"),
-            "name the login file of the router's team with --users",
+            "give the login file of the router's team with --users",
         ),
         (true, None) => (
-            format!("the router at {router} refuses programs without a login, and there is none in {file}"),
-            "name the team's login file with --users; to read /etc/rect/users: `sudo usermod -aG rect $USER`, and log in again",
+            format!("the router at {router} refuses programs without a login, and {file} contains none"),
+            "give the team's login file with --users; to read /etc/rect/users, run `sudo usermod -aG rect $USER` and log in again",
         ),
     };
-    NoSession { what, advice }
+    SessionError { what, advice }
 }
 
-/// Whether something accepts connections there.
+/// Returns whether something accepts connections at the endpoint.
 fn is_listening(endpoint: &str) -> bool {
     let endpoint = endpoint.split(['#', '?']).next().unwrap_or_default();
     match endpoint.split_once('/') {
@@ -91,10 +94,13 @@ fn is_listening(endpoint: &str) -> bool {
     }
 }
 
-/// What each robot answers, by its name; an error that one answers is this one's, too.
+/// Queries the registries and returns the reply of each robot, sorted by its name.
+///
+/// # Errors
+/// Fails if the query cannot be sent, if a robot replies with an error, or if a reply is not JSON.
 pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, Value)>, Failure> {
     let mut answers = Vec::new();
-    for reply in session.get(selector).timeout(PATIENCE).wait()? {
+    for reply in session.get(selector).timeout(REPLY_TIMEOUT).wait()? {
         match reply.into_result() {
             Ok(sample) => {
                 let key = sample.key_expr().as_str();
@@ -102,8 +108,8 @@ pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, 
                 answers.push((robot, serde_json::from_slice(&sample.payload().to_bytes())?));
             }
             Err(error) => {
-                let said = error.payload().to_bytes();
-                return Err(String::from_utf8_lossy(&said).into_owned().into());
+                let message = error.payload().to_bytes();
+                return Err(String::from_utf8_lossy(&message).into_owned().into());
             }
         }
     }
@@ -111,22 +117,25 @@ pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, 
     Ok(answers)
 }
 
-/// Prints what the robots answer about `what` of theirs: as JSON, or as the table that `table` makes of it.
+/// Queries the document `name` of the robots and prints the replies, as JSON or as the table that `table` returns.
+///
+/// # Errors
+/// Fails if there is no session, if no robot replies, or if a robot replies with an error.
 pub(super) fn show(
-    args: &AskArgs,
-    what: &str,
+    args: &QueryArgs,
+    name: &str,
     table: impl FnOnce(&[(String, Value)]) -> Result<Table, Failure>,
 ) -> Result<(), Failure> {
-    let AskArgs { robot, fleet, .. } = args;
+    let QueryArgs { robot, fleet, .. } = args;
     let session = session(&args.router)?;
-    let robots = answers(&session, &format!("{fleet}/{robot}/@rect/{what}"))?;
+    let robots = answers(&session, &format!("{fleet}/{robot}/@rect/{name}"))?;
     if robots.is_empty() {
-        let who = match robot.as_str() {
+        let missing = match robot.as_str() {
             "*" => "no robot".to_owned(),
             robot => format!("no robot {robot}"),
         };
-        let advice = "does its router run, with plugins/rect in its configuration?";
-        return Err(format!("{who} of fleet {fleet} answers: {advice}").into());
+        let advice = "is its router running, with plugins/rect in its configuration?";
+        return Err(format!("{missing} of fleet {fleet} answers: {advice}").into());
     }
     if args.json {
         let all: serde_json::Map<_, _> = robots.into_iter().collect();

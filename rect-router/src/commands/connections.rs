@@ -1,17 +1,21 @@
-//! Owns `rect-router connections`: the registry's answer as a table or as JSON.
+//! Implements `rect-router connections`: prints the connections of robots as a table or as JSON.
 use rect::{core::connection::Connection, terminal::connections_of_robots};
 
 use super::{client::show, ConnectionsArgs, Failure};
 
+/// Queries and prints the connections.
+///
+/// # Errors
+/// Fails if no router or no robot answers, or if a reply cannot be parsed.
 pub fn run(args: &ConnectionsArgs) -> Result<(), Failure> {
     let method = args.method.as_ref();
     let parameters = method.map_or_else(String::new, |method| format!("?method={method}"));
-    let what = format!("connections{parameters}");
-    show(&args.ask, &what, |robots| {
+    let name = format!("connections{parameters}");
+    show(&args.query, &name, |robots| {
         let read = |(robot, answer): &(String, serde_json::Value)| {
             let connections: Vec<Connection> =
                 serde_json::from_value(answer.clone()).map_err(|error| {
-                    format!("{robot} answers about its connections in another form: {error}")
+                    format!("cannot parse the connections of {robot}; do both run the same version of RECT? {error}")
                 })?;
             Ok((robot.clone(), connections))
         };

@@ -1,4 +1,5 @@
-//! Owns `rect-router doctor`: what keeps this computer from talking to others, each with what to do about it.
+//! Implements `rect-router doctor`: finds problems that keep this computer from reaching other robots, and gives advice on
+//! each.
 mod login;
 mod names;
 mod network;
@@ -14,26 +15,26 @@ use serde::Serialize;
 
 use super::{DoctorArgs, Failure};
 
-/// What one look found.
+/// The result of one check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// What was looked at.
+    /// Subject of the check.
     pub about: &'static str,
-    /// How it is.
+    /// Result of the check.
     pub verdict: Verdict,
-    /// In words.
+    /// Description of the result.
     pub what: String,
-    /// What to do, where something can be done.
+    /// Advice, if there is a problem that the user can solve.
     pub advice: Option<String>,
 }
 
-/// How something is.
+/// The verdict of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// As it should be.
+    /// There is no problem.
     Good,
-    /// It works, and could be better.
+    /// It works, but could be improved.
     Poor,
     /// It does not work.
     Wrong,
@@ -65,11 +66,12 @@ impl Finding {
     }
 }
 
-/// The columns of what stands before a finding and before an advice.
+/// Width of the text before a finding and before advice, in columns.
 const MARK_WIDTH: usize = 7;
 const ADVICE_WIDTH: usize = 10;
 
-/// Prints a text after `mark`, in lines that fit the terminal. What others have sent may be a part of it.
+/// Prints a text after `mark`, wrapped to the terminal's width. Removes control characters, as other robots may have sent
+/// parts of the text.
 fn show(mark: &str, text: &str) {
     let indent = if mark.trim_start().starts_with("->") {
         ADVICE_WIDTH
@@ -86,7 +88,10 @@ fn show(mark: &str, text: &str) {
     }
 }
 
-/// Tells all findings; the exit status is 1 where something does not work.
+/// Runs all checks and prints their findings. The exit status is 1 if something does not work.
+///
+/// # Errors
+/// Fails if the findings cannot be printed as JSON.
 pub fn run(args: &DoctorArgs) -> Result<ExitCode, Failure> {
     let mut findings = system::findings(Path::new("/"));
     findings.extend(network::findings(args));

@@ -1,4 +1,4 @@
-//! Owns `rect-router init`: a robot's folder of configuration, safe from the first start.
+//! Implements `rect-router init`: writes the configuration, login file and connections file of a robot.
 use std::{
     env,
     fs::{self, OpenOptions},
@@ -15,37 +15,43 @@ use super::{
 };
 use crate::config::MAX_SOCKET_PATH;
 
-/// The shipped configurations, and the name that each is written for.
+/// The shipped configurations, each with the robot's name that it contains.
 const ROBOT: (&str, &str) = (include_str!("../../../config/robot.json5"), "wombat-1");
 const BASE_STATION: (&str, &str) = (
     include_str!("../../../config/base-station.json5"),
     "base-station",
 );
-/// The fleet that both are written for.
-const ITS_FLEET: &str = "\"rect/";
-/// The socket file that both are written for: systemd makes its folder for the installed service, and nobody else does.
+/// The fleet that both configurations contain.
+const TEMPLATE_FLEET: &str = "\"rect/";
+/// The socket file that both configurations contain. Its folder is created by systemd, for the installed service only.
 const SERVICE_SOCKET: &str = "unixsock-stream//run/rect/router.sock";
-/// The TCP listener that both are written for.
-const ITS_LISTENER: &str = "tcp/127.0.0.1:7447";
-/// Characters that a path in an endpoint cannot have: they end it there.
-const NOT_IN_A_PATH: [char; 4] = ['#', '?', ';', '|'];
-/// As whom a robot logs in where it dials, and as whom a base station does, which may change settings there.
+/// The TCP listener that both configurations contain.
+const TEMPLATE_LISTENER: &str = "tcp/127.0.0.1:7447";
+/// Characters that would end a path in an endpoint.
+const FORBIDDEN_IN_PATH: [char; 4] = ['#', '?', ';', '|'];
+/// The users of a new login file. Robots log in as the first one when they dial, base stations as the second one, which may
+/// change the connections of robots.
 const LOGINS: [&str; 2] = ["fleet", "config"];
 const NO_CONNECTIONS: &str =
-    "// Connections with names: config/README.md.\n{\n  \"connections\": [\n  ],\n}\n";
-/// Of the password: more than anybody can try out.
+    "// Named connections: see config/README.md.\n{\n  \"connections\": [\n  ],\n}\n";
+/// Number of random bytes in a password, too many for a brute-force search.
 const SECRET_BYTES: usize = 18;
-/// For the router and the members of its group.
-const PRIVATE: u32 = 0o640;
-const PRIVATE_FOLDER: u32 = 0o750;
+/// Permissions of files and folders: for the owner and the router's group.
+const PRIVATE_MODE: u32 = 0o640;
+const PRIVATE_FOLDER_MODE: u32 = 0o750;
 
+/// Writes the files, and starts the service if requested.
+///
+/// # Errors
+/// Fails if a name is invalid, if one of the files exists already, or if a file cannot be written. No existing file is
+/// changed.
 pub fn run(args: &InitArgs) -> Result<(), Failure> {
     for (what, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
         Name::new(name).map_err(|error| format!("{what}: {error}"))?;
     }
     let users = match &args.users {
         Some(path) => fs::read_to_string(path)
-            .map_err(|error| format!("{} can't be read: {error}", path.display()))?,
+            .map_err(|error| format!("cannot read the login file {}: {error}", path.display()))?,
         None => {
             let login = |user| Ok(format!("{user}:{}\n", secret()?));
             LOGINS
@@ -60,7 +66,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
         return Err(service::NOT_INSTALLED.into());
     }
     let state = if installed {
-        Path::new(service::STATE)
+        Path::new(service::STATE_FOLDER)
     } else {
         &folder
     };
@@ -68,7 +74,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     let (root, router) = (Owner::root(), Owner::router());
     let files = [
         (folder.join("users"), users, &root),
-        // The config service writes it, and what is beside it.
+        // The config service writes this file and temporary files beside it.
         (
             state.join("connections.json"),
             NO_CONNECTIONS.to_owned(),
@@ -80,20 +86,26 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
             &root,
         ),
     ];
-    // None is touched if one is there already.
+    // If one of the files exists, none is written.
     for (path, ..) in &files {
         if path.exists() {
-            return Err(format!("{} is there already; nothing was changed", path.display()).into());
+            return Err(format!(
+                "{} already exists; nothing was changed. Remove it, or choose another folder with --folder",
+                path.display()
+            )
+            .into());
         }
     }
-    make_folder(&folder).map_err(|error| not_made(&folder, &error))?;
+    make_folder(&folder).map_err(|error| cannot_create(&folder, &error))?;
     for (path, text, owner) in files {
-        write(&path, &text, owner).map_err(|error| not_made(&path, &error))?;
+        write(&path, &text, owner).map_err(|error| cannot_create(&path, &error))?;
         rect::outln!("wrote {}", path.display());
     }
     if args.start {
         service::start()?;
-        rect::outln!("the router runs, and will at each boot: systemctl status rect-router");
+        rect::outln!(
+            "the router is running, and starts at each boot: systemctl status rect-router"
+        );
     } else if installed {
         rect::outln!("start it with: systemctl enable --now rect-router");
     } else {
@@ -103,41 +115,41 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     if args.users.is_none() {
         let users = folder.join("users");
         rect::outln!(
-            "the team's other robots need the same login: copy {} to them and give it as --users",
+            "the other robots of the team need the same login: copy {} to them and give it with --users",
             users.display()
         );
     }
     Ok(())
 }
 
-/// Returns the folder as an absolute path: the router may be started elsewhere.
+/// Returns the folder as an absolute path, because the router may be started in another folder.
 fn folder(given: &Path) -> Result<PathBuf, Failure> {
     let folder = std::path::absolute(given)
         .map_err(|error| format!("--folder {}: {error}", given.display()))?;
-    let is_wrong = |c: char| c.is_control() || NOT_IN_A_PATH.contains(&c);
+    let is_wrong = |c: char| c.is_control() || FORBIDDEN_IN_PATH.contains(&c);
     match folder.to_str() {
         Some(text) if !text.contains(is_wrong) => Ok(folder),
         _ => Err(format!(
             "--folder {}: its name must be text without control characters and without any of {}, which a configuration \
              cannot hold; choose another folder",
             given.display(),
-            NOT_IN_A_PATH.map(String::from).join(" ")
+            FORBIDDEN_IN_PATH.map(String::from).join(" ")
         )
         .into()),
     }
 }
 
-fn not_made(path: &Path, error: &io::Error) -> String {
+fn cannot_create(path: &Path, error: &io::Error) -> String {
     let advice = match error.kind() {
         io::ErrorKind::PermissionDenied => {
-            "; run it as root (sudo), or choose a folder of your own, such as --folder ~/rect"
+            "; run this command as root (sudo), or choose a folder of your own, such as --folder ~/rect"
         }
         _ => "",
     };
-    format!("{} can't be made: {error}{advice}", path.display())
+    format!("cannot create {}: {error}{advice}", path.display())
 }
 
-/// Returns what starts this program again: its name if that was found by the shell's `PATH`, its path otherwise.
+/// Returns the command that runs this program: its name if the shell finds it in `PATH`, otherwise its path.
 fn program() -> String {
     let name = env!("CARGO_PKG_NAME");
     let Ok(own) = env::current_exe() else {
@@ -156,7 +168,7 @@ fn program() -> String {
     }
 }
 
-/// Returns the text as a shell takes it for one word.
+/// Quotes a text for a shell, if necessary.
 fn quoted(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
     match !text.is_empty() && text.chars().all(is_plain) {
@@ -165,7 +177,8 @@ fn quoted(text: &str) -> String {
     }
 }
 
-/// As itself, where the team has given each robot a login of its own; else as the team's file lets it.
+/// Returns the user to log in as: the robot's name if the login file has that user, otherwise the common user of robots or
+/// base stations if the file has it.
 fn login_as<'a>(args: &'a InitArgs, users: &str) -> Option<&'a str> {
     let [fleet, config] = LOGINS;
     let of_all = if args.base_station { config } else { fleet };
@@ -174,25 +187,25 @@ fn login_as<'a>(args: &'a InitArgs, users: &str) -> Option<&'a str> {
         .find(|user| login::logins(users).any(|(name, _)| name == *user))
 }
 
-/// The shipped configuration with this robot's name, fleet, adapter, port and folders.
+/// Returns the shipped configuration with this robot's name, fleet, adapter, port and folders.
 fn robot(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<&str>) -> String {
     let login_as = login_as.map_or_else(String::new, |user| format!(", login_as: {}", json(user)));
     let settings = format!(
-        "  // RECT's own: this robot's name in keys, its named connections, and as whom it logs in where it dials.\n  plugins: {{\n    \
+        "  // RECT's own settings: the fleet and this robot's name, its named connections, and the user as which it logs in.\n  plugins: {{\n    \
          rect: {{ fleet: \"{}\", robot: \"{}\", connections: {}{login_as} }},\n  }},\n}}\n",
         args.fleet,
         args.robot,
         json(&state.join("connections.json").display().to_string()),
     );
-    let (template, its_name) = if args.base_station {
+    let (template, template_name) = if args.base_station {
         BASE_STATION
     } else {
         ROBOT
     };
     let text = template
-        .replace(its_name, &args.robot)
-        .replace(ITS_FLEET, &format!("\"{}/", args.fleet))
-        .replace(ITS_LISTENER, &format!("tcp/127.0.0.1:{}", args.port))
+        .replace(template_name, &args.robot)
+        .replace(TEMPLATE_FLEET, &format!("\"{}/", args.fleet))
+        .replace(TEMPLATE_LISTENER, &format!("tcp/127.0.0.1:{}", args.port))
         .replace("ble/hci0", &format!("ble/{}", args.adapter))
         .replace(
             "/etc/rect/robot.json5",
@@ -211,7 +224,7 @@ fn robot(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<&str>) -
     format!("{body}\n{settings}")
 }
 
-/// Puts the socket file into the folder, or leaves that listener out if its path would be longer than the system takes.
+/// Moves the socket file to the folder, or removes that listener if its path would exceed the system's limit.
 fn with_socket_in(folder: &Path, text: &str) -> String {
     let socket = folder.join("router.sock").display().to_string();
     if socket.len() <= MAX_SOCKET_PATH {
@@ -222,18 +235,18 @@ fn with_socket_in(folder: &Path, text: &str) -> String {
     if let Some(at) = lines.iter().position(|line| line.contains(SERVICE_SOCKET)) {
         lines.remove(at);
         if at > 0 {
-            lines[at - 1] = "      // (No socket file: the path of one in this folder would be longer than the system takes.)";
+            lines[at - 1] = "      // (No socket file: its path in this folder would exceed the system's limit.)";
         }
     }
     lines.join("\n")
 }
 
-/// The text as a string of JSON.
+/// Returns the text as a JSON string.
 fn json(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
 
-/// The text as it stands within the quotes of a string of JSON.
+/// Returns the text as a JSON string without its quotes.
 fn escaped(text: &str) -> String {
     let text = json(text);
     text[1..text.len() - 1].to_owned()
@@ -242,7 +255,8 @@ fn escaped(text: &str) -> String {
 fn secret() -> Result<String, Failure> {
     use base64::Engine;
     let mut bytes = [0; SECRET_BYTES];
-    getrandom::fill(&mut bytes).map_err(|error| format!("no random numbers: {error}"))?;
+    getrandom::fill(&mut bytes)
+        .map_err(|error| format!("cannot get random numbers from the system: {error}"))?;
     Ok(base64::engine::general_purpose::STANDARD_NO_PAD.encode(bytes))
 }
 
@@ -251,8 +265,8 @@ fn make_folder(folder: &Path) -> io::Result<()> {
         return Ok(());
     }
     fs::create_dir_all(folder)?;
-    Owner::root().give(folder)?;
-    fs::set_permissions(folder, fs::Permissions::from_mode(PRIVATE_FOLDER))
+    Owner::root().set_on(folder)?;
+    fs::set_permissions(folder, fs::Permissions::from_mode(PRIVATE_FOLDER_MODE))
 }
 
 fn write(path: &Path, text: &str, owner: &Owner) -> io::Result<()> {
@@ -260,12 +274,12 @@ fn write(path: &Path, text: &str, owner: &Owner) -> io::Result<()> {
     let mut file = options
         .write(true)
         .create_new(true)
-        .mode(PRIVATE)
+        .mode(PRIVATE_MODE)
         .open(path)?;
     file.write_all(text.as_bytes())?;
-    owner.give(path)?;
-    // Whatever the umask is.
-    file.set_permissions(fs::Permissions::from_mode(PRIVATE))?;
+    owner.set_on(path)?;
+    // The mode above is reduced by the umask.
+    file.set_permissions(fs::Permissions::from_mode(PRIVATE_MODE))?;
     file.sync_all()
 }
 
@@ -274,14 +288,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shell_takes_a_quoted_path_for_one_word() {
+    fn quotes_paths_for_a_shell() {
         assert_eq!(quoted("/etc/rect/robot.json5"), "/etc/rect/robot.json5");
         assert_eq!(quoted("/home/a b"), "'/home/a b'");
         assert_eq!(quoted("it's"), r"'it'\''s'");
     }
 
     #[test]
-    fn a_socket_file_whose_path_is_too_long_is_left_out() {
+    fn omits_a_socket_file_whose_path_is_too_long() {
         for template in [ROBOT.0, BASE_STATION.0] {
             let text = with_socket_in(Path::new("/home/me"), template);
             assert!(text.contains("\"unixsock-stream//home/me/router.sock\""));

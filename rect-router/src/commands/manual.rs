@@ -1,9 +1,10 @@
-//! Owns what is told of the commands beside `--help`: manual pages, and what makes a shell complete them.
+//! Implements `rect-router man` and `rect-router completion`: writes manual pages and scripts for shell completion.
 use clap::CommandFactory;
 
 use super::{CompletionArgs, Failure, ManArgs};
 use crate::args::Args;
 
+/// Prints the completion script of a shell.
 pub fn complete(args: &CompletionArgs) {
     let mut command = Args::command();
     let mut script = Vec::new();
@@ -11,6 +12,10 @@ pub fn complete(args: &CompletionArgs) {
     rect::outln!("{}", String::from_utf8_lossy(&script).trim_end());
 }
 
+/// Writes the manual pages to a folder.
+///
+/// # Errors
+/// Fails if a page cannot be written.
 pub fn write(args: &ManArgs) -> Result<(), Failure> {
     clap_mangen::generate_to(Args::command(), &args.folder)
         .map_err(|error| format!("{}: {error}", args.folder.display()))?;

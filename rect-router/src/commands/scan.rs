@@ -1,4 +1,4 @@
-//! Owns `rect-router scan`: which robots are heard by Bluetooth.
+//! Implements `rect-router scan`: shows the robots whose Bluetooth advertisements are received.
 use std::{collections::BTreeMap, time::Duration};
 
 use rect::terminal::{self, Table};
@@ -7,22 +7,26 @@ use tokio::time::{timeout_at, Instant};
 use zenoh_link::ble::{
     advertisement::Advertisement,
     locator::is_simulated,
-    radio::{bluez, sim, Radio, RadioError, Sighting},
+    radio::{bluez, sim, AdvertisingReport, Radio, RadioError},
 };
 
 use super::{Failure, ScanArgs};
 
+/// Scans and prints the discovered robots.
+///
+/// # Errors
+/// Fails if the adapter is missing or cannot scan.
 pub fn run(args: &ScanArgs) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_all()
         .build()?;
-    let heard = runtime.block_on(heard(args))?;
+    let discovered = runtime.block_on(discovered(args))?;
     if args.json {
-        return Ok(terminal::json(&heard)?);
+        return Ok(terminal::json(&discovered)?);
     }
-    let mut shown = Table::new(&["ADDRESS", "NAME", "FLEET", "PSM", "SIGNAL"]);
-    for robot in &heard {
+    let mut table = Table::new(&["ADDRESS", "NAME", "FLEET", "PSM", "SIGNAL"]);
+    for robot in &discovered {
         let text = |key: &str| match &robot[key] {
             Value::Null => String::new(),
             Value::String(text) => text.clone(),
@@ -30,7 +34,7 @@ pub fn run(args: &ScanArgs) -> Result<(), Failure> {
         };
         let signal = robot["rssi_dbm"].as_i64();
         let signal = signal.map(|dbm| format!("{dbm} dBm"));
-        shown.row(vec![
+        table.row(vec![
             text("address").into(),
             text("name").into(),
             text("fleet").into(),
@@ -38,28 +42,28 @@ pub fn run(args: &ScanArgs) -> Result<(), Failure> {
             signal.into(),
         ]);
     }
-    shown.print();
-    rect::outln!("{} heard within {} s", heard.len(), args.seconds);
+    table.print();
+    rect::outln!("{} discovered within {} s", discovered.len(), args.seconds);
     Ok(())
 }
 
-/// Each robot once, as heard last, by address.
-async fn heard(args: &ScanArgs) -> Result<Vec<Value>, RadioError> {
+/// Scans for robots and returns each one once, with its latest advertisement, sorted by address.
+async fn discovered(args: &ScanArgs) -> Result<Vec<Value>, RadioError> {
     let radio = match &args.adapter {
         adapter if is_simulated(adapter) => sim::radio(adapter)?,
         adapter => bluez::radio(Some(adapter))?,
     };
     let mut scan = radio.scan().await?;
     let end = Instant::now() + Duration::from_secs(args.seconds);
-    let mut heard = BTreeMap::new();
-    while let Ok(sighting) = timeout_at(end, scan.next()).await {
-        let sighting = sighting?;
-        heard.insert(sighting.device.to_string(), sighting);
+    let mut reports = BTreeMap::new();
+    while let Ok(report) = timeout_at(end, scan.next()).await {
+        let report = report?;
+        reports.insert(report.device.to_string(), report);
     }
     let mut robots = Vec::new();
-    for (address, sighting) in heard {
-        if let Some(advertisement) = sighting.advertisement {
-            robots.push(robot(&*radio, &args.fleet, address, &advertisement, &sighting).await);
+    for (address, report) in reports {
+        if let Some(advertisement) = report.advertisement {
+            robots.push(robot(&*radio, &args.fleet, address, &advertisement, &report).await);
         }
     }
     Ok(robots)
@@ -70,7 +74,7 @@ async fn robot(
     fleet: &str,
     address: String,
     advertisement: &Advertisement,
-    sighting: &Sighting,
+    report: &AdvertisingReport,
 ) -> Value {
     let fleet = match advertisement.fleet_hash {
         0 => None,
@@ -79,9 +83,9 @@ async fn robot(
     };
     json!({
         "address": address,
-        "name": radio.name_of(sighting.device).await,
+        "name": radio.device_name(report.device).await,
         "fleet": fleet,
         "psm": advertisement.psm.number(),
-        "rssi_dbm": sighting.rssi_dbm,
+        "rssi_dbm": report.rssi_dbm,
     })
 }

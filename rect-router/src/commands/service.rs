@@ -1,4 +1,4 @@
-//! Owns what the commands know of the installed service: whose its files are, and starting it.
+//! Starts the installed systemd service, and sets the owner of its files.
 use std::{
     io,
     os::unix::fs::chown,
@@ -10,67 +10,74 @@ use nix::unistd::{geteuid, Gid, Group, Uid, User};
 
 use super::Failure;
 
-/// Where the router may write, as packaging/systemd/rect-router.service says.
-pub const STATE: &str = "/var/lib/rect";
-/// The folder of its socket file, which systemd makes when the service starts.
-pub const RUNTIME: &str = "/run/rect";
-/// Where the service reads its configuration.
-const CONFIGURATION: &str = "/etc/rect";
+/// The folder that the service may write to, as in packaging/systemd/rect-router.service.
+pub const STATE_FOLDER: &str = "/var/lib/rect";
+/// The folder of the socket file, which systemd creates when the service starts.
+pub const RUNTIME_FOLDER: &str = "/run/rect";
+/// The folder from which the service reads its configuration.
+const CONFIGURATION_FOLDER: &str = "/etc/rect";
 const UNIT: &str = "rect-router.service";
-/// The user and the group that the package makes.
-const ROUTER: &str = "rect";
+/// The user and the group that the package creates.
+const ROUTER_USER: &str = "rect";
 
-/// What to say to who asks for a service that is not there.
+/// The error message for a service that is not installed.
 pub const NOT_INSTALLED: &str =
-    "--start: there is no service that reads that folder; install the package `rect` \
+    "--start: no installed service uses this folder; install the package `rect` \
      (docs/install.md), or start the router yourself: rect-router -c <folder>/robot.json5";
 
-/// Whether the service's configuration is in that folder.
+/// Returns whether a service is installed that reads its configuration from `folder`.
 pub fn is_installed_for(folder: &Path) -> bool {
     let units = [
         "/etc/systemd/system",
         "/usr/lib/systemd/system",
         "/lib/systemd/system",
     ];
-    folder == Path::new(CONFIGURATION)
-        && Path::new(STATE).is_dir()
+    folder == Path::new(CONFIGURATION_FOLDER)
+        && Path::new(STATE_FOLDER).is_dir()
         && units
             .iter()
             .any(|units| Path::new(units).join(UNIT).exists())
 }
 
-/// Starts it, now and at each boot; returns when it is up.
+/// Starts the service now and at each boot, and waits until it is up.
+///
+/// # Errors
+/// Fails if systemd cannot start the service.
 pub fn start() -> Result<(), Failure> {
     let started = Command::new("systemctl")
         .args(["enable", "--now", UNIT])
         .stdin(Stdio::null())
         .status()
-        .map_err(|error| format!("systemctl can't be run: {error}"))?;
+        .map_err(|error| format!("cannot run systemctl: {error}"))?;
     if started.success() {
         return Ok(());
     }
-    Err("the configuration is written, but the router does not start; why: journalctl -u rect-router -n 20, \
-         and what to do: rect doctor. It is started again every 2 s"
+    Err("the configuration is written, but the router does not start; `journalctl -u rect-router -n 20` shows the reason, \
+         and `rect doctor` gives advice. systemd retries every 2 s"
         .into())
 }
 
-/// To whom a file is given: nobody, unless root writes it and there is the router's group.
+/// The owner and the group to set on a file. `None`, which changes nothing, unless root runs this program and the router's
+/// group exists.
 pub struct Owner(Option<(Option<Uid>, Gid)>);
 
 impl Owner {
-    /// The router may read it.
+    /// Returns root as the owner, so that the router can only read the file.
     pub fn root() -> Self {
         Self(group().map(|group| (None, group)))
     }
 
-    /// The router may write it.
+    /// Returns the router's user as the owner, so that the router can write the file.
     pub fn router() -> Self {
-        let user = User::from_name(ROUTER).ok().flatten();
+        let user = User::from_name(ROUTER_USER).ok().flatten();
         Self(group().map(|group| (user.map(|user| user.uid), group)))
     }
 
-    /// Gives it to them.
-    pub fn give(&self, path: &Path) -> io::Result<()> {
+    /// Sets owner and group of the file at `path`.
+    ///
+    /// # Errors
+    /// The error of the system.
+    pub fn set_on(&self, path: &Path) -> io::Result<()> {
         let Some((user, group)) = self.0 else {
             return Ok(());
         };
@@ -82,6 +89,6 @@ fn group() -> Option<Gid> {
     if !geteuid().is_root() {
         return None;
     }
-    let group = Group::from_name(ROUTER).ok().flatten();
+    let group = Group::from_name(ROUTER_USER).ok().flatten();
     group.map(|group| group.gid)
 }

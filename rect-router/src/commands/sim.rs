@@ -1,5 +1,5 @@
-//! Owns `rect sim`: named robots to play with, each with a router of its own, linked over the simulated air. Everything
-//! ends with this command.
+//! Implements `rect sim`: runs simulated robots, each with its own router, linked over the simulated air. They end with this
+//! command.
 mod air;
 mod program;
 mod robot;
@@ -18,33 +18,37 @@ use signal_hook::{
 };
 use tempfile::TempDir;
 
-use self::{air::Air, program::Program, robot::Robot};
+use self::{air::Air, program::Program, robot::SimulatedRobot};
 use super::{Failure, SimArgs};
 
-/// How often to look whether the routers still run.
-const LOOK: Duration = Duration::from_millis(200);
-/// How long the routers have to start, and then to link with each other.
+/// Interval at which the routers are checked.
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
+/// Timeout for the start of the routers, and then for the links between them.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Longer commands are not aligned with the others.
+/// Maximum width of the column of commands; comments after longer commands are not aligned.
 const COMMAND_WIDTH: usize = 30;
 
-/// The reason why the start was interrupted.
+/// The reason why the simulation was interrupted.
 enum Interrupted {
-    /// Ctrl-C, SIGTERM, or the terminal was closed.
+    /// A signal arrived: Ctrl-C, SIGTERM, or the terminal was closed.
     BySignal,
-    /// Something did not work.
-    By(Failure),
+    /// An error occurred.
+    ByFailure(Failure),
 }
 
+/// Starts the robots, shows what to try, and waits for a signal.
+///
+/// # Errors
+/// Fails if the air or a router cannot be started, or if a router ends by itself.
 pub fn run(args: &SimArgs) -> Result<ExitCode, Failure> {
-    // Before anything is started, so that no signal can leave it behind.
+    // Handle signals before starting any process, so that a signal cannot leave one behind.
     let signals = signals()?;
     let folder = TempDir::with_prefix("rect-sim-")?;
     let air = Air::start(args.condition, folder.path())?;
     let mut robots = Vec::new();
     for number in 1..=args.robots {
-        robots.push(Robot::start(number, args, &air, folder.path())?);
+        robots.push(SimulatedRobot::start(number, args, &air, folder.path())?);
     }
     let ended = match start(args, &signals, &mut robots) {
         Ok(programs) => {
@@ -54,13 +58,13 @@ pub fn run(args: &SimArgs) -> Result<ExitCode, Failure> {
             ended
         }
         Err(Interrupted::BySignal) => Ok(()),
-        Err(Interrupted::By(failure)) => Err(failure),
+        Err(Interrupted::ByFailure(failure)) => Err(failure),
     };
     robot::stop(robots);
     ended.map(|()| ExitCode::SUCCESS)
 }
 
-/// A message for each signal that asks for the end.
+/// Returns a channel that receives an item for each signal that requests the end.
 fn signals() -> Result<Receiver<()>, Failure> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     let (sender, receiver) = mpsc::channel();
@@ -77,11 +81,11 @@ fn signals() -> Result<Receiver<()>, Failure> {
     Ok(receiver)
 }
 
-/// Waits until the routers answer and are linked; returns the robots' programs.
+/// Waits until the routers answer and are linked, and returns the robots' programs.
 fn start(
     args: &SimArgs,
     signals: &Receiver<()>,
-    robots: &mut [Robot],
+    robots: &mut [SimulatedRobot],
 ) -> Result<Vec<Program>, Interrupted> {
     rect::errln!("rect: starting {} robots ...", robots.len());
     let deadline = Instant::now() + START_TIMEOUT;
@@ -97,18 +101,18 @@ fn start(
                         "the router of {} does not answer: {error}\n{log}",
                         robots[n].name
                     );
-                    return Err(Interrupted::By(what.into()));
+                    return Err(Interrupted::ByFailure(what.into()));
                 }
                 Err(_) => {}
             }
         };
         let program = Program::start(session, &args.fleet, &robots[n].name, !args.quiet);
-        programs.push(program.map_err(|error| Interrupted::By(error.to_string().into()))?);
+        programs.push(program.map_err(|error| Interrupted::ByFailure(error.to_string().into()))?);
     }
     let deadline = Instant::now() + START_TIMEOUT;
     while !programs[0].has_peers(robots.len() - 1) {
         if Instant::now() > deadline {
-            rect::errln!("rect: not all robots are linked yet; they go on trying");
+            rect::errln!("rect: not all robots are linked yet; they keep trying");
             break;
         }
         pause(signals, robots)?;
@@ -116,27 +120,32 @@ fn start(
     Ok(programs)
 }
 
-/// Waits for a moment.
-fn pause(signals: &Receiver<()>, robots: &mut [Robot]) -> Result<(), Interrupted> {
-    match signals.recv_timeout(LOOK) {
-        Err(RecvTimeoutError::Timeout) => robot::all_run(robots).map_err(Interrupted::By),
+/// Waits for one polling interval.
+fn pause(signals: &Receiver<()>, robots: &mut [SimulatedRobot]) -> Result<(), Interrupted> {
+    match signals.recv_timeout(POLL_INTERVAL) {
+        Err(RecvTimeoutError::Timeout) => {
+            robot::check_running(robots).map_err(Interrupted::ByFailure)
+        }
         Ok(()) | Err(RecvTimeoutError::Disconnected) => Err(Interrupted::BySignal),
     }
 }
 
-/// Waits for a signal, or for a router that ends by itself.
-fn wait(signals: &Receiver<()>, robots: &mut [Robot]) -> Result<(), Failure> {
+/// Waits for a signal.
+///
+/// # Errors
+/// Fails if a router ends by itself.
+fn wait(signals: &Receiver<()>, robots: &mut [SimulatedRobot]) -> Result<(), Failure> {
     loop {
         match pause(signals, robots) {
             Ok(()) => {}
             Err(Interrupted::BySignal) => return Ok(()),
-            Err(Interrupted::By(failure)) => return Err(failure),
+            Err(Interrupted::ByFailure(failure)) => return Err(failure),
         }
     }
 }
 
-/// Prints which robots there are, and what to try.
-fn show(args: &SimArgs, air: &Air, robots: &[Robot]) {
+/// Prints the robots and some commands to try.
+fn show(args: &SimArgs, air: &Air, robots: &[SimulatedRobot]) {
     let mut table = Table::new(&["ROBOT", "ROUTER"]);
     for robot in robots {
         table.row(vec![
@@ -153,7 +162,7 @@ fn show(args: &SimArgs, air: &Air, robots: &[Robot]) {
     if !first.has_default_endpoint() {
         rect::outln!("  export RECT_ENDPOINT={}", first.endpoint);
     }
-    if let Some(socket) = air.other_socket() {
+    if let Some(socket) = air.non_default_socket() {
         rect::outln!("  export RECT_AIR={}", socket.display());
     }
     let fleet = match args.fleet.as_str() {
@@ -162,37 +171,37 @@ fn show(args: &SimArgs, air: &Air, robots: &[Robot]) {
     };
     let (one, two) = (&first.name, &second.name);
     let mut tries = vec![
-        (format!("rect peers{fleet}"), "which robots are there"),
+        (format!("rect peers{fleet}"), "show the other robots"),
         (
             format!("rect connections{fleet}"),
-            "and how they are linked",
+            "show how they are linked",
         ),
     ];
     if !args.quiet {
         tries.extend([
             (
                 format!("rect sub '*/**'{fleet}"),
-                "everything that they publish",
+                "receive everything that they publish",
             ),
-            (format!("rect topic list{fleet}"), "which topics there are"),
+            (format!("rect topic list{fleet}"), "list the topics"),
             (
                 format!("rect request {two} battery{fleet}"),
-                "ask a service",
+                "send a request to a service",
             ),
         ]);
     }
     tries.extend([
         (
             format!("rect pub greeting hello{fleet}"),
-            "publish as that robot",
+            "publish as the first robot",
         ),
         (
             format!("rect sub '{one}/**'{fleet} --router {}", second.endpoint),
-            "at the other",
+            "receive it at the second robot",
         ),
         (
             "rect air cut".to_owned(),
-            "out of range, and back: rect air restore",
+            "move out of range; back in range: rect air restore",
         ),
     ]);
     let width = tries
@@ -204,5 +213,5 @@ fn show(args: &SimArgs, air: &Air, robots: &[Robot]) {
     for (command, what) in tries {
         rect::outln!("  {command:width$}  # {what}");
     }
-    rect::outln!("\nCtrl-C ends everything.");
+    rect::outln!("\nCtrl-C stops the simulation.");
 }

@@ -1,11 +1,11 @@
-//! Owns `rect-router status`: which robots there are, a line for each.
+//! Implements `rect-router status`: shows the status of robots, one line each.
 use rect::{
-    core::wording::duration_of_s,
+    core::humanize::duration_of_s,
     terminal::{Cell, Style, Table},
 };
 use serde_json::Value;
 
-use super::{client::show, AskArgs, Failure};
+use super::{client::show, Failure, QueryArgs};
 
 const COLUMNS: [&str; 7] = [
     "ROBOT",
@@ -17,7 +17,11 @@ const COLUMNS: [&str; 7] = [
     "?VERSION",
 ];
 
-pub fn run(args: &AskArgs) -> Result<(), Failure> {
+/// Queries and prints the status of robots.
+///
+/// # Errors
+/// Fails if no router or no robot answers.
+pub fn run(args: &QueryArgs) -> Result<(), Failure> {
     show(args, "status", |robots| {
         let mut table = Table::new(&COLUMNS);
         for (robot, status) in robots {
@@ -38,7 +42,7 @@ fn row(robot: &str, status: &Value) -> Vec<Cell> {
     let total = counts["total"].as_u64().unwrap_or(0);
     let connects_to = match status["auto_connect"].as_str() {
         Some("fleet") => format!("listed, {} of the fleet", status["auto_links"]),
-        Some("none") => "nobody".to_owned(),
+        Some("none") => "none".to_owned(),
         _ => "listed".to_owned(),
     };
     vec![

@@ -1,4 +1,4 @@
-//! The login file: who may connect, and what this router says of itself when it dials.
+//! Reads and checks the login file: which users may connect, and as which user this router logs in when it dials.
 
 use std::{
     fmt, fs, io,
@@ -12,13 +12,13 @@ use zenoh::Config;
 use super::ConfigError;
 use crate::regular_file;
 
-/// The largest login file that is read, in bytes: some ten thousand users.
+/// Maximum size of a login file in bytes; enough for about ten thousand users.
 const MAX_BYTES: u64 = 1 << 20;
 /// Permission bits of users who neither own the file nor belong to its group.
 const OTHERS_READ: u32 = 0o004;
 const OTHERS_WRITE: u32 = 0o002;
 
-/// The file of those who may log in, if there is one.
+/// The login file with its text.
 pub(super) struct Logins {
     path: PathBuf,
     text: String,
@@ -32,14 +32,17 @@ pub(super) fn logins(config: &Config) -> Result<Option<Logins>, ConfigError> {
         path: path.clone(),
         source,
     })?;
-    // Zenoh takes an empty file for no login at all, and would let everyone in.
+    // Zenoh treats an empty file like a missing login and would accept everyone.
     if text.trim().is_empty() {
         return Err(ConfigError::NoLogins { path });
     }
     Ok(Some(Logins { path, text }))
 }
 
-/// Reads a login file, unless it is too large or not a file.
+/// Reads a login file.
+///
+/// # Errors
+/// Fails if the path is not a regular file, if the file cannot be read, or if it is larger than 1 MiB.
 pub fn read_login_file(path: &Path) -> io::Result<String> {
     regular_file::read_to_string(path, MAX_BYTES)
 }
@@ -49,7 +52,7 @@ fn login_file(config: &Config) -> Option<PathBuf> {
     Some(PathBuf::from(path))
 }
 
-/// A login file that users of this computer can read or write who are neither its owner nor in its group.
+/// A login file that every user of this computer can read or write, not only its owner and its group.
 #[derive(Debug, PartialEq, Eq)]
 pub struct ExposedLogins {
     path: PathBuf,
@@ -57,7 +60,7 @@ pub struct ExposedLogins {
 }
 
 impl ExposedLogins {
-    /// Looks at a login file; `None` if it is private or cannot be looked at.
+    /// Examines the permissions of a login file. Returns `None` if it is private or cannot be examined.
     pub fn find(path: &Path) -> Option<Self> {
         let mode = fs::metadata(path).ok()?.permissions().mode();
         let may = match (mode & OTHERS_READ != 0, mode & OTHERS_WRITE != 0) {
@@ -89,7 +92,7 @@ impl fmt::Display for ExposedLogins {
     }
 }
 
-/// Returns what is wrong with the permissions of the configuration's login file, if there is one and something is.
+/// Returns the configuration's login file if every user can read or write it.
 pub fn exposed_login_file(config: &Config) -> Option<ExposedLogins> {
     ExposedLogins::find(&login_file(config)?)
 }
@@ -122,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_login_file_is_for_its_owner_and_its_group() {
+    fn reports_a_login_file_that_every_user_can_read_or_write() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("users");
         fs::write(&path, "fleet:secret\n").expect("written");

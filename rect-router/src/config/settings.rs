@@ -1,5 +1,5 @@
-//! Owns RECT's own settings, `plugins/rect` in the configuration: what a robot is called and which connections it has.
-//! They are taken out of it, or Zenoh would look for a plugin of that name.
+//! Parses RECT's own settings, `plugins/rect` in the configuration: the robot's name, its fleet and its connections.
+//! They are removed from the configuration afterwards, as Zenoh would look for a plugin of that name.
 use std::path::PathBuf;
 
 use rect::core::name::Name;
@@ -11,45 +11,46 @@ use super::ConfigError;
 use crate::limits::SessionSettings;
 
 const KEY: &str = "plugins/rect";
-/// A slot that is not used costs a wake-up in ten seconds.
+/// Default of `max_connections`. An unused placeholder costs one wake-up in ten seconds.
 const DEFAULT_MAX_CONNECTIONS: usize = 32;
 const MAX_CONNECTIONS: usize = 1000;
-/// A Raspberry Pi's controller manages some 7 links, others dial too, and Zenoh routes over the rest of the fleet.
+/// Default of `auto_links`. The controller of a Raspberry Pi supports about 7 links, other robots dial too, and Zenoh
+/// routes through the rest of the fleet.
 const DEFAULT_AUTO_LINKS: usize = 3;
-/// With `auto_connect: "fleet"`, to how many a robot connects by itself at most: what a controller manages.
+/// Maximum of `auto_links`: the number of links that a controller supports.
 pub const MAX_AUTO_LINKS: usize = 7;
 
-/// Whom a robot connects to.
+/// The robots that this robot connects to automatically.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AutoConnect {
-    /// Nobody: it waits for others.
+    /// No robot: the router only accepts links.
     None,
-    /// Those in the file of connections.
+    /// The entries of the connections file.
     #[default]
     Listed,
-    /// Those, and anyone of its fleet that is heard by Bluetooth.
+    /// The entries of the connections file and robots of the fleet that are discovered by Bluetooth.
     Fleet,
 }
 
 impl AutoConnect {
-    /// By its name.
+    /// Parses `none`, `listed` or `fleet`; `None` for any other text.
     pub fn parse(text: &str) -> Option<Self> {
         serde_json::from_value(text.into()).ok()
     }
 }
 
-/// To whom a robot connects by itself, as the settings say, or the file of connections instead.
+/// The rule for automatic connections, from the settings or from the connections file, which overrides them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Rule {
-    /// By what rule.
+pub struct AutoConnectRule {
+    /// Robots to connect to.
     pub auto_connect: AutoConnect,
-    /// With [`AutoConnect::Fleet`], to how many beside those listed.
+    /// With [`AutoConnect::Fleet`], the number of links to discovered robots in addition to the listed ones.
     pub auto_links: usize,
 }
 
-impl Rule {
-    /// To how many of the fleet.
+impl AutoConnectRule {
+    /// Returns the number of discovered robots of the fleet to dial.
     pub fn dials(&self) -> usize {
         match self.auto_connect {
             AutoConnect::Fleet => self.auto_links,
@@ -58,35 +59,36 @@ impl Rule {
     }
 }
 
-/// `plugins: { rect: { ... } }`
+/// RECT's settings in the configuration: `plugins: { rect: { ... } }`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// The team, the first part of all its keys; default `rect`.
+    /// Name of the fleet, the first part of all its keys; default `rect`.
     #[serde(default = "default_fleet")]
     pub fleet: String,
-    /// This robot's name, the second part.
+    /// Name of this robot, the second part of its keys.
     pub robot: String,
-    /// The file of named connections; left out, there are none.
+    /// Path of the connections file; without it the robot has no named connections.
     pub connections: Option<PathBuf>,
-    /// Whom to connect to; default `listed`.
+    /// Robots to connect to; default `listed`.
     #[serde(default)]
     pub auto_connect: AutoConnect,
-    /// With `auto_connect: "fleet"`: to how many by itself, 1 to 7; default 3.
+    /// With `auto_connect: "fleet"`: number of links to discovered robots, 1 to 7; default 3.
     #[serde(default = "default_auto_links")]
     pub auto_links: usize,
-    /// How many there may be, 1 to 1000; default 32.
+    /// Maximum number of named connections, 1 to 1000; default 32.
     #[serde(default = "default_max_connections")]
     pub max_connections: usize,
-    /// How the sessions that the router accepts are shared out; in a stock zenohd without effect.
+    /// Shares of the sessions that the router accepts; without effect in a stock zenohd.
     #[serde(default)]
     pub sessions: SessionSettings,
-    /// Further listeners, such as `ble/hci0#name=wombat-1`: in a stock zenohd those of Bluetooth belong here.
+    /// Additional listeners, such as `ble/hci0#name=wombat-1`. In a stock zenohd, Bluetooth listeners must be given here.
     #[serde(default)]
     pub listen: Vec<String>,
-    /// As whom of the login file to log in where one has to; under `rect-router`, the same as its `--login-as`.
+    /// User of the login file as which this router logs in when it dials; equivalent to `rect-router --login-as`.
     pub login_as: Option<String>,
-    /// In a stock zenohd: its listener that RECT connects to, such as `tcp/127.0.0.1:7447`; left out, its first.
+    /// In a stock zenohd: the listener of the host that the plugin connects to, such as `tcp/127.0.0.1:7447`; default its
+    /// first listener.
     pub host: Option<String>,
 }
 
@@ -103,19 +105,22 @@ fn default_max_connections() -> usize {
 }
 
 impl Settings {
-    /// To whom to connect as long as the file of connections does not say otherwise.
-    pub fn rule(&self) -> Rule {
-        Rule {
+    /// Returns the rule for automatic connections, which the connections file may override.
+    pub fn rule(&self) -> AutoConnectRule {
+        AutoConnectRule {
             auto_connect: self.auto_connect,
             auto_links: self.auto_links,
         }
     }
 
-    /// Reads and checks them.
+    /// Parses and validates the settings.
+    ///
+    /// # Errors
+    /// [`ConfigError::Settings`], which names the key, if a key is unknown, missing or out of range.
     pub fn parse(mut given: Value) -> Result<Self, ConfigError> {
         let refused = |reason: String| ConfigError::Settings { reason };
         if let Some(fields) = given.as_object_mut() {
-            // Zenoh's own, about the loading of a plugin.
+            // Zenoh's own fields, which control how a plugin is loaded.
             fields.retain(|key, _| !key.starts_with("__"));
         }
         let settings: Self =
@@ -123,19 +128,19 @@ impl Settings {
         for (key, name) in [("fleet", &settings.fleet), ("robot", &settings.robot)] {
             Name::new(name).map_err(|error| refused(format!("{key}: {error}")))?;
         }
-        for (key, given, most) in [
+        for (key, given, max) in [
             ("max_connections", settings.max_connections, MAX_CONNECTIONS),
             ("auto_links", settings.auto_links, MAX_AUTO_LINKS),
         ] {
-            if !(1..=most).contains(&given) {
-                return Err(refused(format!("{key} {given} is to be 1 to {most}")));
+            if !(1..=max).contains(&given) {
+                return Err(refused(format!("{key} is {given}, but must be 1 to {max}")));
             }
         }
         Ok(settings)
     }
 }
 
-/// Takes them out of a configuration; `None`: RECT adds nothing to this router.
+/// Removes RECT's settings from a configuration and returns them; `None` if there are none, so that RECT adds no services.
 pub fn take(config: &mut Config) -> Result<Option<Settings>, ConfigError> {
     let given = config.get_json(KEY).unwrap_or_default();
     let settings = match serde_json::from_str(&given) {
@@ -155,12 +160,12 @@ mod tests {
     fn taken(text: &str) -> Result<Option<Settings>, ConfigError> {
         let mut config = Config::from_json5(text).expect("valid");
         let settings = take(&mut config)?;
-        assert!(take(&mut config)?.is_none(), "taken out");
+        assert!(take(&mut config)?.is_none(), "the settings were removed");
         Ok(settings)
     }
 
     #[test]
-    fn what_is_left_out_has_a_default() {
+    fn omitted_settings_have_defaults() {
         assert_eq!(taken("{}").expect("none"), None);
         let settings = taken(r#"{ plugins: { rect: { robot: "wombat-1" } } }"#);
         let expected = Settings {
@@ -179,8 +184,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
-        for (text, named) in [
+    fn an_invalid_setting_is_named_in_the_error() {
+        for (text, expected) in [
             ("{}", "robot"),
             ("{ robot: 'a/b' }", "a/b"),
             ("{ robot: '**' }", "**"),
@@ -193,7 +198,7 @@ mod tests {
             ("{ robot: 'a', sessions: { per_robot: 1 } }", "per_robot"),
         ] {
             let error = taken(&format!("{{ plugins: {{ rect: {text} }} }}")).expect_err(text);
-            assert!(error.to_string().contains(named), "{error}");
+            assert!(error.to_string().contains(expected), "{error}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Owns one named connection: dialled whenever Zenoh asks, for as long as it is wanted; what became of it so far.
+//! Dials one named connection whenever Zenoh asks for its link, and keeps its state and counters.
 use std::{
     sync::{Arc, Weak},
     time::{Instant, SystemTime},
@@ -11,53 +11,54 @@ use zenoh_link::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,
 };
-use zenoh_link_slot::Dial;
+use zenoh_link_placeholder::Dial;
 use zenoh_result::ZResult;
 
 use super::{observed::ObservedLink, spec::Spec};
 
-/// A connection that programs know by name.
-pub struct Connection {
+/// A connection of the connections file.
+pub struct NamedConnection {
     spec: Spec,
     state: Mutex<State>,
 }
 
+/// The state of a connection, changed by its links and its dialler.
 #[derive(Default)]
 struct State {
-    /// Whether it is wanted no more.
-    is_over: bool,
-    /// Its links: one, or one for each reliability.
+    /// Whether the connection was removed from the file.
+    is_removed: bool,
+    /// The open links: one, or one for each reliability.
     links: Vec<Weak<ObservedLink>>,
-    /// Since when they are there.
+    /// Time at which the links were opened.
     since: Option<Instant>,
-    /// Links made so far.
+    /// Number of links opened so far.
     linked: u64,
-    /// Attempts that came to nothing since the last link.
+    /// Number of failed attempts since the last link.
     failed: u64,
-    last_error: Option<Trouble>,
-    /// What links that are gone carried.
+    last_error: Option<LastError>,
+    /// Traffic of the links that have been closed.
     sent: Traffic,
     received: Traffic,
 }
 
-/// Why something ended or did not begin.
+/// The reason why a link ended or could not be opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Trouble {
-    /// In words.
-    pub what: String,
-    /// When.
+pub struct LastError {
+    /// Description of the reason.
+    pub reason: String,
+    /// Time at which it occurred.
     pub at: SystemTime,
 }
 
-/// What tells links apart: source and destination, without what Zenoh adds of itself.
+/// Identifies a link by its source and destination, without the metadata that Zenoh adds to locators.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Ends {
+pub struct LinkEnds {
     source: String,
     destination: String,
 }
 
-impl Ends {
-    /// Of a link between these.
+impl LinkEnds {
+    /// Returns the ends of a link between two locators.
     pub fn of(source: &Locator, destination: &Locator) -> Self {
         let bare = |locator: &Locator| format!("{}/{}", locator.protocol(), locator.address());
         Self {
@@ -67,29 +68,29 @@ impl Ends {
     }
 }
 
-/// What is known of a connection at one moment.
+/// The state of a connection at one moment.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
-    /// What it is.
+    /// Name, method and endpoint.
     pub spec: Spec,
-    /// The ends of its links.
-    pub ends: Vec<Ends>,
-    /// Since when they are there.
+    /// Ends of the open links.
+    pub ends: Vec<LinkEnds>,
+    /// Time at which the links were opened; `None` while there are none.
     pub since: Option<Instant>,
-    /// Links made so far.
+    /// Number of links opened so far.
     pub linked: u64,
-    /// Attempts that came to nothing since the last link.
+    /// Number of failed attempts since the last link.
     pub failed: u64,
-    /// The last thing that went wrong.
-    pub last_error: Option<Trouble>,
-    /// Over all its links.
+    /// The most recent error.
+    pub last_error: Option<LastError>,
+    /// Traffic sent over all links so far.
     pub sent: Traffic,
-    /// Over all its links.
+    /// Traffic received over all links so far.
     pub received: Traffic,
 }
 
-impl Connection {
-    /// One that is not dialled yet.
+impl NamedConnection {
+    /// Creates a connection that is not dialled yet.
     pub fn new(spec: Spec) -> Arc<Self> {
         Arc::new(Self {
             spec,
@@ -97,12 +98,12 @@ impl Connection {
         })
     }
 
-    /// What it is.
+    /// Returns the name, method and endpoint.
     pub fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    /// What is known of it.
+    /// Returns the current state.
     pub fn snapshot(&self) -> Snapshot {
         let links = self.links();
         let state = self.state.lock();
@@ -112,7 +113,7 @@ impl Connection {
             sent = sent + more_sent;
             received = received + more_received;
         }
-        let ends = |link: &Arc<ObservedLink>| Ends::of(link.get_src(), link.get_dst());
+        let ends = |link: &Arc<ObservedLink>| LinkEnds::of(link.get_src(), link.get_dst());
         Snapshot {
             spec: self.spec.clone(),
             ends: links.iter().map(ends).collect(),
@@ -125,55 +126,60 @@ impl Connection {
         }
     }
 
-    /// Ends its links, and the one that may be about to come; its slot holds something else by then.
+    /// Closes the links, and a link that is about to open. The placeholder must have been changed before, so that it does not
+    /// dial the connection again.
     pub fn end(&self) {
-        self.state.lock().is_over = true;
+        self.state.lock().is_removed = true;
         for link in self.links() {
             link.end();
         }
     }
 
-    /// (The last to drop a link takes the lock too: so not while it is held.)
+    /// Returns the open links. The lock must not be held when they are dropped: dropping the last reference locks it.
     fn links(&self) -> Vec<Arc<ObservedLink>> {
         let links = self.state.lock().links.clone();
         links.iter().filter_map(Weak::upgrade).collect()
     }
 
-    pub(super) fn on_link_error(&self, what: &str) {
-        self.state.lock().last_error = Some(Trouble {
-            what: what.to_owned(),
+    pub(super) fn on_link_error(&self, reason: &str) {
+        self.state.lock().last_error = Some(LastError {
+            reason: reason.to_owned(),
             at: SystemTime::now(),
         });
     }
 
-    pub(super) fn on_link_gone(&self, sent: Traffic, received: Traffic) {
+    pub(super) fn on_link_dropped(&self, sent: Traffic, received: Traffic) {
         let mut state = self.state.lock();
         state.sent = state.sent + sent;
         state.received = state.received + received;
     }
 
-    fn on_failed(&self, what: &str) {
+    fn on_failed(&self, reason: &str) {
         self.state.lock().failed += 1;
-        self.on_link_error(what);
+        self.on_link_error(reason);
     }
 }
 
-/// One attempt to reach `endpoint`, with the link manager of its protocol; `links` is the channel of the Zenoh runtime.
+/// Makes one attempt to open a link to `endpoint` with the link manager of its protocol. `links` is the channel on which the
+/// Zenoh runtime receives new links.
+///
+/// # Errors
+/// The reason why the link could not be opened.
 pub async fn link(links: &NewLinkChannelSender, endpoint: &EndPoint) -> ZResult<LinkUnicast> {
     let manager = LinkManagerBuilderUnicast::make(links.clone(), endpoint)?;
     manager.new_link(endpoint.clone()).await
 }
 
-/// Dialled through the slot it is in.
-pub struct Dialled(pub Arc<Connection>);
+/// Dials a named connection for its placeholder.
+pub struct ConnectionDialler(pub Arc<NamedConnection>);
 
 #[async_trait]
-impl Dial for Dialled {
+impl Dial for ConnectionDialler {
     async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
         let Self(connection) = self;
         let attempt = Attempt(Some(connection));
         let made = link(links, &connection.spec.endpoint).await;
-        attempt.ends();
+        attempt.disarm();
         let made = made.inspect_err(|error| connection.on_failed(&error.to_string()))?;
         let observed = |link| ObservedLink::new(link, Arc::clone(connection));
         let (made, links) = match made.0 {
@@ -196,26 +202,26 @@ impl Dial for Dialled {
                 )
             }
         };
-        let is_over = {
+        let is_removed = {
             let mut state = connection.state.lock();
             state.links = links;
             state.since = Some(Instant::now());
             state.linked += 1;
             state.failed = 0;
-            state.is_over
+            state.is_removed
         };
-        if is_over {
+        if is_removed {
             connection.end();
         }
         Ok(LinkUnicast(made))
     }
 }
 
-/// An attempt that Zenoh may give up.
-struct Attempt<'a>(Option<&'a Arc<Connection>>);
+/// An attempt that Zenoh may abandon; dropping it counts a failed attempt, unless it is disarmed.
+struct Attempt<'a>(Option<&'a Arc<NamedConnection>>);
 
 impl Attempt<'_> {
-    fn ends(mut self) {
+    fn disarm(mut self) {
         self.0 = None;
     }
 }
@@ -223,7 +229,7 @@ impl Attempt<'_> {
 impl Drop for Attempt<'_> {
     fn drop(&mut self) {
         if let Some(connection) = self.0 {
-            connection.on_failed("nobody answered in time");
+            connection.on_failed("no answer within Zenoh's open_timeout");
         }
     }
 }

@@ -1,5 +1,4 @@
-//! Owns changing the text of a file of connections: the whole of it, or one connection, around which comments and everything
-//! else stay as they are.
+//! Edits the text of a connections file. Adding or removing one connection preserves the comments and everything else.
 use std::{borrow::Cow, io};
 
 use jsonc_parser::cst::{CstArray, CstInputValue, CstObject, CstRootNode};
@@ -10,53 +9,56 @@ use super::{
     spec::Spec,
 };
 
-/// Where there is no file yet.
+/// The text to edit if there is no file yet.
 const EMPTY: &str = "{\n  \"connections\": []\n}\n";
 
-/// What is to become of a text.
+/// A change of the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Edit {
-    /// This takes its place.
+    /// Replaces the whole text.
     Whole(String),
-    /// It gets this connection, as JSON, instead of the one of that name if there is one.
+    /// Adds this connection, given as JSON, or replaces the connection of the same name.
     Add(String),
-    /// It has the connection of this name no more.
+    /// Removes the connection of this name.
     Remove(String),
 }
 
-/// Why a text is not taken.
+/// The reason why an edit was rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum EditError {
-    /// Something in the new one.
-    #[error("the new connections, {0}")]
+    /// The new text has a mistake.
+    #[error("the new connections have a mistake at {0}")]
     Mistake(#[from] Mistake),
-    /// Mend what is there, or replace the whole of it.
-    #[error("the file of connections has a mistake, mend it first: {0}")]
+    /// The current file has a mistake. Correct it, or replace the whole text.
+    #[error("the connections file has a mistake, correct it first: {0}")]
     Before(Mistake),
-    /// The connection is none.
-    #[error("the connection can't be added: {0}")]
+    /// The given connection is invalid.
+    #[error("the connection cannot be added: {0}")]
     Connection(String),
-    /// There is nothing to remove.
-    #[error("there is no connection {name:?} in the file; there are: {there}")]
+    /// The connection to remove does not exist.
+    #[error("there is no connection {name:?} in the file; there are: {existing}")]
     NoSuch {
-        /// The one that was named.
+        /// Name of the connection to remove.
         name: String,
-        /// Those there are.
-        there: String,
+        /// Names of the existing connections.
+        existing: String,
     },
-    /// Read it, and change what is there now.
-    #[error("somebody else changed the connections: their revision is {now} now, read them again")]
+    /// The file has another revision than the editor expected. Read it again and repeat the change.
+    #[error("the connections have been changed in the meantime: their revision is now {now}; read them again")]
     Outdated {
-        /// Of what is there.
+        /// Revision of the file.
         now: String,
     },
-    /// The system does not let it be read or written.
-    #[error("the file of connections can't be changed: {0}")]
+    /// The file cannot be read or written.
+    #[error("the connections file cannot be changed: {0}")]
     File(#[from] io::Error),
 }
 
 impl Edit {
-    /// What becomes of `text`, which is asked for where that matters.
+    /// Returns the edited text. `text` returns the current text; it is called only if the result depends on it.
+    ///
+    /// # Errors
+    /// Fails if the edit or the current text is invalid, or if `text` fails. The result of [`Edit::Whole`] is not checked.
     pub fn applied(
         &self,
         text: impl FnOnce() -> io::Result<String>,
@@ -70,6 +72,7 @@ impl Edit {
     }
 }
 
+/// Adds a connection to the text, or replaces the one of the same name.
 fn added(text: String, connection: &str, limits: &Limits) -> Result<String, EditError> {
     let spec = one(connection, limits)?;
     let text = match text.trim().is_empty() {
@@ -84,12 +87,13 @@ fn added(text: String, connection: &str, limits: &Limits) -> Result<String, Edit
         .map_err(|error| EditError::Connection(error.to_string()))?;
     let (root, list) = list(&text)?;
     match named(&list, &spec.name) {
-        Some(there) => drop(there.replace_with(input(value))),
+        Some(existing) => drop(existing.replace_with(input(value))),
         None => drop(list.append(input(value))),
     }
     Ok(root.to_string())
 }
 
+/// Removes the connection of that name from the text.
 fn removed(text: &str, name: &str, limits: &Limits) -> Result<String, EditError> {
     let before = match text.trim().is_empty() {
         true => Vec::new(),
@@ -100,37 +104,39 @@ fn removed(text: &str, name: &str, limits: &Limits) -> Result<String, EditError>
         }
     };
     if before.iter().all(|spec| spec.name != name) {
-        let there: Vec<_> = before.iter().map(|spec| spec.name.as_str()).collect();
+        let existing: Vec<_> = before.iter().map(|spec| spec.name.as_str()).collect();
         return Err(EditError::NoSuch {
             name: name.chars().take(super::spec::MAX_NAME).collect(),
-            there: if there.is_empty() {
+            existing: if existing.is_empty() {
                 "none".to_owned()
             } else {
-                there.join(", ")
+                existing.join(", ")
             },
         });
     }
     let (root, list) = list(text)?;
-    if let Some(there) = named(&list, name) {
-        there.remove();
+    if let Some(existing) = named(&list, name) {
+        existing.remove();
     }
     Ok(root.to_string())
 }
 
-/// A connection by itself.
+/// Parses a single connection.
 fn one(connection: &str, limits: &Limits) -> Result<Spec, EditError> {
     let alone = format!("{{\"connections\":[{connection}]}}");
     let limits = Limits {
-        most: 1,
+        max_connections: 1,
         ..limits.clone()
     };
-    let wrong = |what: String| EditError::Connection(what);
-    let wanted = file::parse(&alone, &limits).map_err(|mistake| wrong(mistake.what))?;
-    let first = wanted.connections.into_iter().next();
-    first.ok_or_else(|| wrong("it is { \"name\": ..., \"method\": ..., \"address\": ... }".into()))
+    let invalid = |problem: String| EditError::Connection(problem);
+    let contents = file::parse(&alone, &limits).map_err(|mistake| invalid(mistake.problem))?;
+    let first = contents.connections.into_iter().next();
+    first.ok_or_else(|| {
+        invalid("give it as { \"name\": ..., \"method\": ..., \"address\": ... }".into())
+    })
 }
 
-/// The list of connections of a valid text, and the text that it is changed in.
+/// Returns the syntax tree of a valid text, and the list of connections in it.
 fn list(text: &str) -> Result<(CstRootNode, CstArray), EditError> {
     let no_list = || EditError::Connection("the file has no list of connections".to_owned());
     let root = CstRootNode::parse(text, &file::json_with_comments()).map_err(|_| no_list())?;
@@ -141,6 +147,7 @@ fn list(text: &str) -> Result<(CstRootNode, CstArray), EditError> {
     Ok((root, list))
 }
 
+/// Returns the element of the list with that name.
 fn named(list: &CstArray, name: &str) -> Option<CstObject> {
     let mut all = list
         .elements()
@@ -154,6 +161,7 @@ fn named(list: &CstArray, name: &str) -> Option<CstObject> {
     })
 }
 
+/// Converts a JSON value to an input of the syntax tree.
 fn input(value: Value) -> CstInputValue {
     match value {
         Value::Null => CstInputValue::Null,
@@ -179,7 +187,7 @@ mod tests {
     fn edited(text: &str, edit: Edit) -> Result<String, String> {
         let limits = Limits {
             robot: "wombat-1".into(),
-            most: 3,
+            max_connections: 3,
         };
         let text = edit.applied(|| Ok(text.to_owned()), &limits);
         let text = text.map_err(|error| error.to_string())?;
@@ -196,14 +204,14 @@ mod tests {
     }
 
     #[test]
-    fn one_connection_changes_and_comments_stay() {
+    fn adding_and_removing_a_connection_preserves_comments() {
         let new = r#"{"name":"leg","method":"ble","address":"wombat-4"}"#;
         let more = add(TEXT, new).expect("added");
         assert!(
             more.contains("wombat-4") && more.contains("// ours") && more.contains("// always on"),
             "{more}"
         );
-        assert_eq!(add(&more, new).expect("as it is"), more);
+        assert_eq!(add(&more, new).expect("unchanged"), more);
         let elsewhere = add(
             &more,
             r#"{"name":"base","method":"tcp","address":"10.0.0.2","port":1}"#,
@@ -227,23 +235,23 @@ mod tests {
     }
 
     #[test]
-    fn the_first_one_makes_the_file() {
+    fn adding_to_an_empty_text_creates_the_list() {
         let text = add("", r#"{"name":"leg","method":"ble","address":"wombat-4"}"#).expect("added");
         assert!(text.starts_with("{\n  \"connections\": [\n"), "{text}");
     }
 
     #[test]
-    fn what_can_not_be_is_said() {
-        for (edit, named) in [
-            (add(TEXT, "1"), "a connection is {"),
-            (add(TEXT, ""), "it is { \"name\""),
+    fn rejects_invalid_edits() {
+        for (edit, expected) in [
+            (add(TEXT, "1"), "a connection must be {"),
+            (add(TEXT, ""), "give it as { \"name\""),
             (
                 add(TEXT, r#"{"name":"x","method":"tcp","address":"a"}"#),
                 "tcp needs a port",
             ),
             (
                 add(TEXT, r#"{"name":"x","method":"ble","address":"wombat-9"}"#),
-                "leads where",
+                "same peer as",
             ),
             (
                 add(TEXT, r#"{"name":"x","method":"ble","address":"wombat-1"}"#),
@@ -256,16 +264,16 @@ mod tests {
                 ),
                 "too many",
             ),
-            (add(TEXT, r#"]},{"#), "can't be added"),
+            (add(TEXT, r#"]},{"#), "cannot be added"),
             (
                 add("{", r#"{"name":"x","method":"ble","address":"a"}"#),
-                "mend it first",
+                "correct it first",
             ),
             (remove(TEXT, "leg"), "there are: base, arm"),
             (remove("", "leg"), "there are: none"),
         ] {
-            let said = edit.expect_err(named);
-            assert!(said.contains(named), "{said}");
+            let error = edit.expect_err(expected);
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

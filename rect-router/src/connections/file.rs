@@ -1,5 +1,6 @@
-//! Owns the reading of `connections.json`: JSON with comments becomes connections that can be dialled and, if it has one, a
-//! rule for the rest of the fleet; or the one mistake with its line and column. Half a file is never taken.
+//! Parses a connections file: JSON with comments that lists the connections to dial and may set the rule for automatic
+//! connections. The result is either the whole file or its first mistake with line and column; a file is never applied in
+//! part.
 use std::{
     collections::HashMap,
     io::{self, Read},
@@ -13,76 +14,79 @@ use jsonc_parser::{
     parse_to_ast, ParseOptions,
 };
 
-use super::spec::{Spec, Written, Wrong};
+use super::spec::{RawSpec, Spec, SpecError};
 use crate::{
     config::{AutoConnect, MAX_AUTO_LINKS},
     regular_file,
 };
 
-/// The largest file that is read, in bytes: some ten thousand connections.
+/// Maximum size of a file in bytes; enough for about ten thousand connections.
 pub(super) const MAX_BYTES: u64 = 1 << 20;
 
-/// Why a file is not taken. Nothing changes then.
+/// The reason why a connections file was rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// It is not there, or may not be read.
-    #[error("{path} can't be read", path = path.display())]
+    /// The file is missing or cannot be read.
+    #[error("cannot read {path}", path = path.display())]
     Unreadable {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Error of the system.
         source: io::Error,
     },
-    /// It is over the limit.
-    #[error("{path} is larger than {MAX_BYTES} bytes: that is no list of connections", path = path.display())]
+    /// The file is larger than 1 MiB.
+    #[error("{path} is larger than {MAX_BYTES} bytes, the limit of a connections file", path = path.display())]
     TooLarge {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// Something in it.
+    /// The text of the file has a mistake.
     #[error("{path}:{mistake}", path = path.display())]
     Mistake {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Where, and what.
+        /// Position and description of the mistake.
         mistake: Mistake,
     },
 }
 
-/// The first thing that is wrong in a text.
+/// The first mistake in a text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{line}:{column}: {what}")]
+#[error("{line}:{column}: {problem}")]
 pub struct Mistake {
-    /// From 1.
+    /// Line number, from 1.
     pub line: usize,
-    /// In characters, from 1.
+    /// Column in characters, from 1.
     pub column: usize,
-    /// What, and what it should be.
-    pub what: String,
+    /// Description, with the values that are valid.
+    pub problem: String,
 }
 
-/// What a file says.
+/// The contents of a valid file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Wanted {
-    /// Of different names, and to different peers.
+pub struct FileContents {
+    /// The connections; no two have the same name or the same peer.
     pub connections: Vec<Spec>,
-    /// Instead of the one of the settings.
+    /// Overrides `auto_connect` of the settings, if present.
     pub auto_connect: Option<AutoConnect>,
-    /// Instead of the one of the settings.
+    /// Overrides `auto_links` of the settings, if present; 1 to 7.
     pub auto_links: Option<usize>,
 }
 
-/// What a file is held against.
+/// The constraints that a file has to meet.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Whose connections they are: none leads to this robot itself.
+    /// Name of the robot whose file it is: a connection to the robot itself is a mistake.
     pub robot: String,
-    /// How many there may be.
-    pub most: usize,
+    /// Maximum number of connections.
+    pub max_connections: usize,
 }
 
-/// What a file says.
-pub fn read(path: &Path, limits: &Limits) -> Result<Wanted, FileError> {
+/// Reads and parses a connections file.
+///
+/// # Errors
+/// Fails if the file cannot be read, is larger than 1 MiB, or has a mistake.
+pub fn read(path: &Path, limits: &Limits) -> Result<FileContents, FileError> {
     let path = || path.to_owned();
     let mut bytes = Vec::new();
     regular_file::open(&path())
@@ -97,8 +101,8 @@ pub fn read(path: &Path, limits: &Limits) -> Result<Wanted, FileError> {
     let text = String::from_utf8(bytes).map_err(|error| {
         let good = error.utf8_error().valid_up_to();
         let before = String::from_utf8_lossy(&error.as_bytes()[..good]).into_owned();
-        let what = "this is no text (UTF-8)".to_owned();
-        let mistake = at(&before, before.len(), what);
+        let problem = "this is not valid UTF-8 text".to_owned();
+        let mistake = at(&before, before.len(), problem);
         FileError::Mistake {
             path: path(),
             mistake,
@@ -110,19 +114,22 @@ pub fn read(path: &Path, limits: &Limits) -> Result<Wanted, FileError> {
     })
 }
 
-/// What a text says.
-pub fn parse(text: &str, limits: &Limits) -> Result<Wanted, Mistake> {
+/// Parses the text of a connections file.
+///
+/// # Errors
+/// The first mistake in the text.
+pub fn parse(text: &str, limits: &Limits) -> Result<FileContents, Mistake> {
     if text.len() as u64 > MAX_BYTES {
-        let what = format!("these are more than {MAX_BYTES} bytes");
-        return Err(at(text, 0, what));
+        let problem = format!("the text has more than {MAX_BYTES} bytes");
+        return Err(at(text, 0, problem));
     }
     let reader = Reader { text, limits };
     let parsed = parse_to_ast(text, &Default::default(), &json_with_comments())
-        .map_err(|error| reader.wrong(error.range(), error.kind().to_string()))?;
-    reader.wanted(parsed.value)
+        .map_err(|error| reader.mistake(error.range(), error.kind().to_string()))?;
+    reader.contents(parsed.value)
 }
 
-/// Comments, and commas after the last one; nothing else that JSON has not.
+/// Returns options for JSON with comments and trailing commas, but no other extensions.
 pub(super) fn json_with_comments() -> ParseOptions {
     ParseOptions {
         allow_comments: true,
@@ -144,33 +151,33 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    fn wanted(&self, whole: Option<Value<'a>>) -> Result<Wanted, Mistake> {
-        let wanted = "the file holds { \"connections\": [ ... ] }";
+    fn contents(&self, whole: Option<Value<'a>>) -> Result<FileContents, Mistake> {
+        let expected = "the file must contain { \"connections\": [ ... ] }";
         let start = Range::new(0, 0);
-        let whole = whole.ok_or_else(|| self.wrong(start, wanted))?;
+        let whole = whole.ok_or_else(|| self.mistake(start, expected))?;
         let Value::Object(whole) = whole else {
-            return Err(self.wrong(whole.range(), wanted));
+            return Err(self.mistake(whole.range(), expected));
         };
         const KEYS: [&str; 4] = ["$schema", "auto_connect", "auto_links", "connections"];
         let fields = self.fields(&whole, &KEYS)?;
         let Some(list) = fields.get("connections") else {
-            return Err(self.wrong(whole.range, wanted));
+            return Err(self.mistake(whole.range, expected));
         };
         let auto_connect = fields.get("auto_connect").map(|field| {
             let rule = match &field.value {
                 Value::StringLit(text) => AutoConnect::parse(&text.value),
                 _ => None,
             };
-            let what = "auto_connect is \"none\", \"listed\" or \"fleet\"";
-            rule.ok_or_else(|| self.wrong(field.value.range(), what))
+            let problem = "auto_connect must be \"none\", \"listed\" or \"fleet\"";
+            rule.ok_or_else(|| self.mistake(field.value.range(), problem))
         });
         let auto_links = fields.get("auto_links").map(|field| {
             let number = number(&field.value);
             let number = number.filter(|number| (1..=MAX_AUTO_LINKS).contains(number));
-            let what = format!("auto_links is 1 to {MAX_AUTO_LINKS}");
-            number.ok_or_else(|| self.wrong(field.value.range(), what))
+            let problem = format!("auto_links must be 1 to {MAX_AUTO_LINKS}");
+            number.ok_or_else(|| self.mistake(field.value.range(), problem))
         });
-        Ok(Wanted {
+        Ok(FileContents {
             auto_connect: auto_connect.transpose()?,
             auto_links: auto_links.transpose()?,
             connections: self.connections(list)?,
@@ -179,34 +186,38 @@ impl<'a> Reader<'a> {
 
     fn connections(&self, list: &ObjectProp<'a>) -> Result<Vec<Spec>, Mistake> {
         let Value::Array(list) = &list.value else {
-            return Err(self.wrong(list.value.range(), "connections is a list"));
+            return Err(self.mistake(list.value.range(), "connections must be a list"));
         };
         let (mut names, mut targets, mut specs) = (HashMap::new(), HashMap::new(), Vec::new());
         for value in &list.elements {
-            if specs.len() == self.limits.most {
-                let what = format!(
-                    "one connection too many: there may be {} (plugins/rect/max_connections)",
-                    self.limits.most
+            if specs.len() == self.limits.max_connections {
+                let problem = format!(
+                    "too many connections: at most {} are allowed (plugins/rect/max_connections)",
+                    self.limits.max_connections
                 );
-                return Err(self.wrong(value.range(), what));
+                return Err(self.mistake(value.range(), problem));
             }
             let (spec, range) = self.connection(value)?;
             let line = |range: &Range| self.place(range.start).0;
             if let Some(first) = names.insert(spec.name.clone(), range) {
-                let what = format!("{} is in line {} already", spec.name, line(&first));
-                return Err(self.wrong(range, what));
-            }
-            if let Some(first) = targets.insert(spec.target(), range) {
-                let what = format!(
-                    "{} leads where the connection of line {} does",
+                let problem = format!(
+                    "the name {} is already used in line {}",
                     spec.name,
                     line(&first)
                 );
-                return Err(self.wrong(range, what));
+                return Err(self.mistake(range, problem));
+            }
+            if let Some(first) = targets.insert(spec.target(), range) {
+                let problem = format!(
+                    "{} leads to the same peer as the connection in line {}",
+                    spec.name,
+                    line(&first)
+                );
+                return Err(self.mistake(range, problem));
             }
             if spec.is_to(&self.limits.robot) {
-                let what = format!("{} leads to this robot itself", spec.name);
-                return Err(self.wrong(range, what));
+                let problem = format!("{} leads to this robot itself", spec.name);
+                return Err(self.mistake(range, problem));
             }
             specs.push(spec);
         }
@@ -216,33 +227,37 @@ impl<'a> Reader<'a> {
     fn connection(&self, value: &Value<'a>) -> Result<(Spec, Range), Mistake> {
         const KEYS: [&str; 6] = ["name", "method", "address", "port", "psm", "options"];
         let Value::Object(object) = value else {
-            let what = "a connection is { \"name\": ..., \"method\": ..., \"address\": ... }";
-            return Err(self.wrong(value.range(), what));
+            let problem =
+                "a connection must be { \"name\": ..., \"method\": ..., \"address\": ... }";
+            return Err(self.mistake(value.range(), problem));
         };
         let fields = self.fields(object, &KEYS)?;
         let text = |key: &str| match fields.get(key).map(|field| &field.value) {
             Some(Value::StringLit(text)) => Ok(text.value.to_string()),
-            Some(other) => Err(self.wrong(other.range(), format!("{key} is text"))),
-            None => Err(self.wrong(object.range, format!("{key} is missing"))),
+            Some(other) => Err(self.mistake(other.range(), format!("{key} must be a string"))),
+            None => Err(self.mistake(object.range, format!("{key} is missing"))),
         };
         let number_of = |key: &str| match fields.get(key).map(|field| &field.value) {
             None => Ok(None),
             Some(value) => {
-                let wanted = || self.wrong(value.range(), format!("{key} is 0 to {}", u16::MAX));
-                number(value).ok_or_else(wanted).map(Some)
+                let problem = format!("{key} must be a whole number, 0 to {}", u16::MAX);
+                let mistake = || self.mistake(value.range(), problem);
+                number(value).ok_or_else(mistake).map(Some)
             }
         };
-        let mut written = Written {
+        let mut raw = RawSpec {
             name: text("name")?,
             method: text("method")?,
             address: text("address")?,
             port: number_of("port")?,
             psm: number_of("psm")?,
-            ..Written::default()
+            ..RawSpec::default()
         };
         if let Some(options) = fields.get("options") {
             let Value::Object(options) = &options.value else {
-                return Err(self.wrong(options.value.range(), "options is { \"key\": value }"));
+                return Err(
+                    self.mistake(options.value.range(), "options must be { \"key\": value }")
+                );
             };
             for (key, field) in self.fields(options, &[])? {
                 let value = match &field.value {
@@ -250,22 +265,23 @@ impl<'a> Reader<'a> {
                     Value::NumberLit(number) => number.value.to_owned(),
                     Value::BooleanLit(boolean) => boolean.value.to_string(),
                     other => {
-                        let what = "an option is text, a number, true or false";
-                        return Err(self.wrong(other.range(), what));
+                        let problem = "an option must be a string, a number, true or false";
+                        return Err(self.mistake(other.range(), problem));
                     }
                 };
-                written.options.insert(key.to_owned(), value);
+                raw.options.insert(key.to_owned(), value);
             }
         }
-        let spec = Spec::of(written).map_err(|Wrong { field, what }| {
+        let spec = Spec::of(raw).map_err(|SpecError { field, problem }| {
             let field = field.and_then(|field| fields.get(field));
             let range = field.map_or(object.range, |field| field.value.range());
-            self.wrong(range, what)
+            self.mistake(range, problem)
         })?;
         Ok((spec, object.range))
     }
 
-    /// The fields of an object, each once; `known`: the keys there may be, empty for any.
+    /// Returns the fields of an object by key. A key outside `known` is a mistake, unless `known` is empty; so is a duplicate
+    /// key.
     fn fields<'o>(
         &self,
         object: &'o Object<'a>,
@@ -275,18 +291,18 @@ impl<'a> Reader<'a> {
         for field in &object.properties {
             let key = field.name.as_str();
             if !known.is_empty() && !known.contains(&key) {
-                let what = format!("`{key}` is unknown here; known are {}", known.join(", "));
-                return Err(self.wrong(field.range, what));
+                let problem = format!("`{key}` is unknown here; known are {}", known.join(", "));
+                return Err(self.mistake(field.range, problem));
             }
             if fields.insert(key, field).is_some() {
-                return Err(self.wrong(field.range, format!("{key} is there twice")));
+                return Err(self.mistake(field.range, format!("{key} is given twice")));
             }
         }
         Ok(fields)
     }
 
-    fn wrong(&self, range: Range, what: impl Into<String>) -> Mistake {
-        at(self.text, range.start, what.into())
+    fn mistake(&self, range: Range, problem: impl Into<String>) -> Mistake {
+        at(self.text, range.start, problem.into())
     }
 
     fn place(&self, byte: usize) -> (usize, usize) {
@@ -301,12 +317,16 @@ fn number<T: FromStr>(value: &Value) -> Option<T> {
     }
 }
 
-fn at(text: &str, byte: usize, what: String) -> Mistake {
+fn at(text: &str, byte: usize, problem: String) -> Mistake {
     let (line, column) = place(text, byte);
-    Mistake { line, column, what }
+    Mistake {
+        line,
+        column,
+        problem,
+    }
 }
 
-/// Line and column of a byte.
+/// Returns the line and the column of a byte, both from 1.
 fn place(text: &str, byte: usize) -> (usize, usize) {
     let before = text.get(..byte).unwrap_or(text);
     let line_start = before.rfind('\n').map_or(0, |end| end + 1);

@@ -1,68 +1,73 @@
-//! Owns connecting to whoever of the fleet is heard by Bluetooth: by what rule, and to how many.
+//! Dials robots of the fleet that are discovered by Bluetooth, as many as the rule for automatic connections allows.
 use std::sync::Arc;
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
 use zenoh_link::{EndPoint, LinkUnicast, NewLinkChannelSender};
-use zenoh_link_slot::{Dial, Slots};
+use zenoh_link_placeholder::{Dial, Placeholders};
 use zenoh_result::ZResult;
 
 use super::connection::link;
-use crate::config::{AutoConnect, Rule};
+use crate::config::{AutoConnect, AutoConnectRule};
 
-/// As many dials to anyone of the fleet as the rule says.
-pub struct Fleet {
-    slots: Arc<Slots>,
-    anyone: Arc<Anyone>,
-    rule: Mutex<Rule>,
+/// Keeps a number of dials to discovered robots of the fleet open.
+pub struct FleetConnector {
+    placeholders: Arc<Placeholders>,
+    any_robot: Arc<AnyFleetRobot>,
+    rule: Mutex<AutoConnectRule>,
 }
 
-struct Anyone(EndPoint);
+/// Dials any discovered robot of the fleet, by a `ble/*#fleet=` endpoint.
+struct AnyFleetRobot(EndPoint);
 
 #[async_trait]
-impl Dial for Anyone {
+impl Dial for AnyFleetRobot {
     async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
         link(links, &self.0).await
     }
 }
 
-impl Fleet {
-    /// Dials nobody yet, and at most so many.
-    pub fn new(name: &str, most: usize) -> ZResult<Arc<Self>> {
-        let nobody = Rule {
+impl FleetConnector {
+    /// Creates a connector for the fleet `name` with at most `max_links` dials. It dials no robot until a rule is applied.
+    ///
+    /// # Errors
+    /// Fails if the name cannot be part of a locator.
+    pub fn new(name: &str, max_links: usize) -> ZResult<Arc<Self>> {
+        let none = AutoConnectRule {
             auto_connect: AutoConnect::None,
-            auto_links: most,
+            auto_links: max_links,
         };
         Ok(Arc::new(Self {
-            slots: Slots::new(most),
-            anyone: Arc::new(Anyone(format!("ble/*#fleet={name}").parse()?)),
-            rule: Mutex::new(nobody),
+            placeholders: Placeholders::new(max_links),
+            any_robot: Arc::new(AnyFleetRobot(format!("ble/*#fleet={name}").parse()?)),
+            rule: Mutex::new(none),
         }))
     }
 
-    /// What Zenoh has to dial for it.
+    /// Returns the placeholder endpoints that Zenoh has to dial.
     pub fn endpoints(&self) -> impl Iterator<Item = String> + '_ {
-        self.slots.endpoints()
+        self.placeholders.endpoints()
     }
 
-    /// Dials nobody any more; links that are there stay.
+    /// Stops dialling; links that are open stay open.
     pub fn close(&self) {
-        self.slots.close();
+        self.placeholders.close();
     }
 
-    /// The rule that holds.
-    pub fn rule(&self) -> Rule {
+    /// Returns the current rule.
+    pub fn rule(&self) -> AutoConnectRule {
         *self.rule.lock()
     }
 
-    /// From now on that rule; tells whether it is another. Links that are there stay.
-    pub fn follow(&self, rule: Rule) -> bool {
+    /// Applies a rule, and returns whether it differs from the previous one. Links that are open stay open.
+    pub fn apply_rule(&self, rule: AutoConnectRule) -> bool {
         let mut now = self.rule.lock();
         let (before, after) = (now.dials(), rule.dials());
-        for slot in 0..self.slots.count() {
-            if (slot < before) != (slot < after) {
-                let anyone: Arc<dyn Dial> = self.anyone.clone();
-                self.slots.set(slot, (slot < after).then_some(anyone));
+        for placeholder in 0..self.placeholders.count() {
+            if (placeholder < before) != (placeholder < after) {
+                let any_robot: Arc<dyn Dial> = self.any_robot.clone();
+                self.placeholders
+                    .set(placeholder, (placeholder < after).then_some(any_robot));
             }
         }
         std::mem::replace(&mut *now, rule) != rule

@@ -1,5 +1,5 @@
-//! Owns one link of a named connection as Zenoh uses it: counts what passes, tells when it ends and why, and can be ended
-//! from outside.
+//! Wraps the link of a named connection: counts its traffic, reports its errors and its end to the connection, and allows
+//! the connection to close it.
 use std::{
     future::Future,
     sync::{
@@ -15,9 +15,9 @@ use zenoh_link::{LinkAuthId, LinkUnicastTrait, Locator};
 use zenoh_protocol::core::Priority;
 use zenoh_result::{bail, ZResult};
 
-use super::connection::Connection;
+use super::connection::NamedConnection;
 
-/// Counts while others read.
+/// Counts batches and bytes; can be read from other threads.
 #[derive(Default)]
 struct Counter {
     batches: AtomicU64,
@@ -38,18 +38,18 @@ impl Counter {
     }
 }
 
-/// A link that tells its connection.
+/// A link that reports to its named connection.
 pub struct ObservedLink {
     link: Arc<dyn LinkUnicastTrait>,
-    connection: Arc<Connection>,
+    connection: Arc<NamedConnection>,
     sent: Counter,
     received: Counter,
     ended: CancellationToken,
 }
 
 impl ObservedLink {
-    /// `connection` is told what becomes of `link`.
-    pub fn new(link: Arc<dyn LinkUnicastTrait>, connection: Arc<Connection>) -> Arc<Self> {
+    /// Wraps `link`, whose errors, traffic and end are reported to `connection`.
+    pub fn new(link: Arc<dyn LinkUnicastTrait>, connection: Arc<NamedConnection>) -> Arc<Self> {
         Arc::new(Self {
             link,
             connection,
@@ -59,12 +59,12 @@ impl ObservedLink {
         })
     }
 
-    /// What was sent and received.
+    /// Returns the traffic sent and received so far.
     pub fn traffic(&self) -> (Traffic, Traffic) {
         (self.sent.now(), self.received.now())
     }
 
-    /// Zenoh finds it ended, and dials what its slot holds then.
+    /// Closes the link: pending and later operations fail, so that Zenoh drops it and dials its placeholder again.
     pub fn end(&self) {
         self.ended.cancel();
     }
@@ -80,7 +80,8 @@ impl ObservedLink {
         result
     }
 
-    /// A batch of a stream is its length, read first, and then its bytes.
+    /// Counts received bytes. On a streamed link Zenoh reads the two bytes of a batch's length first; they do not count as a
+    /// batch.
     fn count_received(&self, bytes: usize) {
         let is_length = self.link.is_streamed() && bytes == size_of::<u16>();
         self.received.add(u64::from(!is_length), bytes);
@@ -90,7 +91,7 @@ impl ObservedLink {
 impl Drop for ObservedLink {
     fn drop(&mut self) {
         let (sent, received) = self.traffic();
-        self.connection.on_link_gone(sent, received);
+        self.connection.on_link_dropped(sent, received);
     }
 }
 

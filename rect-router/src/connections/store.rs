@@ -1,5 +1,5 @@
-//! Owns the file of connections on disk: read whole, replaced whole. Whenever the power goes, the old text or the new one
-//! is there afterwards, never a part.
+//! Reads and replaces the connections file atomically: after a power failure at any moment, the file has either the old text
+//! or the new one.
 use std::{
     ffi::OsString,
     fs::{self, File},
@@ -12,12 +12,12 @@ use sha2::{Digest, Sha256};
 use super::file::MAX_BYTES;
 use crate::regular_file;
 
-/// The name of the temporary file for a new text begins with this, the file's own name and a dash.
-const NEW: &str = ".new-";
-/// How many characters follow, chosen at random.
-const RANDOM: usize = 6;
+/// Prefix of the name of a temporary file, followed by the name of the file that it replaces and a dash.
+const TEMPORARY_PREFIX: &str = ".new-";
+/// Number of random characters at the end of the name of a temporary file.
+const RANDOM_CHARACTERS: usize = 6;
 
-/// Where a replacement may be cut off.
+/// The steps of a replacement, after each of which it may be interrupted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Created,
@@ -33,14 +33,17 @@ pub struct Store {
 }
 
 impl Store {
-    /// The file may be missing until something is put into it.
+    /// Creates a store for the file at `path`, which need not exist yet.
     pub fn new(path: &Path) -> Self {
         Self {
             path: path.to_owned(),
         }
     }
 
-    /// Its text, empty where there is no file.
+    /// Returns the text of the file; an empty text if there is no file.
+    ///
+    /// # Errors
+    /// Fails if the file is not a regular file, cannot be read, or is larger than 1 MiB.
     pub fn read(&self) -> io::Result<String> {
         match regular_file::read_to_string(&self.path, MAX_BYTES) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(String::new()),
@@ -48,9 +51,12 @@ impl Store {
         }
     }
 
-    /// Removes what a process left that was killed while it replaced the file.
+    /// Removes the temporary files of processes that were killed during a replacement, and returns their number.
+    ///
+    /// # Errors
+    /// Fails if the folder cannot be read or a file cannot be removed.
     pub fn remove_leftovers(&self) -> io::Result<usize> {
-        let Place { folder, new, .. } = self.place()?;
+        let Target { folder, new, .. } = self.target()?;
         let new = new.into_encoded_bytes();
         let mut removed = 0;
         for entry in fs::read_dir(folder)? {
@@ -58,7 +64,7 @@ impl Store {
             let name = entry.file_name().into_encoded_bytes();
             let is_left = name
                 .strip_prefix(&new[..])
-                .is_some_and(|random| random.len() == RANDOM);
+                .is_some_and(|random| random.len() == RANDOM_CHARACTERS);
             if is_left && entry.file_type()?.is_file() {
                 fs::remove_file(entry.path())?;
                 removed += 1;
@@ -67,11 +73,12 @@ impl Store {
         Ok(removed)
     }
 
-    /// Returns where the file is. Where its path is a symbolic link, that is the place the link leads to: the link stays.
-    fn place(&self) -> io::Result<Place> {
+    /// Returns the location of the file. If its path is a symbolic link, that is the location the link leads to, so that the
+    /// link itself is kept.
+    fn target(&self) -> io::Result<Target> {
         let path = match fs::canonicalize(&self.path) {
             Ok(path) => path,
-            // There is no file yet; a link may say where it is to be.
+            // There is no file yet, but a link may lead to its future location.
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 match fs::read_link(&self.path) {
                     Ok(target) => self.path.parent().unwrap_or(Path::new("/")).join(target),
@@ -80,35 +87,38 @@ impl Store {
             }
             Err(error) => return Err(error),
         };
-        let mut new = OsString::from(NEW);
+        let mut new = OsString::from(TEMPORARY_PREFIX);
         new.push(path.file_name().unwrap_or_default());
         new.push("-");
         let folder = match path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
             _ => PathBuf::from("."),
         };
-        Ok(Place { path, folder, new })
+        Ok(Target { path, folder, new })
     }
 
-    /// Puts this text in its place.
+    /// Replaces the text of the file.
+    ///
+    /// # Errors
+    /// Fails if the file is not a regular file or cannot be written. The file has its old text then.
     pub fn replace(&self, text: &str) -> io::Result<()> {
         self.replace_in_steps(text, |_| Ok(()))
     }
 
-    /// `after` is asked after each step; an error cuts it off there.
+    /// Replaces the text. Calls `after` after each step; if it returns an error, the replacement stops there.
     fn replace_in_steps(
         &self,
         text: &str,
         mut after: impl FnMut(Step) -> io::Result<()>,
     ) -> io::Result<()> {
-        let Place { path, folder, new } = self.place()?;
-        if fs::metadata(&path).is_ok_and(|there| !there.is_file()) {
-            let what = "it is not a regular file, and is not replaced";
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+        let Target { path, folder, new } = self.target()?;
+        if fs::metadata(&path).is_ok_and(|existing| !existing.is_file()) {
+            let problem = "it is not a regular file, and is not replaced";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, problem));
         }
         let mut new = tempfile::Builder::new()
             .prefix(&new)
-            .rand_bytes(RANDOM)
+            .rand_bytes(RANDOM_CHARACTERS)
             .tempfile_in(&folder)?;
         if let Ok(before) = fs::metadata(&path) {
             new.as_file().set_permissions(before.permissions())?;
@@ -120,20 +130,20 @@ impl Store {
         after(Step::OnDisk)?;
         new.persist(&path).map_err(|error| error.error)?;
         after(Step::InPlace)?;
-        // The name is on disk only when its folder is.
+        // The new name is durable only once the folder is written, too.
         File::open(&folder)?.sync_all()?;
         after(Step::Recorded)
     }
 }
 
-/// Where the file is, and how what is to replace it is called before.
-struct Place {
+/// The location of the file, and the prefix of the temporary file that replaces it.
+struct Target {
     path: PathBuf,
     folder: PathBuf,
     new: OsString,
 }
 
-/// What tells one text from another, for `expect=`.
+/// Returns the revision of a text for `expect=`: the first 8 bytes of its SHA-256 in hexadecimal.
 pub fn revision(text: &str) -> String {
     let digest = Sha256::digest(text.as_bytes());
     digest
@@ -150,43 +160,43 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cut_off_at_any_step_the_old_text_or_the_new_one_is_there() {
+    fn an_interruption_at_any_step_leaves_the_old_text_or_the_new_one() {
         use Step::{Created, InPlace, OnDisk, Recorded, Written};
-        for cut in [Created, Written, OnDisk, InPlace, Recorded] {
+        for interrupted_after in [Created, Written, OnDisk, InPlace, Recorded] {
             let folder = tempfile::tempdir().expect("a folder");
             let store = Store::new(&folder.path().join("connections.json"));
             assert_eq!(store.read().expect("nothing yet"), "");
             store.replace("old").expect("written");
-            let cut_off = store.replace_in_steps("new", |step| match step == cut {
-                true => Err(io::Error::other("the power is gone")),
+            let result = store.replace_in_steps("new", |step| match step == interrupted_after {
+                true => Err(io::Error::other("power failure")),
                 false => Ok(()),
             });
-            assert!(cut_off.is_err());
-            let is_new = matches!(cut, InPlace | Recorded);
+            assert!(result.is_err());
+            let is_new = matches!(interrupted_after, InPlace | Recorded);
             assert_eq!(
-                store.read().expect("there"),
+                store.read().expect("exists"),
                 if is_new { "new" } else { "old" }
             );
-            // And whatever was left behind is in nobody's way.
+            // A leftover temporary file does not disturb the next replacement.
             store.replace("newer").expect("written");
-            assert_eq!(store.read().expect("there"), "newer");
+            assert_eq!(store.read().expect("exists"), "newer");
         }
     }
 
     #[test]
-    fn who_may_read_the_file_stays() {
+    fn replacing_preserves_the_permissions() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("connections.json");
         let store = Store::new(&path);
         store.replace("old").expect("written");
         fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).expect("set");
         store.replace("new").expect("written");
-        let mode = fs::metadata(&path).expect("there").permissions().mode();
+        let mode = fs::metadata(&path).expect("exists").permissions().mode();
         assert_eq!(mode & 0o777, 0o640);
     }
 
     #[test]
-    fn a_symbolic_link_stays_and_its_file_is_replaced() {
+    fn replaces_the_target_of_a_symbolic_link_and_keeps_the_link() {
         let folder = tempfile::tempdir().expect("a folder");
         let real = folder.path().join("real");
         fs::create_dir(&real).expect("a folder");
@@ -196,16 +206,16 @@ mod tests {
         );
         std::os::unix::fs::symlink("real/list.json", &link).expect("a link");
         let store = Store::new(&link);
-        // First there is no file yet.
+        // The first replacement creates the file.
         for text in ["first", "second"] {
             store.replace(text).expect("written");
-            assert!(fs::symlink_metadata(&link).expect("there").is_symlink());
-            assert_eq!(fs::read_to_string(&file).expect("there"), text);
+            assert!(fs::symlink_metadata(&link).expect("exists").is_symlink());
+            assert_eq!(fs::read_to_string(&file).expect("exists"), text);
         }
     }
 
     #[test]
-    fn leftovers_of_a_killed_process_are_removed_and_nothing_else() {
+    fn removes_only_temporary_files_of_killed_processes() {
         let folder = tempfile::tempdir().expect("a folder");
         let in_folder = |name: &str| folder.path().join(name);
         let store = Store::new(&in_folder("connections.json"));
@@ -224,23 +234,23 @@ mod tests {
         assert_eq!(store.remove_leftovers().expect("removed"), 1);
         assert!(others.iter().all(|name| in_folder(name).exists()));
         assert_eq!(
-            fs::read_dir(folder.path()).expect("there").count(),
+            fs::read_dir(folder.path()).expect("exists").count(),
             others.len()
         );
     }
 
     #[test]
-    fn a_pipe_in_its_place_is_neither_read_nor_replaced() {
+    fn neither_reads_nor_replaces_a_pipe() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("connections.json");
         nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
         let store = Store::new(&path);
         assert!(store.read().is_err() && store.replace("text").is_err());
-        assert!(!fs::metadata(&path).expect("there").is_file());
+        assert!(!fs::metadata(&path).expect("exists").is_file());
     }
 
     #[test]
-    fn texts_differ_by_their_revision() {
+    fn different_texts_have_different_revisions() {
         assert_eq!(revision("a"), revision("a"));
         assert_ne!(revision("a"), revision("b"));
         assert_eq!(revision("").len(), 16);

@@ -1,4 +1,4 @@
-//! Owns the watch over a connections file: what changes in it takes effect, what is wrong in it is told and changes nothing.
+//! Watches a connections file and applies its changes. A file with a mistake is logged and changes nothing.
 use std::{
     collections::BTreeSet,
     path::{Path, PathBuf},
@@ -12,26 +12,30 @@ use std::{
 
 use notify::{Event, RecommendedWatcher, RecursiveMode, Watcher};
 
-use rect::core::wording;
+use rect::core::humanize;
 
 use super::Connections;
 
-/// An editor writes in several steps: the file is read when it has been left alone for so long,
-const QUIET: Duration = Duration::from_millis(100);
-/// or after so long all the same.
-const LONGEST: Duration = Duration::from_secs(1);
+/// Time without further changes after which the file is read: an editor writes it in several steps.
+const QUIET_PERIOD: Duration = Duration::from_millis(100);
+/// Time after the first change at which the file is read even if changes continue.
+const MAX_DELAY: Duration = Duration::from_secs(1);
 
-/// Watches until it is dropped.
-pub struct Watching {
-    /// Its end is the end of the thread.
+/// A watch over a connections file. Dropping it stops the watch.
+pub struct FileWatch {
+    /// Dropping the watcher closes the channel to the thread, which then ends.
     _watcher: RecommendedWatcher,
 }
 
-impl Watching {
-    /// Watches the folder: an editor, and whoever changes a file safely, puts a new file in its place.
+impl FileWatch {
+    /// Starts a thread that watches the folder of the file, because editors and other careful programs replace a file by a
+    /// new one.
+    ///
+    /// # Errors
+    /// Fails if the system cannot watch the folder.
     pub(super) fn start(connections: Arc<Connections>) -> notify::Result<Self> {
         let path = std::path::absolute(connections.path())?;
-        // Where that is a symbolic link, the file that it leads to changes in its own folder.
+        // The target of a symbolic link changes in a folder of its own.
         let mut paths = vec![path.clone()];
         paths.extend(path.canonicalize().ok().filter(|real| *real != path));
         let folders: BTreeSet<_> = paths
@@ -41,9 +45,9 @@ impl Watching {
         let (events, changed) = mpsc::channel();
         let mut watcher = notify::recommended_watcher(move |event: notify::Result<Event>| {
             let is_watched = |path: &PathBuf| paths.contains(path);
-            let is_it = event
+            let is_change = event
                 .is_ok_and(|event| !event.kind.is_access() && event.paths.iter().any(is_watched));
-            if is_it {
+            if is_change {
                 let _ = events.send(());
             }
         })?;
@@ -60,8 +64,8 @@ impl Watching {
 fn follow(connections: &Connections, changed: &Receiver<()>) {
     while changed.recv().is_ok() {
         let first = Instant::now();
-        while first.elapsed() < LONGEST {
-            match changed.recv_timeout(QUIET) {
+        while first.elapsed() < MAX_DELAY {
+            match changed.recv_timeout(QUIET_PERIOD) {
                 Ok(()) => {}
                 Err(RecvTimeoutError::Timeout) => break,
                 Err(RecvTimeoutError::Disconnected) => return,
@@ -70,8 +74,8 @@ fn follow(connections: &Connections, changed: &Receiver<()>) {
         match connections.load() {
             Ok(changes) => tracing::info!("{}: {changes}", connections.path().display()),
             Err(error) => tracing::error!(
-                "{}; the connections stay as they were",
-                wording::with_causes(&error)
+                "{}; the connections stay as they were until the file is corrected",
+                humanize::with_causes(&error)
             ),
         }
     }

@@ -1,4 +1,4 @@
-//! Limits the sessions of one login, by watching the sessions that Zenoh opens.
+//! Limits the sessions of one login by observing the sessions that Zenoh opens.
 
 use std::{any::Any, collections::HashMap, sync::Arc, time::Duration, time::Instant};
 
@@ -11,36 +11,36 @@ use zenoh_transport::{
     TransportMulticastEventHandler, TransportPeer, TransportPeerEventHandler,
 };
 
-/// How often a refused session is logged at most: a program connects again at once.
+/// Minimum time between log lines about refused sessions: a refused program reconnects at once.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
-/// Closes sessions that are one too many of their user. Links over Bluetooth do not count: all robots of a fleet log in as
-/// the same user, and the radio bounds their number.
+/// Closes sessions above the limit of their user. Sessions over Bluetooth do not count: all robots of a fleet log in as the
+/// same user, and the radio bounds their number.
 pub struct LoginLimit {
-    most: usize,
+    max_sessions: usize,
     sessions: Arc<Mutex<HashMap<String, usize>>>,
     logged: Mutex<Option<Instant>>,
 }
 
 impl LoginLimit {
-    /// Allows `most` sessions for each user.
-    pub(super) fn new(most: usize) -> Self {
+    /// Allows `max_sessions` sessions for each user.
+    pub(super) fn new(max_sessions: usize) -> Self {
         Self {
-            most,
+            max_sessions,
             sessions: Arc::default(),
             logged: Mutex::new(None),
         }
     }
 
-    /// Counts one more session of that user, or returns `None` if there are as many as there may be.
-    fn take(&self, user: &str) -> Option<Counted> {
+    /// Counts one more session of `user`. Returns `None` if the user has reached the limit.
+    fn take(&self, user: &str) -> Option<SessionPermit> {
         let mut sessions = self.sessions.lock();
         let count = sessions.entry(user.to_owned()).or_insert(0);
-        if *count >= self.most {
+        if *count >= self.max_sessions {
             return None;
         }
         *count += 1;
-        Some(Counted {
+        Some(SessionPermit {
             user: user.to_owned(),
             sessions: Arc::clone(&self.sessions),
         })
@@ -52,10 +52,10 @@ impl LoginLimit {
             return;
         }
         *logged = Some(Instant::now());
-        let most = self.most;
+        let max_sessions = self.max_sessions;
         tracing::warn!(
-            "closed a session of user {user}, who has all {most} sessions that one login may have (config/README.md, \"How \
-             many may connect\")"
+            "closed a session of user {user}, who already has all {max_sessions} sessions that one login may have; close another \
+             program or raise plugins/rect/sessions/per_user (config/README.md, \"How many may connect\")"
         );
     }
 }
@@ -70,32 +70,32 @@ impl TransportEventHandler for LoginLimit {
         let identity = transport.get_auth_ids()?;
         let user = identity.username();
         let Some(user) = user.filter(|_| !peer.links.iter().any(is_by_radio)) else {
-            return Ok(Arc::new(Watched { _counted: None }));
+            return Ok(Arc::new(SessionHandler { _permit: None }));
         };
-        let counted = self.take(user);
-        if counted.is_none() {
+        let permit = self.take(user);
+        if permit.is_none() {
             self.log(user);
-            // Zenoh holds the session until it is open, and does not ask this handler whether it may be.
+            // Zenoh opens the session in any case: this handler cannot reject it, only close it afterwards.
             ZRuntime::Net.spawn(async move { transport.close().await });
         }
-        Ok(Arc::new(Watched { _counted: counted }))
+        Ok(Arc::new(SessionHandler { _permit: permit }))
     }
 
     fn new_multicast(
         &self,
         _transport: TransportMulticast,
     ) -> ZResult<Arc<dyn TransportMulticastEventHandler>> {
-        Err("groups have no logins".into())
+        Err("multicast groups have no logins".into())
     }
 }
 
-/// One session of a user; dropping it counts one less.
-struct Counted {
+/// One counted session of a user; dropping it decrements the count.
+struct SessionPermit {
     user: String,
     sessions: Arc<Mutex<HashMap<String, usize>>>,
 }
 
-impl Drop for Counted {
+impl Drop for SessionPermit {
     fn drop(&mut self) {
         let mut sessions = self.sessions.lock();
         if let Some(count) = sessions.get_mut(&self.user) {
@@ -107,12 +107,12 @@ impl Drop for Counted {
     }
 }
 
-/// What Zenoh keeps as long as a session is open.
-struct Watched {
-    _counted: Option<Counted>,
+/// The handler that Zenoh keeps while a session is open, with the permit of the session.
+struct SessionHandler {
+    _permit: Option<SessionPermit>,
 }
 
-impl TransportPeerEventHandler for Watched {
+impl TransportPeerEventHandler for SessionHandler {
     fn handle_message(&self, _message: NetworkMessageMut) -> ZResult<()> {
         Ok(())
     }
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_login_gives_its_sessions_back() {
+    fn closed_sessions_no_longer_count() {
         let limit = LoginLimit::new(2);
         let held = [limit.take("fleet"), limit.take("fleet")];
         assert!(held.iter().all(Option::is_some));

@@ -1,5 +1,5 @@
-//! Carries the log's lines to their reader: a bounded queue and the thread that writes. A reader that is slow,
-//! has stopped or is gone costs lines, never time.
+//! Queues the lines of the log for the thread that writes them. The queue is bounded: if the reader of the log is slow, has
+//! stopped or has exited, lines are dropped, and the logging threads are never blocked.
 
 use std::{
     io::{self, Write},
@@ -12,38 +12,41 @@ use std::{
     time::Duration,
 };
 
-/// How many lines may wait: a burst while the disk or the terminal is busy. With lines of 300 bytes, 1.2 MB.
-const WAITING: usize = 4096;
+/// Maximum number of queued lines, for a burst while the disk or the terminal is busy. With lines of 300 bytes, 1.2 MB.
+const CAPACITY: usize = 4096;
 
 enum Item {
     Line(Vec<u8>),
-    /// Everything before is written once this is answered.
+    /// A request for a reply once all items before it are written.
     Flush(SyncSender<()>),
 }
 
-/// The way to the thread that writes.
+/// The queue of the thread that writes the log.
 pub struct LineQueue {
     items: SyncSender<Item>,
-    /// Lines that were left out since the last one that was written.
+    /// Number of lines dropped since the last line that was written.
     lost: Arc<AtomicU64>,
 }
 
 impl LineQueue {
-    /// Starts the thread that writes to `out`.
+    /// Starts a thread that writes to `out`.
+    ///
+    /// # Errors
+    /// Fails if the system cannot start a thread.
     pub fn start(out: impl Write + Send + 'static) -> io::Result<Self> {
-        let (items, next) = mpsc::sync_channel(WAITING);
+        let (items, next) = mpsc::sync_channel(CAPACITY);
         let lost = Arc::<AtomicU64>::default();
-        let writing = Writing {
+        let writer = Writer {
             out,
             lost: Arc::clone(&lost),
         };
         thread::Builder::new()
             .name("log".to_owned())
-            .spawn(move || writing.run(&next))?;
+            .spawn(move || writer.run(&next))?;
         Ok(Self { items, lost })
     }
 
-    /// Hands a line over, or counts it as lost if too many wait.
+    /// Queues a line, or drops and counts it if the queue is full. Never blocks.
     pub fn push(&self, line: Vec<u8>) {
         match self.items.try_send(Item::Line(line)) {
             Ok(()) => {}
@@ -53,21 +56,21 @@ impl LineQueue {
         }
     }
 
-    /// Waits until all lines so far are written, at most as long as `timeout`; tells whether they are.
+    /// Waits until all lines queued so far are written, at most for `timeout`. Returns whether they were.
     pub fn flush(&self, timeout: Duration) -> bool {
         let (written, is_written) = mpsc::sync_channel(1);
-        // If the queue is full, nobody reads, and waiting would be in vain.
+        // If the queue is full, the reader has stopped, and waiting would not help.
         self.items.try_send(Item::Flush(written)).is_ok()
             && is_written.recv_timeout(timeout).is_ok()
     }
 }
 
-struct Writing<W> {
+struct Writer<W> {
     out: W,
     lost: Arc<AtomicU64>,
 }
 
-impl<W: Write> Writing<W> {
+impl<W: Write> Writer<W> {
     fn run(mut self, next: &Receiver<Item>) {
         for item in next {
             match item {
@@ -86,7 +89,9 @@ impl<W: Write> Writing<W> {
     fn write(&mut self, line: &[u8]) -> io::Result<()> {
         let lost = self.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {
-            let note = format!("rect-router: lines of the log are missing here ({lost}): they were not read in time, or could not be written\n");
+            let note = format!(
+                "rect-router: log lines dropped here: {lost} (not read in time, or could not be written)\n"
+            );
             let noted = self.out.write_all(note.as_bytes());
             if noted.is_err() {
                 self.lost.fetch_add(lost, Ordering::Relaxed);
@@ -98,14 +103,14 @@ impl<W: Write> Writing<W> {
     }
 }
 
-/// One line of the log while it is put together; dropping it hands it over.
+/// A line of the log under construction. Dropping it queues it.
 pub struct Line {
     queue: &'static LineQueue,
     text: Vec<u8>,
 }
 
 impl Line {
-    /// An empty one.
+    /// Creates an empty line.
     pub fn new(queue: &'static LineQueue) -> Self {
         Self {
             queue,
@@ -139,7 +144,7 @@ mod tests {
 
     use super::*;
 
-    /// A writer that does what its test says: each permit is one `write_all`, which succeeds or fails.
+    /// A writer controlled by its test: each permit lets one `write_all` succeed or fail.
     struct Gate {
         permits: Receiver<bool>,
         written: Arc<Mutex<Vec<u8>>>,
@@ -171,7 +176,7 @@ mod tests {
         (LineQueue::start(gate).expect("a thread"), permit, written)
     }
 
-    const PATIENCE: Duration = Duration::from_secs(30);
+    const TIMEOUT: Duration = Duration::from_secs(30);
 
     fn text(written: &Mutex<Vec<u8>>) -> String {
         let written = written.lock().expect("unpoisoned").clone();
@@ -179,40 +184,40 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_that_has_stopped_costs_lines_and_no_time() {
+    fn drops_lines_instead_of_blocking_when_the_reader_has_stopped() {
         let (queue, permit, written) = gated();
-        // Nothing is read, and yet this returns.
-        for line in 0..WAITING + 100 {
+        // Nothing is read, but the loop does not block.
+        for line in 0..CAPACITY + 100 {
             queue.push(format!("{line}\n").into_bytes());
         }
-        assert!(!queue.flush(PATIENCE), "it is full");
-        // Each line, the note about those that are missing, and the last line.
-        for _ in 0..WAITING + 10 {
+        assert!(!queue.flush(TIMEOUT), "the queue is full");
+        // Permits for each line, the note about missing lines, and the last line.
+        for _ in 0..CAPACITY + 10 {
             permit.send(true).expect("the thread runs");
         }
-        while !queue.flush(PATIENCE) {
+        while !queue.flush(TIMEOUT) {
             thread::yield_now();
         }
         queue.push(b"last\n".to_vec());
-        assert!(queue.flush(PATIENCE));
+        assert!(queue.flush(TIMEOUT));
         let text = text(&written);
-        assert!(text.contains("lines of the log are missing here"), "{text}");
+        assert!(text.contains("log lines dropped here"), "{text}");
         assert!(text.ends_with("last\n"), "{text}");
     }
 
     #[test]
-    fn lines_that_cannot_be_written_are_counted() {
+    fn counts_lines_that_cannot_be_written() {
         let (queue, permit, written) = gated();
         permit.send(false).expect("the thread runs");
         queue.push(b"lost\n".to_vec());
-        assert!(queue.flush(PATIENCE));
+        assert!(queue.flush(TIMEOUT));
         for _ in 0..2 {
             permit.send(true).expect("the thread runs");
         }
         queue.push(b"kept\n".to_vec());
-        assert!(queue.flush(PATIENCE));
+        assert!(queue.flush(TIMEOUT));
         let text = text(&written);
-        assert!(text.contains("are missing here (1)"), "{text}");
+        assert!(text.contains("log lines dropped here: 1 "), "{text}");
         assert!(text.ends_with("kept\n"), "{text}");
     }
 }

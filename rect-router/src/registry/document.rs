@@ -1,5 +1,5 @@
-//! Owns what the registry says beside connections themselves, which are the library's: peers, counts, a robot at a glance,
-//! as JSON that any Zenoh tool shows.
+//! Defines the JSON documents of the registry: peers, counts, status and clock. The document of a connection is defined by
+//! the library.
 use std::collections::BTreeMap;
 
 use rect::core::connection::{Connection, ConnectionState as State, PeerId};
@@ -7,65 +7,65 @@ use serde::Serialize;
 
 use crate::config::AutoConnect;
 
-/// Somebody, with the connections there are to it.
+/// A peer with the connections to it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peer {
-    /// Who.
+    /// Identifier of the peer's router, and name of its robot.
     #[serde(flatten)]
     pub peer: PeerId,
-    /// All that are asked for.
+    /// Connections to the peer that match the query.
     pub connections: Vec<Connection>,
 }
 
-/// A robot at a glance.
+/// The status of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Status {
-    /// Zenoh's identifier of its router.
+    /// Zenoh identifier of its router.
     pub id: String,
-    /// Of RECT, and of Zenoh.
+    /// Versions of RECT and Zenoh.
     pub version: &'static str,
-    /// For how long it has been running, in seconds.
+    /// Time for which the router has been running, in seconds.
     pub up_s: f64,
-    /// Whom it connects to by itself.
+    /// Robots that it connects to automatically.
     pub auto_connect: AutoConnect,
-    /// With `fleet`, to how many beside those listed.
+    /// With `fleet`, the number of links to discovered robots in addition to the listed ones.
     pub auto_links: usize,
-    /// Identifiers of other routers of the fleet that have this robot's name; none is as it should be.
+    /// Identifiers of other routers of the fleet with this robot's name; normally empty.
     pub same_name: Vec<String>,
-    /// How many connections it has.
+    /// Number of its connections.
     pub connections: Counts,
 }
 
-/// What time it is there.
+/// The clock of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Clock {
-    /// Seconds since 1970.
+    /// Seconds since 1970-01-01 UTC.
     pub unix_s: f64,
 }
 
-/// How many there are.
+/// The number of connections, in total and by method.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
-    /// Of all methods.
+    /// Connections of all methods.
     #[serde(flatten)]
     pub all: Count,
-    /// Of each; those a robot commonly has are always there.
+    /// Connections by method; always contains `ble`, `tcp` and `udp`.
     pub methods: BTreeMap<String, Count>,
 }
 
-/// Of one kind.
+/// The number of connections by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Count {
-    /// Wanted or there.
+    /// Connections that are connected or being dialled.
     pub total: usize,
-    /// There.
+    /// Connections that are connected.
     pub connected: usize,
-    /// Heard, and neither.
+    /// Discovered robots without a connection; not part of the total.
     pub discovered: usize,
 }
 
 impl Counts {
-    /// Of these.
+    /// Counts connections by method and state.
     pub fn of(connections: &[Connection]) -> Self {
         let common = ["ble", "tcp", "udp"].map(|method| (method.to_owned(), Count::default()));
         let mut counts = Self {
@@ -90,7 +90,7 @@ impl Counts {
     }
 }
 
-/// Each peer once, with its connections.
+/// Groups connections by peer. Connections without a peer are left out.
 pub fn peers(connections: Vec<Connection>) -> Vec<Peer> {
     let mut peers: BTreeMap<String, Peer> = BTreeMap::new();
     for connection in connections {

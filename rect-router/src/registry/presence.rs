@@ -1,6 +1,6 @@
-//! Owns who is there: this robot says so by a liveliness token, and hears the others' of its fleet. Another router with
-//! this robot's own name is found here, too.
-mod namesakes;
+//! Keeps track of the robots of the fleet by liveliness tokens: declares the token of this robot and observes the tokens of
+//! the others. It also detects other routers with this robot's name.
+mod name_conflicts;
 
 use std::{collections::HashMap, sync::Arc, time::Instant};
 
@@ -11,37 +11,41 @@ use zenoh::{
     Session, Wait,
 };
 
-use self::namesakes::Namesakes;
-pub use self::namesakes::News;
+pub use self::name_conflicts::NameConflictEvent;
+use self::name_conflicts::NameConflicts;
 
-/// `<fleet>/<robot>/@rect/alive/<id of its router>`
+/// Part of the key of a robot's token: `<fleet>/<robot>/@rect/alive/<id of its router>`.
 const ALIVE: &str = "@rect/alive";
 
-/// This robot's token, and whose the identifiers of routers are.
+/// This robot's token, and the routers of the other robots.
 pub struct Presence {
-    heard: Arc<Mutex<Heard>>,
+    routers: Arc<Mutex<RouterTable>>,
     _token: LivelinessToken,
 }
 
+/// The routers of the fleet, as their tokens name them.
 #[derive(Default)]
-struct Heard {
-    /// The robots whose tokens name a router, by the router's identifier. A robot can put any router's identifier under its
-    /// own name: the first one counts, until its own token is gone.
+struct RouterTable {
+    /// Names of the robots whose tokens contain a router's identifier, by that identifier. Any robot can put any identifier
+    /// into its token: the first robot counts until its token is removed.
     robots: HashMap<String, Vec<String>>,
-    namesakes: Namesakes,
+    name_conflicts: NameConflicts,
 }
 
 impl Presence {
-    /// From now on this robot is there. Calls `on_change` when another one comes or goes.
+    /// Declares this robot's token and observes the others. Calls `on_change` whenever a robot appears or disappears.
+    ///
+    /// # Errors
+    /// Zenoh's error if the token or the subscriber cannot be declared.
     pub fn start(
         session: &Session,
         fleet: &str,
         robot: &str,
         on_change: impl Fn() + Send + Sync + 'static,
     ) -> zenoh::Result<Arc<Self>> {
-        let heard = Arc::<Mutex<Heard>>::default();
+        let routers = Arc::<Mutex<RouterTable>>::default();
         let (own_name, own_id) = (robot.to_owned(), session.zid().to_string());
-        let others = Arc::clone(&heard);
+        let others = Arc::clone(&routers);
         let on_sample = move |sample: Sample| {
             let key = sample.key_expr().as_str();
             let Some((robot, id)) = robot_and_id(key) else {
@@ -50,22 +54,22 @@ impl Presence {
             if id == own_id {
                 return;
             }
-            let mut heard = others.lock();
+            let mut routers = others.lock();
             match sample.kind() {
                 SampleKind::Put => {
-                    on_token(&mut heard.robots, robot, id);
+                    on_token(&mut routers.robots, robot, id);
                     if robot == own_name {
-                        heard.namesakes.on_up(id, Instant::now());
+                        routers.name_conflicts.on_up(id, Instant::now());
                     }
                 }
                 SampleKind::Delete => {
-                    on_token_gone(&mut heard.robots, robot, id);
+                    on_token_removed(&mut routers.robots, robot, id);
                     if robot == own_name {
-                        heard.namesakes.on_down(id);
+                        routers.name_conflicts.on_down(id);
                     }
                 }
             }
-            drop(heard);
+            drop(routers);
             on_change();
         };
         let subscriber = session
@@ -76,40 +80,43 @@ impl Presence {
         let own = format!("{fleet}/{robot}/{ALIVE}/{}", session.zid());
         let token = session.liveliness().declare_token(own).wait()?;
         Ok(Arc::new(Self {
-            heard,
+            routers,
             _token: token,
         }))
     }
 
-    /// The robot whose router has that identifier.
+    /// Returns the name of the robot whose router has the identifier `id`.
     pub fn robot_of(&self, id: &str) -> Option<String> {
-        self.heard.lock().robots.get(id)?.first().cloned()
+        self.routers.lock().robots.get(id)?.first().cloned()
     }
 
-    /// Returns the identifiers of others with this robot's name.
-    pub fn namesakes(&self) -> Vec<String> {
-        self.heard.lock().namesakes.there(Instant::now())
+    /// Returns the identifiers of other routers with this robot's name.
+    pub fn name_conflicts(&self) -> Vec<String> {
+        self.routers.lock().name_conflicts.active(Instant::now())
     }
 
-    /// Returns what has changed about others with this robot's name since the last call.
-    pub fn news_of_namesakes(&self) -> Vec<News> {
-        self.heard.lock().namesakes.news(Instant::now())
+    /// Returns the changes among other routers with this robot's name since the last call.
+    pub fn name_conflict_events(&self) -> Vec<NameConflictEvent> {
+        self.routers
+            .lock()
+            .name_conflicts
+            .take_events(Instant::now())
     }
 }
 
 fn on_token(robots: &mut HashMap<String, Vec<String>>, robot: &str, id: &str) {
-    let named = robots.entry(id.to_owned()).or_default();
-    if !named.iter().any(|known| known == robot) {
-        named.push(robot.to_owned());
+    let names = robots.entry(id.to_owned()).or_default();
+    if !names.iter().any(|known| known == robot) {
+        names.push(robot.to_owned());
     }
 }
 
-fn on_token_gone(robots: &mut HashMap<String, Vec<String>>, robot: &str, id: &str) {
-    let Some(named) = robots.get_mut(id) else {
+fn on_token_removed(robots: &mut HashMap<String, Vec<String>>, robot: &str, id: &str) {
+    let Some(names) = robots.get_mut(id) else {
         return;
     };
-    named.retain(|known| known != robot);
-    if named.is_empty() {
+    names.retain(|known| known != robot);
+    if names.is_empty() {
         robots.remove(id);
     }
 }
@@ -124,16 +131,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robot_can_not_pass_for_another_ones_router() {
+    fn a_robot_cannot_claim_the_router_of_another_robot() {
         let mut robots = HashMap::new();
         on_token(&mut robots, "wombat-1", "a1b2");
         on_token(&mut robots, "wombat-1", "a1b2");
         on_token(&mut robots, "wombat-2", "a1b2");
         assert_eq!(robots["a1b2"], ["wombat-1", "wombat-2"]);
-        on_token_gone(&mut robots, "wombat-2", "a1b2");
+        on_token_removed(&mut robots, "wombat-2", "a1b2");
         assert_eq!(robots["a1b2"], ["wombat-1"]);
-        on_token_gone(&mut robots, "wombat-1", "a1b2");
-        on_token_gone(&mut robots, "wombat-1", "a1b2");
+        on_token_removed(&mut robots, "wombat-1", "a1b2");
+        on_token_removed(&mut robots, "wombat-1", "a1b2");
         assert!(robots.is_empty());
     }
 }

@@ -1,5 +1,5 @@
-//! Owns what is published, and when: all connections, under the key that answers for them, after each change of which there
-//! are. How strong somebody's signal is, and how much was carried, is for whoever asks.
+//! Publishes all connections, under the key that answers for them, whenever a connection is added, removed or changes its
+//! state or peer. Changes of signal strength and traffic are not published; queries return them.
 use std::{
     collections::BTreeSet,
     sync::mpsc::{Receiver, RecvTimeoutError},
@@ -9,43 +9,43 @@ use std::{
 use rect::core::connection::{Connection, ConnectionState as State};
 use zenoh::{bytes::Encoding, Wait};
 
-use super::{presence::News, sockets::Sockets, Sources};
+use super::{presence::NameConflictEvent, sockets::Sockets, Sources};
 
-/// Several changes within so long are published as one.
-const TOGETHER: Duration = Duration::from_millis(50);
-/// How often to look who is heard, and whose the identifiers at the other ends are. Nobody tells: a robot in the air is heard
-/// ten times a second, and one that has gone never again; and which robot a new link leads to is known a moment after the
-/// link. So a hall where robots come and go costs one publication in so long.
-const LOOK: Duration = Duration::from_secs(1);
+/// Time within which several changes are published as one.
+const COALESCE_WINDOW: Duration = Duration::from_millis(50);
+/// Interval at which discovered robots and the names of peers are compared with the last publication, as nothing reports
+/// their changes: a robot's advertisements are received ten times a second and simply stop when it leaves, and the name of a
+/// peer becomes known a moment after its link. At most one publication per interval results from such changes.
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How long a link to a router waits for the name of its robot before it is published without one.
-const NAMING: Duration = Duration::from_secs(1);
+/// Maximum time for which the publication of a new link to a router is delayed until the name of its robot is known.
+const NAME_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// A document that may have to be published.
+/// A change that may have to be published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// A link, or a connection that is wanted, comes or goes.
+    /// A link was opened or closed, or the named connections changed.
     Links,
-    /// Robots come or go. It matters only if a link leads to one.
+    /// A robot appeared or disappeared. It is published only if a link leads to that robot.
     Robots,
 }
 
-/// Publishes until nobody can tell of a change any more.
+/// Publishes changes until all senders of `changes` are dropped.
 pub fn publish(sources: &Sources, key: &str, changes: &Receiver<Change>) {
-    let mut told = Others::default();
+    let mut published = PublishedPeers::default();
     loop {
-        let is_changed = match changes.recv_timeout(LOOK) {
+        let is_changed = match changes.recv_timeout(POLL_INTERVAL) {
             Ok(first) => gather(first, changes),
             Err(RecvTimeoutError::Timeout) => Ok(false),
             Err(RecvTimeoutError::Disconnected) => return,
         };
         let Ok(is_changed) = is_changed else { return };
-        report_namesakes(sources);
+        report_name_conflicts(sources);
         if is_changed && wait_for_names(sources, changes).is_err() {
             return;
         }
-        let are_others = told.are_now(&sources.connections(&Sockets::unasked()));
-        if !is_changed && !are_others {
+        let peers_changed = published.update(&sources.connections(&Sockets::disabled()));
+        if !is_changed && !peers_changed {
             continue;
         }
         let connections = sources.connections(&Sockets::open());
@@ -54,17 +54,19 @@ pub fn publish(sources: &Sources, key: &str, changes: &Receiver<Change>) {
         };
         let put = sources.session.put(key, json);
         if let Err(error) = put.encoding(Encoding::APPLICATION_JSON).wait() {
-            tracing::debug!("the change of connections was not published: {error}");
+            tracing::debug!("cannot publish the connections: {error}");
         }
     }
 }
 
-/// Waits for what follows a change at once, and tells whether any of it concerns links; an error: nobody can tell of one any
-/// more.
+/// Collects the changes that follow within [`COALESCE_WINDOW`], and returns whether any concerns links.
+///
+/// # Errors
+/// Fails if all senders are dropped.
 fn gather(first: Change, changes: &Receiver<Change>) -> Result<bool, RecvTimeoutError> {
     let mut is_of_links = first == Change::Links;
     loop {
-        match changes.recv_timeout(TOGETHER) {
+        match changes.recv_timeout(COALESCE_WINDOW) {
             Ok(change) => is_of_links |= change == Change::Links,
             Err(RecvTimeoutError::Timeout) => return Ok(is_of_links),
             Err(ended) => return Err(ended),
@@ -72,10 +74,14 @@ fn gather(first: Change, changes: &Receiver<Change>) -> Result<bool, RecvTimeout
     }
 }
 
-/// Waits while a new link to a router has no name yet: the robot says who it is over that link, a moment later.
+/// Waits until the robot of each new link to a router is known, at most [`NAME_TIMEOUT`]: its token arrives over that link a
+/// moment after it is opened.
+///
+/// # Errors
+/// Fails if all senders are dropped.
 fn wait_for_names(sources: &Sources, changes: &Receiver<Change>) -> Result<(), RecvTimeoutError> {
-    let deadline = Instant::now() + NAMING;
-    while sources.awaits_names(NAMING) {
+    let deadline = Instant::now() + NAME_TIMEOUT;
+    while sources.awaits_names(NAME_TIMEOUT) {
         match changes.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
             Ok(_) => {}
             Err(RecvTimeoutError::Timeout) => break,
@@ -85,39 +91,42 @@ fn wait_for_names(sources: &Sources, changes: &Receiver<Change>) -> Result<(), R
     Ok(())
 }
 
-/// Logs that another robot has this one's name. Neither is cut off: nobody can tell which of them is in the right, and
-/// over TCP a link has no name that could be refused.
-fn report_namesakes(sources: &Sources) {
-    for news in sources.presence.news_of_namesakes() {
-        match news {
-            News::Found(id) => {
-                let way = match sources.way_to(&id) {
+/// Logs that another robot has this robot's name. Neither is disconnected: it cannot be decided which of them should keep
+/// the name, and over TCP a link has no name by which it could be rejected.
+fn report_name_conflicts(sources: &Sources) {
+    for event in sources.presence.name_conflict_events() {
+        match event {
+            NameConflictEvent::Found(id) => {
+                let place = match sources.link_to(&id) {
                     Some(link) => format!("at {link}"),
                     None => "behind another robot".to_owned(),
                 };
                 tracing::error!(
-                    "another router of this fleet has this robot's name: {id}, {way}. Messages and answers of the two get \
-                     mixed up; give one of them another name (`robot` in plugins/rect, or rect-router init)"
+                    "another router of this fleet has this robot's name: {id}, {place}. Other robots cannot distinguish the \
+                     messages and replies of the two; give one of them another name (`robot` in plugins/rect, or \
+                     rect-router init)"
                 );
             }
-            News::Gone(id) => tracing::info!("the router {id} with this robot's name is gone"),
+            NameConflictEvent::Resolved(id) => {
+                tracing::info!("the router {id} with this robot's name has disappeared");
+            }
         }
     }
 }
 
-/// Whom the last publication told of: who is heard and not linked, by address, and the robots at the other ends, by id.
+/// The peers of the last publication: discovered robots by address, and the robots of links by the router's identifier.
 #[derive(Default)]
-struct Others(BTreeSet<(String, Option<String>)>);
+struct PublishedPeers(BTreeSet<(String, Option<String>)>);
 
-impl Others {
-    /// Takes in who is there now; tells whether they are others.
-    fn are_now(&mut self, connections: &[Connection]) -> bool {
-        let who = |one: &Connection| match (one.state, &one.peer) {
+impl PublishedPeers {
+    /// Replaces the peers by those of `connections`, and returns whether they differ.
+    fn update(&mut self, connections: &[Connection]) -> bool {
+        let peer = |one: &Connection| match (one.state, &one.peer) {
             (State::Discovered, _) => Some((one.address.clone(), None)),
             (_, Some(peer)) => Some((peer.id.clone(), Some(peer.robot.clone()?))),
             (_, None) => None,
         };
-        let now = connections.iter().filter_map(who).collect();
+        let now = connections.iter().filter_map(peer).collect();
         std::mem::replace(&mut self.0, now) != self.0
     }
 }
@@ -129,7 +138,7 @@ mod tests {
 
     use super::*;
 
-    fn heard(robot: &str, rssi_dbm: i16) -> Connection {
+    fn discovered(robot: &str, rssi_dbm: i16) -> Connection {
         Connection {
             rssi_dbm: Some(rssi_dbm),
             ..Connection::of(BLE, robot, State::Discovered)
@@ -137,24 +146,24 @@ mod tests {
     }
 
     #[test]
-    fn who_comes_or_goes_is_a_change_and_a_stronger_signal_is_none() {
-        let mut told = Others::default();
+    fn discovered_robots_are_a_change_and_their_signal_strength_is_not() {
+        let mut published = PublishedPeers::default();
         let linked = Connection::of(BLE, "wombat-9", State::Connected);
         assert!(
-            !told.are_now(std::slice::from_ref(&linked)),
-            "nobody is discovered"
+            !published.update(std::slice::from_ref(&linked)),
+            "no robot is discovered"
         );
-        assert!(told.are_now(&[linked, heard("wombat-2", -60)]));
-        assert!(!told.are_now(&[heard("wombat-2", -80)]));
-        assert!(told.are_now(&[heard("wombat-2", -80), heard("wombat-3", -70)]));
-        assert!(!told.are_now(&[heard("wombat-3", -60), heard("wombat-2", -60)]));
-        assert!(told.are_now(&[heard("wombat-3", -60)]));
-        assert!(told.are_now(&[]), "the last has gone");
-        assert!(!told.are_now(&[]));
+        assert!(published.update(&[linked, discovered("wombat-2", -60)]));
+        assert!(!published.update(&[discovered("wombat-2", -80)]));
+        assert!(published.update(&[discovered("wombat-2", -80), discovered("wombat-3", -70)]));
+        assert!(!published.update(&[discovered("wombat-3", -60), discovered("wombat-2", -60)]));
+        assert!(published.update(&[discovered("wombat-3", -60)]));
+        assert!(published.update(&[]), "the last robot has left");
+        assert!(!published.update(&[]));
     }
 
     #[test]
-    fn whom_a_link_leads_to_is_a_change_once_it_is_known() {
+    fn the_name_of_a_peer_is_a_change_once_it_is_known() {
         let to = |robot: Option<&str>| {
             let (id, robot) = ("a1".to_owned(), robot.map(str::to_owned));
             Connection {
@@ -162,12 +171,12 @@ mod tests {
                 ..Connection::of(BLE, "wombat-2", State::Connected)
             }
         };
-        let mut told = Others::default();
+        let mut published = PublishedPeers::default();
         assert!(
-            !told.are_now(&[to(None)]),
-            "the link itself is told by others"
+            !published.update(&[to(None)]),
+            "the new link itself is reported elsewhere"
         );
-        assert!(told.are_now(&[to(Some("wombat-2"))]));
-        assert!(!told.are_now(&[to(Some("wombat-2"))]));
+        assert!(published.update(&[to(Some("wombat-2"))]));
+        assert!(!published.update(&[to(Some("wombat-2"))]));
     }
 }

@@ -1,34 +1,34 @@
-//! Owns what the registry takes from the radio: its links, and whom it hears.
+//! Collects the Bluetooth links and the discovered robots for the registry.
 use rect::core::connection::Traffic;
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link::ble::{
-    status::{nodes, Count, HeardStatus, LinkStatus},
+    status::{nodes, Count, DiscoveredStatus, LinkStatus},
     BLE_LOCATOR_PREFIX as BLE,
 };
 
-use super::Carried;
+use super::LinkTraffic;
 
-/// What the radio tells.
+/// The Bluetooth status of all adapters.
 pub struct Ble {
-    /// Open ones.
+    /// Open links.
     pub links: Vec<LinkStatus>,
-    /// Within a minute.
-    pub heard: Vec<HeardStatus>,
+    /// Robots whose advertisements were received within the last minute.
+    pub discovered: Vec<DiscoveredStatus>,
 }
 
 impl Ble {
-    /// Of all adapters.
+    /// Returns the current status of all adapters.
     pub fn now() -> Self {
-        let (mut links, mut heard) = (Vec::new(), Vec::new());
+        let (mut links, mut discovered) = (Vec::new(), Vec::new());
         for node in nodes() {
             links.extend(node.links);
-            heard.extend(node.heard);
+            discovered.extend(node.discovered);
         }
-        Self { links, heard }
+        Self { links, discovered }
     }
 
-    /// What the radio tells of that link.
+    /// Returns the Bluetooth status of a link; `None` if it is not a Bluetooth link.
     pub fn link(&self, link: &Link) -> Option<&LinkStatus> {
         if link.dst().protocol().as_str() != BLE {
             return None;
@@ -37,28 +37,29 @@ impl Ble {
         self.links.iter().find(|radio| radio.peer == peer)
     }
 
-    /// What the radio counts on that link.
-    pub fn carried(&self, link: &Link) -> Option<Carried> {
+    /// Returns the traffic of a Bluetooth link, which counts batches and bytes.
+    pub fn carried(&self, link: &Link) -> Option<LinkTraffic> {
         let radio = self.link(link)?;
-        Some(Carried {
+        Some(LinkTraffic {
             sent: traffic(radio.sent),
             received: traffic(radio.received),
             round_trip_ms: radio.lanes.as_ref().and_then(|lanes| lanes.round_trip_ms),
         })
     }
 
-    /// Whether that link is with the peer that a `ble/` endpoint names.
+    /// Returns whether the peer of a link is the one that a `ble/` endpoint names.
     pub fn leads_to(&self, link: &Link, endpoint: &EndPoint) -> bool {
-        let wanted = endpoint.address().as_str();
+        let address = endpoint.address().as_str();
         endpoint.protocol().as_str() == BLE
-            && (self.link(link)).is_some_and(|l| l.peer == wanted || l.address == wanted)
+            && (self.link(link)).is_some_and(|l| l.peer == address || l.address == address)
     }
 
-    /// Of whoever goes by that name or address.
+    /// Returns the signal strength of the discovered robot with the name or address `peer`.
     pub fn rssi_dbm(&self, peer: &str) -> Option<i16> {
-        let is_it =
-            |heard: &&HeardStatus| heard.address == peer || heard.name.as_deref() == Some(peer);
-        self.heard.iter().find(is_it)?.rssi_dbm
+        let is_peer = |robot: &&DiscoveredStatus| {
+            robot.address == peer || robot.name.as_deref() == Some(peer)
+        };
+        self.discovered.iter().find(is_peer)?.rssi_dbm
     }
 }
 

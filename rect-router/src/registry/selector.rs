@@ -1,10 +1,10 @@
-//! Owns the parameters of a question to the registry: `?method=ble;state=connected`.
+//! Parses the parameters of a query to the registry, such as `?method=ble;state=connected`.
 use rect::core::connection::{Connection, ConnectionState as State};
 use zenoh::query::Parameters;
 
 use super::document::Peer;
 
-/// What is asked for; what is left out holds for all.
+/// Selects connections. An omitted parameter matches every connection.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Selector {
     method: Option<String>,
@@ -14,11 +14,14 @@ pub struct Selector {
     min_connections: Option<usize>,
 }
 
-const KNOWN: &str =
+const KNOWN_PARAMETERS: &str =
     "method, name, peer, state (connected, connecting or discovered), min_connections";
 
 impl Selector {
-    /// Reads it; an error says what is known. Zenoh's own parameters begin with `_`.
+    /// Parses the parameters of a query. Parameters that begin with `_` are Zenoh's own and are ignored.
+    ///
+    /// # Errors
+    /// A message for the requester if a parameter is unknown, empty or invalid.
     pub fn parse(parameters: &Parameters<'_>) -> Result<Self, String> {
         let mut selector = Self::default();
         for (key, value) in parameters.iter() {
@@ -26,7 +29,7 @@ impl Selector {
                 continue;
             }
             if value.is_empty() {
-                return Err(format!("{key} has no value; known are {KNOWN}"));
+                return Err(format!("{key} has no value; known are {KNOWN_PARAMETERS}"));
             }
             let text = || Some(value.to_owned());
             match key {
@@ -35,25 +38,25 @@ impl Selector {
                 "peer" => selector.peer = text(),
                 "state" => {
                     let state = State::parse(value);
-                    let wanted =
+                    let error =
                         || format!("state={value}: a state is connected, connecting or discovered");
-                    selector.state = Some(state.ok_or_else(wanted)?);
+                    selector.state = Some(state.ok_or_else(error)?);
                 }
                 "min_connections" => {
-                    let wanted = |_| format!("min_connections={value}: a whole number is wanted");
-                    selector.min_connections = Some(value.parse().map_err(wanted)?);
+                    let error = |_| format!("min_connections={value}: must be a whole number");
+                    selector.min_connections = Some(value.parse().map_err(error)?);
                 }
-                _ => return Err(format!("`{key}` is unknown; known are {KNOWN}")),
+                _ => return Err(format!("`{key}` is unknown; known are {KNOWN_PARAMETERS}")),
             }
         }
         Ok(selector)
     }
 
-    /// Whether a connection is asked for.
-    pub fn takes(&self, connection: &Connection) -> bool {
-        let is_peer = |wanted: &String| {
+    /// Returns whether a connection matches.
+    pub fn matches(&self, connection: &Connection) -> bool {
+        let is_peer = |name: &String| {
             let peer = connection.peer.as_ref();
-            peer.is_some_and(|peer| peer.id == *wanted || peer.robot.as_ref() == Some(wanted))
+            peer.is_some_and(|peer| peer.id == *name || peer.robot.as_ref() == Some(name))
         };
         self.method.as_ref().is_none_or(|m| *m == connection.method)
             && (self.name.as_ref()).is_none_or(|name| connection.name.as_ref() == Some(name))
@@ -61,8 +64,9 @@ impl Selector {
             && self.peer.as_ref().is_none_or(is_peer)
     }
 
-    /// Whether a peer is asked for, which has one at least of the connections asked for.
-    pub fn takes_peer(&self, peer: &Peer) -> bool {
+    /// Returns whether a peer matches, whose `connections` have been reduced to those that match. It needs at least
+    /// `min_connections` of them, by default one.
+    pub fn matches_peer(&self, peer: &Peer) -> bool {
         peer.connections.len() >= self.min_connections.unwrap_or(1)
     }
 }
@@ -72,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parameters_are_read_or_named() {
+    fn parses_parameters_and_names_invalid_ones() {
         let parse = |text: &str| Selector::parse(&Parameters::from(text));
         let read =
             parse("method=ble;state=connected;_time=[now()];min_connections=2").expect("valid");
@@ -82,7 +86,7 @@ mod tests {
             (Some(State::Connected), Some(2))
         );
         assert_eq!(parse(""), Ok(Selector::default()));
-        for (wrong, named) in [
+        for (wrong, expected) in [
             ("metod=ble", "`metod`"),
             ("state=up", "state=up"),
             ("min_connections=-1", "min_connections=-1"),
@@ -90,7 +94,7 @@ mod tests {
             ("method", "method has no value"),
         ] {
             let error = parse(wrong).expect_err(wrong);
-            assert!(error.contains(named), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

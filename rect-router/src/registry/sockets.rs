@@ -1,5 +1,7 @@
-//! Owns what the kernel counts on the sockets of TCP links, whoever dialled them, and in the host of a plugin too: what
-//! `ss --info` shows (sock_diag(7)). The kernel answers at once, about this computer alone.
+//! Reads the kernel's traffic counters and round-trip times of TCP links, as `ss --info` does (sock_diag(7)).
+//!
+//! The counters cover links in both directions and the links of a plugin's host. The kernel replies at once and only knows
+//! the sockets of this computer.
 use std::{
     io,
     net::{IpAddr, SocketAddr},
@@ -15,38 +17,39 @@ use netlink_sys::{protocols::NETLINK_SOCK_DIAG, Socket, SocketAddr as Netlink};
 use rect::core::connection::Traffic;
 use zenoh::session::Link;
 
-use super::Carried;
+use super::LinkTraffic;
 
-/// Methods with a socket of TCP.
-const OVER_TCP: [&str; 3] = ["tcp", "tls", "ws"];
-/// More than an answer has.
-const ANSWER_BYTES: usize = 4096;
-/// Where `struct tcp_info` of linux/tcp.h has them. Kernels only ever add to its end; the last two came with 4.1.
+/// Methods that use a TCP socket.
+const TCP_METHODS: [&str; 3] = ["tcp", "tls", "ws"];
+/// Size of the buffer for a reply, larger than any reply.
+const MAX_REPLY_BYTES: usize = 4096;
+/// Offsets of fields in `struct tcp_info` of linux/tcp.h, in bytes. New kernels only append fields; the last two of these
+/// exist since Linux 4.1.
 const ROUND_TRIP_US: usize = 68;
 const BYTES_ACKED: usize = 120;
 const BYTES_RECEIVED: usize = 128;
 
-/// Where the kernel is asked.
+/// A netlink socket for requests to the kernel; `None` if there are no counters.
 pub struct Sockets(Option<Socket>);
 
 impl Sockets {
-    /// A kernel that is not to be asked counts nothing.
+    /// Opens a netlink socket. If that fails, no traffic is reported.
     pub fn open() -> Self {
         let socket = open().inspect_err(|error| {
-            tracing::debug!("the kernel can't be asked about sockets: {error}");
+            tracing::debug!("no traffic of TCP links: cannot open a netlink socket: {error}");
         });
         Self(socket.ok())
     }
 
-    /// For who has no use for what they carry.
-    pub fn unasked() -> Self {
+    /// Returns a source without counters, for callers that do not need them.
+    pub fn disabled() -> Self {
         Self(None)
     }
 
-    /// What is counted on the socket of that link: the bytes that the other end has acknowledged, those that came, and
-    /// what it takes until it acknowledges them, smoothed.
-    pub fn carried(&self, link: &Link) -> Option<Carried> {
-        if !OVER_TCP.contains(&link.dst().protocol().as_str()) {
+    /// Returns the traffic of a TCP link: the bytes that the peer has acknowledged, the bytes received, and the smoothed
+    /// round-trip time.
+    pub fn carried(&self, link: &Link) -> Option<LinkTraffic> {
+        if !TCP_METHODS.contains(&link.dst().protocol().as_str()) {
             return None;
         }
         let end = |address: &str| address.parse().ok();
@@ -55,30 +58,32 @@ impl Sockets {
         self.between(own, other)
     }
 
-    fn between(&self, own: SocketAddr, other: SocketAddr) -> Option<Carried> {
+    fn between(&self, own: SocketAddr, other: SocketAddr) -> Option<LinkTraffic> {
         let socket = self.0.as_ref()?;
-        socket.send(&question(own, other), 0).ok()?;
-        let mut answer = Vec::with_capacity(ANSWER_BYTES);
-        socket.recv(&mut answer, 0).ok()?;
-        read(&answer)
+        socket.send(&request(own, other), 0).ok()?;
+        let mut reply = Vec::with_capacity(MAX_REPLY_BYTES);
+        socket.recv(&mut reply, 0).ok()?;
+        read(&reply)
     }
 }
 
+/// Opens a netlink socket for requests about sockets.
 fn open() -> io::Result<Socket> {
     let mut socket = Socket::new(NETLINK_SOCK_DIAG)?;
     socket.bind_auto()?;
     socket.connect(&Netlink::new(0, 0))?;
-    // The answer is there when the question has been sent.
+    // The kernel replies before the system call that sends the request returns.
     socket.set_non_blocking(true)?;
     Ok(socket)
 }
 
-fn question(own: SocketAddr, other: SocketAddr) -> Vec<u8> {
+/// Returns a request for the counters of the socket between two addresses.
+fn request(own: SocketAddr, other: SocketAddr) -> Vec<u8> {
     let interface_id = match own {
         SocketAddr::V6(own) => own.scope_id(),
         SocketAddr::V4(_) => 0,
     };
-    // What came by IPv4 to a socket for both.
+    // An IPv4 connection to a dual-stack socket has mapped addresses.
     let (own_ip, other_ip) = (own.ip().to_canonical(), other.ip().to_canonical());
     let request = InetRequest {
         family: match own_ip {
@@ -105,9 +110,10 @@ fn question(own: SocketAddr, other: SocketAddr) -> Vec<u8> {
     bytes
 }
 
-fn read(answer: &[u8]) -> Option<Carried> {
-    let answer = NetlinkMessage::<SockDiagMessage>::deserialize(answer).ok()?;
-    let NetlinkPayload::InnerMessage(SockDiagMessage::InetResponse(socket)) = answer.payload else {
+/// Parses the reply to a request; `None` if it has another form.
+fn read(reply: &[u8]) -> Option<LinkTraffic> {
+    let reply = NetlinkMessage::<SockDiagMessage>::deserialize(reply).ok()?;
+    let NetlinkPayload::InnerMessage(SockDiagMessage::InetResponse(socket)) = reply.payload else {
         return None;
     };
     let info = socket.nlas.iter().find_map(|part| match part {
@@ -119,7 +125,7 @@ fn read(answer: &[u8]) -> Option<Carried> {
         bytes,
     };
     let round_trip_us = u32::from_ne_bytes(at(info, ROUND_TRIP_US)?);
-    Some(Carried {
+    Some(LinkTraffic {
         sent: of_bytes(u64::from_ne_bytes(at(info, BYTES_ACKED)?)),
         received: of_bytes(u64::from_ne_bytes(at(info, BYTES_RECEIVED)?)),
         round_trip_ms: (round_trip_us > 0).then(|| f64::from(round_trip_us) / 1000.0),
@@ -139,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// Both ends of a connection.
+    /// Returns both ends of a TCP connection.
     fn connected(listen: &str, dial: &str) -> (TcpStream, TcpStream) {
         let listener = TcpListener::bind(listen).expect("a port");
         let port = listener.local_addr().expect("an address").port();
@@ -148,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn both_ends_are_counted_by_every_family() {
+    fn reports_both_ends_of_ipv4_and_ipv6_connections() {
         for (listen, dial) in [
             ("127.0.0.1:0", "127.0.0.1"),
             ("[::1]:0", "[::1]"),
@@ -164,7 +170,7 @@ mod tests {
                 sockets.between(ends.0, ends.1).expect("counted")
             };
             let (of_dialled, of_accepted) = (counted(&dialled), counted(&accepted));
-            // The kernel counts the first packet of a connection as a byte.
+            // The kernel counts the SYN of a connection as one byte.
             assert!((5000..=5001).contains(&of_dialled.sent.bytes), "{listen}");
             assert_eq!(of_dialled.received.bytes, 0, "{listen}");
             assert!((0..=1).contains(&of_accepted.sent.bytes), "{listen}");
@@ -174,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_connection_is_not_counted() {
+    fn reports_nothing_for_unknown_connections() {
         let (dialled, accepted) = connected("127.0.0.1:0", "127.0.0.1");
         let own = dialled.local_addr().expect("an address");
         let other = dialled.peer_addr().expect("an address");
@@ -184,13 +190,13 @@ mod tests {
         assert_eq!(sockets.between(own, nowhere), None);
         let of_two_families = SocketAddr::from(([0; 16], other.port()));
         assert_eq!(sockets.between(own, of_two_families), None);
-        assert_eq!(Sockets::unasked().between(own, other), None);
+        assert_eq!(Sockets::disabled().between(own, other), None);
     }
 
     #[test]
-    fn an_answer_of_any_other_form_counts_nothing() {
+    fn ignores_malformed_replies() {
         let own = SocketAddr::from(([127, 0, 0, 1], 1));
-        assert_eq!(read(&question(own, own)), None);
+        assert_eq!(read(&request(own, own)), None);
         for length in 0..100 {
             assert_eq!(read(&vec![0xff; length]), None);
             assert_eq!(read(&vec![0; length]), None);

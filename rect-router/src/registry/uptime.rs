@@ -1,4 +1,4 @@
-//! Owns since when each link is there, as Zenoh tells of links that come and go.
+//! Records when each link was opened, from Zenoh's link events.
 use std::{
     collections::HashMap,
     sync::Arc,
@@ -8,14 +8,17 @@ use std::{
 use parking_lot::Mutex;
 use zenoh::{sample::SampleKind, session::LinkEvent, Session, Wait};
 
-use crate::connections::Ends;
+use crate::connections::LinkEnds;
 
-/// Counts from when Zenoh has a link.
+/// The time at which each link was opened.
 #[derive(Default)]
-pub struct Uptime(Mutex<HashMap<Ends, Instant>>);
+pub struct Uptime(Mutex<HashMap<LinkEnds, Instant>>);
 
 impl Uptime {
-    /// Calls `on_change` whenever a link comes or goes.
+    /// Observes the links of all `sessions`. Calls `on_change` whenever a link is opened or closed.
+    ///
+    /// # Errors
+    /// Zenoh's error if the events cannot be observed.
     pub fn start<'s>(
         sessions: impl IntoIterator<Item = &'s Session>,
         on_change: &(impl Fn() + Clone + Send + Sync + 'static),
@@ -32,11 +35,11 @@ impl Uptime {
         session: &Session,
         on_change: impl Fn() + Send + Sync + 'static,
     ) -> zenoh::Result<()> {
-        let heard = Arc::clone(self);
+        let uptime = Arc::clone(self);
         let on_event = move |event: LinkEvent| {
             let link = event.link();
-            let ends = Ends::of(link.src(), link.dst());
-            let mut since = heard.0.lock();
+            let ends = LinkEnds::of(link.src(), link.dst());
+            let mut since = uptime.0.lock();
             match event.kind() {
                 SampleKind::Put => drop(since.insert(ends, Instant::now())),
                 SampleKind::Delete => drop(since.remove(&ends)),
@@ -48,8 +51,8 @@ impl Uptime {
         listener.callback(on_event).background().wait()
     }
 
-    /// How long the link between these is there.
-    pub fn of(&self, ends: &Ends) -> Option<Duration> {
+    /// Returns how long a link has been open; `None` if there is no such link.
+    pub fn of(&self, ends: &LinkEnds) -> Option<Duration> {
         self.0.lock().get(ends).map(Instant::elapsed)
     }
 }

@@ -1,5 +1,5 @@
-//! A router as a child process, and the waiting for it: by its log and with a deadline, never by sleeping.
-#![allow(dead_code, unused_imports)] // each test file uses its part
+//! Runs routers as child processes for tests. Tests wait for lines of their logs with a deadline rather than sleep.
+#![allow(dead_code, unused_imports)] // each test file uses only a part
 
 mod program;
 mod session;
@@ -26,11 +26,11 @@ use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SimAir, SOCKET_VARIABLE
 pub use self::{
     program::joined,
     session::{admin, answers, arrives, ask, change, client, client_with},
-    team::{init, program, rect_router, said, start, start_with},
+    team::{init, program, rect_router, start, start_with, text_of},
     wombat::{ble, connected, file, simulated, tcp, Wombat},
 };
 
-/// No step of any test takes this long, not even on a busy machine.
+/// Timeout of each step of a test, sufficient even on a busy machine.
 pub const DEADLINE: Duration = Duration::from_secs(30);
 
 /// A running router, killed at the end of the test.
@@ -56,7 +56,7 @@ impl Router {
         Self::spawn(Command::new(program).args(args))
     }
 
-    /// The same on a simulated air.
+    /// Starts any router on a simulated air.
     pub fn start_program_on(air: &Air, program: &Path, args: &[&str]) -> Self {
         Self::spawn(
             Command::new(program)
@@ -98,7 +98,7 @@ impl Router {
         }
     }
 
-    /// The rest of the first line, from now on, that has `text` in it.
+    /// Waits for the next line of the log that contains `text`, and returns the rest of that line.
     pub fn wait_for(&mut self, text: &str) -> String {
         let deadline = Instant::now() + DEADLINE;
         loop {
@@ -116,12 +116,12 @@ impl Router {
                     }
                 }
                 Err(end) => {
-                    let how = match end {
+                    let when = match end {
                         RecvTimeoutError::Timeout => "in time",
                         RecvTimeoutError::Disconnected => "before the router ended",
                     };
                     panic!(
-                        "no `{text}` in the log {how}; it was:\n{}",
+                        "no `{text}` in the log {when}; the log:\n{}",
                         self.seen.join("\n")
                     );
                 }
@@ -129,12 +129,12 @@ impl Router {
         }
     }
 
-    /// The endpoint of the next listener in the log (listen on port 0 to get a free one).
+    /// Returns the endpoint of the next listener in the log. Tests listen on port 0 to get a free port.
     pub fn listener(&mut self) -> String {
         self.wait_for("Listener added: ")
     }
 
-    /// The endpoint of the next listener of that kind in the log, such as `tcp/`.
+    /// Returns the endpoint of the next listener in the log whose protocol is `protocol`, such as `tcp/`.
     pub fn listener_of(&mut self, protocol: &str) -> String {
         loop {
             let endpoint = self.listener();
@@ -144,13 +144,13 @@ impl Router {
         }
     }
 
-    /// The configuration in use, as the log shows it.
+    /// Returns the configuration in use, as shown in the log.
     pub fn configuration(&mut self) -> Value {
         let text = self.wait_for("Initial conf: ");
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
     }
 
-    /// Waits until the router serves.
+    /// Waits until the router is up.
     pub fn up(&mut self) -> &mut Self {
         self.wait_for("rect-router is up");
         self
@@ -161,7 +161,7 @@ impl Router {
         kill(Pid::from_raw(self.child.id() as i32), signal).expect("the router runs");
     }
 
-    /// The router's end.
+    /// Waits until the router exits, and returns its status.
     pub fn exit(&mut self) -> ExitStatus {
         let deadline = Instant::now() + DEADLINE;
         loop {
@@ -170,27 +170,27 @@ impl Router {
             }
             assert!(
                 Instant::now() < deadline,
-                "the router does not end; its log:\n{}",
+                "the router does not exit; its log:\n{}",
                 self.drained().join("\n")
             );
             thread::sleep(Duration::from_millis(5));
         }
     }
 
-    /// All that was logged so far.
+    /// Returns all lines logged so far.
     pub fn drained(&mut self) -> &[String] {
         self.seen.extend(self.log.try_iter());
         &self.seen
     }
 
-    /// All that was logged until the end.
+    /// Waits until the router exits, and returns its whole log.
     pub fn full_log(&mut self) -> String {
         self.exit();
         self.seen.extend(self.log.iter());
         self.seen.join("\n")
     }
 
-    /// The memory it takes now.
+    /// Returns the current memory use of the router.
     pub fn memory(&self) -> Memory {
         let path = format!("/proc/{}/smaps_rollup", self.child.id());
         let text = std::fs::read_to_string(path).expect("linux");
@@ -200,20 +200,20 @@ impl Router {
             number.expect(field).parse().expect("a number")
         };
         Memory {
-            // Not `Private_Dirty`: that counts a program's text, too, until the system has written a new build to disk.
+            // `Private_Dirty` would include the program's text until the system has written a new build to disk.
             own_kb: kb("Anonymous:") + kb("Swap:"),
             resident_kb: kb("Rss:"),
         }
     }
 }
 
-/// What a process takes of a machine's memory.
+/// Memory use of a process.
 #[derive(Clone, Copy, Debug)]
 pub struct Memory {
-    /// What nobody else can have while it runs: its heap, its stacks, what it has changed of its program's data.
+    /// Memory that no other process can use while it runs, in kB: heap, stacks and modified data of the program.
     pub own_kb: u64,
-    /// With the pages of its program and libraries that are in memory at the moment, which the system drops and reads from
-    /// the file again as it likes, and which processes share.
+    /// Resident memory in kB. In addition to `own_kb` it includes pages of the program and its libraries, which are shared by
+    /// processes and which the system can drop and read again.
     pub resident_kb: u64,
 }
 
@@ -224,7 +224,7 @@ impl Drop for Router {
     }
 }
 
-/// A simulated air of this test's own, as `rect air` serves one.
+/// A simulated air for one test, served as by `rect air`.
 pub struct Air {
     dir: tempfile::TempDir,
     runtime: tokio::runtime::Runtime,
@@ -232,12 +232,12 @@ pub struct Air {
 }
 
 impl Air {
-    /// Begins to serve.
+    /// Starts serving an air with default options.
     pub fn new() -> Self {
         Self::with(AirOptions::default())
     }
 
-    /// The same with other properties.
+    /// Starts serving an air with other options.
     pub fn with(options: AirOptions) -> Self {
         let dir = tempfile::tempdir().expect("a directory");
         let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -255,32 +255,32 @@ impl Air {
         Self { dir, runtime, air }
     }
 
-    /// For cutting it, and the like.
+    /// Returns the air, which tests can cut, for example.
     pub fn air(&self) -> &SimAir {
         &self.air
     }
 
-    /// Where it is served.
+    /// Returns the path of its socket.
     pub fn socket(&self) -> PathBuf {
         self.dir.path().join("air.sock")
     }
 
-    /// The air is gone, and every link on it.
+    /// Stops the air, and with it all links.
     pub fn end(self) {
         self.runtime.shutdown_background();
     }
 }
 
-/// Says why a test does not run here. With `RECT_NO_SKIP` set, as in CI, that is a failure.
+/// Reports why a test is skipped. With `RECT_NO_SKIP` set, as in CI, skipping is a failure.
 pub fn skip(reason: &str) {
     assert!(
         std::env::var_os("RECT_NO_SKIP").is_none(),
-        "not to be skipped: {reason}"
+        "RECT_NO_SKIP is set, but this test cannot run: {reason}"
     );
     println!("skipped: {reason}");
 }
 
-/// A login file in that folder, and the arguments that make a router use it.
+/// Writes a login file to `folder`, and returns the arguments that make a router use it.
 pub fn login_file(folder: &Path, logins: &str) -> [String; 2] {
     let path = folder.join("users");
     std::fs::write(&path, logins).expect("written");
@@ -291,7 +291,7 @@ pub fn login_file(folder: &Path, logins: &str) -> [String; 2] {
     ["--cfg".to_owned(), setting]
 }
 
-/// The repository.
+/// Returns the root folder of the repository.
 pub fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
@@ -299,7 +299,7 @@ pub fn repository() -> PathBuf {
         .to_owned()
 }
 
-/// Where a build of this profile puts its results.
+/// Returns the folder with the results of a build with this profile.
 pub fn built_with(profile: &str) -> PathBuf {
     let exe = std::env::current_exe().expect("this test is a program");
     let folder = if profile == "dev" { "debug" } else { profile };
@@ -307,7 +307,7 @@ pub fn built_with(profile: &str) -> PathBuf {
     exe.ancestors().nth(3).expect("cargo's layout").join(folder)
 }
 
-/// Where big things that outlive a build are kept.
+/// Returns the folder for large files that are kept between builds.
 pub fn cache() -> PathBuf {
     match std::env::var_os("RECT_CACHE") {
         Some(cache) => cache.into(),
@@ -315,14 +315,14 @@ pub fn cache() -> PathBuf {
     }
 }
 
-/// An address of this machine where nobody listens.
+/// Returns a socket address of this machine that is not in use.
 pub fn free_socket() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("an address").to_string()
 }
 
-/// The answer to an HTTP GET, tried until there is one with a body of JSON that is not empty.
-pub fn got(socket: &str, path: &str) -> String {
+/// Repeats an HTTP GET until the response has a JSON body that is not empty, and returns the response.
+pub fn http_get(socket: &str, path: &str) -> String {
     let deadline = Instant::now() + DEADLINE;
     let mut last = String::new();
     while Instant::now() < deadline {
@@ -338,5 +338,5 @@ pub fn got(socket: &str, path: &str) -> String {
         }
         thread::sleep(Duration::from_millis(50));
     }
-    panic!("GET {path} gives nothing: {last}");
+    panic!("GET {path} returns no data: {last}");
 }

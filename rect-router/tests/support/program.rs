@@ -1,7 +1,7 @@
-//! Programs of the library `rect` at a test's routers.
+//! Connects programs of the library `rect` to the routers of a test.
 use rect::{Options, Robot};
 
-/// A program of that robot's at its router.
+/// Connects a program to the router of its robot.
 pub async fn joined(name: &str, router: &str) -> Robot {
     let options = Options::new(name).expect("a name").login_file("/none");
     options.router(router).connect().await.expect("joined")

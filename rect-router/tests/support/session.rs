@@ -1,4 +1,4 @@
-//! Zenoh sessions with a router, and what is asked through them.
+//! Opens Zenoh sessions with a router and sends queries through them.
 use std::time::{Duration, Instant};
 
 use serde_json::{json, Value};
@@ -6,10 +6,10 @@ use zenoh::{query::Reply, Config, Session, Wait};
 
 use super::DEADLINE;
 
-/// For an answer that may not come.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Timeout of a query that may remain unanswered.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A client of the router at `endpoint`, with further settings.
+/// Opens a client session with the router at `endpoint`, with additional settings.
 pub fn client_with(endpoint: &str, settings: &[(&str, &str)]) -> zenoh::Result<Session> {
     let mut config = Config::default();
     let endpoints = json!([endpoint]).to_string();
@@ -24,12 +24,13 @@ pub fn client_with(endpoint: &str, settings: &[(&str, &str)]) -> zenoh::Result<S
     zenoh::open(config).wait()
 }
 
-/// A client of the router at `endpoint`.
+/// Opens a client session with the router at `endpoint`.
 pub fn client(endpoint: &str) -> Session {
     client_with(endpoint, &[]).unwrap_or_else(|error| panic!("no session with {endpoint}: {error}"))
 }
 
-/// Publishes until it arrives: a subscription takes a moment to reach the publisher's side.
+/// Publishes repeatedly until a message arrives, because a subscription takes a moment to reach the publisher. Returns
+/// whether one arrived within 10 s.
 pub fn arrives(from: &Session, to: &Session, key: &str) -> bool {
     let subscriber = to.declare_subscriber(key).wait().expect("a subscription");
     let deadline = Instant::now() + Duration::from_secs(10);
@@ -43,7 +44,7 @@ pub fn arrives(from: &Session, to: &Session, key: &str) -> bool {
     false
 }
 
-/// What the registry answers, or the error that it answers.
+/// Queries the registry until it replies, and returns the reply or the error that it contains.
 pub fn ask(session: &Session, selector: &str) -> Result<Value, String> {
     let deadline = Instant::now() + DEADLINE;
     loop {
@@ -56,31 +57,31 @@ pub fn ask(session: &Session, selector: &str) -> Result<Value, String> {
     }
 }
 
-/// Asks until the answer is what it should be.
-pub fn answers(session: &Session, selector: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+/// Repeats a query until `is_expected` accepts the reply, and returns that reply.
+pub fn answers(session: &Session, selector: &str, is_expected: impl Fn(&Value) -> bool) -> Value {
     let deadline = Instant::now() + DEADLINE;
     loop {
         let answer = ask(session, selector).expect("an answer");
-        if is_so(&answer) {
+        if is_expected(&answer) {
             return answer;
         }
         assert!(Instant::now() < deadline, "{selector}: still {answer:#}");
     }
 }
 
-/// What the admin space tells there, if anything.
+/// Returns the replies of the admin space at `key`, or `None` if there are none.
 pub fn admin(session: &Session, key: &str) -> Option<String> {
-    let replies = session.get(key).timeout(PATIENCE).wait();
-    let told: Vec<_> = (replies.expect("a query").into_iter())
+    let replies = session.get(key).timeout(QUERY_TIMEOUT).wait();
+    let texts: Vec<_> = (replies.expect("a query").into_iter())
         .filter_map(|reply| reply.into_result().ok())
         .map(|sample| String::from_utf8_lossy(&sample.payload().to_bytes()).into_owned())
         .collect();
-    (!told.is_empty()).then(|| told.concat())
+    (!texts.is_empty()).then(|| texts.concat())
 }
 
-/// What comes back for a new text, if anything does.
+/// Sends a query with `text` as its payload, and returns the reply, or `None` if there is none.
 pub fn change(session: &Session, selector: &str, text: &str) -> Option<Result<Value, String>> {
-    let replies = session.get(selector).payload(text).timeout(PATIENCE);
+    let replies = session.get(selector).payload(text).timeout(QUERY_TIMEOUT);
     let reply = replies.wait().expect("a query").into_iter().next()?;
     Some(read(reply))
 }

@@ -1,4 +1,4 @@
-//! A team's robots as `rect-router init` makes them, on a simulated air.
+//! Starts robots on a simulated air with configurations written by `rect-router init`.
 use std::{
     fs,
     path::Path,
@@ -10,35 +10,35 @@ use zenoh::Session;
 
 use super::{client_with, Air, Router};
 
-/// Runs it to its end.
+/// Runs `rect-router` until it exits.
 pub fn rect_router(args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rect-router"));
     command.args(args).output().expect("it starts")
 }
 
-/// All that it said.
-pub fn said(output: &Output) -> String {
+/// Returns the output of a command, stdout followed by stderr.
+pub fn text_of(output: &Output) -> String {
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     text(&output.stdout) + &text(&output.stderr)
 }
 
-/// A robot's folder as `init` makes it, with further arguments.
+/// Runs `init` for a robot with additional arguments, and returns its folder.
 pub fn init(root: &Path, robot: &str, more: &[&str]) -> String {
     let folder = root.join(robot).display().to_string();
     let adapter = format!("sim-{robot}");
     let mut args = vec!["init", robot, "--adapter", &adapter, "--folder", &folder];
     args.extend(more);
     let output = rect_router(&args);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", text_of(&output));
     folder
 }
 
-/// Its router, on ports of its own, which logs in as `login` where it dials.
+/// Starts the router of a robot on a free port. It logs in as `login` when it dials.
 pub fn start(air: &Air, folder: &str, robot: &str, login: &str) -> (Router, String) {
     start_with(air, folder, robot, &["--login-as", login])
 }
 
-/// Its router with further arguments, on ports of its own.
+/// Starts the router of a robot on a free port, with additional arguments.
 pub fn start_with(air: &Air, folder: &str, robot: &str, more: &[&str]) -> (Router, String) {
     let config = format!("{folder}/robot.json5");
     let radio = format!("ble/sim-{robot}#name={robot};secret={folder}/users");
@@ -49,7 +49,7 @@ pub fn start_with(air: &Air, folder: &str, robot: &str, more: &[&str]) -> (Route
     (router, endpoint)
 }
 
-/// A program of that robot's own.
+/// Opens a session of a program on that robot, logged in with the first line of its login file.
 pub fn program(folder: &str, endpoint: &str) -> Session {
     let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
     let login = users.lines().next().expect("a line");

@@ -1,21 +1,21 @@
-//! A robot of a test: its router on a simulated air, and its named connections.
+//! Starts the router of a robot on a simulated air, with named connections.
 use std::{fs, path::PathBuf};
 
 use serde_json::{json, Value};
 
 use super::{repository, Air, Router};
 
-/// A robot's router on the air, with a file of connections.
+/// The router of a robot on the air, with a connections file.
 pub struct Wombat {
     pub router: Router,
-    /// For its programs.
+    /// Endpoint of the router for programs.
     pub endpoint: String,
-    /// Of connections.
+    /// Path of the connections file.
     pub file: PathBuf,
 }
 
 impl Wombat {
-    /// Number `number`, with these connections.
+    /// Starts `wombat-<number>` with these connections.
     pub fn start(air: &Air, folder: &tempfile::TempDir, number: u32, connections: &Value) -> Self {
         let file = folder.path().join(format!("connections-{number}.json"));
         fs::write(&file, connections.to_string()).expect("written");
@@ -23,7 +23,7 @@ impl Wombat {
         Self::start_with(air, number, settings, file)
     }
 
-    /// With other settings than those.
+    /// Starts `wombat-<number>` with these settings.
     pub fn start_with(air: &Air, number: u32, mut settings: Value, file: PathBuf) -> Self {
         settings["robot"] = json!(format!("wombat-{number}"));
         let settings = format!("plugins/rect:{settings}");
@@ -36,13 +36,13 @@ impl Wombat {
         }
     }
 
-    /// Of its listener.
+    /// Returns the TCP port of its listener.
     pub fn port(&self) -> u64 {
         let (_, port) = self.endpoint.rsplit_once(':').expect("a port");
         port.parse().expect("a number")
     }
 
-    /// As an editor or a careful program would: a new file in the place of the old one.
+    /// Replaces the connections file by a new one, as an editor does.
     pub fn write(&self, connections: &Value) {
         let new = self.file.with_extension("new");
         fs::write(&new, connections.to_string()).expect("written");
@@ -50,7 +50,7 @@ impl Wombat {
     }
 }
 
-/// A router with the simulation's configuration on the air as `wombat-<number>`, and where its programs reach it.
+/// Starts a router as `wombat-<number>` with the configuration of simulations, and returns it with its endpoint for programs.
 pub fn simulated(air: &Air, number: u32, more: &[&str]) -> (Router, String) {
     let config = repository().join("config/simulation.json5");
     let config = config.display().to_string();
@@ -62,22 +62,22 @@ pub fn simulated(air: &Air, number: u32, more: &[&str]) -> (Router, String) {
     (router, endpoint)
 }
 
-/// The content of a file of connections.
+/// Returns the contents of a connections file.
 pub fn file(connections: &[Value]) -> Value {
     json!({ "connections": connections })
 }
 
-/// A connection with a port of this machine.
+/// Returns a connection to a TCP port of this machine.
 pub fn tcp(name: &str, port: u64) -> Value {
     json!({ "name": name, "method": "tcp", "address": "127.0.0.1", "port": port })
 }
 
-/// A connection with a robot on the air.
+/// Returns a connection to a robot on the air.
 pub fn ble(name: &str, robot: &str) -> Value {
     json!({ "name": name, "method": "ble", "address": robot })
 }
 
-/// How many are there.
+/// Returns the number of connections in a reply that are connected.
 pub fn connected(answer: &Value) -> usize {
     let all = answer.as_array().expect("a list");
     all.iter().filter(|one| one["state"] == "connected").count()

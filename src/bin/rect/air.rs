@@ -1,7 +1,7 @@
-//! Owns `rect air`: serving the simulated air to the programs of this machine, and talking to one that runs.
+//! Implements `rect air`, which serves the simulated air to the programs of this computer, and controls a running one.
 use std::{io, path::PathBuf};
 
-use crate::span::Span;
+use crate::duration::DurationArgument;
 use clap::{Args, Subcommand, ValueEnum};
 use rect::{
     core::display::line,
@@ -14,18 +14,18 @@ use zenoh_link_ble::radio::sim::{
 };
 
 const EXAMPLE: &str = "\
-Example: two robots on one machine, without any Bluetooth
-  rect air --condition room &                    # the air; programs find it by themselves
-  rect-router -l ble/sim-1#name=wombat-1 &       # an adapter called sim... is on it
+Example: two robots on one computer, without Bluetooth
+  rect air --condition room &                    # the air, which programs find automatically
+  rect-router -l ble/sim-1#name=wombat-1 &       # adapters named sim... use the air
   rect-router -l ble/sim-2#name=wombat-2 -e ble/wombat-1#adapter=sim-2 &
-  rect air status                                # who is there, who is linked, bytes on the air
-  rect air cut; sleep 5; rect air restore        # out of range and back
+  rect air status                                # adapters, links, transmitted bytes
+  rect air cut; sleep 5; rect air restore        # moves all adapters out of range and back
   rect air condition edge-of-range               # desk, room, wall, edge-of-range, crowded-hall";
 
-/// Simulated Bluetooth LE: serves the air (the default), or talks to one that runs.
+/// Simulate Bluetooth LE: serve the simulated air (the default), or control a running one
 ///
-/// Every program of this user on this machine that names an adapter `sim...` shares the air: airtime, range, loss and
-/// timing are those of Bluetooth LE.
+/// All programs of this user on this computer that use an adapter named `sim...` share the air. Its airtime, range, loss and
+/// timing are modelled on Bluetooth LE.
 #[derive(Args)]
 #[command(after_help = EXAMPLE, args_conflicts_with_subcommands = true)]
 pub struct AirArguments {
@@ -37,31 +37,31 @@ pub struct AirArguments {
 
 #[derive(Subcommand)]
 enum AirCommand {
-    /// Serve the air in the foreground, until Ctrl-C.
+    /// Serve the air in the foreground, until Ctrl-C
     Serve(ServeArguments),
-    /// Put every adapter out of every other's range.
+    /// Move all adapters out of range of each other
     Cut(SocketArgument),
-    /// Bring them back into range.
+    /// Move all adapters back into range
     Restore(SocketArgument),
-    /// Change how good the air is: desk, room, wall, edge-of-range or crowded-hall.
+    /// Change the radio condition
     Condition {
-        /// The condition.
+        /// The radio condition: desk, room, wall, edge-of-range or crowded-hall
         condition: Condition,
         #[command(flatten)]
         socket: SocketArgument,
     },
-    /// Switch one adapter on or off.
+    /// Switch an adapter on or off
     Power {
-        /// The adapter's name, such as sim-1.
+        /// The name of the adapter, such as sim-1
         adapter: String,
-        /// On or off.
+        /// The new state
         switch: Switch,
         #[command(flatten)]
         socket: SocketArgument,
     },
-    /// Show who is on the air, who is linked, and what was sent.
+    /// Show the adapters, the links, and the transmitted bytes
     Status {
-        /// As JSON.
+        /// Print JSON
         #[arg(long)]
         json: bool,
         #[command(flatten)]
@@ -71,22 +71,22 @@ enum AirCommand {
 
 #[derive(Args)]
 struct ServeArguments {
-    /// How good the air is: desk, room, wall, edge-of-range or crowded-hall.
+    /// The radio condition: desk, room, wall, edge-of-range or crowded-hall
     #[arg(long, default_value_t = Condition::Room)]
     condition: Condition,
-    /// The connection interval, 7.5ms to 4s.
+    /// The connection interval, 7.5ms to 4s
     #[arg(long, default_value = "30ms")]
-    interval: Span,
-    /// The physical layer: 1m, 2m, coded-s2 or coded-s8.
+    interval: DurationArgument,
+    /// The physical layer: 1m, 2m, coded-s2 or coded-s8
     #[arg(long, default_value_t = Phy::Le1M)]
     phy: Phy,
-    /// The link-layer payload in bytes: 27 (such as a Raspberry Pi 3B) or 251.
+    /// The link-layer payload in bytes: 27 (such as a Raspberry Pi 3B) or 251
     #[arg(long, default_value_t = LlPayload::Bytes251)]
     pdu: LlPayload,
-    /// A link on which nothing was heard for so long is down.
+    /// The supervision timeout: time without a packet after which a link is lost
     #[arg(long, default_value = "2s")]
-    supervision: Span,
-    /// Where chance begins: the same seed gives the same losses.
+    supervision: DurationArgument,
+    /// The seed of the random losses; the same seed gives the same losses
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
@@ -95,7 +95,7 @@ struct ServeArguments {
 
 #[derive(Args)]
 struct SocketArgument {
-    /// The air's socket [default: $RECT_AIR, else rect-air.sock in $XDG_RUNTIME_DIR, else /tmp/rect-air-<uid>.sock].
+    /// The socket of the air [default: $RECT_AIR, else rect-air.sock in $XDG_RUNTIME_DIR, else /tmp/rect-air-<uid>.sock]
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
 }
@@ -106,24 +106,24 @@ enum Switch {
     Off,
 }
 
-/// Why a command failed.
+/// The error of a command.
 #[derive(Debug, thiserror::Error)]
 pub enum AirError {
     /// The air cannot be served.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// The running air did not do it.
+    /// The running air cannot be reached, or rejected the command.
     #[error(transparent)]
     Control(#[from] ControlError),
-    /// The system said no.
+    /// The runtime cannot be started.
     #[error("cannot start: {0}")]
     System(#[from] io::Error),
-    /// The status has no JSON.
+    /// The status cannot be written as JSON.
     #[error("cannot write the status: {0}")]
     Json(#[from] serde_json::Error),
 }
 
-/// Does what the arguments say.
+/// Runs `rect air`.
 pub fn run(arguments: AirArguments) -> Result<(), AirError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -134,10 +134,10 @@ pub fn run(arguments: AirArguments) -> Result<(), AirError> {
     runtime.block_on(async {
         match command {
             AirCommand::Serve(arguments) => serve(arguments).await,
-            AirCommand::Cut(socket) => tell(socket, Control::Cut).await,
-            AirCommand::Restore(socket) => tell(socket, Control::Restore).await,
+            AirCommand::Cut(socket) => control(socket, Control::Cut).await,
+            AirCommand::Restore(socket) => control(socket, Control::Restore).await,
             AirCommand::Condition { condition, socket } => {
-                tell(socket, Control::Condition(condition)).await
+                control(socket, Control::Condition(condition)).await
             }
             AirCommand::Power {
                 adapter,
@@ -145,7 +145,7 @@ pub fn run(arguments: AirArguments) -> Result<(), AirError> {
                 socket,
             } => {
                 let on = matches!(switch, Switch::On);
-                tell(socket, Control::Power { adapter, on }).await
+                control(socket, Control::Power { adapter, on }).await
             }
             AirCommand::Status { json, socket } => status(socket, json).await,
         }
@@ -163,16 +163,16 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
         ..AirOptions::default()
     };
     let condition = options.condition;
-    // Before the socket, so that no signal can leave it behind.
+    // Signals are handled before the socket exists, so that no signal can leave it behind.
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let server = AirServer::bind(&arguments.socket.path(), options)?;
-    // A reader that is gone does not end the air.
+    // A closed standard output does not end the air.
     let _ = rect::terminal::try_write(format_args!(
         "simulated air ({condition}) at {}: listen on ble/sim-1, or see `rect air --help`",
         server.path().display()
     ));
-    // Whichever ends, the server is dropped, and its socket with it.
+    // Afterwards the server is dropped, which removes its socket.
     tokio::select! {
         () = server.serve() => {}
         _ = interrupt.recv() => {}
@@ -181,8 +181,8 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
     Ok(())
 }
 
-async fn tell(socket: SocketArgument, control: Control) -> Result<(), AirError> {
-    sim::control(&socket.path(), control).await?;
+async fn control(socket: SocketArgument, command: Control) -> Result<(), AirError> {
+    sim::control(&socket.path(), command).await?;
     Ok(())
 }
 

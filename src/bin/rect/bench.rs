@@ -1,4 +1,4 @@
-//! Owns `rect bench`: how good the way to another robot is. The other side runs `rect bench --serve`.
+//! Implements `rect bench`, which measures the connection to another robot that runs `rect bench --serve`.
 use std::{
     process::ExitCode,
     sync::Arc,
@@ -16,54 +16,55 @@ use tokio::{
 };
 
 use crate::{
+    duration::DurationArgument,
     session::{name, JoinArguments},
-    span::Span,
     Done, Failure,
 };
 
 const ECHO: &str = "rect-bench/echo";
 const COUNT: &str = "rect-bench/count";
 const LOAD: &str = "rect-bench/load";
-/// By which the other side tells that more may come.
-const MORE: &str = "rect-bench/more";
-/// So many messages of the load may be on their way: 128 kB fill any link that a robot has, and drain within 4 s over the
-/// slowest. Without a bound the queues on the way take some 20 MB.
+/// The topic on which the serving robot acknowledges messages of the load.
+const ACKNOWLEDGEMENT: &str = "rect-bench/more";
+/// Largest number of messages of the load in flight: 128 kB fill any link between robots, and are transmitted within 4 s
+/// over the slowest one. Without a limit, the queues hold some 20 MB.
 const WINDOW: usize = 32;
-/// So many that came are told of at once.
-const TOLD: u64 = 4;
-/// Small, as a command or a sensor's value.
+/// Number of messages that one acknowledgement covers.
+const ACKNOWLEDGED: u64 = 4;
+/// Size of a request, that of a command or a sensor value.
 const PING_BYTES: usize = 16;
-/// A message of the load, in bytes.
+/// Size of a message of the load.
 const LOAD_BYTES: usize = 4096;
-/// For how long nothing may be told of the load until it is taken for lost.
+/// Time without an acknowledgement after which messages of the load count as lost.
 const LOST_AFTER: Duration = Duration::from_secs(2);
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Timeout of a request.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Measure the way to another robot: round trip idle and under load, goodput, loss. There: rect bench --serve
+/// Measure the round trip (idle and under load), goodput and loss to another robot that runs `rect bench --serve`
 #[derive(Args)]
 pub struct BenchArguments {
     /// The other robot
     #[arg(value_parser = name, required_unless_present = "serve")]
     robot: Option<Name>,
-    /// Be the other side, until Ctrl-C
+    /// Serve measurements of other robots, until Ctrl-C
     #[arg(long, conflicts_with = "robot")]
     serve: bool,
-    /// How long each of the three parts takes
+    /// The duration of each of the two measurements
     #[arg(long, default_value = "5s")]
-    duration: Span,
-    /// As JSON
+    duration: DurationArgument,
+    /// Print JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     join: JoinArguments,
 }
 
-/// What the other side has heard of the load.
+/// The load that the other robot has received.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-struct Heard {
+struct ReceivedLoad {
     messages: u64,
     bytes: u64,
-    /// How long ago the last of it came.
+    /// Time since the last message arrived.
     last_ago_s: f64,
 }
 
@@ -75,7 +76,7 @@ struct RoundTrip {
     lost: usize,
 }
 
-/// `rect bench`.
+/// Runs `rect bench`.
 pub async fn run(arguments: BenchArguments) -> Done {
     let robot = arguments.join.join().await?;
     let Some(other) = arguments.robot else {
@@ -84,21 +85,21 @@ pub async fn run(arguments: BenchArguments) -> Done {
     let duration = arguments.duration.0;
     let bar = progress(duration * 3);
     let idle = round_trip(&robot, &other, duration, &bar).await?;
-    let before: Heard = count(&robot, &other).await?;
+    let before = count(&robot, &other).await?;
     let loading = tokio::spawn(load(robot.clone(), other.clone(), duration));
     let began = Instant::now();
     let loaded = round_trip(&robot, &other, duration, &bar).await?;
-    let said = loading.await??;
+    let sent = loading.await??;
     let after = settled(&robot, &other, &bar).await?;
     let took = began.elapsed().as_secs_f64() - after.last_ago_s;
     bar.finish_and_clear();
     let bytes = after.bytes.saturating_sub(before.bytes);
     let arrived = after.messages.saturating_sub(before.messages);
-    let lost = said.saturating_sub(arrived);
+    let lost = sent.saturating_sub(arrived);
     let goodput_kb_s = bytes as f64 / 1000.0 / took.max(f64::EPSILON);
     let method = robot.connections_of(&other, "").await.ok();
     let me = robot.name().as_str();
-    let by = method.and_then(|all| {
+    let method = method.and_then(|all| {
         let its = |peer: &rect::core::connection::PeerId| peer.robot.as_deref() == Some(me);
         let mut all = all.into_iter();
         all.find(|one| one.peer.as_ref().is_some_and(its))
@@ -106,43 +107,45 @@ pub async fn run(arguments: BenchArguments) -> Done {
     });
     if arguments.json {
         let all = json!({
-            "robot": other, "method": by, "idle": idle, "under_load": loaded,
-            "goodput_kb_s": goodput_kb_s, "load_messages": said, "load_lost": lost,
+            "robot": other, "method": method, "idle": idle, "under_load": loaded,
+            "goodput_kb_s": goodput_kb_s, "load_messages": sent, "load_lost": lost,
         });
         rect::terminal::json(&all)?;
         return Ok(ExitCode::SUCCESS);
     }
     rect::outln!(
         "{other}, linked by {}",
-        line(by.as_deref().unwrap_or("another robot"))
+        line(method.as_deref().unwrap_or("another robot"))
     );
-    for (what, one) in [("idle", idle), ("under load", loaded)] {
+    for (condition, one) in [("idle", idle), ("under load", loaded)] {
         let RoundTrip {
             p50_ms,
             p99_ms,
             answers,
             lost,
         } = one;
-        rect::outln!("round trip, {what}: p50 {p50_ms:.1} ms, p99 {p99_ms:.1} ms ({answers} answers, {lost} lost; urgent, {PING_BYTES} bytes)");
+        rect::outln!("round trip, {condition}: p50 {p50_ms:.1} ms, p99 {p99_ms:.1} ms ({answers} replies, {lost} lost; urgent, {PING_BYTES} bytes)");
     }
-    rect::outln!("goodput: {goodput_kb_s:.1} kB/s ({arrived} of {said} messages of {LOAD_BYTES} bytes, {lost} lost)");
+    rect::outln!("goodput: {goodput_kb_s:.1} kB/s ({arrived} of {sent} messages of {LOAD_BYTES} bytes, {lost} lost)");
     Ok(ExitCode::SUCCESS)
 }
 
 async fn serve(robot: &Robot) -> Done {
-    let (counts, came) = watch::channel((Heard::default(), Instant::now()));
-    let heard = robot.subscribe(format!("*/{LOAD}").as_str()).await?;
-    let telling = robot.clone();
+    let (counts, received) = watch::channel((ReceivedLoad::default(), Instant::now()));
+    let load = robot.subscribe(format!("*/{LOAD}").as_str()).await?;
+    let acknowledging = robot.clone();
     let counting = async move {
-        while let Some(message) = heard.recv().await {
-            counts.send_modify(|(heard, last)| {
-                heard.messages += 1;
-                heard.bytes += message.payload.bytes.len() as u64;
+        while let Some(message) = load.next().await {
+            counts.send_modify(|(received, last)| {
+                received.messages += 1;
+                received.bytes += message.payload.bytes.len() as u64;
                 *last = Instant::now();
             });
             let messages = counts.borrow().0.messages;
-            if messages % TOLD == 0 {
-                telling.send(&message.from, MORE, "").await?;
+            if messages % ACKNOWLEDGED == 0 {
+                acknowledging
+                    .send(&message.sender, ACKNOWLEDGEMENT, "")
+                    .await?;
             }
         }
         Ok::<_, rect::Error>(())
@@ -154,34 +157,36 @@ async fn serve(robot: &Robot) -> Done {
         .await?;
     let _count = robot
         .serve(COUNT, move |_| {
-            let (heard, last) = *came.borrow();
+            let (received, last) = *received.borrow();
             let last_ago_s = last.elapsed().as_secs_f64();
             async move {
-                Ok::<_, String>(Json(Heard {
+                Ok::<_, String>(Json(ReceivedLoad {
                     last_ago_s,
-                    ..heard
+                    ..received
                 }))
             }
         })
         .await?;
     rect::errln!(
-        "rect: `rect bench {}` at the other robot measures; Ctrl-C ends this",
+        "rect: ready; start the measurement on the other robot with `rect bench {}`; press Ctrl-C to exit",
         robot.name()
     );
     counting.await?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn count(robot: &Robot, other: &Name) -> Result<Heard, Failure> {
-    let reply = robot
-        .request(other, COUNT, "", PATIENCE)
-        .await
-        .map_err(|error| Failure::from(format!("{error}. Does `rect bench --serve` run there?")))?;
+async fn count(robot: &Robot, other: &Name) -> Result<ReceivedLoad, Failure> {
+    let reply = robot.request(other, COUNT, "", TIMEOUT).await;
+    let reply = reply.map_err(|error| not_served(other, &error))?;
     Ok(reply.payload.value()?)
 }
 
-/// The count once it does not grow any more.
-async fn settled(robot: &Robot, other: &Name, bar: &ProgressBar) -> Result<Heard, Failure> {
+fn not_served(other: &Name, error: &rect::Error) -> Failure {
+    format!("{error}. Is `rect bench --serve` running on {other}?").into()
+}
+
+/// Waits until the load has arrived, and returns the final count.
+async fn settled(robot: &Robot, other: &Name, bar: &ProgressBar) -> Result<ReceivedLoad, Failure> {
     let mut before = count(robot, other).await?;
     loop {
         tokio::time::sleep(Duration::from_millis(250)).await;
@@ -195,31 +200,33 @@ async fn settled(robot: &Robot, other: &Name, bar: &ProgressBar) -> Result<Heard
 }
 
 async fn load(robot: Robot, other: Name, duration: Duration) -> Result<u64, rect::Error> {
-    let bulk = robot.with(Urgency::Bulk);
-    let may = Arc::new(Semaphore::new(WINDOW));
-    let more = may.clone();
-    let pattern = format!("{other}/{MORE}");
-    let _more = robot
-        .on_message(pattern.as_str(), move |_| more.add_permits(TOLD as usize))
+    let bulk = robot.with_urgency(Urgency::Bulk);
+    let window = Arc::new(Semaphore::new(WINDOW));
+    let acknowledged = window.clone();
+    let pattern = format!("{other}/{ACKNOWLEDGEMENT}");
+    let _acknowledgements = robot
+        .on_message(pattern.as_str(), move |_| {
+            acknowledged.add_permits(ACKNOWLEDGED as usize);
+        })
         .await?;
     let end = tokio::time::Instant::now() + duration;
-    let mut said = 0;
-    // What is lost (UDP) gives no room back: half a window is taken for lost then.
+    let mut sent = 0;
+    // Lost messages (UDP) are never acknowledged: after a pause, half a window counts as lost.
     while tokio::time::Instant::now() < end {
-        let room = timeout(LOST_AFTER, may.acquire());
-        match timeout_at(end, room).await {
-            Ok(Ok(Ok(one))) => one.forget(),
+        let permit = timeout(LOST_AFTER, window.acquire());
+        match timeout_at(end, permit).await {
+            Ok(Ok(Ok(permit))) => permit.forget(),
             Ok(Ok(Err(_closed))) => break,
             Ok(Err(_)) => {
-                may.add_permits(WINDOW / 2);
+                window.add_permits(WINDOW / 2);
                 continue;
             }
-            Err(_over) => break,
+            Err(_elapsed) => break,
         }
         bulk.send(&other, LOAD, vec![0u8; LOAD_BYTES]).await?;
-        said += 1;
+        sent += 1;
     }
-    Ok(said)
+    Ok(sent)
 }
 
 async fn round_trip(
@@ -234,14 +241,12 @@ async fn round_trip(
     while began.elapsed() < duration {
         let asked = Instant::now();
         match urgent
-            .request(other, ECHO, [0u8; PING_BYTES], PATIENCE)
+            .request(other, ECHO, [0u8; PING_BYTES], TIMEOUT)
             .await
         {
             Ok(_) => times.push(asked.elapsed()),
             Err(rect::Error::TimedOut { .. }) => lost += 1,
-            Err(error) => {
-                return Err(format!("{error}. Does `rect bench --serve` run there?").into());
-            }
+            Err(error) => return Err(not_served(other, &error)),
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
         bar.inc(asked.elapsed().as_millis() as u64);

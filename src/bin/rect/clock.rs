@@ -1,7 +1,7 @@
-//! The time of day, as this computer's clock and time zone have it.
+//! Formats the time of day in this computer's time zone.
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Returns `14:03:07.123`.
+/// Returns the time of day, such as `14:03:07.123`, in the local time zone, or in UTC if the time zone is unknown.
 pub fn time_of_day(at: SystemTime) -> String {
     let since = at.duration_since(UNIX_EPOCH).unwrap_or_default();
     let seconds = i64::try_from(since.as_secs()).unwrap_or(i64::MAX);
@@ -15,7 +15,7 @@ pub fn time_of_day(at: SystemTime) -> String {
     )
 }
 
-/// Hours, minutes and seconds in the local time zone; `None` if the system cannot tell.
+/// Returns hours, minutes and seconds in the local time zone; `None` if the system does not know it.
 fn local(unix_s: i64) -> Option<(i64, i64, i64)> {
     let time = libc::time_t::try_from(unix_s).ok()?;
     // SAFETY: all fields of `tm` are integers or a pointer that may be null, so zeroes are a valid value.
@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_of_day_has_milliseconds() {
+    fn time_of_day_includes_milliseconds() {
         let shown = time_of_day(UNIX_EPOCH + Duration::from_millis(1_795_000_007_045));
         let parts: Vec<_> = shown.split([':', '.']).collect();
         assert!(matches!(parts[..], [_, _, "47", "045"]), "{shown}");

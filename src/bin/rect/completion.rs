@@ -1,17 +1,17 @@
-//! Owns `rect completion`.
+//! Implements `rect completion`.
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory};
 use clap_complete::{generate, Shell};
 
-/// Print what makes a shell complete these commands, such as: rect completion bash > /etc/bash_completion.d/rect
+/// Print a completion script for a shell, as in: rect completion bash > /etc/bash_completion.d/rect
 #[derive(Args)]
 pub struct CompletionArguments {
-    /// Which shell
+    /// The shell
     shell: Shell,
 }
 
-/// `rect completion`.
+/// Runs `rect completion`.
 pub fn run(arguments: &CompletionArguments) -> ExitCode {
     let mut script = Vec::new();
     let mut command = crate::Arguments::command();

@@ -1,4 +1,4 @@
-//! Owns `rect connect` and `rect disconnect`: the named connections of a robot's router.
+//! Implements `rect connect` and `rect disconnect`, which change the named connections of a robot's router.
 use std::process::ExitCode;
 
 use clap::Args;
@@ -10,32 +10,32 @@ use crate::{
     Done,
 };
 
-/// Give a robot's router a connection; it stays until `rect disconnect`, through restarts.
+/// Add a named connection to a robot's router; it remains until `rect disconnect`, also after restarts
 #[derive(Args)]
 pub struct ConnectArguments {
-    /// What programs call it
+    /// The name of the connection
     name: String,
-    /// ble, tcp, udp, or any other of Zenoh's protocols
+    /// ble, tcp, udp, or another link protocol of Zenoh
     method: String,
-    /// For ble a robot's name or its Bluetooth address, else a host
+    /// For ble the name or Bluetooth address of a robot, otherwise a host
     address: String,
-    /// For tcp, udp and others with one
+    /// The port, for tcp, udp and other methods with ports
     #[arg(long)]
     port: Option<u16>,
-    /// For ble: the L2CAP channel's number [default: the advertised one]
+    /// The PSM of the L2CAP channel, for ble [default: the advertised one]
     #[arg(long)]
     psm: Option<u16>,
-    /// Of the method, may be repeated: mtu=512
+    /// An option of the method, such as mtu=512; may be repeated
     #[arg(long = "option", value_name = "KEY=VALUE", value_parser = option)]
     options: Vec<(String, Value)>,
     #[command(flatten)]
     at: AtArguments,
 }
 
-/// Take a connection from a robot's router; its link ends.
+/// Remove a named connection from a robot's router, and close its link
 #[derive(Args)]
 pub struct DisconnectArguments {
-    /// What it is called
+    /// The name of the connection
     name: String,
     #[command(flatten)]
     at: AtArguments,
@@ -43,14 +43,14 @@ pub struct DisconnectArguments {
 
 #[derive(Args)]
 struct AtArguments {
-    /// Whose router; another one's access control has to allow that [default: this robot's]
+    /// The robot of the router; the access control of another robot must permit changes [default: this robot]
     #[arg(long, value_parser = name)]
     robot: Option<Name>,
     #[command(flatten)]
     join: JoinArguments,
 }
 
-/// `rect connect`.
+/// Runs `rect connect`.
 pub async fn connect(arguments: ConnectArguments) -> Done {
     let ConnectArguments {
         name,
@@ -68,27 +68,27 @@ pub async fn connect(arguments: ConnectArguments) -> Done {
         connection = connection.option(key, value);
     }
     let robot = at.join.join().await?;
-    let whose = at.robot.unwrap_or_else(|| robot.name().clone());
-    robot.add_connection_of(&whose, &connection).await?;
+    let owner = at.robot.unwrap_or_else(|| robot.name().clone());
+    robot.add_connection_of(&owner, &connection).await?;
     rect::outln!(
-        "{whose} has the connection {}; `rect connections` shows its state",
+        "{owner} has the connection {} now; `rect connections` shows its state",
         line(&name)
     );
     Ok(ExitCode::SUCCESS)
 }
 
-/// `rect disconnect`.
+/// Runs `rect disconnect`.
 pub async fn disconnect(arguments: DisconnectArguments) -> Done {
     let DisconnectArguments { name, at } = arguments;
     let robot = at.join.join().await?;
-    let whose = at.robot.unwrap_or_else(|| robot.name().clone());
-    robot.remove_connection_of(&whose, &name).await?;
-    rect::outln!("{whose} has the connection {} no more", line(&name));
+    let owner = at.robot.unwrap_or_else(|| robot.name().clone());
+    robot.remove_connection_of(&owner, &name).await?;
+    rect::outln!("removed the connection {} of {owner}", line(&name));
     Ok(ExitCode::SUCCESS)
 }
 
 fn option(text: &str) -> Result<(String, Value), String> {
-    let (key, value) = text.split_once('=').ok_or("KEY=VALUE")?;
+    let (key, value) = text.split_once('=').ok_or("write KEY=VALUE")?;
     let value = serde_json::from_str(value).unwrap_or_else(|_| value.into());
     Ok((key.to_owned(), value))
 }

@@ -1,4 +1,4 @@
-//! Owns `rect dictionary`: making one of messages like those to come.
+//! Implements `rect dictionary`, which trains a dictionary from sample messages.
 use std::{
     fs,
     io::{self, BufRead, BufReader},
@@ -8,17 +8,17 @@ use std::{
 
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
-use rect::core::{codec::dictionary::Packed, codec::Codec as _, dictionary::Dictionary};
+use rect::core::{codec::dictionary::DictionaryCodec, codec::Codec as _, dictionary::Dictionary};
 use rect::{Encoding, Payload};
 
 use crate::{Done, Failure};
 
-/// The most that is read of one line or file, in bytes: dictionaries are for small messages.
+/// Largest size of a sample, in bytes; larger lines and files are skipped, since dictionaries are for small messages.
 const MAX_SAMPLE_BYTES: usize = 64 << 10;
-/// Each so manieth sample is not trained on, to see what the dictionary does for messages it has not seen.
-const KEPT_BACK: usize = 5;
+/// One of this number of samples is not used for training, but for measuring the compression of new messages.
+const TEST_INTERVAL: usize = 5;
 
-/// Dictionaries, with which small messages get much smaller.
+/// Train dictionaries, with which small messages are compressed much better
 #[derive(Args)]
 pub struct DictionaryArguments {
     #[command(subcommand)]
@@ -27,21 +27,21 @@ pub struct DictionaryArguments {
 
 #[derive(Subcommand)]
 enum DictionaryCommand {
-    /// Make one of messages like those to come: a recording (`rect sub ... --json`, or a message a line), or files
+    /// Train a dictionary from typical messages
     Train {
-        /// Recordings (.jsonl, a message a line), or files with a message each
+        /// Recordings (.jsonl, one message or one line of `rect sub --json` per line), or files with one message each
         #[arg(required = true)]
         samples: Vec<PathBuf>,
-        /// Where to
+        /// The file to write the dictionary to
         #[arg(long, short)]
         output: PathBuf,
-        /// How large, in bytes
+        /// The largest size of the dictionary, in bytes
         #[arg(long, default_value_t = 8192)]
         size: usize,
     },
 }
 
-/// `rect dictionary`.
+/// Runs `rect dictionary`.
 pub fn run(arguments: DictionaryArguments) -> Done {
     let DictionaryCommand::Train {
         samples,
@@ -49,39 +49,34 @@ pub fn run(arguments: DictionaryArguments) -> Done {
         size,
     } = arguments.command;
     let all = read_all(&samples)?;
-    let kept_back = |n: usize| n % KEPT_BACK == KEPT_BACK - 1;
-    let (mut learned, mut unseen) = (Vec::new(), Vec::new());
+    let is_test = |n: usize| n % TEST_INTERVAL == TEST_INTERVAL - 1;
+    let (mut training, mut test) = (Vec::new(), Vec::new());
     for (n, sample) in all.into_iter().enumerate() {
-        if kept_back(n) {
-            &mut unseen
-        } else {
-            &mut learned
-        }
-        .push(sample);
+        if is_test(n) { &mut test } else { &mut training }.push(sample);
     }
     let spinner = ProgressBar::new_spinner()
-        .with_message(format!("learning from {} messages", learned.len()));
+        .with_message(format!("training with {} messages", training.len()));
     spinner.enable_steady_tick(std::time::Duration::from_millis(100));
-    let dictionary = Dictionary::train(&learned, size)?;
+    let dictionary = Dictionary::train(&training, size)?;
     spinner.finish_and_clear();
     dictionary.write(&output)?;
     let (id, bytes) = (dictionary.id(), dictionary.as_bytes().len());
     rect::outln!(
-        "{}: dictionary {id}, {bytes} bytes, of {} messages",
+        "{}: dictionary {id}, {bytes} bytes, trained with {} messages",
         output.display(),
-        learned.len()
+        training.len()
     );
-    let packing = Packed::new(dictionary.into());
+    let codec = DictionaryCodec::new(dictionary.into());
     let (mut before, mut after) = (0, 0);
-    for sample in unseen.iter() {
-        let packed = packing.encode(&Payload::new(sample.clone(), Encoding::JSON))?;
+    for sample in test.iter() {
+        let compressed = codec.encode(&Payload::new(sample.clone(), Encoding::JSON))?;
         before += sample.len();
-        after += packed.bytes.len();
+        after += compressed.bytes.len();
     }
     if before > 0 {
-        let (count, share) = (unseen.len(), after as f64 / before as f64);
+        let (count, share) = (test.len(), after as f64 / before as f64);
         rect::outln!(
-            "{count} messages that it has not seen: {before} bytes become {after} ({share:.2})"
+            "{count} other messages for comparison: {before} bytes are compressed to {after} ({share:.2})"
         );
     }
     Ok(ExitCode::SUCCESS)
@@ -115,15 +110,15 @@ fn is_recording(file: &Path) -> bool {
         .is_some_and(|end| end == "jsonl" || end == "ndjson")
 }
 
-/// A line of a recording: what `rect sub --json` prints has the message's value in it.
+/// Returns the sample in a line of a recording: the value of a message printed by `rect sub --json`, or the whole line.
 fn sample(line: &str) -> Option<Vec<u8>> {
     if line.trim().is_empty() || line.len() > MAX_SAMPLE_BYTES {
         return None;
     }
     let parsed = serde_json::from_str::<serde_json::Value>(line);
     let value = parsed.ok().and_then(|mut message| {
-        let heard = message.get("topic").is_some() && message.get("encoding").is_some();
-        heard.then(|| message["value"].take())
+        let is_recorded = message.get("topic").is_some() && message.get("encoding").is_some();
+        is_recorded.then(|| message["value"].take())
     });
     Some(value.map_or_else(
         || line.as_bytes().to_vec(),
@@ -136,9 +131,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_recording_may_be_what_was_heard_or_messages_themselves() {
-        let heard = r#"{"topic":"a","encoding":"application/json","value":{"x":1}}"#;
-        assert_eq!(sample(heard), Some(br#"{"x":1}"#.to_vec()));
+    fn recordings_contain_subscribed_or_plain_messages() {
+        let recorded = r#"{"topic":"a","encoding":"application/json","value":{"x":1}}"#;
+        assert_eq!(sample(recorded), Some(br#"{"x":1}"#.to_vec()));
         assert_eq!(sample(r#"{"x":2}"#), Some(br#"{"x":2}"#.to_vec()));
         assert_eq!(sample("  "), None);
     }

@@ -1,22 +1,22 @@
-//! RECT, the Robot Extensible Communication Toolkit.
-//! The `rect` command. Owns its arguments and its exit status; what each command does is in a module of its own.
+//! The `rect` command of RECT, the Robot Extensible Communication Toolkit. Parses the arguments, runs the selected command,
+//! and sets the exit status. Each command has a separate module.
 mod air;
-mod ask;
 mod bench;
 mod clock;
 mod completion;
 mod configure;
 mod dictionary;
-mod listen;
+mod display;
+mod duration;
 mod manual;
 mod payload;
+mod publish;
 mod registry;
+mod request;
 mod router;
 mod session;
-mod shown;
-mod span;
-mod speak;
 mod stream;
+mod subscribe;
 mod topic;
 mod transfer;
 
@@ -28,37 +28,37 @@ use rect::{
     terminal::{choose_colours, colours_on_stderr, paint_err, Colours, Style},
 };
 
-/// What Zenoh logs as an error, its calls return too; RUST_LOG=zenoh=error shows it.
+/// Zenoh's log is disabled, since its calls also return their errors; RUST_LOG=zenoh=error enables it.
 const DEFAULT_FILTER: &str = "warn,zenoh=off";
 const EXAMPLE: &str = "\
-Examples, without any robot: `rect sim` in one terminal, and in another
-  rect peers                               # which robots are there
-  rect sub '*/**'                          # everything that they publish
-  rect topic list                          # which topics there are
-  rect request wombat-2 battery            # asks a service of a robot
+Examples without a robot: run `rect sim` in one terminal, and in another
+  rect peers                               # lists the reachable robots
+  rect sub '*/**'                          # prints everything that they publish
+  rect topic list                          # lists the topics and their rates
+  rect request wombat-2 battery            # sends a request to a service
 
-At a robot whose router runs (`sudo rect init wombat-1 --start` makes its configuration and starts it):
+Examples on a robot with a router (`sudo rect init wombat-1 --start` configures and starts it):
   rect pub arm/angle 12.5                  # publishes to every robot
-  rect sub '*/arm/*'                       # shows what any robot publishes about its arm
-  rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot alone
-  rect stream watch wombat-2 camera        # shows its pictures, as fresh as the link allows
+  rect sub '*/arm/*'                       # prints the messages of all robots on these topics
+  rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
+  rect stream watch wombat-2 camera        # receives a stream of pictures
   rect transfer send wombat-2 map.bin      # sends a file of any size
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection
-  rect bench wombat-2                      # measures the link to it (`rect bench --serve` there)
-  rect doctor                              # finds what is wrong, and says what to do";
+  rect bench wombat-2                      # measures the link (run `rect bench --serve` on wombat-2)
+  rect doctor                              # finds problems and suggests solutions";
 
-/// The Robot Extensible Communication Toolkit: robots that talk over Bluetooth LE, TCP and UDP.
+/// The Robot Extensible Communication Toolkit: communication between robots over Bluetooth LE, TCP and UDP.
 #[derive(Parser)]
 #[command(name = "rect", version, after_help = EXAMPLE)]
 struct Arguments {
-    /// When output is coloured; on a terminal unless NO_COLOR is set
+    /// When to colour the output; `auto`: on a terminal, unless NO_COLOR is set
     #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t = When::Auto)]
     color: When,
     #[command(subcommand)]
     command: Command,
 }
 
-/// When output is coloured.
+/// When to colour the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum When {
     Auto,
@@ -69,11 +69,11 @@ enum When {
 #[derive(Subcommand)]
 enum Command {
     Sim(router::SimArguments),
-    Pub(speak::PubArguments),
-    Send(speak::SendArguments),
-    Sub(listen::SubArguments),
-    Request(ask::RequestArguments),
-    Serve(ask::ServeArguments),
+    Pub(publish::PubArguments),
+    Send(publish::SendArguments),
+    Sub(subscribe::SubArguments),
+    Request(request::RequestArguments),
+    Serve(request::ServeArguments),
     Stream(stream::StreamArguments),
     Topic(topic::TopicArguments),
     Transfer(transfer::TransferArguments),
@@ -93,8 +93,9 @@ enum Command {
     Man(manual::ManArguments),
 }
 
-/// Why a command failed, for a person.
+/// The error of a command, whose text is printed.
 type Failure = Box<dyn std::error::Error + Send + Sync>;
+/// The result of a command.
 type Done = Result<ExitCode, Failure>;
 
 fn main() -> ExitCode {
@@ -111,7 +112,7 @@ fn main() -> ExitCode {
         )
         .with_writer(std::io::stderr)
         .with_ansi(colours_on_stderr())
-        // It would report them by a macro that panics once stderr is closed.
+        // The subscriber reports its own errors with a macro that panics if stderr is closed.
         .log_internal_errors(false)
         .init();
     let done = match arguments.command {
@@ -121,11 +122,11 @@ fn main() -> ExitCode {
         Command::Completion(arguments) => Ok(completion::run(&arguments)),
         Command::Man(arguments) => manual::run(&arguments),
         Command::Dictionary(arguments) => dictionary::run(arguments),
-        Command::Pub(arguments) => wait(speak::publish(arguments)),
-        Command::Send(arguments) => wait(speak::send(arguments)),
-        Command::Sub(arguments) => wait(listen::run(arguments)),
-        Command::Request(arguments) => wait(ask::request(arguments)),
-        Command::Serve(arguments) => wait(ask::serve(arguments)),
+        Command::Pub(arguments) => wait(publish::publish(arguments)),
+        Command::Send(arguments) => wait(publish::send(arguments)),
+        Command::Sub(arguments) => wait(subscribe::run(arguments)),
+        Command::Request(arguments) => wait(request::request(arguments)),
+        Command::Serve(arguments) => wait(request::serve(arguments)),
         Command::Stream(arguments) => wait(stream::run(arguments)),
         Command::Topic(arguments) => wait(topic::run(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
@@ -150,7 +151,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs it to its end, or to Ctrl-C.
+/// Runs a command until it ends or is interrupted by Ctrl-C.
 fn wait(command: impl Future<Output = Done>) -> Done {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -161,7 +162,7 @@ fn wait(command: impl Future<Output = Done>) -> Done {
             done = command => done,
             interrupted = tokio::signal::ctrl_c() => {
                 interrupted?;
-                // As shells tell that a program was interrupted.
+                // The status that shells use for an interrupted program.
                 Ok(ExitCode::from(130))
             }
         }
@@ -170,7 +171,7 @@ fn wait(command: impl Future<Output = Done>) -> Done {
     done
 }
 
-/// Prints an error, parts of which may come from another robot.
+/// Prints an error. Control characters are replaced, since the text may come from another robot.
 fn report(error: &(dyn std::error::Error + 'static)) {
     rect::errln!(
         "{} {}",
@@ -179,7 +180,7 @@ fn report(error: &(dyn std::error::Error + 'static)) {
     );
 }
 
-/// The endpoint of a router on the command line.
+/// Parses the endpoint of a router.
 fn endpoint(text: &str) -> Result<String, rect::core::endpoint::EndpointError> {
     rect::core::endpoint::parse(text)
 }

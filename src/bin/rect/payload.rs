@@ -1,4 +1,4 @@
-//! Owns what a user gives to be sent: from the command line, a file or the standard input.
+//! Reads the value of a message from the command line, a file or the standard input.
 use std::{
     fs,
     io::{self, Read},
@@ -10,24 +10,24 @@ use rect::{Encoding, Payload};
 
 use crate::Failure;
 
-/// The largest file that goes as one message, in bytes; larger ones are for a transfer.
+/// Largest size of a message that is read from a file, in bytes; larger files require a transfer.
 const MAX_BYTES: u64 = 16 << 20;
 
-/// What to send.
+/// The value of a message.
 #[derive(Args, Clone, Debug)]
 pub struct PayloadArguments {
-    /// The value: JSON if it is that, else text; `-` reads the standard input
+    /// The value, sent as JSON if it is valid JSON, otherwise as text; `-` reads stdin [default: an empty text]
     value: Option<String>,
-    /// A file instead; what it is, its name says: .json, .txt, .png, .jpg, .webp, .cbor, else bytes
+    /// Send this file instead; its name determines the encoding: .json, .txt, .png, .jpg, .webp, .cbor, otherwise bytes
     #[arg(long, value_name = "FILE", conflicts_with = "value")]
     file: Option<PathBuf>,
-    /// Text even if it could be JSON
+    /// Send the value as text even if it is valid JSON
     #[arg(long)]
     text: bool,
 }
 
 impl PayloadArguments {
-    /// Reads it. Nothing given: an empty text.
+    /// Reads the value; without arguments it is an empty text.
     pub fn payload(&self) -> Result<Payload, Failure> {
         if let Some(file) = &self.file {
             return read(file);
@@ -51,7 +51,7 @@ fn read(file: &Path) -> Result<Payload, Failure> {
     let bytes = fs::metadata(file).map_err(named)?.len();
     if bytes > MAX_BYTES {
         return Err(format!(
-            "{}: {bytes} bytes, and a message has at most {MAX_BYTES}",
+            "{}: {bytes} bytes exceed the limit of {MAX_BYTES} for a message; send it with `rect transfer send`",
             file.display()
         )
         .into());

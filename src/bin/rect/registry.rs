@@ -1,9 +1,9 @@
-//! Owns `rect peers` and `rect connections`.
+//! Implements `rect peers` and `rect connections`.
 use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
 use rect::{
-    core::wording::milliseconds,
+    core::humanize::milliseconds,
     terminal::{self, connections_of_robot, Table},
     Connection, ConnectionState, Name,
 };
@@ -14,37 +14,37 @@ use crate::{
     Done,
 };
 
-/// Show which robots of the fleet are there, and how they are linked with this one.
+/// List the reachable robots of the fleet, and how they are linked with this one
 #[derive(Args)]
 pub struct PeersArguments {
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     join: JoinArguments,
 }
 
-/// Show which connections a robot's router has.
+/// List the connections of a robot's router
 #[derive(Args)]
 pub struct ConnectionsArguments {
-    /// Whose [default: this robot's]
+    /// The robot of the router [default: this robot]
     #[arg(value_parser = name)]
     robot: Option<Name>,
-    /// Which, as the registry takes it: method=ble, state=connected, 'peer=wombat-2;method=tcp'
+    /// List only connections that match, such as method=ble, state=connected, 'peer=wombat-2;method=tcp'
     #[arg(long, default_value = "")]
-    which: String,
-    /// As JSON
+    filter: String,
+    /// Print JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     join: JoinArguments,
 }
 
-/// `rect peers`.
+/// Runs `rect peers`.
 pub async fn peers(arguments: PeersArguments) -> Done {
-    let robot = arguments.join.join_to_hear().await?;
+    let robot = arguments.join.join_unnamed().await?;
     let peers = robot.peers().await?;
-    // Without a registry one sees who is there all the same.
+    // Without a registry, the robots are listed without their links.
     let connections = robot.connections().await.unwrap_or_default();
     let mut linked: BTreeMap<&str, Vec<&Connection>> = BTreeMap::new();
     for one in &connections {
@@ -62,7 +62,7 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         return Ok(ExitCode::SUCCESS);
     }
     if peers.is_empty() {
-        rect::outln!("no other robot of the fleet {} is there", robot.fleet());
+        rect::outln!("no other robot of the fleet {} is reachable", robot.fleet());
         return Ok(ExitCode::SUCCESS);
     }
     let mut table = Table::new(&["ROBOT", "LINKED BY", "ROUND TRIP", "SIGNAL"]);
@@ -94,11 +94,11 @@ pub async fn peers(arguments: PeersArguments) -> Done {
     Ok(ExitCode::SUCCESS)
 }
 
-/// `rect connections`.
+/// Runs `rect connections`.
 pub async fn connections(arguments: ConnectionsArguments) -> Done {
-    let robot = arguments.join.join_to_hear().await?;
-    let whose = arguments.robot.unwrap_or_else(|| robot.name().clone());
-    let connections = robot.connections_of(&whose, &arguments.which).await?;
+    let robot = arguments.join.join_unnamed().await?;
+    let owner = arguments.robot.unwrap_or_else(|| robot.name().clone());
+    let connections = robot.connections_of(&owner, &arguments.filter).await?;
     if arguments.json {
         terminal::json(&connections)?;
         return Ok(ExitCode::SUCCESS);

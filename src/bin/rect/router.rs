@@ -1,4 +1,5 @@
-//! Owns the commands of `rect` that `rect-router` does, which is beside it or on the PATH: `rect` becomes that program.
+//! Implements the commands of `rect` that `rect-router` executes. `rect` replaces itself by that program, which is installed
+//! beside it or on the PATH.
 use std::{
     env,
     ffi::OsString,
@@ -14,14 +15,14 @@ use rect::terminal;
 use crate::{endpoint, Done, Failure};
 
 const ROUTER: &str = "rect-router";
-/// Names another rect-router than the one beside this program.
+/// The environment variable that selects another `rect-router` than the one beside this program.
 const VARIABLE: &str = "RECT_ROUTER";
 
-/// Write a robot's configuration, login and list of connections into a folder; `rect init --help` has the options
+/// Write the configuration, login file and connections file of a robot to a folder; see `rect init --help`
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub struct InitArguments {
-    /// The robot's name, and options
+    /// The name of the robot, and options
     #[arg(
         trailing_var_arg = true,
         allow_hyphen_values = true,
@@ -30,7 +31,7 @@ pub struct InitArguments {
     arguments: Vec<OsString>,
 }
 
-/// Read a configuration as the router would, start nothing, and report what is wrong with it
+/// Check a configuration as the router would read it, without starting anything
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub struct CheckArguments {
@@ -43,11 +44,11 @@ pub struct CheckArguments {
     arguments: Vec<OsString>,
 }
 
-/// Start simulated robots to play with, on this computer and without Bluetooth, until Ctrl-C
+/// Run simulated robots on this computer, without Bluetooth, until Ctrl-C
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub struct SimArguments {
-    /// `rect sim --help` has the options
+    /// The options; see `rect sim --help`
     #[arg(
         trailing_var_arg = true,
         allow_hyphen_values = true,
@@ -56,7 +57,7 @@ pub struct SimArguments {
     arguments: Vec<OsString>,
 }
 
-/// Which router to ask.
+/// The router to query.
 #[derive(Args)]
 struct AtArguments {
     /// The router [default: $RECT_ENDPOINT, else tcp/127.0.0.1:7447]
@@ -65,72 +66,72 @@ struct AtArguments {
     /// The login file, if the router requires a login
     #[arg(long, value_name = "FILE")]
     users: Option<PathBuf>,
-    /// The fleet's name
+    /// The name of the fleet
     #[arg(long, default_value = "rect")]
     fleet: String,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Show the robots of the fleet at a glance, a line for each
+/// Show the state of the robots of the fleet, one line for each
 #[derive(Args)]
 pub struct StatusArguments {
-    /// The robot [default: all of the fleet]
+    /// The robot [default: all robots of the fleet]
     robot: Option<String>,
     #[command(flatten)]
     at: AtArguments,
 }
 
-/// Look for robots that advertise by Bluetooth
+/// Scan for robots that advertise over Bluetooth
 #[derive(Args)]
 pub struct ScanArguments {
     /// The Bluetooth adapter
     #[arg(long, default_value = "hci0")]
     adapter: String,
-    /// How long to scan, 1 to 600
+    /// How long to scan, 1 to 600 seconds
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=600))]
     seconds: u64,
-    /// The fleet's name, to tell its robots from others
+    /// The name of the fleet, to distinguish its robots from others
     #[arg(long, default_value = "rect")]
     fleet: String,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Find what keeps programs here from talking to other robots, and report what to do
+/// Find problems that prevent communication with other robots, and suggest solutions
 #[derive(Args)]
 pub struct DoctorArguments {
-    /// Check that this is the robot of the router [default: any]
+    /// Check that the router belongs to this robot [default: any robot]
     #[arg(long = "as", value_name = "ROBOT")]
     robot: Option<String>,
     #[command(flatten)]
     at: AtArguments,
 }
 
-/// `rect init`.
+/// Runs `rect init`.
 pub fn init(arguments: InitArguments) -> Done {
     become_router("init", arguments.arguments)
 }
 
-/// `rect check`.
+/// Runs `rect check`.
 pub fn check(arguments: CheckArguments) -> Done {
     become_router("check", arguments.arguments)
 }
 
-/// `rect sim`.
+/// Runs `rect sim`.
 pub fn sim(arguments: SimArguments) -> Done {
     become_router("sim", arguments.arguments)
 }
 
-/// `rect status`.
+/// Runs `rect status`.
 pub fn status(arguments: StatusArguments) -> Done {
     let robot = arguments.robot.map(OsString::from);
     become_router("status", robot.into_iter().chain(arguments.at.passed_on()))
 }
 
-/// `rect scan`.
+/// Runs `rect scan`.
 pub fn scan(arguments: ScanArguments) -> Done {
     let ScanArguments {
         adapter,
@@ -150,7 +151,7 @@ pub fn scan(arguments: ScanArguments) -> Done {
     become_router("scan", options.chain(json.then(|| "--json".into())))
 }
 
-/// `rect doctor`.
+/// Runs `rect doctor`.
 pub fn doctor(arguments: DoctorArguments) -> Done {
     let robot = arguments.robot.map(|robot| ["--as".into(), robot.into()]);
     let robot = robot.into_iter().flatten();
@@ -167,7 +168,7 @@ impl AtArguments {
     }
 }
 
-/// Replaces this program by rect-router, which calls itself `rect` in what it prints.
+/// Replaces this program by `rect-router`, which uses the name `rect` in its output.
 fn become_router(command: &str, arguments: impl IntoIterator<Item = OsString>) -> Done {
     let program = program();
     let mut router = Command::new(&program);
@@ -175,12 +176,12 @@ fn become_router(command: &str, arguments: impl IntoIterator<Item = OsString>) -
     if let Some((name, value)) = terminal::colours_by_environment() {
         router.env_remove("NO_COLOR").env(name, value);
     }
-    // It returns only if it fails.
+    // Returns only if it fails.
     let error = router.exec();
     Err(not_started(command, &program, &error))
 }
 
-/// The router named by the environment, else the one beside this program, else the one on the PATH.
+/// Returns the `rect-router` selected by the environment, else the one beside this program, else the one on the PATH.
 fn program() -> PathBuf {
     if let Some(named) = env::var_os(VARIABLE).filter(|named| !named.is_empty()) {
         return named.into();
@@ -196,8 +197,8 @@ fn not_started(command: &str, program: &std::path::Path, error: &io::Error) -> F
     let program = program.display();
     if error.kind() == ErrorKind::NotFound {
         return format!(
-            "`rect {command}` needs {ROUTER}, and {program} is not there: install it beside `rect` or on the PATH, \
-             or name it by {VARIABLE}"
+            "`rect {command}` requires {ROUTER}, and {program} is not installed: install it beside `rect` or on the PATH, \
+             or set the environment variable {VARIABLE} to its path"
         )
         .into();
     }

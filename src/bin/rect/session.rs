@@ -1,4 +1,4 @@
-//! Owns how a command joins: the arguments for it, and whose program it is.
+//! Connects a command to a router: its arguments, and the name under which it connects.
 use std::path::PathBuf;
 
 use clap::Args;
@@ -7,36 +7,36 @@ use serde_json::Value;
 
 use crate::{endpoint, Failure};
 
-/// As whom to ask a router which robot it is of; nothing is said under this name.
-const NOBODY: &str = "rect-tool";
+/// The name under which a command queries a router for the name of its robot. Nothing is published under it.
+const PLACEHOLDER: &str = "rect-tool";
 
-/// Where to join, and as whom.
+/// The router to connect to, and the name under which to connect.
 #[derive(Args, Clone, Debug)]
 pub struct JoinArguments {
-    /// Speak as this robot [default: the one whose router it is]
+    /// Connect as a program of this robot [default: the robot of the router]
     #[arg(long = "as", value_name = "ROBOT")]
-    speaker: Option<String>,
-    /// The team's name
+    robot_name: Option<String>,
+    /// The name of the fleet
     #[arg(long, default_value = "rect")]
     fleet: String,
-    /// The router; $RECT_ENDPOINT changes the default
+    /// The router; the environment variable RECT_ENDPOINT changes the default
     #[arg(long, value_name = "ENDPOINT", default_value_t = Options::default_router(), value_parser = endpoint)]
     router: String,
-    /// The login file, if the router asks for a login [default: $RECT_LOGIN, else /etc/rect/users]
+    /// The login file, if the router requires a login [default: $RECT_LOGIN, else /etc/rect/users]
     #[arg(long, value_name = "FILE")]
     users: Option<PathBuf>,
 }
 
-/// How to say something.
+/// The urgency and compression of a message.
 #[derive(Args, Clone, Debug)]
-pub struct SpeakArguments {
-    /// bulk, normal or urgent: urgent messages overtake all others, on every link
+pub struct DeliveryArguments {
+    /// bulk, normal or urgent: urgent messages overtake all others on every link
     #[arg(long, default_value = "normal", value_parser = urgency)]
     pub urgency: Urgency,
-    /// Make it smaller: zstd:3, png, jpeg:60, webp:60, quantised:0.01, ...
+    /// Compress the value with this codec: zstd:3, png, jpeg:60, webp:60, quantised:0.01, ...
     #[arg(long, value_name = "CODEC")]
     pub codec: Option<String>,
-    /// Make it smaller with that dictionary (`rect dictionary train`)
+    /// Compress the value with this dictionary (see `rect dictionary train`)
     #[arg(long, value_name = "FILE", conflicts_with = "codec")]
     pub dictionary: Option<PathBuf>,
 }
@@ -46,25 +46,27 @@ fn urgency(text: &str) -> Result<Urgency, String> {
         "bulk" => Ok(Urgency::Bulk),
         "normal" => Ok(Urgency::Normal),
         "urgent" => Ok(Urgency::Urgent),
-        _ => Err("bulk, normal or urgent".to_owned()),
+        _ => Err("write bulk, normal or urgent".to_owned()),
     }
 }
 
 impl JoinArguments {
-    /// Joins.
+    /// Connects as the given robot, or as the robot of the router.
     pub async fn join(&self) -> Result<Robot, Failure> {
-        let robot = match &self.speaker {
+        let robot = match &self.robot_name {
             Some(robot) => robot.clone(),
             None => self.robot_of_router().await?,
         };
         Ok(self.options(&robot)?.connect().await?)
     }
 
-    /// Joins to ask and hear only: the router needs no robot's name for that.
-    pub async fn join_to_hear(&self) -> Result<Robot, Failure> {
+    /// Connects for receiving and requesting only, which is also possible at a router without a robot's name.
+    pub async fn join_unnamed(&self) -> Result<Robot, Failure> {
         match self.join().await {
             Ok(robot) => Ok(robot),
-            Err(error) if error.is::<Unnamed>() => Ok(self.nobody()?.connect().await?),
+            Err(error) if error.is::<Unnamed>() => {
+                Ok(self.placeholder_options()?.connect().await?)
+            }
             Err(error) => Err(error),
         }
     }
@@ -78,14 +80,14 @@ impl JoinArguments {
         })
     }
 
-    /// To ask the router, whichever robot it serves.
-    fn nobody(&self) -> Result<Options, rect::Error> {
-        Ok(self.options(NOBODY)?.allow_name_mismatch())
+    /// Returns the options for connecting to a router whose robot is not known.
+    fn placeholder_options(&self) -> Result<Options, rect::Error> {
+        Ok(self.options(PLACEHOLDER)?.allow_name_mismatch())
     }
 
     async fn robot_of_router(&self) -> Result<String, Failure> {
-        let asking = self.nobody()?.connect().await?;
-        let zenoh = asking.zenoh();
+        let placeholder = self.placeholder_options()?.connect().await?;
+        let zenoh = placeholder.zenoh();
         let router = zenoh.info().routers_zid().await.next();
         let router = router.map(|id| id.to_string()).unwrap_or_default();
         let robots = zenoh.get(format!("{}/*/@rect/status", self.fleet)).await?;
@@ -105,7 +107,7 @@ impl JoinArguments {
                 break;
             }
         }
-        asking.close().await?;
+        placeholder.close().await?;
         found.ok_or_else(|| {
             Unnamed {
                 router: self.router.clone(),
@@ -116,33 +118,33 @@ impl JoinArguments {
     }
 }
 
-/// The router is no robot's.
+/// The router does not have the name of a robot.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "the router at {router} is that of no robot of the fleet {fleet}: say as whom to speak, with `--as <robot>`, \
-     or give it a name (plugins/rect/robot in its configuration)"
+    "the router at {router} does not belong to a robot of the fleet {fleet}: name the robot to connect as with \
+     `--as <robot>`, or give the router a name (plugins/rect/robot in its configuration)"
 )]
 struct Unnamed {
     router: String,
     fleet: String,
 }
 
-impl SpeakArguments {
-    /// The same robot, speaking so.
-    pub fn of(&self, robot: &Robot) -> Result<Robot, Failure> {
-        let robot = robot.with(self.urgency);
+impl DeliveryArguments {
+    /// Returns a handle of `robot` with this urgency and codec.
+    pub fn apply(&self, robot: &Robot) -> Result<Robot, Failure> {
+        let robot = robot.with_urgency(self.urgency);
         if let Some(file) = &self.dictionary {
             let dictionary = rect::core::dictionary::Dictionary::read(file)?;
-            return Ok(robot.packed_with(dictionary.into())?);
+            return Ok(robot.with_dictionary(dictionary.into())?);
         }
         Ok(match &self.codec {
-            Some(codec) => robot.encoded(rect::core::codec::parse(codec)?),
+            Some(codec) => robot.with_codec(rect::core::codec::parse(codec)?),
             None => robot,
         })
     }
 }
 
-/// A robot's name on the command line.
+/// Parses the name of a robot on the command line.
 pub fn name(text: &str) -> Result<Name, rect::core::name::NameError> {
     Name::new(text)
 }

@@ -1,4 +1,4 @@
-//! Owns `rect stream`: watching a stream, and sending pictures as one.
+//! Implements `rect stream`, which receives a stream, or sends pictures as a stream.
 use std::{fs, path::PathBuf, process::ExitCode, time::Duration};
 
 use clap::{Args, Subcommand};
@@ -10,12 +10,12 @@ use serde_json::{json, Value};
 use tokio::time::{interval, MissedTickBehavior};
 
 use crate::{
+    display,
     session::{name, JoinArguments},
-    shown::shown,
     Done, Failure,
 };
 
-/// Streams, of which the newest frame counts.
+/// Receive and send streams of frames, of which the newest counts
 #[derive(Args)]
 pub struct StreamArguments {
     #[command(subcommand)]
@@ -24,33 +24,33 @@ pub struct StreamArguments {
 
 #[derive(Subcommand)]
 enum StreamCommand {
-    /// Show the frames of a robot's stream, until Ctrl-C
+    /// Print the frames of a robot's stream, until Ctrl-C
     Watch {
-        /// Whose
+        /// The robot
         #[arg(value_parser = name)]
         robot: Name,
-        /// Which, such as camera
+        /// The topic of the stream, such as camera
         topic: Topic,
-        /// Put the newest frame into this file, again and again
+        /// Write the newest frame to this file
         #[arg(long, value_name = "FILE")]
         output: Option<PathBuf>,
-        /// End after so many
+        /// Exit after this number of frames
         #[arg(long)]
         count: Option<u64>,
-        /// A line of JSON for each
+        /// Print a line of JSON for each frame
         #[arg(long)]
         json: bool,
         #[command(flatten)]
         join: JoinArguments,
     },
-    /// Send pictures as a stream, one after another and again, until Ctrl-C: size and quality follow what gets through
+    /// Send pictures as a stream in an endless loop, until Ctrl-C; size and quality adapt to the throughput of the link
     Send {
-        /// Which, such as camera
+        /// The topic of the stream, such as camera
         topic: Topic,
-        /// .png, .jpg or .webp
+        /// The pictures: .png, .jpg or .webp files
         #[arg(required = true)]
         pictures: Vec<PathBuf>,
-        /// Pictures a second
+        /// Pictures per second
         #[arg(long, default_value_t = 10.0)]
         rate: f64,
         #[command(flatten)]
@@ -58,11 +58,11 @@ enum StreamCommand {
     },
 }
 
-/// `rect stream`.
+/// Runs `rect stream`.
 pub async fn run(arguments: StreamArguments) -> Done {
     match arguments.command {
         StreamCommand::Watch {
-            robot: whose,
+            robot: sender,
             topic,
             output,
             count,
@@ -70,10 +70,10 @@ pub async fn run(arguments: StreamArguments) -> Done {
             join,
         } => {
             let robot = join.join().await?;
-            let watch = robot.watch(&whose, &topic).await?;
+            let watch = robot.watch(&sender, &topic).await?;
             let mut left = count.unwrap_or(u64::MAX);
             while left > 0 {
-                let Some(frame) = watch.recv().await else {
+                let Some(frame) = watch.next().await else {
                     break;
                 };
                 left -= 1;
@@ -97,12 +97,12 @@ pub async fn run(arguments: StreamArguments) -> Done {
             let every = Duration::try_from_secs_f64(1.0 / rate)
                 .ok()
                 .filter(|every| !every.is_zero())
-                .ok_or("--rate is a number of pictures a second, such as 10")?;
+                .ok_or("--rate must be a number of pictures per second, such as 10")?;
             let pictures: Vec<Picture> = pictures.iter().map(picture).collect::<Result<_, _>>()?;
             let robot = join.join().await?;
             let stream = robot.stream(&topic, StreamOptions::default()).await?;
             rect::errln!(
-                "rect: `rect stream watch {} {topic}` shows them; Ctrl-C ends this",
+                "rect: sending; receive it with `rect stream watch {} {topic}`; press Ctrl-C to exit",
                 robot.name()
             );
             let mut ticks = interval(every);
@@ -117,13 +117,13 @@ pub async fn run(arguments: StreamArguments) -> Done {
 }
 
 fn as_text(frame: &Frame) -> String {
-    let age = frame.age.map_or("of unknown age".to_owned(), |age| {
+    let age = frame.age.map_or("age unknown".to_owned(), |age| {
         format!("{} ms old", age.as_millis())
     });
     let (number, skipped) = (frame.number, frame.skipped);
     format!(
         "{number}, {age}, {skipped} skipped: {}",
-        shown(&frame.payload)
+        display::text(&frame.payload)
     )
 }
 
@@ -137,7 +137,7 @@ fn as_json(frame: &Frame) -> Value {
     })
 }
 
-/// A viewer never sees half a picture.
+/// Replaces a file in one step, so that a viewer never reads half a picture.
 fn replace(file: &PathBuf, payload: &Payload) -> Result<(), Failure> {
     let new = file.with_extension("new");
     let named = |error: std::io::Error| format!("{}: {error}", file.display());
@@ -151,7 +151,10 @@ fn picture(file: &PathBuf) -> Result<Picture, Failure> {
         Some("png") => Encoding::PNG,
         Some("jpg" | "jpeg") => Encoding::JPEG,
         Some("webp") => Encoding::WEBP,
-        _ => return Err(format!("{}: .png, .jpg and .webp are pictures", file.display()).into()),
+        _ => {
+            let problem = "not a picture; .png, .jpg and .webp files are supported";
+            return Err(format!("{}: {problem}", file.display()).into());
+        }
     };
     let read = Payload::new(bytes, encoding).picture(&Limits::default());
     Ok(read.map_err(|error| format!("{}: {error}", file.display()))?)

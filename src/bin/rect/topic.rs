@@ -1,13 +1,13 @@
-//! Owns `rect topic`: which topics robots publish, and how often. Each robot's own router measures that, so that no message
-//! goes over the air for it.
+//! Implements `rect topic`, which shows the topics that robots publish, and their rates. Each robot's router measures them,
+//! so that no messages are transmitted for the measurement.
 use std::{process::ExitCode, time::Duration};
 
 use clap::{Args, Subcommand};
 use rect::{
     core::{
         display::line,
+        humanize::bytes,
         topics::{TopicReport, Topics, MEASURE, TOPIC, TOPICS, WINDOW},
-        wording::bytes,
     },
     terminal::{self, Cell, Style, Table},
     Name, Robot,
@@ -15,19 +15,19 @@ use rect::{
 use serde_json::json;
 
 use crate::{
+    duration::DurationArgument,
     session::{name, JoinArguments},
-    span::Span,
     Done, Failure,
 };
 
-/// How long routers have to answer: over a slow link, with several robots.
+/// Timeout of a query, chosen for a slow link with several robots.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// How long messages are counted before `list` and `info` show them.
+/// How long messages are counted before `hz` prints the first line.
 const COUNTED: Duration = Duration::from_secs(2);
-/// How often `hz` prints.
+/// Interval at which `hz` prints.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Show the topics that robots publish, as their routers measure them
+/// Show the topics that robots publish, as measured by their routers
 #[derive(Args)]
 pub struct TopicArguments {
     #[command(subcommand)]
@@ -49,22 +49,22 @@ enum TopicCommand {
     /// Print the rate of a topic once a second, until Ctrl-C
     Hz {
         /// The topic, <robot>/<topic>: wombat-2/arm/angle
-        #[arg(value_parser = of_robot)]
-        topic: OfRobot,
-        /// End after this number of lines
+        #[arg(value_parser = robot_topic)]
+        topic: RobotTopic,
+        /// Exit after this number of lines
         #[arg(long)]
         count: Option<u64>,
-        /// A line of JSON each time
+        /// Print lines of JSON
         #[arg(long)]
         json: bool,
         #[command(flatten)]
         join: JoinArguments,
     },
-    /// Show everything that is known of a topic
+    /// Show all information about a topic
     Info {
         /// The topic, <robot>/<topic>: wombat-2/arm/angle
-        #[arg(value_parser = of_robot)]
-        topic: OfRobot,
+        #[arg(value_parser = robot_topic)]
+        topic: RobotTopic,
         #[command(flatten)]
         measured: MeasuredArguments,
         #[command(flatten)]
@@ -74,43 +74,45 @@ enum TopicCommand {
 
 #[derive(Args)]
 struct MeasuredArguments {
-    /// How long to count messages, at most 5s; 0s: list only what programs have declared
+    /// How long to count messages, at most 5s; 0s: only list the topics that programs have declared
     #[arg(long, default_value = "2s")]
-    duration: Span,
-    /// As JSON
+    duration: DurationArgument,
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 /// A topic of one robot.
 #[derive(Clone, Debug)]
-struct OfRobot {
+struct RobotTopic {
     robot: Name,
     topic: String,
 }
 
-fn of_robot(text: &str) -> Result<OfRobot, String> {
+fn robot_topic(text: &str) -> Result<RobotTopic, String> {
     let named = text.split_once('/').filter(|(_, topic)| !topic.is_empty());
     let (robot, topic) = named.ok_or("write <robot>/<topic>, such as wombat-2/arm/angle")?;
     if topic.contains(['*', '?', '#', ';', '$']) {
-        return Err("name one topic, without wildcards; `rect topic list` shows all".to_owned());
+        return Err(
+            "wildcards are not allowed here; `rect topic list` lists all topics".to_owned(),
+        );
     }
-    Ok(OfRobot {
+    Ok(RobotTopic {
         robot: name(robot).map_err(|error| error.to_string())?,
         topic: topic.to_owned(),
     })
 }
 
-/// `rect topic`.
+/// Runs `rect topic`.
 pub async fn run(arguments: TopicArguments) -> Done {
     match arguments.command {
         TopicCommand::List {
-            robot: whose,
+            robot: publisher,
             measured,
             join,
         } => {
-            let robot = join.join_to_hear().await?;
-            let answers = measure(&robot, whose.as_ref(), None, measured.duration).await?;
+            let robot = join.join_unnamed().await?;
+            let answers = measure(&robot, publisher.as_ref(), None, measured.duration).await?;
             if measured.json {
                 let all = answers
                     .iter()
@@ -126,7 +128,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
             json,
             join,
         } => {
-            let robot = join.join_to_hear().await?;
+            let robot = join.join_unnamed().await?;
             hz(&robot, &topic, count, json).await?;
         }
         TopicCommand::Info {
@@ -134,7 +136,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
             measured,
             join,
         } => {
-            let robot = join.join_to_hear().await?;
+            let robot = join.join_unnamed().await?;
             let one = measure(
                 &robot,
                 Some(&topic.robot),
@@ -147,7 +149,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
                 .map(|(_, topics)| topics.clone())
                 .unwrap_or_default();
             let Some(report) = topics.topics.first() else {
-                return Err(not_there(&topic));
+                return Err(not_published(&topic));
             };
             if measured.json {
                 terminal::json(&report_as_json(report))?;
@@ -159,43 +161,46 @@ pub async fn run(arguments: TopicArguments) -> Done {
     Ok(ExitCode::SUCCESS)
 }
 
-fn not_there(topic: &OfRobot) -> Failure {
-    let OfRobot { robot, topic } = topic;
+fn not_published(topic: &RobotTopic) -> Failure {
+    let RobotTopic { robot, topic } = topic;
     let topic = line(topic);
-    format!("{robot} has no publisher of {topic}, and published nothing about it now; `rect topic list {robot}` shows its topics")
+    format!("{robot} has no publisher of {topic}, and published no message on it during the measurement; `rect topic list {robot}` lists its topics")
         .into()
 }
 
-/// The topics of a robot or of all, once messages were counted for that time.
+/// Counts messages for `duration`, and returns the topics of one robot or of all robots.
 async fn measure(
     robot: &Robot,
-    whose: Option<&Name>,
+    publisher: Option<&Name>,
     topic: Option<&str>,
-    duration: Span,
+    duration: DurationArgument,
 ) -> Result<Vec<(String, Topics)>, Failure> {
     let duration = duration.0.min(WINDOW);
     if duration.is_zero() {
-        return ask(robot, whose, topic, false).await;
+        return query(robot, publisher, topic, false).await;
     }
-    // The first question makes the routers count.
-    ask(robot, whose, topic, true).await?;
+    // The first query starts the measurement.
+    query(robot, publisher, topic, true).await?;
     tokio::time::sleep(duration).await;
-    ask(robot, whose, topic, true).await
+    query(robot, publisher, topic, true).await
 }
 
-/// Returns the routers' answers by robot name.
-async fn ask(
+/// Queries the routers and returns their replies, ordered by the robot's name.
+async fn query(
     robot: &Robot,
-    whose: Option<&Name>,
+    publisher: Option<&Name>,
     topic: Option<&str>,
     measure: bool,
 ) -> Result<Vec<(String, Topics)>, Failure> {
     let fleet = robot.fleet();
-    let who = whose.map_or("*", Name::as_str);
+    let publisher_name = publisher.map_or("*", Name::as_str);
     let mut parameters = Vec::new();
     parameters.extend(measure.then(|| MEASURE.to_owned()));
     parameters.extend(topic.map(|topic| format!("{TOPIC}={topic}")));
-    let selector = format!("{fleet}/{who}/@rect/{TOPICS}?{}", parameters.join(";"));
+    let selector = format!(
+        "{fleet}/{publisher_name}/@rect/{TOPICS}?{}",
+        parameters.join(";")
+    );
     let replies = robot.zenoh().get(selector).timeout(TIMEOUT).await?;
     let mut answers = Vec::new();
     while let Ok(reply) = replies.recv_async().await {
@@ -208,12 +213,12 @@ async fn ask(
         answers.push((name, serde_json::from_slice(&sample.payload().to_bytes())?));
     }
     if answers.is_empty() {
-        let who = whose.map_or_else(
+        let asked = publisher.map_or_else(
             || "no robot".to_owned(),
             |robot| format!("no robot {robot}"),
         );
         return Err(format!(
-            "{who} of the fleet {fleet} answers about its topics: does its router run, with plugins/rect in its configuration?"
+            "{asked} of the fleet {fleet} replied about its topics. Is its router running, with plugins/rect in its configuration?"
         )
         .into());
     }
@@ -248,19 +253,24 @@ fn list(answers: &[(String, Topics)]) {
     }
     table.print();
     if more > 0 {
-        rect::errln!("rect: there are more topics than are shown");
+        rect::errln!("rect: {more} more topics are not listed");
     }
 }
 
-async fn hz(robot: &Robot, topic: &OfRobot, count: Option<u64>, json: bool) -> Result<(), Failure> {
-    // The first question makes the router count.
-    ask(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
+async fn hz(
+    robot: &Robot,
+    topic: &RobotTopic,
+    count: Option<u64>,
+    json: bool,
+) -> Result<(), Failure> {
+    // The first query starts the measurement.
+    query(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
     let mut ticks = tokio::time::interval(EVERY);
     ticks.tick().await;
     tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
     for _ in 0..count.unwrap_or(u64::MAX) {
         ticks.tick().await;
-        let answers = ask(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
+        let answers = query(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
         let topics = answers.into_iter().next().map(|(_, topics)| topics);
         let topics = topics.unwrap_or_default();
         let report = topics.topics.first().cloned().unwrap_or_default();
@@ -289,8 +299,8 @@ fn rate(report: &TopicReport, window_s: f64) -> String {
     )
 }
 
-fn info(topic: &OfRobot, topics: &Topics, report: &TopicReport) {
-    let OfRobot { robot, topic } = topic;
+fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
+    let RobotTopic { robot, topic } = topic;
     rect::outln!("topic:      {robot}/{}", line(topic));
     rect::outln!("publishers: {}", report.publishers);
     if topics.window_s == 0.0 {
@@ -311,7 +321,7 @@ fn as_json(topics: &Topics) -> serde_json::Value {
     })
 }
 
-/// With names, which the router's answer leaves out to be short.
+/// Returns a report as JSON with field names, which the router's compact reply omits.
 fn report_as_json(one: &TopicReport) -> serde_json::Value {
     json!({
         "topic": one.topic,

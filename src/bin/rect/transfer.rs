@@ -1,4 +1,4 @@
-//! Owns `rect transfer`: files of any size, to another robot and from it.
+//! Implements `rect transfer`, which sends and receives files of any size.
 use std::{
     fmt,
     path::PathBuf,
@@ -10,23 +10,23 @@ use std::{
 use clap::{Args, Subcommand};
 use indicatif::{HumanBytes, ProgressBar, ProgressState, ProgressStyle};
 use rect::{
-    core::{display::line, transfer::Progress, wording::duration},
-    Name, Pattern, ReceiveTransfers, Topic,
+    core::{display::line, humanize::duration, transfer::Progress},
+    Name, Pattern, ReceiveOptions, Topic,
 };
 
 use crate::{
+    duration::DurationArgument,
     report,
     session::{name, JoinArguments},
-    span::Span,
     Done,
 };
 
-/// A transfer without progress for so long is shown as standing still.
+/// Time without progress after which a transfer is shown as stalled.
 const STALLED_AFTER: Duration = Duration::from_secs(3);
-/// How often the bar is drawn while nothing arrives.
+/// Interval at which the progress bar is drawn without progress.
 const TICK: Duration = Duration::from_millis(500);
 
-/// Files of any size, over a link that may come and go.
+/// Send and receive files of any size; transfers resume after a link is lost
 #[derive(Args)]
 pub struct TransferArguments {
     #[command(subcommand)]
@@ -35,31 +35,31 @@ pub struct TransferArguments {
 
 #[derive(Subcommand)]
 enum TransferCommand {
-    /// Send a file; goes on after a cut or a restart, and ends when the other robot has it, whole
+    /// Send a file, and exit when the other robot has verified the whole content
     Send {
-        /// To whom
+        /// The robot
         #[arg(value_parser = name)]
         robot: Name,
-        /// Which file
+        /// The file
         file: PathBuf,
-        /// About what
+        /// The topic
         #[arg(long, default_value = "files")]
         topic: Topic,
-        /// Give up when nothing has gone for so long [default: never]
+        /// Give up after this time without a sign of the receiver [default: never]
         #[arg(long)]
-        patience: Option<Span>,
+        timeout: Option<DurationArgument>,
         #[command(flatten)]
         join: JoinArguments,
     },
-    /// Take the files that are sent to this robot, until Ctrl-C
+    /// Receive the files that are sent to this robot, until Ctrl-C
     Receive {
-        /// Whose, and about what
+        /// The senders and topics to accept, <robot>/<topic> with wildcards
         #[arg(default_value = "*/files")]
         pattern: Pattern,
-        /// Where to; each sender has a folder of its own in it
+        /// The folder for the files, in which each sender gets a separate folder
         #[arg(long, default_value = ".")]
         folder: PathBuf,
-        /// The largest that is taken, in bytes
+        /// The largest accepted file, in bytes
         #[arg(long, default_value_t = 1 << 30)]
         max_bytes: u64,
         #[command(flatten)]
@@ -67,14 +67,14 @@ enum TransferCommand {
     },
 }
 
-/// `rect transfer`.
+/// Runs `rect transfer`.
 pub async fn run(arguments: TransferArguments) -> Done {
     match arguments.command {
         TransferCommand::Send {
             robot: to,
             file,
             topic,
-            patience,
+            timeout,
             join,
         } => {
             let robot = join.join().await?;
@@ -83,12 +83,12 @@ pub async fn run(arguments: TransferArguments) -> Done {
             let mut transfer = robot
                 .transfer(&to, &topic, file.as_path())?
                 .on_progress(move |progress| show(&shown, progress));
-            if let Some(Span(patience)) = patience {
-                transfer = transfer.patience(patience);
+            if let Some(DurationArgument(timeout)) = timeout {
+                transfer = transfer.timeout(timeout);
             }
             transfer.await?;
             bar.finish();
-            rect::outln!("{to} has {}", file.display());
+            rect::outln!("{to} has received {}", file.display());
             robot.close().await?;
         }
         TransferCommand::Receive {
@@ -100,17 +100,17 @@ pub async fn run(arguments: TransferArguments) -> Done {
             let robot = join.join().await?;
             let bar = bar();
             let shown = bar.clone();
-            let options = ReceiveTransfers::in_folder(&folder, max_bytes)
+            let options = ReceiveOptions::in_folder(&folder, max_bytes)
                 .on_progress(move |_, progress| show(&shown, progress));
             let transfers = robot.receive_transfers(&pattern, options).await?;
             let (me, place) = (robot.name(), folder.display());
-            rect::errln!("rect: {me} takes files into {place}; Ctrl-C ends this");
-            // No end after so many: a sender asks whether all is there, and this is to answer.
+            rect::errln!("rect: {me} receives files into {place}; press Ctrl-C to exit");
+            // There is no `--count`: after the last file, its sender still needs a confirmation.
             while let Some(received) = transfers.next().await {
                 match received {
                     Ok(received) => {
                         let (from, name, size) =
-                            (&received.from, &received.name, received.size_bytes);
+                            (&received.sender, &received.name, received.size_bytes);
                         bar.suspend(|| rect::outln!("{} of {from}, {size} bytes", line(name)));
                     }
                     Err(error) => bar.suspend(|| report(&error)),
@@ -131,8 +131,8 @@ fn bar() -> ProgressBar {
         move |state: &ProgressState, text: &mut dyn fmt::Write| {
             let mut pace = pace.lock().unwrap_or_else(PoisonError::into_inner);
             let stalled = pace.on_position(Instant::now(), state.pos());
-            // Writing to the bar's line cannot fail.
-            let _ = text.write_str(&said(stalled, state.per_sec(), state.eta()));
+            // Writing to the text of the bar cannot fail.
+            let _ = text.write_str(&pace_text(stalled, state.per_sec(), state.eta()));
         },
     );
     let bar = ProgressBar::new(0).with_style(style);
@@ -140,12 +140,12 @@ fn bar() -> ProgressBar {
     bar
 }
 
-/// How long a transfer has been standing still.
+/// Measures how long a transfer has been stalled.
 #[derive(Default)]
 struct Pace(Option<(u64, Instant)>);
 
 impl Pace {
-    /// Takes the position at `now`; returns for how long it has not changed, if that is long.
+    /// Updates the position at `now`; returns the time without progress if it is at least [`STALLED_AFTER`].
     fn on_position(&mut self, now: Instant, position: u64) -> Option<Duration> {
         let since = match self.0 {
             Some((last, since)) if last == position => since,
@@ -157,8 +157,8 @@ impl Pace {
     }
 }
 
-/// The rate and the time left, or that nothing moves.
-fn said(stalled: Option<Duration>, bytes_per_s: f64, left: Duration) -> String {
+/// Returns the rate and the remaining time, or the time without progress.
+fn pace_text(stalled: Option<Duration>, bytes_per_s: f64, left: Duration) -> String {
     match stalled {
         Some(stalled) => format!("no progress for {}", duration(stalled)),
         None => format!(
@@ -171,7 +171,7 @@ fn said(stalled: Option<Duration>, bytes_per_s: f64, left: Duration) -> String {
 
 fn show(bar: &ProgressBar, progress: Progress) {
     bar.set_length(progress.size_bytes);
-    bar.set_position(progress.held_bytes);
+    bar.set_position(progress.received_bytes);
 }
 
 #[cfg(test)]
@@ -179,7 +179,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stalled_transfer_promises_no_end() {
+    fn shows_no_remaining_time_while_stalled() {
         let mut pace = Pace::default();
         let start = Instant::now();
         let at = |ms| start + Duration::from_millis(ms);
@@ -187,9 +187,9 @@ mod tests {
         assert_eq!(pace.on_position(at(2900), 10), None);
         let stalled = pace.on_position(at(4000), 10);
         assert_eq!(stalled, Some(Duration::from_secs(4)));
-        let shown = said(stalled, 1000.0, Duration::from_secs(13));
+        let shown = pace_text(stalled, 1000.0, Duration::from_secs(13));
         assert_eq!(shown, "no progress for 4 s");
-        assert_eq!(pace.on_position(at(5000), 11), None, "it goes on");
-        assert!(said(None, 1000.0, Duration::from_secs(13)).ends_with("13 s left"));
+        assert_eq!(pace.on_position(at(5000), 11), None, "progress again");
+        assert!(pace_text(None, 1000.0, Duration::from_secs(13)).ends_with("13 s left"));
     }
 }

@@ -1,4 +1,4 @@
-//! Arrays are what they say, of every type.
+//! Tests arrays of every type, and invalid ones.
 use proptest::prelude::*;
 
 use super::*;
@@ -8,7 +8,11 @@ fn raw(schema: &str, bytes: usize) -> Payload {
     Payload::new(vec![0; bytes], Encoding::new(encoding))
 }
 
-fn comes_back<T: Number + PartialEq + std::fmt::Debug>(numbers: &[T], shape: &[usize], text: &str) {
+fn round_trips<T: Number + PartialEq + std::fmt::Debug>(
+    numbers: &[T],
+    shape: &[usize],
+    text: &str,
+) {
     let array = Array::of(shape, numbers).expect("an array");
     let payload = array.to_payload().expect("written");
     assert_eq!(payload.encoding.schema(), Some(text));
@@ -18,28 +22,28 @@ fn comes_back<T: Number + PartialEq + std::fmt::Debug>(numbers: &[T], shape: &[u
 }
 
 #[test]
-fn arrays_of_every_type_come_back() {
-    comes_back(&[1u8, 255], &[2], "array;u8;2");
-    comes_back(&[-1i8, 5], &[2, 1], "array;i8;2x1");
-    comes_back(&[65535u16, 5], &[1, 2], "array;u16;1x2");
-    comes_back(
+fn arrays_of_every_type_round_trip() {
+    round_trips(&[1u8, 255], &[2], "array;u8;2");
+    round_trips(&[-1i8, 5], &[2, 1], "array;i8;2x1");
+    round_trips(&[65535u16, 5], &[1, 2], "array;u16;1x2");
+    round_trips(
         &[-2i16],
         &[1, 1, 1, 1, 1, 1, 1, 1],
         "array;i16;1x1x1x1x1x1x1x1",
     );
-    comes_back(&[u32::MAX], &[1], "array;u32;1");
-    comes_back(&[i32::MIN], &[1], "array;i32;1");
-    comes_back(&[i64::MIN, i64::MAX], &[2], "array;i64;2");
-    comes_back(&[0.1f32, f32::INFINITY], &[2], "array;f32;2");
-    comes_back(&[0.1f64; 6], &[3, 2], "array;f64;3x2");
-    comes_back::<f64>(&[], &[0, 3], "array;f64;0x3");
+    round_trips(&[u32::MAX], &[1], "array;u32;1");
+    round_trips(&[i32::MIN], &[1], "array;i32;1");
+    round_trips(&[i64::MIN, i64::MAX], &[2], "array;i64;2");
+    round_trips(&[0.1f32, f32::INFINITY], &[2], "array;f32;2");
+    round_trips(&[0.1f64; 6], &[3, 2], "array;f64;3x2");
+    round_trips::<f64>(&[], &[0, 3], "array;f64;0x3");
     assert_eq!(Array::of(&[1], &[1u8]).expect("one").numbers::<i8>(), None);
     let little = Array::of(&[1], &[0x0102u16]).expect("one");
     assert_eq!(&little.bytes()[..], [2, 1], "little endian");
 }
 
 #[test]
-fn shapes_that_do_not_fit_are_refused() {
+fn shapes_that_do_not_match_are_rejected() {
     assert!(Array::of(&[], &[1u8]).is_err());
     assert!(Array::of(&[1; 9], &[1u8]).is_err());
     assert!(Array::of(&[3], &[1u8]).is_err());
@@ -72,7 +76,7 @@ fn shapes_that_do_not_fit_are_refused() {
         Payload::new("[1]", Encoding::JSON),
     ] {
         let error = other.array(&Limits::default()).expect_err("no array");
-        assert!(matches!(error, PayloadError::Other { .. }));
+        assert!(matches!(error, PayloadError::Mismatch { .. }));
     }
 }
 
@@ -80,7 +84,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_shape_comes_back(shape in prop::collection::vec(0..5usize, 1..=8), element in 0..9usize) {
+    fn arrays_of_any_shape_round_trip(shape in prop::collection::vec(0..5usize, 1..=8), element in 0..9usize) {
         let element = Element::ALL[element];
         let count: usize = shape.iter().product();
         let array = Array::new(element, &shape, vec![7; count * element.bytes()]).expect("an array");

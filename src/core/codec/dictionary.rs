@@ -1,5 +1,5 @@
-//! Owns packing with a shared dictionary: small JSON messages look alike, and what they share is in the dictionary instead
-//! of in each message.
+//! Compresses payloads with a shared dictionary. Small JSON messages resemble each other; the common parts are in the
+//! dictionary instead of in each message.
 use std::sync::Arc;
 
 use super::{zstd, Codec, CodecError, Limits};
@@ -10,39 +10,41 @@ use crate::core::{
 
 const NAME: &str = "dictionary";
 
-/// zstd with a dictionary. The frame says with which; who has it not gets [`CodecError::Dictionary`].
+/// The zstd codec with a dictionary, to which the frame refers by its id. A receiver without the dictionary reports
+/// [`CodecError::Dictionary`].
 #[derive(Clone, Debug)]
-pub struct Packed {
+pub struct DictionaryCodec {
     dictionary: Arc<Dictionary>,
 }
 
-impl Packed {
-    /// With this dictionary.
+impl DictionaryCodec {
+    /// Creates a codec with a dictionary.
     pub fn new(dictionary: Arc<Dictionary>) -> Self {
         Self { dictionary }
     }
 
-    /// The dictionary.
+    /// Returns the dictionary.
     pub fn dictionary(&self) -> &Arc<Dictionary> {
         &self.dictionary
     }
 }
 
-impl Codec for Packed {
-    /// `dictionary:<id>`, which [`parse`](super::parse) does not read: the id is not the dictionary.
+impl Codec for DictionaryCodec {
+    /// Returns `dictionary:<id>`. [`parse`](super::parse) does not accept it, because the dictionary cannot be restored
+    /// from its id.
     fn name(&self) -> String {
         format!("{NAME}:{}", self.dictionary.id())
     }
 
     fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
         let prepared = self.dictionary.prepared();
-        zstd::packed(payload, zstd::pack(&payload.bytes, 0, Some(prepared))?)
+        zstd::smaller_of(payload, zstd::compress(&payload.bytes, 0, Some(prepared))?)
     }
 
     fn decode(&self, payload: &Payload, limits: &Limits) -> Result<Payload, CodecError> {
-        let encoding = zstd::unpacked(payload, NAME)?;
+        let encoding = zstd::inner_encoding(payload, NAME)?;
         let dictionaries = Dictionaries::of(self.dictionary.clone());
-        let bytes = zstd::unpack(&payload.bytes, limits.max_bytes, &dictionaries)?;
+        let bytes = zstd::decompress(&payload.bytes, limits.max_bytes, &dictionaries)?;
         Ok(Payload::new(bytes, encoding))
     }
 }

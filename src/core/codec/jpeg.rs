@@ -1,4 +1,5 @@
-//! Owns JPEG: photographs in a fifteenth to a twentieth of their bytes, with a loss that the eye hardly sees.
+//! Encodes pictures as JPEG: photographs take a fifteenth to a twentieth of their raw size, with a loss that is barely
+//! visible.
 use jpeg_encoder::{ColorType, Encoder};
 use zune_jpeg::{
     errors::DecodeErrors,
@@ -13,20 +14,21 @@ use crate::core::{
     picture::{Format, Picture},
 };
 
-/// What the user calls it.
+/// The name of the codec.
 pub const NAME: &str = "jpeg";
 const FORMAT: &str = "JPEG";
-/// Progressive pictures come in about ten; each takes as long to read as the whole.
+/// The maximum number of scans. Progressive pictures have about ten, and decoding each takes as long as decoding the
+/// whole picture.
 const MAX_SCANS: usize = 32;
 
-/// With loss, for raw pictures. What is not opaque becomes so: JPEG knows no transparency.
+/// A lossy codec for raw pictures. Transparency is removed, because JPEG does not support it.
 #[derive(Clone, Copy, Debug)]
 pub struct Jpeg {
     quality: u8,
 }
 
 impl Jpeg {
-    /// With a quality of 1 to 100; others become the nearest of these.
+    /// Creates a codec with a quality of 1 to 100. Other values are clamped.
     pub fn new(quality: u8) -> Self {
         Self {
             quality: quality.clamp(1, 100),
@@ -44,7 +46,7 @@ impl Codec for Jpeg {
     }
 
     fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
-        let picture = Picture::wanted_by(NAME, payload)?;
+        let picture = Picture::for_codec(NAME, payload)?;
         let (width, height) = (picture.width(), picture.height());
         let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height)) else {
             return Err(CodecError::TooLarge {
@@ -73,7 +75,7 @@ impl Codec for Jpeg {
     }
 }
 
-/// Any JPEG, whole: one that is cut off is not filled up with grey.
+/// Decodes any JPEG. A truncated picture is rejected instead of being filled with grey.
 pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
     let side = usize::from(u16::MAX);
     let options = DecoderOptions::default()
@@ -85,7 +87,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
     decoder.decode_headers().map_err(wrong)?;
     let (width, height) = decoder
         .dimensions()
-        .ok_or_else(|| damaged(FORMAT, "it has no size"))?;
+        .ok_or_else(|| damaged(FORMAT, "it has no dimensions"))?;
     let size = [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
     let (format, space) = match decoder.input_colorspace() {
         Some(ColorSpace::Luma) => (Format::Grey8, ColorSpace::Luma),
@@ -95,12 +97,12 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
     decoder.set_options(options.jpeg_set_out_colorspace(space));
     let pixels = decoder.decode().map_err(wrong)?;
     if !has_end(bytes) {
-        return Err(damaged(FORMAT, "it is cut off"));
+        return Err(damaged(FORMAT, "it is truncated"));
     }
     Picture::new(size[0], size[1], format, pixels)
 }
 
-/// Whether the last scan ends, which the library does not ask; some cameras fill up behind it.
+/// Returns whether the last scan is complete, which the library does not check. Some cameras append padding.
 fn has_end(bytes: &[u8]) -> bool {
     let last = |marker| bytes.windows(2).rposition(|two| two == [0xff, marker]);
     last(0xd9) > last(0xda)

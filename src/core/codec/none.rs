@@ -1,11 +1,11 @@
-//! Owns the codec that leaves a payload as it is.
+//! Implements the codec that leaves payloads unchanged.
 use super::{no_option, Codec, CodecError, Limits};
 use crate::core::payload::Payload;
 
-/// What the user calls it.
+/// The name of the codec.
 pub const NAME: &str = "none";
 
-/// Leaves a payload as it is.
+/// A codec that leaves payloads unchanged.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Plain;
 

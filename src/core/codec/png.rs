@@ -1,4 +1,4 @@
-//! Owns PNG: pictures as they are; photographs in about half of their bytes.
+//! Encodes pictures as PNG: lossless; photographs take about half of their raw size.
 use std::io::Cursor;
 
 use png::{BitDepth, ColorType, Compression, Decoder, Encoder, Transformations};
@@ -10,11 +10,11 @@ use crate::core::{
     picture::{Format, Picture},
 };
 
-/// What the user calls it.
+/// The name of the codec.
 pub const NAME: &str = "png";
 const FORMAT: &str = "PNG";
 
-/// Lossless, for raw pictures.
+/// A lossless codec for raw pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Png;
 
@@ -31,7 +31,7 @@ impl Codec for Png {
     }
 
     fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
-        let picture = Picture::wanted_by(NAME, payload)?;
+        let picture = Picture::for_codec(NAME, payload)?;
         let bytes = write(&picture).map_err(|error| CodecError::Failed {
             codec: NAME,
             reason: error.to_string(),
@@ -60,27 +60,27 @@ fn write(picture: &Picture) -> Result<Vec<u8>, png::EncodingError> {
     Ok(bytes)
 }
 
-/// Any PNG; 16 bits become 8, and a palette the colours that it stands for.
+/// Decodes any PNG. 16 bits per channel become 8, and palettes become colours.
 pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
-    let most = png::Limits {
+    let memory = png::Limits {
         bytes: limits.max_bytes,
     };
-    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), most);
+    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), memory);
     decoder.set_transformations(Transformations::normalize_to_color8());
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
     let info = decoder.read_header_info().map_err(wrong)?;
     let (width, height) = (info.width, info.height);
-    // Four bytes a pixel are the most that can come out, whatever is said of transparency further on.
+    // Checks the limit for four bytes per pixel, which is the maximum even if a later chunk adds transparency.
     limits.picture(FORMAT, [width, height], Format::Rgba8.channels())?;
     let mut reader = decoder.read_info().map_err(wrong)?;
     let (color, _) = reader.output_color_type();
     let size = reader
         .output_buffer_size()
-        .ok_or_else(|| damaged(FORMAT, "its size can't be"))?;
+        .ok_or_else(|| damaged(FORMAT, "its size is not possible"))?;
     let mut pixels = vec![0; limits.bytes(FORMAT, size as u64)?];
     reader.next_frame(&mut pixels).map_err(wrong)?;
-    // The end is to be there, too.
+    // Rejects a picture without its end.
     reader.finish().map_err(wrong)?;
     let (format, pixels) = match color {
         ColorType::Grayscale => (Format::Grey8, pixels),

@@ -1,20 +1,21 @@
-//! Owns the quantised form of arrays of floats: each number off by at most a stated error, in a byte or less where they
-//! change smoothly.
+//! Encodes arrays of floats in quantised form: the error of each number is bounded, and smooth data takes a byte per
+//! number or less.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
-//! | 1 | the version, 1, in the high half; the number of dimensions, 1 to 8, in the low one |
-//! | 1 | bit 0: `f64` instead of `f32`; bits 1, 2: the order of the prediction; bits 3, 4: the body: 0 plain, 1 zstd, 2 raw |
-//! | 1 and more each | the dimensions, LEB128 |
+//! | 1 | high half: the version, 1; low half: the number of dimensions, 1 to 8 |
+//! | 1 | bit 0: `f64` instead of `f32`; bits 1 and 2: the order of the prediction; bits 3 and 4: the body: 0 plain, 1 zstd, 2 raw |
+//! | 1 or more each | the dimensions, LEB128 |
 //! | 4 | the step, `f32` (not before a raw body) |
-//! | 1 and more | the distance of the prediction, LEB128 (not before a raw body) |
-//! | 1 and more | how many numbers are exceptions, LEB128 (not before a raw body) |
-//! | the rest | the body: raw, the numbers as they are; otherwise, perhaps as one zstd frame, each exception (how many numbers lie between it and the one before, LEB128, and the number itself), then for each other number how much more it is than predicted, in steps, zigzag and LEB128 |
+//! | 1 or more | the distance of the prediction, LEB128 (not before a raw body) |
+//! | 1 or more | the number of exceptions, LEB128 (not before a raw body) |
+//! | the rest | the body. Raw: the numbers themselves. Otherwise, optionally as one zstd frame: for each exception, the count of numbers since the previous exception (LEB128) and the number itself; then for each other number, its difference from the prediction in steps (zigzag and LEB128) |
 //!
-//! A number is `level * step` in `f64`, rounded to its type. The prediction of a level is, of order 0, 0; of order 1, the
-//! level that lies the distance before it; of order 2, as much more as that is than the one as far before it. Exceptions
-//! are what no level comes near enough to: NaN, the infinities, what is too large. The level of one is that of order 1.
-//! All is little endian; levels are 64 bits wide and wrap.
+//! A number is `level * step` in `f64`, rounded to its type. The prediction of a level depends on the order. Order 0
+//! predicts 0. Order 1 predicts the level that lies the distance before it. Order 2 continues the difference between
+//! that level and the one at twice the distance. Exceptions are numbers that no level approximates closely enough: NaN,
+//! the infinities, and too large numbers; the level of an exception is the one that order 1 predicts. All numbers are
+//! little endian; levels have 64 bits and wrap around.
 use std::borrow::Cow;
 
 use super::{damaged, shown, zstd, Codec, CodecError, Limits};
@@ -30,50 +31,50 @@ mod levels;
 mod varint;
 use levels::{Float, Prediction};
 
-/// What the user calls it.
+/// The name of the codec.
 pub const NAME: &str = "quantised";
-/// The encoding of what it makes.
+/// The encoding of quantised arrays.
 pub const ENCODING: &str = "application/octet-stream;quantised";
 const FORMAT: &str = "quantised array";
 
 const VERSION: u8 = 1;
 const DOUBLE: u8 = 1;
 const PLAIN: u8 = 0;
-const PACKED: u8 = 1;
+const COMPRESSED: u8 = 1;
 const RAW: u8 = 2;
-/// Of zstd, for the body: higher ones gain nothing on what is left.
+/// The compression level of zstd for the body. Higher levels gain nothing on residuals.
 const LEVEL: u8 = 3;
 
-/// With a stated loss, for arrays of `f32` and `f64`.
+/// A lossy codec with a bounded error, for arrays of `f32` and `f64`.
 #[derive(Clone, Copy, Debug)]
 pub struct Quantised {
     error: f64,
 }
 
 impl Quantised {
-    /// With numbers off by at most `error`, in their own unit: 1e-30 to 1e30.
+    /// Creates a codec that changes each number by at most `error`, in the unit of the numbers. Range: 1e-30 to 1e30.
     ///
     /// # Errors
-    /// Another one ([`CodecError::Option`]).
+    /// Returns [`CodecError::Option`] if `error` is out of range.
     pub fn new(error: f64) -> Result<Self, CodecError> {
         if !(1e-30..=1e30).contains(&error) {
-            return Err(refused(&error.to_string()));
+            return Err(invalid_error(&error.to_string()));
         }
         Ok(Self { error })
     }
 
     pub(super) fn parse(option: Option<&str>) -> Result<Self, CodecError> {
         let text = option.unwrap_or_default();
-        let error = text.parse().map_err(|_| refused(text))?;
+        let error = text.parse().map_err(|_| invalid_error(text))?;
         Self::new(error)
     }
 }
 
-fn refused(text: &str) -> CodecError {
+fn invalid_error(text: &str) -> CodecError {
     CodecError::Option {
         codec: NAME,
         value: shown(text),
-        wanted: "the largest error of a number, 1e-30 to 1e30, such as `quantised:0.01`",
+        expected: "the largest error of a number, 1e-30 to 1e30, such as `quantised:0.01`",
     }
 }
 
@@ -92,7 +93,7 @@ impl Codec for Quantised {
         let bytes = bytes.ok_or_else(|| CodecError::Kind {
             codec: NAME,
             found: payload.encoding.clone(),
-            wanted: "raw arrays of f32 or f64",
+            expected: "raw arrays of f32 or f64",
         })?;
         Ok(Payload::new(bytes, Encoding::new(ENCODING)))
     }
@@ -110,14 +111,14 @@ fn write<T: Float>(array: &Array, numbers: &[T], error: f64) -> Vec<u8> {
     let body = body::write(numbers, &levels, prediction);
     let mut raw = head::<T>(array, 0, RAW);
     raw.extend_from_slice(array.bytes());
-    // The reader counts on it, too: a body takes no more memory than the array.
+    // The decoder relies on this: a body is never larger than the array.
     if body.len() > array.bytes().len() {
         return raw;
     }
-    let packed = zstd::pack(&body, LEVEL, None).ok();
-    let packed = packed.filter(|packed| packed.len() < body.len());
-    let (kind, body) = match packed {
-        Some(packed) => (PACKED, packed),
+    let compressed = zstd::compress(&body, LEVEL, None).ok();
+    let compressed = compressed.filter(|compressed| compressed.len() < body.len());
+    let (kind, body) = match compressed {
+        Some(compressed) => (COMPRESSED, compressed),
         None => (PLAIN, body),
     };
     let mut bytes = head::<T>(array, prediction.order, kind);
@@ -148,12 +149,12 @@ fn head<T: Float>(array: &Array, order: u8, body: u8) -> Vec<u8> {
     bytes
 }
 
-/// The array in it.
+/// Decodes a quantised array.
 pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, CodecError> {
-    let (&[first, second], mut rest) = bytes.split_first_chunk().ok_or_else(cut)?;
+    let (&[first, second], mut rest) = bytes.split_first_chunk().ok_or_else(truncated)?;
     let dimensions = usize::from(first & 15);
     if first >> 4 != VERSION || second >> 5 != 0 {
-        return Err(damaged(FORMAT, "it is of another version"));
+        return Err(damaged(FORMAT, "unsupported version"));
     }
     if !(1..=MAX_DIMENSIONS).contains(&dimensions) {
         return Err(damaged(FORMAT, format_args!("{dimensions} dimensions")));
@@ -171,7 +172,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
     if body == RAW {
         return Array::new(element, &shape, rest.to_vec());
     }
-    let (step, mut rest) = rest.split_first_chunk().ok_or_else(cut)?;
+    let (step, mut rest) = rest.split_first_chunk().ok_or_else(truncated)?;
     let step = f32::from_le_bytes(*step);
     if !(step.is_finite() && step > 0.0) {
         return Err(damaged(FORMAT, format_args!("a step of {step}")));
@@ -179,13 +180,13 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
     let (distance, exceptions) = (length(&mut rest)?, length(&mut rest)?);
     let count = size / element.bytes();
     if order > 2 || distance == 0 || distance > count.max(1) || exceptions > count {
-        return Err(damaged(FORMAT, "a prediction that can't be"));
+        return Err(damaged(FORMAT, "its prediction is not possible"));
     }
     let body = match body {
         PLAIN => Cow::Borrowed(rest),
-        // A larger one would have been raw.
-        PACKED => zstd::unpack(rest, size, &Dictionaries::default())?.into(),
-        _ => return Err(damaged(FORMAT, "it is of another version")),
+        // A larger body would have been stored raw.
+        COMPRESSED => zstd::decompress(rest, size, &Dictionaries::default())?.into(),
+        _ => return Err(damaged(FORMAT, "unsupported version")),
     };
     let body = body::Body {
         bytes: &body,
@@ -202,12 +203,12 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
 }
 
 fn length(bytes: &mut &[u8]) -> Result<usize, CodecError> {
-    let length = varint::read(bytes).ok_or_else(cut)?;
+    let length = varint::read(bytes).ok_or_else(truncated)?;
     usize::try_from(length).map_err(|_| damaged(FORMAT, format_args!("a length of {length}")))
 }
 
-fn cut() -> CodecError {
-    damaged(FORMAT, "it is cut off")
+fn truncated() -> CodecError {
+    damaged(FORMAT, "it is truncated")
 }
 
 #[cfg(test)]

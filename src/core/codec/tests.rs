@@ -1,4 +1,4 @@
-//! What all codecs have to keep, and what each must not fall for.
+//! Tests the guarantees of all codecs, and their robustness against malformed input.
 use proptest::prelude::*;
 
 use super::*;
@@ -54,7 +54,7 @@ fn largest_difference(a: &Payload, b: &Payload) -> u8 {
 }
 
 #[test]
-fn specs_are_read_and_named_alike() {
+fn codec_names_round_trip() {
     for (spec, name) in [
         ("none", "none"),
         ("zstd", "zstd:3"),
@@ -67,18 +67,18 @@ fn specs_are_read_and_named_alike() {
         ("quantised:1e-3", "quantised:0.001"),
     ] {
         assert_eq!(codec(spec).name(), name);
-        assert_eq!(codec(name).name(), name, "its own name");
+        assert_eq!(codec(name).name(), name, "the full name");
     }
 }
 
 #[test]
-fn a_wrong_spec_is_an_error_that_says_what_there_is() {
+fn invalid_specifications_are_rejected_with_the_valid_ones() {
     for (spec, part) in [
         ("", "zstd"),
         ("gzip", "jpeg"),
         ("ZSTD", "zstd[:1 to 19]"),
-        ("none:1", "it has none"),
-        ("png:9", "it has none"),
+        ("none:1", "expected none"),
+        ("png:9", "expected none"),
         ("zstd:0", "1 to 19"),
         ("zstd:20", "1 to 19"),
         ("zstd:", "1 to 19"),
@@ -95,11 +95,11 @@ fn a_wrong_spec_is_an_error_that_says_what_there_is() {
         assert!(error.contains(part), "{spec}: {error}");
     }
     let long = parse(&"x".repeat(10_000)).expect_err("long").to_string();
-    assert!(long.len() < 300, "not repeated whole: {long}");
+    assert!(long.len() < 300, "quoted in full: {long}");
 }
 
 #[test]
-fn pictures_come_back_as_they_were_or_nearly() {
+fn pictures_round_trip_within_the_codecs_loss() {
     for format in [Format::Grey8, Format::Rgb8, Format::Rgba8] {
         let picture = photograph(61, 47, format);
         for (spec, off) in [("png", 0), ("jpeg:95", 30), ("webp:95", 40)] {
@@ -110,7 +110,7 @@ fn pictures_come_back_as_they_were_or_nearly() {
             let same = codec(spec).decode(&small, &LIMITS).expect(spec);
             assert_eq!(same, back.clone().payload());
             assert_eq!((back.width(), back.height()), (61, 47));
-            // JPEG has no transparency, WebP no grey: what is compared then has other channels.
+            // JPEG has no transparency and WebP no grey, so the decoded picture may have other channels.
             if same.encoding == picture.encoding {
                 assert!(
                     largest_difference(&same, &picture) <= off,
@@ -124,16 +124,16 @@ fn pictures_come_back_as_they_were_or_nearly() {
 }
 
 #[test]
-fn codecs_of_pictures_and_arrays_take_nothing_else() {
+fn codecs_of_pictures_and_arrays_reject_other_payloads() {
     let text = Payload::new("hello", Encoding::TEXT);
     for spec in ["png", "jpeg", "webp", "quantised:1"] {
         let error = codec(spec).encode(&text).expect_err(spec).to_string();
         assert!(error.contains("text/plain"), "{spec}: {error}");
     }
-    let lying = Encoding::new("application/octet-stream;picture;rgb8;4294967295x4294967295");
+    let huge = Encoding::new("application/octet-stream;picture;rgb8;4294967295x4294967295");
     for spec in ["png", "jpeg", "webp"] {
         assert!(codec(spec)
-            .encode(&Payload::new("x", lying.clone()))
+            .encode(&Payload::new("x", huge.clone()))
             .is_err());
     }
     let wide = photograph(70_000, 1, Format::Grey8);
@@ -144,13 +144,13 @@ fn codecs_of_pictures_and_arrays_take_nothing_else() {
 }
 
 #[test]
-fn packings_are_undone_whatever_is_below() {
+fn decodes_compressed_payloads_of_any_encoding() {
     let json = Payload::new(telemetry(7).repeat(5), Encoding::JSON);
-    let once = codec("zstd").encode(&json).expect("packed");
+    let once = codec("zstd").encode(&json).expect("encoded");
     assert_eq!(once.encoding.as_str(), "application/json;zstd");
     assert!(once.bytes.len() < json.bytes.len() / 2);
-    assert_eq!(codec("zstd").decode(&once, &LIMITS).expect("undone"), json);
-    assert_eq!(decode(&once, &LIMITS, &none()).expect("undone"), json);
+    assert_eq!(codec("zstd").decode(&once, &LIMITS).expect("decoded"), json);
+    assert_eq!(decode(&once, &LIMITS, &none()).expect("decoded"), json);
     for unknown in ["zenoh/bytes", "application/x-thing;v=1", "", ";", "zstd"] {
         let raw = Payload::new("\0\u{1}", Encoding::new(unknown));
         assert_eq!(decode(&raw, &LIMITS, &none()).expect("raw"), raw);
@@ -158,18 +158,18 @@ fn packings_are_undone_whatever_is_below() {
 }
 
 #[test]
-fn packings_within_packings_have_an_end() {
+fn rejects_deeply_nested_frames() {
     let mut bytes = vec![7; 3000];
     let mut encoding = Encoding::BYTES;
     for depth in 1..=4 {
-        bytes = zstd::pack(&bytes, 3, None).expect("packed");
-        encoding = encoding.packed("zstd");
+        bytes = zstd::compress(&bytes, 3, None).expect("encoded");
+        encoding = encoding.with_suffix("zstd");
         let payload = Payload::new(bytes.clone(), encoding.clone());
-        let undone = decode(&payload, &LIMITS, &none());
+        let decoded = decode(&payload, &LIMITS, &none());
         match depth {
-            1 | 2 => assert_eq!(undone.expect("undone").bytes, vec![7; 3000]),
+            1 | 2 => assert_eq!(decoded.expect("decoded").bytes, vec![7; 3000]),
             _ => assert!(
-                matches!(undone, Err(CodecError::TooLarge { .. })),
+                matches!(decoded, Err(CodecError::TooLarge { .. })),
                 "{depth}"
             ),
         }
@@ -177,7 +177,7 @@ fn packings_within_packings_have_an_end() {
 }
 
 #[test]
-fn what_does_not_get_smaller_goes_as_it_is() {
+fn incompressible_payloads_are_unchanged() {
     for text in ["", "{}", "{\"a\":1}"] {
         let json = Payload::new(text, Encoding::JSON);
         assert_eq!(codec("zstd").encode(&json).expect("as it is"), json);
@@ -192,36 +192,36 @@ fn encoding_limit() -> usize {
 }
 
 #[test]
-fn a_dictionary_packs_small_messages_and_is_named_by_its_frames() {
+fn frames_refer_to_the_dictionary_by_its_id() {
     let dictionary = dictionary();
-    let packed = dictionary::Packed::new(dictionary.clone());
+    let encoded = dictionary::DictionaryCodec::new(dictionary.clone());
     let json = Payload::new(telemetry(123_456), Encoding::JSON);
-    let small = packed.encode(&json).expect("packed");
+    let small = encoded.encode(&json).expect("encoded");
     assert_eq!(small.encoding.as_str(), "application/json;zstd");
     assert!(small.bytes.len() * 10 < json.bytes.len() * 6, "{small:?}");
-    assert_eq!(packed.decode(&small, &LIMITS).expect("undone"), json);
+    assert_eq!(encoded.decode(&small, &LIMITS).expect("decoded"), json);
 
     let id = dictionary.id();
     let here = Dictionaries::of(dictionary);
-    assert_eq!(decode(&small, &LIMITS, &here).expect("undone"), json);
+    assert_eq!(decode(&small, &LIMITS, &here).expect("decoded"), json);
     let error = decode(&small, &LIMITS, &none()).expect_err("not here");
     assert_eq!(error, CodecError::Dictionary { id });
     assert_eq!(codec("zstd").decode(&small, &LIMITS), Err(error));
-    // After the magic number: two bytes of id, no checksum; one of length follows them.
+    // The magic number is followed by a descriptor, two bytes of the id, and the length; there is no checksum.
     assert_eq!(small.bytes[4] & 0b111, 0b010);
     let [low, high] = [small.bytes[5], small.bytes[6]];
     assert_eq!(u32::from(u16::from_le_bytes([low, high])), id);
 }
 
 #[test]
-fn every_cut_and_every_wrong_byte_of_a_frame_is_an_error_or_short() {
+fn truncated_and_damaged_frames_are_handled() {
     let dictionary = dictionary();
     let here = Dictionaries::of(dictionary.clone());
     let json = Payload::new(telemetry(99).repeat(3), Encoding::JSON);
-    let with = dictionary::Packed::new(dictionary);
+    let with = dictionary::DictionaryCodec::new(dictionary);
     for frame in [
-        codec("zstd").encode(&json).expect("packed"),
-        with.encode(&json).expect("packed"),
+        codec("zstd").encode(&json).expect("encoded"),
+        with.encode(&json).expect("encoded"),
     ] {
         for cut in 0..frame.bytes.len() {
             let cut = Payload::new(frame.bytes.slice(..cut), frame.encoding.clone());
@@ -236,7 +236,7 @@ fn every_cut_and_every_wrong_byte_of_a_frame_is_an_error_or_short() {
                 let mut wrong = frame.bytes.to_vec();
                 wrong[n] ^= flip;
                 let wrong = Payload::new(wrong, frame.encoding.clone());
-                // Without a checksum some pass; none may be larger than it says or break anything.
+                // Without a checksum, some changes go unnoticed. None may exceed the stated size or cause a panic.
                 let _ = decode(&wrong, &LIMITS, &here);
             }
         }
@@ -244,20 +244,20 @@ fn every_cut_and_every_wrong_byte_of_a_frame_is_an_error_or_short() {
 }
 
 #[test]
-fn a_bomb_of_zeros_is_refused_by_what_it_says_and_by_what_comes() {
+fn decompression_bombs_are_rejected() {
     use std::io::Write;
-    let mut said = ::zstd::Encoder::new(Vec::new(), 3).expect("encoder");
-    said.set_pledged_src_size(Some(1 << 30)).expect("said");
-    said.include_contentsize(true).expect("said");
-    let silent = ::zstd::Encoder::new(Vec::new(), 3).expect("encoder");
-    for mut bomb in [said, silent] {
+    let mut sized = ::zstd::Encoder::new(Vec::new(), 3).expect("encoder");
+    sized.set_pledged_src_size(Some(1 << 30)).expect("set");
+    sized.include_contentsize(true).expect("set");
+    let unsized_frame = ::zstd::Encoder::new(Vec::new(), 3).expect("encoder");
+    for mut bomb in [sized, unsized_frame] {
         let zeros = vec![0; 1 << 20];
         for _ in 0..1 << 10 {
             bomb.write_all(&zeros).expect("written");
         }
         let bomb = bomb.finish().expect("written");
         assert!(bomb.len() < 200_000);
-        let bomb = Payload::new(bomb, Encoding::JSON.packed("zstd"));
+        let bomb = Payload::new(bomb, Encoding::JSON.with_suffix("zstd"));
         let error = decode(&bomb, &LIMITS, &none()).expect_err("a bomb");
         assert!(matches!(error, CodecError::TooLarge { .. }), "{error}");
         let error = decode(&bomb, &Limits::default(), &none()).expect_err("a bomb");
@@ -266,12 +266,12 @@ fn a_bomb_of_zeros_is_refused_by_what_it_says_and_by_what_comes() {
 }
 
 #[test]
-fn a_stock_frame_that_does_not_say_its_length_is_read() {
+fn frames_without_a_content_size_are_decoded() {
     let text = telemetry(1).repeat(2000);
-    let frame = ::zstd::stream::encode_all(text.as_bytes(), 3).expect("packed");
-    let frame = Payload::new(frame, Encoding::JSON.packed("zstd"));
-    let undone = decode(&frame, &LIMITS, &none()).expect("undone");
-    assert_eq!(undone.bytes, text.as_bytes());
+    let frame = ::zstd::stream::encode_all(text.as_bytes(), 3).expect("encoded");
+    let frame = Payload::new(frame, Encoding::JSON.with_suffix("zstd"));
+    let decoded = decode(&frame, &LIMITS, &none()).expect("decoded");
+    assert_eq!(decoded.bytes, text.as_bytes());
     for cut in [0, 5, 9, 20, frame.bytes.len() - 1] {
         let cut = Payload::new(frame.bytes.slice(..cut), frame.encoding.clone());
         let error = decode(&cut, &LIMITS, &none()).expect_err("cut").to_string();
@@ -281,41 +281,41 @@ fn a_stock_frame_that_does_not_say_its_length_is_read() {
         max_bytes: text.len() - 1,
         ..LIMITS
     };
-    let error = decode(&frame, &small, &none()).expect_err("more than may be");
+    let error = decode(&frame, &small, &none()).expect_err("above the limit");
     assert!(matches!(error, CodecError::TooLarge { .. }), "{error}");
 }
 
 #[test]
-fn a_frame_that_lies_about_its_length_is_damaged() {
-    // Magic number; one segment, a length of one byte; that; one last block of two bytes, as they are.
+fn frames_with_a_wrong_content_size_are_rejected() {
+    // The magic number; a single segment with a length of one byte; the length; one raw block of two bytes, the last.
     let honest = [0x28, 0xB5, 0x2F, 0xFD, 0x20, 2, 0x11, 0, 0, b'h', b'i'];
     let read = |frame: &[u8]| {
-        let payload = Payload::new(frame.to_vec(), Encoding::TEXT.packed("zstd"));
+        let payload = Payload::new(frame.to_vec(), Encoding::TEXT.with_suffix("zstd"));
         decode(&payload, &LIMITS, &none())
     };
     assert_eq!(read(&honest).expect("honest").bytes, "hi");
-    for lie in [0, 1, 3, 200] {
+    for wrong in [0, 1, 3, 200] {
         let mut frame = honest;
-        frame[5] = lie;
-        let error = read(&frame).expect_err("a lie");
+        frame[5] = wrong;
+        let error = read(&frame).expect_err("a wrong size");
         assert!(
             matches!(error, CodecError::Damaged { .. }),
-            "{lie}: {error}"
+            "{wrong}: {error}"
         );
     }
     // A length of eight bytes: 16 exabytes.
     let mut frame = honest[..4].to_vec();
     frame.extend([0xE0, 255, 255, 255, 255, 255, 255, 255, 127, 0x11, 0, 0]);
     frame.extend(*b"hi");
-    let error = read(&frame).expect_err("a lie");
+    let error = read(&frame).expect_err("a wrong size");
     assert!(matches!(error, CodecError::TooLarge { .. }), "{error}");
-    // A skippable frame, and nothing.
+    // A skippable frame, and no frame.
     assert!(read(&[0x50, 0x2A, 0x4D, 0x18, 1, 0, 0, 0, 9]).is_err());
     assert!(read(&[]).is_err());
 }
 
 #[test]
-fn cut_pictures_are_errors_that_name_the_format() {
+fn truncated_pictures_are_errors_that_name_the_format() {
     let picture = photograph(24, 20, Format::Rgb8);
     for (spec, name) in [("png", "PNG"), ("jpeg", "JPEG"), ("webp", "WebP")] {
         let small = codec(spec).encode(&picture).expect(spec);
@@ -324,7 +324,7 @@ fn cut_pictures_are_errors_that_name_the_format() {
             let cut_off = Payload::new(small.bytes.slice(..cut), small.encoding.clone());
             match cut_off.picture(&LIMITS) {
                 Err(error) => assert!(error.to_string().contains(name), "{cut}: {error}"),
-                // Padding at the end says nothing.
+                // Padding at the end is not needed.
                 Ok(same) => {
                     assert!(cut + 2 >= small.bytes.len(), "{spec} cut to {cut}");
                     assert_eq!(same, whole, "{spec} cut to {cut}");
@@ -335,7 +335,7 @@ fn cut_pictures_are_errors_that_name_the_format() {
 }
 
 #[test]
-fn wrong_bytes_in_pictures_break_nothing() {
+fn damaged_pictures_stay_within_the_limits() {
     let picture = photograph(24, 20, Format::Rgba8);
     for spec in ["png", "jpeg", "webp"] {
         let small = codec(spec).encode(&picture).expect(spec);
@@ -362,8 +362,8 @@ fn wrong_bytes_in_pictures_break_nothing() {
 }
 
 #[test]
-fn pictures_that_say_they_are_huge_are_refused() {
-    // Each is a real one whose header then says more.
+fn pictures_with_huge_dimensions_are_rejected() {
+    // Each is a valid picture whose header was changed.
     let mut png = codec("png")
         .encode(&photograph(2, 2, Format::Rgb8))
         .expect("png")
@@ -404,11 +404,11 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn packed_bytes_come_back(bytes in prop::collection::vec(0..4u8, 0..5000), level in 1..=19u8) {
+    fn compressed_bytes_round_trip(bytes in prop::collection::vec(0..4u8, 0..5000), level in 1..=19u8) {
         let payload = Payload::new(bytes, Encoding::CBOR);
-        let packed = zstd::Zstd::new(level).encode(&payload).expect("packed");
-        prop_assert!(packed.bytes.len() <= payload.bytes.len());
-        prop_assert_eq!(decode(&packed, &LIMITS, &none()).expect("undone"), payload);
+        let encoded = zstd::Zstd::new(level).encode(&payload).expect("encoded");
+        prop_assert!(encoded.bytes.len() <= payload.bytes.len());
+        prop_assert_eq!(decode(&encoded, &LIMITS, &none()).expect("decoded"), payload);
     }
 
     #[test]
@@ -424,7 +424,7 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_break_a_decoder(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+    fn decoders_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         for encoding in ["image/png", "image/jpeg", "image/webp", quantised::ENCODING, "x;zstd", "x;zstd;zstd"] {
             let payload = Payload::new(bytes.clone(), Encoding::new(encoding));
             let _ = decode(&payload, &LIMITS, &none());

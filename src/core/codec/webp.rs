@@ -1,6 +1,6 @@
-//! Owns WebP: photographs in two thirds of what JPEG takes, for several times its work.
+//! Encodes pictures as WebP: photographs take two thirds of the bytes of JPEG, for several times the work.
 //!
-//! libwebp writes, since nothing in Rust does; what a peer sent is read in Rust.
+//! libwebp encodes, because there is no encoder in Rust; a decoder in Rust reads what peers send.
 use std::{io::Cursor, slice};
 
 use image_webp::{DecodingError, WebPDecoder};
@@ -13,21 +13,22 @@ use crate::core::{
     picture::{Format, Picture},
 };
 
-/// What the user calls it.
+/// The name of the codec.
 pub const NAME: &str = "webp";
 const FORMAT: &str = "WebP";
-/// libwebp's effort, 0 to 6: a quarter of the time of its default, 4, for 4 to 7 per cent more bytes.
+/// libwebp's effort, 0 to 6. Compared with its default, 4, this takes a quarter of the time for 4 to 7 percent more
+/// bytes.
 const METHOD: i32 = 2;
 const MAX_SIDE: u32 = 16383;
 
-/// With loss, for raw pictures; transparency is kept, grey becomes colours.
+/// A lossy codec for raw pictures. Transparency is kept; grey pictures become coloured ones.
 #[derive(Clone, Copy, Debug)]
 pub struct Webp {
     quality: u8,
 }
 
 impl Webp {
-    /// With a quality of 1 to 100; others become the nearest of these.
+    /// Creates a codec with a quality of 1 to 100. Other values are clamped.
     pub fn new(quality: u8) -> Self {
         Self {
             quality: quality.clamp(1, 100),
@@ -45,7 +46,7 @@ impl Codec for Webp {
     }
 
     fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
-        let picture = Picture::wanted_by(NAME, payload)?;
+        let picture = Picture::for_codec(NAME, payload)?;
         let (width, height) = (picture.width(), picture.height());
         if width.max(height) > MAX_SIDE {
             return Err(CodecError::TooLarge {
@@ -66,7 +67,7 @@ impl Codec for Webp {
     }
 }
 
-/// Any WebP, with loss or without; of a moving one, the first picture.
+/// Decodes any WebP, lossy or lossless. Of an animation, decodes the first picture.
 pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
     let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(wrong)?;
     let (width, height) = decoder.dimensions();
@@ -76,18 +77,18 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
     };
     let size = limits.picture(FORMAT, [width, height], format.channels())?;
     if !is_whole(bytes) {
-        return Err(damaged(FORMAT, "it is cut off"));
+        return Err(damaged(FORMAT, "it is truncated"));
     }
     decoder.set_memory_limit(limits.max_bytes);
     let mut pixels = vec![0; size];
     if decoder.output_buffer_size() != Some(size) {
-        return Err(damaged(FORMAT, "its size can't be"));
+        return Err(damaged(FORMAT, "its size is not possible"));
     }
     decoder.read_image(&mut pixels).map_err(wrong)?;
     Picture::new(width, height, format, pixels)
 }
 
-/// Whether all is there that the first eight bytes announce, which the library does not ask.
+/// Returns whether the data has the length that its first eight bytes announce, which the library does not check.
 fn is_whole(bytes: &[u8]) -> bool {
     let size = bytes.get(4..8).and_then(|size| size.try_into().ok());
     size.is_some_and(|size| u64::from(u32::from_le_bytes(size)) + 8 <= bytes.len() as u64)
@@ -100,14 +101,14 @@ fn wrong(error: DecodingError) -> CodecError {
 fn write(picture: &Picture, quality: u8) -> Result<Vec<u8>, String> {
     let mut config =
         sys::WebPConfig::new_with_preset(sys::WebPPreset::WEBP_PRESET_DEFAULT, f32::from(quality))
-            .map_err(|()| "the settings are not taken".to_owned())?;
+            .map_err(|()| "libwebp rejects the settings".to_owned())?;
     config.method = METHOD;
     let mut frame = Frame::new(picture)?;
     let mut writer = Writer::new();
     frame.0.writer = Some(sys::WebPMemoryWrite);
     frame.0.custom_ptr = (&raw mut writer.0).cast();
-    // SAFETY: `config` and `frame` are initialised by libwebp's own functions, and what `custom_ptr` points to is what
-    // `WebPMemoryWrite` takes, and is not moved before the call is over.
+    // SAFETY: libwebp's own functions have initialised `config` and `frame`. `custom_ptr` points to what
+    // `WebPMemoryWrite` expects, which is not moved before the call returns.
     let done = unsafe { sys::WebPEncode(&config, &mut frame.0) };
     if done == 0 {
         return Err(format!("{:?}", frame.0.error_code));
@@ -115,12 +116,12 @@ fn write(picture: &Picture, quality: u8) -> Result<Vec<u8>, String> {
     Ok(writer.bytes().to_vec())
 }
 
-/// libwebp's copy of a picture; freed when dropped.
+/// libwebp's copy of a picture, which is freed on drop.
 struct Frame(sys::WebPPicture);
 
 impl Frame {
     fn new(picture: &Picture) -> Result<Self, String> {
-        let no_memory = |()| "there is not enough memory".to_owned();
+        let no_memory = |()| "not enough memory".to_owned();
         let mut frame = Self(sys::WebPPicture::new().map_err(no_memory)?);
         let side = |side: u32| i32::try_from(side).map_err(|error| error.to_string());
         frame.0.width = side(picture.width())?;
@@ -152,7 +153,7 @@ impl Drop for Frame {
     }
 }
 
-/// What libwebp has written; freed when dropped.
+/// libwebp's output, which is freed on drop.
 struct Writer(sys::WebPMemoryWriter);
 
 impl Writer {

@@ -1,7 +1,8 @@
-//! Owns zstd, with and without a dictionary: one standard frame (RFC 8878), and no more than the limit out of it.
+//! Compresses and decompresses with zstd, with and without a dictionary: one standard frame (RFC 8878), whose
+//! decompressed size is limited.
 //!
-//! A frame that says how long its content is, as RECT's do, is undone into exactly that much; one that does not (stock
-//! programs that stream) into a buffer that grows to the limit.
+//! If a frame states the size of its content, as RECT's frames do, a buffer of exactly that size is used. For other
+//! frames (of other programs that stream), the buffer grows up to the limit.
 use std::cell::RefCell;
 
 use zstd::zstd_safe::{self, CCtx, DCtx, DParameter, InBuffer, OutBuffer};
@@ -13,18 +14,18 @@ use crate::core::{
     payload::Payload,
 };
 
-/// What the user calls it, and the last part of the encoding of what is packed so.
+/// The name of the codec, and the last part of the encoding of its output.
 pub const NAME: &str = "zstd";
 
-/// Lossless, for anything: the higher the level, the smaller and the slower. 3 is good for most; 19 takes some hundred
-/// times as long.
+/// A lossless codec for any payload. Higher levels are smaller and slower: 3 suits most payloads; 19 takes several
+/// hundred times as long.
 #[derive(Clone, Copy, Debug)]
 pub struct Zstd {
     level: u8,
 }
 
 impl Zstd {
-    /// With a level of 1 to 19; others become the nearest of these.
+    /// Creates a codec with a level of 1 to 19. Other values are clamped.
     pub fn new(level: u8) -> Self {
         Self {
             level: level.clamp(1, 19),
@@ -42,19 +43,19 @@ impl Codec for Zstd {
     }
 
     fn encode(&self, payload: &Payload) -> Result<Payload, CodecError> {
-        packed(payload, pack(&payload.bytes, self.level, None)?)
+        smaller_of(payload, compress(&payload.bytes, self.level, None)?)
     }
 
     fn decode(&self, payload: &Payload, limits: &Limits) -> Result<Payload, CodecError> {
-        let encoding = unpacked(payload, NAME)?;
-        let bytes = unpack(&payload.bytes, limits.max_bytes, &Dictionaries::default())?;
+        let encoding = inner_encoding(payload, NAME)?;
+        let bytes = decompress(&payload.bytes, limits.max_bytes, &Dictionaries::default())?;
         Ok(Payload::new(bytes, encoding))
     }
 }
 
-/// The packed payload, or the payload as it is where packing saves nothing.
-pub(super) fn packed(payload: &Payload, frame: Vec<u8>) -> Result<Payload, CodecError> {
-    let encoding = payload.encoding.packed(NAME);
+/// Returns the compressed payload, or the original one if compression saves nothing.
+pub(super) fn smaller_of(payload: &Payload, frame: Vec<u8>) -> Result<Payload, CodecError> {
+    let encoding = payload.encoding.with_suffix(NAME);
     let more = encoding.as_str().len() - payload.encoding.as_str().len();
     let is_smaller = frame.len() + more < payload.bytes.len();
     if !is_smaller || encoding.as_str().len() > encoding::MAX_BYTES {
@@ -63,41 +64,45 @@ pub(super) fn packed(payload: &Payload, frame: Vec<u8>) -> Result<Payload, Codec
     Ok(Payload::new(frame, encoding))
 }
 
-/// The encoding below the packing.
-pub(super) fn unpacked(payload: &Payload, codec: &'static str) -> Result<Encoding, CodecError> {
+/// Returns the encoding of the decompressed payload.
+pub(super) fn inner_encoding(
+    payload: &Payload,
+    codec: &'static str,
+) -> Result<Encoding, CodecError> {
     payload
         .encoding
-        .unpacked(NAME)
+        .without_suffix(NAME)
         .ok_or_else(|| CodecError::Kind {
             codec,
             found: payload.encoding.clone(),
-            wanted: "what ends in `;zstd`",
+            expected: "an encoding that ends in `;zstd`",
         })
 }
 
-// What a context took once it keeps, and making one costs more than a small message: each thread has one for these.
+// A context keeps the memory that it has used, and creating one costs more than compressing a small message. So each
+// thread keeps one for small messages.
 const SMALL: usize = 64 << 10;
 thread_local! {
     static COMPRESS: RefCell<CCtx<'static>> = RefCell::new(CCtx::create());
     static DECOMPRESS: RefCell<DCtx<'static>> = RefCell::new(DCtx::create());
 }
 
-/// A frame with `bytes` in it. It says how long they are and with which dictionary it was made, and has no checksum: every
-/// link has one.
-pub(super) fn pack(
+/// Compresses `bytes` into a frame, which states their length and the id of the dictionary. It has no checksum, because
+/// every link has one.
+pub(super) fn compress(
     bytes: &[u8],
     level: u8,
     dictionary: Option<&Prepared>,
 ) -> Result<Vec<u8>, CodecError> {
     let mut frame = Vec::with_capacity(zstd_safe::compress_bound(bytes.len()));
-    let mut pack = |context: &mut CCtx<'_>| match dictionary {
+    let mut run = |context: &mut CCtx<'_>| match dictionary {
         None => context.compress(&mut frame, bytes, level.into()),
         Some(prepared) => context.compress_using_cdict(&mut frame, bytes, prepared.compress()),
     };
     let done = if bytes.len() <= SMALL {
-        COMPRESS.with_borrow_mut(pack)
+        COMPRESS.with_borrow_mut(run)
     } else {
-        pack(&mut CCtx::create())
+        run(&mut CCtx::create())
     };
     done.map_err(|code| CodecError::Failed {
         codec: NAME,
@@ -107,19 +112,19 @@ pub(super) fn pack(
     Ok(frame)
 }
 
-/// What is in a frame, if it is at most `max_bytes` long.
-pub(super) fn unpack(
+/// Decompresses a frame to at most `max_bytes`.
+pub(super) fn decompress(
     frame: &[u8],
     max_bytes: usize,
     dictionaries: &Dictionaries,
 ) -> Result<Vec<u8>, CodecError> {
-    // Skippable frames have nothing in them, and those of before 2016 are not read.
+    // Skippable frames have no content, and frames in formats from before 2016 are not supported.
     if !frame.starts_with(&[0x28, 0xB5, 0x2F, 0xFD]) {
-        return Err(damaged(NAME, "it does not begin as a frame does"));
+        return Err(damaged(NAME, "it does not begin with the magic number"));
     }
     let length = zstd_safe::find_frame_compressed_size(frame).map_err(wrong)?;
     if length != frame.len() {
-        return Err(damaged(NAME, "there is more after its end"));
+        return Err(damaged(NAME, "there is data after its end"));
     }
     let prepared = match zstd_safe::get_dict_id_from_frame(frame) {
         None => None,
@@ -129,22 +134,22 @@ pub(super) fn unpack(
             Some(dictionaries.get(id).ok_or(unknown)?.prepared())
         }
     };
-    let said = zstd_safe::get_frame_content_size(frame)
-        .map_err(|_| damaged(NAME, "the length of its content can't be read"))?;
-    match said {
-        Some(said) => {
+    let length = zstd_safe::get_frame_content_size(frame)
+        .map_err(|_| damaged(NAME, "the length of its content cannot be read"))?;
+    match length {
+        Some(length) => {
             let limits = Limits {
                 max_bytes,
                 ..Limits::default()
             };
-            whole(frame, limits.bytes(NAME, said)?, prepared)
+            whole(frame, limits.bytes(NAME, length)?, prepared)
         }
         None => growing(frame, max_bytes, prepared),
     }
 }
 
-fn whole(frame: &[u8], said: usize, prepared: Option<&Prepared>) -> Result<Vec<u8>, CodecError> {
-    let mut bytes = Vec::with_capacity(said);
+fn whole(frame: &[u8], length: usize, prepared: Option<&Prepared>) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = Vec::with_capacity(length);
     DECOMPRESS
         .with_borrow_mut(|context| match prepared {
             None => context.decompress(&mut bytes, frame),
@@ -153,8 +158,8 @@ fn whole(frame: &[u8], said: usize, prepared: Option<&Prepared>) -> Result<Vec<u
             }
         })
         .map_err(wrong)?;
-    if bytes.len() != said {
-        return Err(damaged(NAME, "its content is not as long as it says"));
+    if bytes.len() != length {
+        return Err(damaged(NAME, "its content does not have the stated length"));
     }
     Ok(bytes)
 }
@@ -165,7 +170,7 @@ fn growing(
     prepared: Option<&Prepared>,
 ) -> Result<Vec<u8>, CodecError> {
     let mut context = DCtx::create();
-    // The window is memory too. RFC 8878 wants 8 MiB of every decoder.
+    // The window needs memory, too. RFC 8878 recommends that every decoder supports 8 MiB.
     let window_log = max_bytes.max(1).ilog2().clamp(23, 27);
     context
         .set_parameter(DParameter::WindowLogMax(window_log))
@@ -181,21 +186,21 @@ fn growing(
         let rest = context
             .decompress_stream(&mut output, &mut input)
             .map_err(wrong)?;
-        let came = output.as_slice();
-        if bytes.len() + came.len() > max_bytes {
+        let chunk = output.as_slice();
+        if bytes.len() + chunk.len() > max_bytes {
             return Err(CodecError::TooLarge {
                 format: NAME,
                 found: format!("more than {max_bytes} bytes"),
                 limit: format!("{max_bytes} bytes"),
             });
         }
-        let is_stuck = came.is_empty() && input.pos() == frame.len();
-        bytes.extend_from_slice(came);
+        let is_stuck = chunk.is_empty() && input.pos() == frame.len();
+        bytes.extend_from_slice(chunk);
         if rest == 0 {
             return Ok(bytes);
         }
         if is_stuck {
-            return Err(damaged(NAME, "it is cut off"));
+            return Err(damaged(NAME, "it is truncated"));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Dictionaries are made, kept and refused as said.
+//! Tests training, storing and rejecting dictionaries.
 use super::*;
 
 fn samples(kind: usize) -> Vec<String> {
@@ -30,7 +30,7 @@ fn the_same_content_has_the_same_id_everywhere() {
 }
 
 #[test]
-fn what_is_no_dictionary_is_refused() {
+fn invalid_dictionaries_are_rejected() {
     for wrong in [&b""[..], b"{}", &MAGIC, &[&MAGIC[..], &[0; 100]].concat()] {
         let error = Dictionary::new(wrong).expect_err("wrong");
         assert!(matches!(error, DictionaryError::Damaged(_)), "{error}");
@@ -52,7 +52,7 @@ fn what_is_no_dictionary_is_refused() {
 }
 
 #[test]
-fn too_little_to_train_on_is_an_error_that_says_so() {
+fn training_on_too_few_samples_is_an_error() {
     let none: [&str; 0] = [];
     let few = ["{}", "{}"];
     for error in [
@@ -72,7 +72,7 @@ fn too_little_to_train_on_is_an_error_that_says_so() {
 }
 
 #[test]
-fn files_keep_it() {
+fn files_round_trip() {
     let folder = std::env::temp_dir().join(format!("rect-dictionary-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");
     let (file, large) = (folder.join("telemetry.dict"), folder.join("large.dict"));
@@ -91,63 +91,63 @@ fn files_keep_it() {
 }
 
 #[test]
-fn the_oldest_is_forgotten_and_none_is_replaced() {
-    let mut known = Dictionaries::default();
+fn the_oldest_dictionary_is_removed_and_none_is_replaced() {
+    let mut dictionaries = Dictionaries::default();
     let first = trained(0);
-    known.add(first.clone()).expect("room");
-    known.add(first.clone()).expect("there already");
-    assert_eq!(known.iter().count(), 1);
+    dictionaries.add(first.clone()).expect("room");
+    dictionaries.add(first.clone()).expect("already present");
+    assert_eq!(dictionaries.iter().count(), 1);
     let forged = Arc::new(Dictionary {
         bytes: b"other".to_vec(),
         id: first.id(),
         prepared: Prepared::new(first.as_bytes()).expect("prepared"),
     });
-    let error = known.add(forged).expect_err("taken");
-    assert!(matches!(error, DictionaryError::Taken(id) if id == first.id()));
-    for kind in 1..=Dictionaries::MOST {
-        known.add(trained(kind)).expect("room is made");
+    let error = dictionaries.add(forged).expect_err("taken");
+    assert!(matches!(error, DictionaryError::IdTaken(id) if id == first.id()));
+    for kind in 1..=Dictionaries::MAX {
+        dictionaries.add(trained(kind)).expect("room is made");
     }
-    assert_eq!(known.iter().count(), Dictionaries::MOST);
-    assert!(known.get(first.id()).is_none());
+    assert_eq!(dictionaries.iter().count(), Dictionaries::MAX);
+    assert!(dictionaries.get(first.id()).is_none());
 }
 
 #[test]
-fn each_robot_has_its_own_and_none_takes_the_places_of_the_others() {
-    let name = |text: &str| Name::new(text).expect("a name");
+fn each_robot_has_dictionaries_of_its_own_and_cannot_displace_others() {
+    let name = |text: &str| Name::new(text).expect("valid name");
     let (honest, other) = (name("honest"), name("other"));
-    let mut known = RobotDictionaries::default();
+    let mut dictionaries = RobotDictionaries::default();
     let first = trained(0);
-    known.add(&honest, first.clone());
+    dictionaries.add(&honest, first.clone());
     let same_id = Arc::new(Dictionary {
         bytes: b"other".to_vec(),
         id: first.id(),
         prepared: Prepared::new(first.as_bytes()).expect("prepared"),
     });
-    known.add(&other, same_id.clone());
-    let found = |known: &RobotDictionaries, robot: &Name| {
-        known
+    dictionaries.add(&other, same_id.clone());
+    let found = |dictionaries: &RobotDictionaries, robot: &Name| {
+        dictionaries
             .of(robot)
             .get(first.id())
-            .map(|known| known.bytes.clone())
+            .map(|dictionaries| dictionaries.bytes.clone())
     };
-    assert_eq!(found(&known, &honest), Some(first.bytes.clone()));
-    assert_eq!(found(&known, &other), Some(same_id.bytes.clone()));
-    assert_eq!(found(&known, &name("nobody")), None);
+    assert_eq!(found(&dictionaries, &honest), Some(first.bytes.clone()));
+    assert_eq!(found(&dictionaries, &other), Some(same_id.bytes.clone()));
+    assert_eq!(found(&dictionaries, &name("nobody")), None);
     for robot in 0..8 {
-        for kind in 1..=Dictionaries::MOST {
-            known.add(&name(&format!("robot-{robot}")), trained(kind));
+        for kind in 1..=Dictionaries::MAX {
+            dictionaries.add(&name(&format!("robot-{robot}")), trained(kind));
         }
     }
-    assert_eq!(known.len(), RobotDictionaries::MOST);
+    assert_eq!(dictionaries.len(), RobotDictionaries::MAX);
     assert_eq!(
-        found(&known, &honest),
+        found(&dictionaries, &honest),
         Some(first.bytes.clone()),
         "it has few"
     );
-    known.add(&honest, same_id.clone());
+    dictionaries.add(&honest, same_id.clone());
     assert_eq!(
-        found(&known, &honest),
+        found(&dictionaries, &honest),
         Some(same_id.bytes.clone()),
-        "its own change"
+        "replaced by the same robot"
     );
 }

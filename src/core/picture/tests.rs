@@ -1,4 +1,4 @@
-//! Raw pictures are what they say, and scale as the eye expects.
+//! Tests raw pictures and scaling.
 use super::*;
 
 fn raw(schema: &str, bytes: usize) -> Payload {
@@ -7,7 +7,7 @@ fn raw(schema: &str, bytes: usize) -> Payload {
 }
 
 #[test]
-fn a_picture_comes_back_without_a_copy() {
+fn pictures_round_trip_without_a_copy() {
     let picture = Picture::new(3, 2, Format::Rgb8, vec![9; 18]).expect("a picture");
     let payload = picture.to_payload().expect("written");
     assert_eq!(
@@ -20,7 +20,7 @@ fn a_picture_comes_back_without_a_copy() {
 }
 
 #[test]
-fn other_sizes_than_said_are_refused() {
+fn sizes_that_do_not_match_are_rejected() {
     for (width, height, bytes) in [(0, 2, 0), (2, 0, 0), (2, 2, 11), (2, 2, 13)] {
         assert!(Picture::new(width, height, Format::Rgb8, vec![0; bytes]).is_err());
     }
@@ -49,7 +49,7 @@ fn other_sizes_than_said_are_refused() {
 }
 
 #[test]
-fn what_is_no_picture_is_told_so() {
+fn other_payloads_are_not_pictures() {
     for payload in [
         Payload::new("{}", Encoding::JSON),
         raw("array;u8;4", 4),
@@ -57,14 +57,14 @@ fn what_is_no_picture_is_told_so() {
         Payload::new("", Encoding::new("text/plain;picture;rgb8;2x2")),
     ] {
         let error = payload.picture(&Limits::default()).expect_err("no picture");
-        assert!(matches!(error, PayloadError::Other { .. }), "{error}");
+        assert!(matches!(error, PayloadError::Mismatch { .. }), "{error}");
     }
 }
 
 #[test]
-fn a_scaled_picture_is_the_mean_of_what_it_stands_for() {
+fn a_scaled_picture_has_the_mean_of_the_pixels() {
     for (format, channels) in [(Format::Grey8, 1), (Format::Rgb8, 3), (Format::Rgba8, 4)] {
-        // Columns of 0 and 200 by turns, all opaque.
+        // Alternating columns of 0 and 200, all opaque.
         let pixel = |x: usize| {
             let mut pixel = vec![(x % 2) as u8 * 200; channels];
             if channels == 4 {

@@ -1,59 +1,61 @@
-//! Owns what a receiver tells a stream's sender, twice a second, in at most [`MAX_BYTES`].
+//! Encodes the feedback that a receiver sends to a stream's sender twice per second, in at most [`MAX_BYTES`] bytes.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
-//! | 1 | version 1 in the upper half; flag 1: of the slow group; flag 2: the pace is there |
-//! | 2 | the receiver: a number that it draws when it starts, little endian |
-//! | 2 | the source of the frames that it hears, little endian |
-//! | each 1 to 5 | LEB128: the last frame's number; and since the last such message: milliseconds, frames, bytes, frames skipped, the age in milliseconds that 9 of 10 frames stay below |
-//! | 1 to 5 | with flag 2: the pace, bytes per second, LEB128 |
+//! | 1 | upper half: version 1; flag 1: the slow group; flag 2: the pace is present |
+//! | 2 | the receiver: a random number that it chooses when it starts, little endian |
+//! | 2 | the source of the received frames, little endian |
+//! | 1 to 5 each | LEB128: the sequence number of the last frame; then, since the previous feedback: milliseconds, frames, bytes, frames skipped, and the 90th percentile of the age in milliseconds |
+//! | 1 to 5 | with flag 2: the pace in bytes per second, LEB128 |
 use super::Group;
 
-/// The longest, in bytes.
+/// The maximum length of feedback, in bytes.
 pub const MAX_BYTES: usize = 40;
 
 const VERSION: u8 = 1 << 4;
 const SLOW: u8 = 1;
 const PACE: u8 = 2;
 
-/// What a receiver says.
+/// A receiver's report about the frames that arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Feedback {
-    /// Where it listens.
+    /// Group of the receiver.
     pub group: Group,
-    /// Which of the programs of its robot it is.
+    /// Number that distinguishes the receivers of a robot.
     pub receiver: u16,
-    /// The source of the frames; 0 before there was one.
+    /// Source of the frames. 0 before the first frame.
     pub source: u16,
-    /// The number of the newest.
+    /// Sequence number of the newest frame.
     pub last: u32,
-    /// What the rest is about, in milliseconds.
+    /// Time span that the report covers, in milliseconds.
     pub span_ms: u32,
-    /// Frames that came.
+    /// Frames that arrived.
     pub frames: u32,
-    /// Their bytes.
+    /// Bytes of these frames.
     pub bytes: u32,
-    /// Frames that did not.
+    /// Frames that did not arrive.
     pub skipped: u32,
-    /// 9 of 10 were not older, in milliseconds.
+    /// 90th percentile of the age of the frames on arrival, in milliseconds.
     pub age_ms: u32,
-    /// Bytes per second at which frames came through: three of four were not slower. `None`: the clocks are not known.
+    /// Pace at which the frames arrived, in bytes per second. `None` if the offset of the clocks is unknown.
     pub pace_bytes_per_s: Option<u32>,
 }
 
-/// It is no such message.
+/// The bytes are not valid feedback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FeedbackError {
-    /// Another version of it, or something else.
-    #[error("feedback of the kind {0:#04x} is not known here: the receiver is of another version")]
+    /// The feedback has an unsupported version, or the bytes are something else.
+    #[error(
+        "feedback of the kind {0:#04x} is not supported: the receiver uses another version of RECT"
+    )]
     Version(u8),
-    /// Cut off, too long, or a number out of range.
-    #[error("this is no valid feedback")]
+    /// The feedback is truncated or too long, or contains a number that is out of range.
+    #[error("invalid feedback")]
     Damaged,
 }
 
 impl Feedback {
-    /// As bytes.
+    /// Encodes the feedback.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(MAX_BYTES);
         let slow = if self.group == Group::Slow { SLOW } else { 0 };
@@ -79,10 +81,10 @@ impl Feedback {
         bytes
     }
 
-    /// From bytes of whoever sent them.
+    /// Decodes untrusted feedback.
     ///
     /// # Errors
-    /// They are something else.
+    /// Returns a [`FeedbackError`] if the bytes are not valid feedback.
     pub fn decode(bytes: &[u8]) -> Result<Self, FeedbackError> {
         let (&kind, rest) = bytes.split_first().ok_or(FeedbackError::Damaged)?;
         if kind & !(SLOW | PACE) != VERSION {
@@ -144,7 +146,7 @@ fn take(bytes: &mut &[u8]) -> Option<u32> {
 mod tests {
     use super::*;
 
-    fn usual() -> Feedback {
+    fn typical() -> Feedback {
         Feedback {
             group: Group::Slow,
             receiver: 0xABCD,
@@ -160,9 +162,9 @@ mod tests {
     }
 
     #[test]
-    fn it_comes_back_and_is_a_few_bytes() {
+    fn feedback_round_trips_in_few_bytes() {
         let all = u32::MAX;
-        let most = Feedback {
+        let longest = Feedback {
             last: all,
             span_ms: all,
             frames: all,
@@ -170,9 +172,13 @@ mod tests {
             skipped: all,
             age_ms: all,
             pace_bytes_per_s: Some(all),
-            ..usual()
+            ..typical()
         };
-        for (feedback, size) in [(usual(), 18), (Feedback::default(), 11), (most, MAX_BYTES)] {
+        for (feedback, size) in [
+            (typical(), 18),
+            (Feedback::default(), 11),
+            (longest, MAX_BYTES),
+        ] {
             let bytes = feedback.encode();
             assert_eq!(bytes.len(), size, "{feedback:?}");
             assert_eq!(Feedback::decode(&bytes), Ok(feedback));
@@ -180,8 +186,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_cut_off_longer_or_of_another_version_is_refused() {
-        let bytes = usual().encode();
+    fn invalid_feedback_is_rejected() {
+        let bytes = typical().encode();
         for cut in 0..bytes.len() {
             assert_eq!(
                 Feedback::decode(&bytes[..cut]),

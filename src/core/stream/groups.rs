@@ -1,10 +1,10 @@
-//! Owns which robots get the frames of which group: those that get much less through than the best are slow, so that a
-//! laptop on Wi-Fi is not held down by a robot on Bluetooth. By robot, not by program: the programs of one robot share
-//! its link.
+//! Assigns robots to groups: robots with much slower links than the fastest one are in the slow group, so that a laptop
+//! on Wi-Fi is not limited by a robot on Bluetooth. The unit is the robot rather than the program, because the programs
+//! of a robot share its links.
 //!
-//! A robot's group follows from what it reports, which may be wrong or forged. So a robot that was moved counts in the group
-//! that it leaves for a few seconds only, whatever it reports, and one that was slow again and again waits longer each time
-//! before it may hold down the others once more.
+//! A robot's group follows from its reports, which may be wrong or forged. Therefore a robot that was moved counts in
+//! its previous group for only a few seconds, whatever it reports, and a robot that becomes slow repeatedly waits
+//! longer each time before it can affect the main group again.
 use std::{
     collections::BTreeMap,
     time::{Duration, Instant},
@@ -13,71 +13,73 @@ use std::{
 use super::Group;
 use crate::core::name::Name;
 
-/// Below that share of the best for so long, a robot becomes slow.
+/// A robot becomes slow after this time below this share of the fastest rate.
 const SLOW_BELOW: f64 = 1.0 / 3.0;
 const SLOW_AFTER: Duration = Duration::from_secs(2);
-/// Above that share for so long, it is no more.
+/// A robot returns to the main group after this time above this share.
 const MAIN_ABOVE: f64 = 0.6;
 const MAIN_AFTER: Duration = Duration::from_secs(4);
-/// A robot that became slow more than once waits twice as long each time, this often at most.
+/// How often the waiting time of a robot that becomes slow repeatedly doubles at most.
 const MAX_DOUBLINGS: u32 = 4;
-/// A robot that was not slow for so long, or is gone for so long, begins anew.
+/// How long slowdowns and absent robots are remembered.
 const REMEMBERED: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Copy, Debug)]
 struct Member {
     group: Group,
-    /// It belongs to the other.
+    /// Since when it has belonged to the other group.
     wrong_since: Option<Instant>,
-    /// When it was moved out of the other group.
+    /// When it was moved to its current group.
     moved: Option<Instant>,
-    /// How often it became slow, lately.
+    /// How often it became slow recently.
     slowdowns: u32,
-    gone_since: Option<Instant>,
+    absent_since: Option<Instant>,
 }
 
-/// Who is where.
+/// The groups of all robots.
 #[derive(Clone, Debug, Default)]
 pub struct Groups {
     members: BTreeMap<Name, Member>,
 }
 
 impl Groups {
-    /// Where a robot is.
+    /// Returns the group of a robot.
     pub fn of(&self, robot: &Name) -> Option<Group> {
         let member = self.members.get(robot)?;
-        member.gone_since.is_none().then_some(member.group)
+        member.absent_since.is_none().then_some(member.group)
     }
 
-    /// A robot that is not known yet is there.
+    /// Handles a report of a robot. If the robot is new, it is assigned to `group`.
     pub fn on_robot(&mut self, robot: &Name, group: Group) {
         let member = Member {
             group,
             wrong_since: None,
             moved: None,
             slowdowns: 0,
-            gone_since: None,
+            absent_since: None,
         };
         let member = self.members.entry(robot.clone()).or_insert(member);
-        member.gone_since = None;
+        member.absent_since = None;
     }
 
-    /// Whether a robot was moved out of that group no longer ago than `within`, so that it may still listen there.
+    /// Returns whether a robot was moved out of `group` no longer ago than `within`, so that it may still be subscribed
+    /// to it.
     pub fn is_leaving(&self, robot: &Name, group: Group, within: Duration, now: Instant) -> bool {
         let is_recent = |moved: Instant| now.saturating_duration_since(moved) < within;
         let member = self.members.get(robot);
         member.is_some_and(|member| member.group != group && member.moved.is_some_and(is_recent))
     }
 
-    /// All of a group.
+    /// Returns the robots of a group.
     pub fn members(&self, group: Group) -> impl Iterator<Item = &Name> {
-        let is_there = move |(_, member): &(&Name, &Member)| {
-            member.group == group && member.gone_since.is_none()
+        let is_member = move |(_, member): &(&Name, &Member)| {
+            member.group == group && member.absent_since.is_none()
         };
-        self.members.iter().filter(is_there).map(|(name, _)| name)
+        self.members.iter().filter(is_member).map(|(name, _)| name)
     }
 
-    /// So much gets through to each robot, in bytes per second; who is left out is gone. Whether anyone changed groups.
+    /// Updates the groups, given the rate of each robot in bytes per second. Robots that are not in `robots` are
+    /// absent. Returns whether the group of any robot has changed.
     pub fn update(&mut self, robots: &BTreeMap<Name, f64>, now: Instant) -> bool {
         let is_recent = |since: Instant| now.saturating_duration_since(since) < REMEMBERED;
         self.members.retain(|name, member| {
@@ -85,12 +87,12 @@ impl Groups {
                 return true;
             }
             member.wrong_since = None;
-            is_recent(*member.gone_since.get_or_insert(now))
+            is_recent(*member.absent_since.get_or_insert(now))
         });
         let best = robots.values().copied().fold(0.0, f64::max);
         let mut has_changed = false;
         for (name, member) in &mut self.members {
-            if member.gone_since.is_some() {
+            if member.absent_since.is_some() {
                 continue;
             }
             let share = robots.get(name).map_or(1.0, |rate| rate / best.max(1.0));
@@ -119,7 +121,7 @@ impl Groups {
 }
 
 impl Member {
-    /// How long it must get enough through before it is slow no more.
+    /// Returns how long the robot's rate must be high enough before it returns to the main group.
     fn main_after(&self) -> Duration {
         MAIN_AFTER * 2u32.pow(self.slowdowns.saturating_sub(1).min(MAX_DOUBLINGS))
     }
@@ -130,7 +132,7 @@ mod tests {
     use super::*;
 
     fn name(text: &str) -> Name {
-        Name::new(text).expect("a name")
+        Name::new(text).expect("valid name")
     }
 
     fn run(groups: &mut Groups, now: &mut Instant, rates: &[(&str, f64)], seconds: u32) -> u32 {
@@ -150,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn only_robots_with_much_slower_links_are_parted_and_only_once() {
+    fn moves_only_robots_with_much_slower_links_and_only_once() {
         let (mut groups, mut now) = (Groups::default(), Instant::now());
         assert_eq!(run(&mut groups, &mut now, &[("a", 29e3)], 20), 0);
         assert_eq!(
@@ -165,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn when_the_fast_one_goes_the_others_are_the_main_group() {
+    fn robots_return_to_the_main_group_when_the_fast_one_leaves() {
         let (mut groups, mut now) = (Groups::default(), Instant::now());
         run(&mut groups, &mut now, &[("a", 29e3), ("c", 5e6)], 10);
         assert_eq!(groups.of(&name("a")), Some(Group::Slow));
@@ -175,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn between_the_two_bounds_everyone_stays() {
+    fn robots_between_the_two_thresholds_keep_their_group() {
         let (mut groups, mut now) = (Groups::default(), Instant::now());
         for slower in [0.35, 0.5, 0.35, 0.58] {
             let changes = run(
@@ -199,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_slow_again_and_again_waits_longer_each_time() {
+    fn a_robot_that_becomes_slow_repeatedly_waits_longer_each_time() {
         let (mut groups, mut now) = (Groups::default(), Instant::now());
         let mut seconds = Vec::new();
         for _ in 0..8 {
@@ -212,16 +214,20 @@ mod tests {
             seconds.push((now - start).as_secs());
         }
         assert!(seconds[0] <= 6 && seconds[5] >= 60, "{seconds:?}");
-        // It leaves for a while, and comes back.
+        // The robot is absent for some time, and returns.
         run(&mut groups, &mut now, &[("a", 1.0), ("c", 1e6)], 4);
         run(&mut groups, &mut now, &[("c", 1e6)], 10);
         assert_eq!(groups.of(&name("a")), None);
         run(&mut groups, &mut now, &[("a", 1e6), ("c", 1e6)], 10);
-        assert_eq!(groups.of(&name("a")), Some(Group::Slow), "it is remembered");
+        assert_eq!(
+            groups.of(&name("a")),
+            Some(Group::Slow),
+            "the slowdowns are remembered"
+        );
     }
 
     #[test]
-    fn a_robot_that_was_moved_is_leaving_for_a_while() {
+    fn a_moved_robot_counts_as_leaving_for_some_time() {
         let (mut groups, mut now) = (Groups::default(), Instant::now());
         run(&mut groups, &mut now, &[("a", 1.0), ("c", 1e6)], 4);
         let within = Duration::from_secs(5);

@@ -1,53 +1,53 @@
-//! Owns what a sender says of its stream, as JSON: on the question of a receiver (whose clock learns from it), and to all
-//! when robots change groups.
+//! Encodes the notice of a stream as JSON. The sender returns it to receivers that query it, which also measures the
+//! offset of their clocks, and publishes it when robots change groups.
 use serde::{Deserialize, Serialize};
 
 use super::Group;
 
-/// The longest that is read, in bytes.
+/// The maximum length of a notice that is decoded, in bytes.
 pub const MAX_BYTES: usize = 8192;
-/// The most robots that are named of each group; who is not named stays where it is.
+/// The maximum number of robots named per group. Robots that are not named keep their group.
 pub const MAX_NAMES: usize = 64;
 
-/// What a sender says.
+/// The sender's description of a stream.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Notice {
-    /// Its clock, in milliseconds since 1970; the low 16 bits of it go with each frame.
+    /// Time of the sender's clock, in milliseconds since 1970. Frames contain its low 16 bits.
     pub time_ms: u64,
-    /// Where a receiver listens that is not named.
+    /// Group of receivers whose robot is not named.
     #[serde(default)]
     pub join: Group,
-    /// How often receivers are to say what came, in milliseconds.
-    #[serde(default = "half_a_second")]
+    /// Interval at which receivers send feedback, in milliseconds. 0 for no feedback.
+    #[serde(default = "default_feedback_ms")]
     pub feedback_ms: u32,
-    /// The robots that listen to the stream's own key.
+    /// Robots in the main group.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub main: Vec<String>,
-    /// The robots that listen to the slow group's.
+    /// Robots in the slow group.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub slow: Vec<String>,
 }
 
-fn half_a_second() -> u32 {
+fn default_feedback_ms() -> u32 {
     500
 }
 
-/// It is no such notice.
+/// The bytes are not a valid notice.
 #[derive(Debug, thiserror::Error)]
 pub enum NoticeError {
-    /// Longer than any.
-    #[error("a stream's notice of {0} bytes is too long: {MAX_BYTES} are the most")]
+    /// The notice is too long.
+    #[error("a stream's notice of {0} bytes is too long: at most {MAX_BYTES} bytes are allowed")]
     Length(usize),
-    /// Not JSON, or not of this shape.
-    #[error("this is no stream's notice")]
+    /// The notice is not JSON, or does not have the expected shape.
+    #[error("not a valid notice of a stream")]
     Json(#[from] serde_json::Error),
 }
 
 impl Notice {
-    /// From bytes of whoever sent them.
+    /// Decodes an untrusted notice.
     ///
     /// # Errors
-    /// They are something else.
+    /// Returns a [`NoticeError`] if the bytes are not a valid notice.
     pub fn decode(bytes: &[u8]) -> Result<Self, NoticeError> {
         if bytes.len() > MAX_BYTES {
             return Err(NoticeError::Length(bytes.len()));
@@ -55,13 +55,13 @@ impl Notice {
         Ok(serde_json::from_slice(bytes)?)
     }
 
-    /// As JSON.
+    /// Encodes the notice as JSON.
     pub fn encode(&self) -> Vec<u8> {
-        // Numbers and names only: there is nothing in it that JSON can't say.
+        // This cannot fail: it consists of numbers and names only.
         serde_json::to_vec(self).unwrap_or_default()
     }
 
-    /// Where the robot of that name is to listen; `None`: it is not named.
+    /// Returns the group of a robot. `None` if the robot is not named.
     pub fn group_of(&self, robot: &str) -> Option<Group> {
         let is_in = |names: &[String]| names.iter().any(|name| name == robot);
         match (is_in(&self.main), is_in(&self.slow)) {
@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_comes_back_and_is_short_while_there_is_nothing_to_say() {
+    fn notices_round_trip_and_are_short_without_groups() {
         let notice = Notice {
             time_ms: 1_795_000_000_000,
             feedback_ms: 500,
@@ -86,20 +86,20 @@ mod tests {
         let bytes = notice.encode();
         assert!(bytes.len() < 70, "{}", String::from_utf8_lossy(&bytes));
         assert_eq!(Notice::decode(&bytes).expect("read"), notice);
-        let parted = Notice {
+        let with_groups = Notice {
             main: vec!["laptop".into()],
             slow: vec!["wombat-2".into()],
             join: Group::Slow,
             ..notice
         };
-        let read = Notice::decode(&parted.encode()).expect("read");
+        let read = Notice::decode(&with_groups.encode()).expect("read");
         assert_eq!(read.group_of("laptop"), Some(Group::Main));
         assert_eq!(read.group_of("wombat-2"), Some(Group::Slow));
         assert_eq!(read.group_of("other"), None);
     }
 
     #[test]
-    fn what_is_something_else_is_refused() {
+    fn invalid_notices_are_rejected() {
         for wrong in ["", "{}", "{\"time_ms\":-1}", "{\"time_ms\":1,\"slow\":3}"] {
             assert!(Notice::decode(wrong.as_bytes()).is_err(), "{wrong}");
         }

@@ -1,129 +1,130 @@
-//! Owns the difference of two clocks that nobody set alike, and so the age of a frame.
+//! Estimates the offset between two clocks that are not synchronised, and thereby the age of frames.
 //!
-//! Frames tell the low 16 bits of their sender's milliseconds. The receiver's own, less those, are the difference of the
-//! clocks and the time on the way, mod 2^16. The difference comes from a small question that the sender answers with its
-//! time: at most half a round trip is wrong with it. Until there is an answer, the fastest frame of the last minute
-//! counts as one that took no time.
+//! Frames contain the low 16 bits of their sender's milliseconds. The receiver's milliseconds minus those are the sum
+//! of the clock offset and the time in transit, modulo 2^16. The receiver measures the offset with a small query to
+//! which the sender replies with its time; the error is at most half a round trip. Until there is a reply, the fastest
+//! frame of the last minute is assumed to have taken no time.
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
 };
 
-/// The fastest frame is forgotten after so long: the clocks drift.
+/// How long the fastest frame is remembered. Longer would be wrong, because clocks drift.
 const WINDOW: Duration = Duration::from_secs(60);
 const PART: Duration = Duration::from_secs(10);
-/// How fast two clocks may drift apart: 100 ppm, twice what crystals are allowed.
+/// The maximum drift between two clocks: 100 ppm, twice what crystals are specified for.
 const DRIFT_MS_PER_S: f64 = 0.1;
-/// Such a frame would have come before it was sent: the sender's clock was set.
+/// A frame that is younger than this would have arrived before it was sent: the sender's clock was set.
 const IMPOSSIBLE_MS: f64 = -200.0;
 
-/// The low 16 bits of milliseconds, by a clock of this process.
+/// A clock of this process that counts milliseconds.
 #[derive(Clone, Copy, Debug)]
-pub struct Millis {
+pub struct MillisecondClock {
     start: Instant,
     start_ms: u64,
 }
 
-impl Millis {
-    /// A clock that shows `start_ms` at `start`, and does not jump when the system's clock is set.
+impl MillisecondClock {
+    /// Creates a clock that shows `start_ms` at `start`, and does not jump when the system's clock is set.
     pub fn new(start: Instant, start_ms: u64) -> Self {
         Self { start, start_ms }
     }
 
-    /// What it shows.
+    /// Returns the time in milliseconds.
     pub fn at(&self, now: Instant) -> u64 {
         let since = now.saturating_duration_since(self.start);
         self.start_ms.wrapping_add(since.as_millis() as u64)
     }
 
-    /// The low 16 bits of that.
+    /// Returns the low 16 bits of the time in milliseconds.
     pub fn low(&self, now: Instant) -> u16 {
         self.at(now) as u16
     }
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Answer {
+struct Reply {
     at: Instant,
     difference_ms: f64,
     round_trip: Duration,
 }
 
-/// What is known of the sender's clock.
+/// The estimated offset of the sender's clock.
 #[derive(Debug)]
 pub struct Offset {
-    own: Millis,
-    /// The last difference, unwrapped: others are near it.
+    own: MillisecondClock,
+    /// The last difference, unwrapped. The next ones are close to it.
     near: Option<i64>,
-    /// The fastest of each part of the window.
+    /// The smallest difference in each part of the window.
     fastest: VecDeque<(Instant, i64)>,
-    answer: Option<Answer>,
+    reply: Option<Reply>,
 }
 
 impl Offset {
-    /// Nothing is known yet.
+    /// Creates an estimate without any measurement.
     pub fn new(now: Instant) -> Self {
         Self {
-            own: Millis::new(now, 0),
+            own: MillisecondClock::new(now, 0),
             near: None,
             fastest: VecDeque::new(),
-            answer: None,
+            reply: None,
         }
     }
 
-    /// The sender was asked at `asked`, and answered, with `sender_low` of its milliseconds, at `now`.
-    pub fn on_answer(&mut self, asked: Instant, sender_low: u16, now: Instant) {
-        let round_trip = now.saturating_duration_since(asked);
-        let middle = asked + round_trip / 2;
+    /// Handles the reply to a query that was sent at `asked_at`. `sender_low` is the low 16 bits of the sender's
+    /// milliseconds, and `now` the time of arrival.
+    pub fn on_reply(&mut self, asked_at: Instant, sender_low: u16, now: Instant) {
+        let round_trip = now.saturating_duration_since(asked_at);
+        let middle = asked_at + round_trip / 2;
         let difference_ms = self.unwrapped(self.own.low(middle).wrapping_sub(sender_low)) as f64;
-        let answer = Answer {
+        let reply = Reply {
             at: now,
             difference_ms,
             round_trip,
         };
-        let is_better = self.answer.is_none_or(|known| {
+        let is_better = self.reply.is_none_or(|known| {
             let drift_ms = now.saturating_duration_since(known.at).as_secs_f64() * DRIFT_MS_PER_S;
-            let may_be_wrong = known.round_trip + Duration::from_secs_f64(drift_ms / 1000.0);
-            // So different are they only if a clock was set.
-            let most_ms = (known.round_trip + round_trip).as_secs_f64() * 500.0 + drift_ms + 50.0;
-            round_trip <= may_be_wrong || (difference_ms - known.difference_ms).abs() > most_ms
+            let max_error = known.round_trip + Duration::from_secs_f64(drift_ms / 1000.0);
+            // A larger difference is only possible if a clock was set.
+            let limit_ms = (known.round_trip + round_trip).as_secs_f64() * 500.0 + drift_ms + 50.0;
+            round_trip <= max_error || (difference_ms - known.difference_ms).abs() > limit_ms
         });
         if is_better {
-            self.answer = Some(answer);
+            self.reply = Some(reply);
         }
     }
 
-    /// A frame of then came now. How long it took.
+    /// Handles a frame that was sent at `sent_low`, and returns its age.
     pub fn on_frame(&mut self, sent_low: u16, now: Instant) -> Age {
         let difference = self.unwrapped(self.own.low(now).wrapping_sub(sent_low));
         self.note(difference, now);
-        if let Some(answer) = self.answer {
-            let took_ms = difference as f64 - answer.difference_ms;
-            let wrong_ms = answer.round_trip.as_secs_f64() * 500.0;
-            if took_ms >= IMPOSSIBLE_MS - wrong_ms {
+        if let Some(reply) = self.reply {
+            let age_ms = difference as f64 - reply.difference_ms;
+            let error_ms = reply.round_trip.as_secs_f64() * 500.0;
+            if age_ms >= IMPOSSIBLE_MS - error_ms {
                 return Age {
-                    age: Duration::from_secs_f64(took_ms.max(0.0) / 1000.0),
-                    least: Some(answer.round_trip / 2),
+                    age: Duration::from_secs_f64(age_ms.max(0.0) / 1000.0),
+                    min_delay: Some(reply.round_trip / 2),
                 };
             }
-            self.answer = None;
+            self.reply = None;
         }
         let fastest = self.fastest.iter().map(|&(_, fastest)| fastest).min();
-        let took_ms = difference - fastest.unwrap_or(difference);
+        let age_ms = difference - fastest.unwrap_or(difference);
         Age {
-            age: Duration::from_millis(took_ms.max(0) as u64),
-            least: None,
+            age: Duration::from_millis(age_ms.max(0) as u64),
+            min_delay: None,
         }
     }
 
-    /// Whether the sender has said its time.
+    /// Returns whether the sender has replied to a query.
     pub fn is_known(&self) -> bool {
-        self.answer.is_some()
+        self.reply.is_some()
     }
 
-    /// The round trip of a small question, where known.
+    /// Returns the round trip of a query, if there was a reply.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.answer.map(|answer| answer.round_trip)
+        self.reply.map(|reply| reply.round_trip)
     }
 
     fn note(&mut self, difference: i64, now: Instant) {
@@ -148,13 +149,13 @@ impl Offset {
     }
 }
 
-/// How long a frame took.
+/// The age of a frame on arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Age {
-    /// Since it was sent; where `least` is not known, what it took longer than the fastest one of the last minute.
+    /// Age of the frame. If the clocks' offset is unknown, the delay relative to the fastest frame of the last minute.
     pub age: Duration,
-    /// What the smallest message takes.
-    pub least: Option<Duration>,
+    /// Time that the smallest message takes. `None` if the clocks' offset is unknown.
+    pub min_delay: Option<Duration>,
 }
 
 #[cfg(test)]
@@ -166,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn ages_are_right_wherever_the_clocks_stand_and_however_they_drift() {
+    fn ages_are_correct_for_any_clock_offset_and_drift() {
         let start = Instant::now();
         for begin in [0, 1, 32_767, 65_500, 1_795_000_000_123] {
             let mut offset = Offset::new(start);
@@ -175,22 +176,22 @@ mod tests {
             for n in 0..36_000u64 {
                 let sent = ms(n * 100);
                 if n % 150 == 0 {
-                    offset.on_answer(start + sent, sender(sent + ms(20)), start + sent + ms(40));
+                    offset.on_reply(start + sent, sender(sent + ms(20)), start + sent + ms(40));
                 }
                 let took = ms(20 + n * 7919 % 400);
                 let found = offset.on_frame(sender(sent), start + sent + took);
-                let wrong_ms = found.age.as_millis().abs_diff(took.as_millis());
+                let error_ms = found.age.as_millis().abs_diff(took.as_millis());
                 assert!(
-                    wrong_ms <= 6,
+                    error_ms <= 6,
                     "begin {begin}, frame {n}: {found:?}, not {took:?}"
                 );
-                assert!(found.least.is_some_and(|least| least <= ms(21)));
+                assert!(found.min_delay.is_some_and(|delay| delay <= ms(21)));
             }
         }
     }
 
     #[test]
-    fn without_an_answer_the_fastest_of_the_last_minute_took_no_time() {
+    fn without_a_reply_ages_are_relative_to_the_fastest_frame() {
         let start = Instant::now();
         let mut offset = Offset::new(start);
         for n in 0..2000u64 {
@@ -199,13 +200,13 @@ mod tests {
             let found = offset.on_frame(low, start + sent + took);
             if n > 7 {
                 assert_eq!(
-                    (found.age, found.least),
+                    (found.age, found.min_delay),
                     (took - ms(100), None),
                     "frame {n}"
                 );
             }
         }
-        // The way is longer now: a minute later that is known.
+        // The delay increases. A minute later, the estimate has adapted.
         let longer = |offset: &mut Offset, n: u64| {
             let sent = ms(n * 100);
             let low = 65_000u16.wrapping_add(sent.as_millis() as u16);
@@ -217,14 +218,14 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_is_noticed() {
+    fn adapts_to_a_clock_that_was_set() {
         let start = Instant::now();
         let mut offset = Offset::new(start);
-        offset.on_answer(start, 1000, start + ms(10));
+        offset.on_reply(start, 1000, start + ms(10));
         assert_eq!(offset.on_frame(1005, start + ms(60)).age, ms(50));
-        // It is an hour ahead at once: 3,600,000 ms are 61,056 mod 2^16, which is 4480 back.
+        // The clock jumps one hour ahead: 3,600,000 ms are 61,056 modulo 2^16, which is 4480 back.
         let low = |at_ms: u64| (995 + at_ms + 3_600_000) as u16;
-        offset.on_answer(start + ms(100), low(105), start + ms(110));
+        offset.on_reply(start + ms(100), low(105), start + ms(110));
         assert_eq!(offset.on_frame(low(200), start + ms(250)).age, ms(50));
     }
 }

@@ -1,24 +1,26 @@
-//! Owns when the next frame may go: frames are as far apart as their bytes take at the rate, and no closer than wanted.
+//! Decides when the next frame may be sent: the interval between frames follows from their size and the rate, and from
+//! the maximum frame rate.
 use std::time::{Duration, Instant};
 
-/// One group's.
+/// The pacer of one group.
 #[derive(Clone, Debug, Default)]
 pub struct Pacer {
     due: Option<Instant>,
 }
 
 impl Pacer {
-    /// Whether a frame may go. A little before its time it may, too: cameras are not exact.
+    /// Returns whether a frame may be sent. A small tolerance accommodates cameras with an irregular rate.
     pub fn is_due(&self, frames_per_s: f64, now: Instant) -> bool {
         self.due
             .is_none_or(|due| now + gap(frames_per_s) / 8 >= due)
     }
 
-    /// One went.
+    /// Handles a frame that was sent.
     pub fn on_sent(&mut self, bytes: usize, bytes_per_s: f64, frames_per_s: f64, now: Instant) {
         let takes = Duration::from_secs_f64((bytes as f64 / bytes_per_s.max(1.0)).min(60.0));
         let gap = gap(frames_per_s);
-        // It counts from when it was due, so that a camera's own spacing costs nothing; but what was not used is gone.
+        // The interval begins when the frame was due, so that irregular cameras do not lower the rate. Unused time is
+        // lost, however.
         let from = self.due.map_or(now, |due| due.max(now - gap.min(SLACK)));
         self.due = Some(from + takes.max(gap));
     }
@@ -34,7 +36,7 @@ fn gap(frames_per_s: f64) -> Duration {
 mod tests {
     use super::*;
 
-    /// Frames and bytes per second of a camera at 30 Hz.
+    /// Returns the frames and bytes per second that are sent of a camera at 30 Hz.
     fn run(bytes: usize, bytes_per_s: f64, frames_per_s: f64) -> (f64, f64) {
         let start = Instant::now();
         let (mut pacer, mut frames) = (Pacer::default(), 0);
@@ -50,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_is_used_and_not_passed_whatever_the_camera_does() {
+    fn uses_the_rate_without_exceeding_it() {
         for bytes in [500, 1000, 3000, 10_000] {
             let (_, sent) = run(bytes, 30e3, 100.0);
             let possible = 30e3_f64.min(30.0 * bytes as f64);
@@ -59,12 +61,12 @@ mod tests {
     }
 
     #[test]
-    fn there_are_no_more_frames_than_wanted() {
-        for wanted in [1.0, 5.0, 12.5, 20.0, 30.0] {
-            let (frames, _) = run(100, 1e9, wanted);
+    fn does_not_exceed_the_frame_rate() {
+        for limit in [1.0, 5.0, 12.5, 20.0, 30.0] {
+            let (frames, _) = run(100, 1e9, limit);
             assert!(
-                (0.95..1.05).contains(&(frames / wanted)),
-                "{wanted}: {frames}"
+                (0.95..1.05).contains(&(frames / limit)),
+                "{limit}: {frames}"
             );
         }
     }

@@ -1,40 +1,40 @@
-//! Owns a picture's way to the bytes of a level: made smaller, and written lossless or with a quality.
-use super::ladder::{Coding, Level};
+//! Encodes a picture at a step of the ladder: scales it, and compresses it losslessly or with a quality.
+use super::ladder::{Coding, Step};
 use crate::core::{
     codec::{jpeg::Jpeg, png::Png, webp::Webp, Codec, CodecError},
     payload::Payload,
     picture::Picture,
 };
 
-/// How pictures with a quality are written.
+/// The format of pictures that are compressed with a quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Photographs {
-    /// JPEG: quick to write, and every program reads it.
+pub enum LossyFormat {
+    /// JPEG: fast to encode, and supported by every program. The default.
     #[default]
     Jpeg,
-    /// WebP: a quarter to a half smaller for the same look, and takes several times as long to write.
+    /// WebP: a quarter to a half smaller at the same quality, but several times slower to encode.
     Webp,
 }
 
-/// The picture at a level; without one it stays raw.
+/// Encodes a picture at a step. Without a step, it stays raw.
 ///
 /// # Errors
-/// The codec's.
+/// Returns the error of the codec.
 pub fn encode(
     picture: &Picture,
-    level: Option<Level>,
-    photographs: Photographs,
+    step: Option<Step>,
+    lossy_format: LossyFormat,
 ) -> Result<Payload, CodecError> {
-    let Some(level) = level else {
+    let Some(step) = step else {
         return Ok(picture.clone().payload());
     };
-    let side = |pixels: u32| (pixels * u32::from(level.quarters) / 4).max(1);
+    let side = |pixels: u32| (pixels * u32::from(step.quarters) / 4).max(1);
     let scaled = picture.scaled(side(picture.width()), side(picture.height()))?;
     let raw = scaled.payload();
-    match (level.coding, photographs) {
+    match (step.coding, lossy_format) {
         (Coding::Lossless, _) => Png.encode(&raw),
-        (Coding::Lossy(quality), Photographs::Jpeg) => Jpeg::new(quality).encode(&raw),
-        (Coding::Lossy(quality), Photographs::Webp) => Webp::new(quality).encode(&raw),
+        (Coding::Lossy(quality), LossyFormat::Jpeg) => Jpeg::new(quality).encode(&raw),
+        (Coding::Lossy(quality), LossyFormat::Webp) => Webp::new(quality).encode(&raw),
     }
 }
 
@@ -44,25 +44,25 @@ mod tests {
     use crate::core::{codec::Limits, picture::Format, stream::ladder::PICTURES};
 
     #[test]
-    fn each_step_gives_a_picture_of_its_size_that_can_be_read() {
+    fn pictures_of_each_step_have_its_size() {
         let (width, height) = (160, 120);
         let pixels: Vec<u8> = (0..width * height * 3)
             .map(|n| (n * 7 % 251) as u8)
             .collect();
         let picture = Picture::new(width, height, Format::Rgb8, pixels).expect("a picture");
-        for photographs in [Photographs::Jpeg, Photographs::Webp] {
-            for level in PICTURES {
-                let payload = encode(&picture, Some(level), photographs).expect("written");
+        for lossy_format in [LossyFormat::Jpeg, LossyFormat::Webp] {
+            for step in PICTURES {
+                let payload = encode(&picture, Some(step), lossy_format).expect("written");
                 let read = payload.picture(&Limits::default()).expect("a picture");
-                let quarters = u32::from(level.quarters);
-                assert_eq!(read.width(), width * quarters / 4, "{level}");
-                assert_eq!(read.height(), height * quarters / 4, "{level}");
-                if level.coding == Coding::Lossless {
+                let quarters = u32::from(step.quarters);
+                assert_eq!(read.width(), width * quarters / 4, "{step}");
+                assert_eq!(read.height(), height * quarters / 4, "{step}");
+                if step.coding == Coding::Lossless {
                     assert_eq!(read, picture);
                 }
             }
         }
-        let raw = encode(&picture, None, Photographs::Jpeg).expect("raw");
+        let raw = encode(&picture, None, LossyFormat::Jpeg).expect("raw");
         assert_eq!(raw.picture(&Limits::default()).expect("a picture"), picture);
     }
 }

@@ -1,54 +1,55 @@
-//! Owns how many bytes per second one receiver gets through, from what it says.
+//! Decides at which rate to send to a receiver, from its feedback.
 //!
-//! The rate is a share of the *pace* at which frames came through. The pace is the link's, whatever is sent, so that the
-//! rate finds its place in a few messages and stays there; nothing has to be overfilled to learn where the end is. It
-//! goes down at once and at most doubles with each message. Where the clocks are not known there is no pace: then it grows
-//! until frames are late or lost, and gives way.
+//! The rate is a share of the *pace* at which frames arrived. The pace is a property of the link and independent of
+//! what is sent. So the rate converges within a few reports and stays constant, and no queue has to be filled to find
+//! the limit. The rate decreases immediately, and at most doubles with each report. If the clocks' offset is unknown,
+//! there is no pace: then the rate grows until frames are late or lost, and backs off.
 use std::time::{Duration, Instant};
 
 use super::feedback::Feedback;
 
-/// The share of the pace that is used: the rest is for what else the link carries, and for frames larger than expected.
+/// The share of the pace that is used. The rest is for other traffic on the link, and for frames that are larger than
+/// expected.
 const SHARE: f64 = 0.85;
-/// How much of the pace one message makes.
+/// The weights of a new measurement of the pace, for a decrease and an increase.
 const WEIGHT_DOWN: f64 = 0.5;
 const WEIGHT_UP: f64 = 0.3;
-/// How much of the share of lost frames one message makes: with two a second, the memory is about 3 s.
+/// The weight of a new measurement of losses: with two reports per second, the average covers about 3 s.
 const WEIGHT_LOSS: f64 = 0.15;
-/// With so many lost the rate gives way; fewer are the weather of a radio.
-const MUCH_LOSS: f64 = 0.2;
-const GIVES_WAY: f64 = 0.85;
-/// After it gave way for losses, it grows by that much a message, for so long.
+/// The share of lost frames above which the rate backs off. Fewer losses are normal for radio links.
+const HIGH_LOSS: f64 = 0.2;
+const BACKOFF: f64 = 0.85;
+/// The growth per report after backing off because of losses, and for how long it applies.
 const CAUTIOUS_GROWTH: f64 = 1.01;
-const CAUTIOUS: Duration = Duration::from_secs(10);
-/// Later than the fastest ones by so much, where there is no pace, frames wait for each other.
+const CAUTIOUS_TIME: Duration = Duration::from_secs(10);
+/// Without a pace, frames that are later than the fastest ones by more than this are assumed to queue.
 const LATE_MS: u32 = 150;
 const BLIND_GROWTH: f64 = 1.1;
-/// No word for so long: it is halved, and again each second.
+/// After this time without feedback the rate is halved, and again every second.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// What a stream may send, in bytes per second.
+/// The limits of a stream's data rate, in bytes per second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RateLimits {
-    /// Not less; default 2,000.
-    pub least: f64,
-    /// Before anything is known, and where nobody says anything; default 60,000.
-    pub first: f64,
-    /// Not more; default 20,000,000.
-    pub most: f64,
+    /// Minimum rate. Default: 2,000.
+    pub min_bytes_per_s: f64,
+    /// Rate before the first feedback, and for receivers that send none. Default: 60,000.
+    pub initial_bytes_per_s: f64,
+    /// Maximum rate. Default: 20,000,000.
+    pub max_bytes_per_s: f64,
 }
 
 impl Default for RateLimits {
     fn default() -> Self {
         Self {
-            least: 2e3,
-            first: 60e3,
-            most: 20e6,
+            min_bytes_per_s: 2e3,
+            initial_bytes_per_s: 60e3,
+            max_bytes_per_s: 20e6,
         }
     }
 }
 
-/// One receiver's.
+/// The rate for one receiver.
 #[derive(Clone, Debug)]
 pub struct Rate {
     limits: RateLimits,
@@ -56,31 +57,33 @@ pub struct Rate {
     pace: Option<f64>,
     lost_share: f64,
     cautious_until: Option<Instant>,
-    /// It has given way before: no more leaps.
-    has_given_way: bool,
+    /// Whether the rate has backed off before; then it grows more slowly.
+    has_backed_off: bool,
     quiet_since: Instant,
 }
 
 impl Rate {
-    /// Of a receiver that is new.
+    /// Creates the rate for a new receiver.
     pub fn new(limits: RateLimits, now: Instant) -> Self {
         Self {
             limits,
-            bytes_per_s: limits.first.clamp(limits.least, limits.most),
+            bytes_per_s: limits
+                .initial_bytes_per_s
+                .clamp(limits.min_bytes_per_s, limits.max_bytes_per_s),
             pace: None,
             lost_share: 0.0,
             cautious_until: None,
-            has_given_way: false,
+            has_backed_off: false,
             quiet_since: now,
         }
     }
 
-    /// What may be sent.
+    /// Returns the current rate.
     pub fn bytes_per_s(&self) -> f64 {
         self.bytes_per_s
     }
 
-    /// What could be sent once the rate has grown there: a share of the pace.
+    /// Returns the rate that would be reached after further growth: a share of the pace.
     pub fn potential(&self) -> f64 {
         match self.pace {
             Some(pace) if self.cautious_until.is_none() => self.within(pace * SHARE),
@@ -88,12 +91,12 @@ impl Rate {
         }
     }
 
-    /// The share of frames lost, lately.
+    /// Returns the share of frames lost recently, 0 to 1.
     pub fn lost_share(&self) -> f64 {
         self.lost_share
     }
 
-    /// The receiver says so.
+    /// Handles feedback of the receiver.
     pub fn on_feedback(&mut self, feedback: &Feedback, now: Instant) {
         self.quiet_since = now;
         let all = f64::from(feedback.frames) + f64::from(feedback.skipped);
@@ -109,17 +112,17 @@ impl Rate {
             Some(pace) => self.follow(f64::from(pace)),
             None => self.grow_blindly(feedback, now),
         }
-        if self.lost_share > MUCH_LOSS && self.cautious_until.is_none() {
-            self.give_way(self.bytes_per_s, now);
+        if self.lost_share > HIGH_LOSS && self.cautious_until.is_none() {
+            self.back_off(self.bytes_per_s, now);
         }
     }
 
-    /// Time has passed.
+    /// Updates the rate if the receiver has been silent.
     pub fn poll(&mut self, now: Instant) {
         if now.saturating_duration_since(self.quiet_since) >= SILENCE {
             self.quiet_since = now - SILENCE + Duration::from_secs(1);
-            let least = self.bytes_per_s.min(self.limits.first);
-            self.bytes_per_s = self.within((self.bytes_per_s / 2.0).max(least));
+            let min = self.bytes_per_s.min(self.limits.initial_bytes_per_s);
+            self.bytes_per_s = self.within((self.bytes_per_s / 2.0).max(min));
         }
     }
 
@@ -139,38 +142,38 @@ impl Rate {
     fn grow_blindly(&mut self, feedback: &Feedback, now: Instant) {
         self.pace = None;
         let span_s = f64::from(feedback.span_ms.max(100)) / 1000.0;
-        let came = f64::from(feedback.bytes) / span_s;
+        let received = f64::from(feedback.bytes) / span_s;
         if feedback.age_ms > LATE_MS {
             if self.cautious_until.is_none() {
-                self.give_way(came.min(self.bytes_per_s), now);
+                self.back_off(received.min(self.bytes_per_s), now);
             }
             return;
         }
-        let growth = match (self.cautious_until, self.has_given_way) {
+        let growth = match (self.cautious_until, self.has_backed_off) {
             (Some(_), _) => CAUTIOUS_GROWTH,
             (None, true) => BLIND_GROWTH,
             (None, false) => 1.5,
         };
-        // What is not sent is not known to fit.
-        let most = self.bytes_per_s.max(came * 2.0);
-        self.bytes_per_s = self.within((self.bytes_per_s * growth).min(most));
+        // A rate that is not used is not known to be possible.
+        let max = self.bytes_per_s.max(received * 2.0);
+        self.bytes_per_s = self.within((self.bytes_per_s * growth).min(max));
     }
 
-    fn give_way(&mut self, from: f64, now: Instant) {
-        self.bytes_per_s = self.within(from * GIVES_WAY);
-        self.has_given_way = true;
-        // What was lost before counts no more.
+    fn back_off(&mut self, from: f64, now: Instant) {
+        self.bytes_per_s = self.within(from * BACKOFF);
+        self.has_backed_off = true;
+        // Earlier losses do not count any more.
         self.lost_share = 0.0;
         let pause = if self.pace.is_some() {
-            CAUTIOUS
+            CAUTIOUS_TIME
         } else {
-            CAUTIOUS / 5
+            CAUTIOUS_TIME / 5
         };
         self.cautious_until = Some(now + pause);
     }
 
     fn within(&self, bytes_per_s: f64) -> f64 {
-        bytes_per_s.clamp(self.limits.least, self.limits.most)
+        bytes_per_s.clamp(self.limits.min_bytes_per_s, self.limits.max_bytes_per_s)
     }
 }
 
@@ -178,7 +181,7 @@ impl Rate {
 mod tests {
     use super::*;
 
-    fn says(pace: Option<u32>, frames: u32, skipped: u32) -> Feedback {
+    fn feedback(pace: Option<u32>, frames: u32, skipped: u32) -> Feedback {
         Feedback {
             span_ms: 500,
             frames,
@@ -198,34 +201,34 @@ mod tests {
     }
 
     #[test]
-    fn it_is_a_share_of_the_pace_down_at_once_and_up_by_doubling() {
+    fn follows_the_pace_down_at_once_and_up_by_doubling() {
         let mut now = Instant::now();
         let mut rate = Rate::new(RateLimits::default(), now);
-        run(&mut rate, &mut now, &says(Some(34_000), 5, 0), 1);
+        run(&mut rate, &mut now, &feedback(Some(34_000), 5, 0), 1);
         assert_eq!(rate.bytes_per_s(), 34e3 * SHARE);
-        run(&mut rate, &mut now, &says(Some(10_000_000), 5, 0), 1);
+        run(&mut rate, &mut now, &feedback(Some(10_000_000), 5, 0), 1);
         assert_eq!(rate.bytes_per_s(), 34e3 * SHARE * 2.0);
-        run(&mut rate, &mut now, &says(Some(10_000_000), 5, 0), 20);
+        run(&mut rate, &mut now, &feedback(Some(10_000_000), 5, 0), 20);
         assert!(rate.bytes_per_s() > 8e6);
-        run(&mut rate, &mut now, &says(Some(34_000), 5, 0), 12);
+        run(&mut rate, &mut now, &feedback(Some(34_000), 5, 0), 12);
         assert!(rate.bytes_per_s() < 31e3);
     }
 
     #[test]
-    fn a_few_losses_change_nothing_and_many_make_it_give_way() {
+    fn backs_off_after_many_losses_but_not_after_few() {
         let mut now = Instant::now();
         let mut rate = Rate::new(RateLimits::default(), now);
-        run(&mut rate, &mut now, &says(Some(50_000), 19, 1), 100);
+        run(&mut rate, &mut now, &feedback(Some(50_000), 19, 1), 100);
         assert_eq!(rate.bytes_per_s(), 50e3 * SHARE);
-        run(&mut rate, &mut now, &says(Some(50_000), 5, 5), 10);
+        run(&mut rate, &mut now, &feedback(Some(50_000), 5, 5), 10);
         assert!(rate.bytes_per_s() < 47e3 * SHARE);
     }
 
     #[test]
-    fn without_a_pace_it_grows_until_frames_are_late() {
+    fn without_a_pace_the_rate_grows_until_frames_are_late() {
         let mut now = Instant::now();
         let mut rate = Rate::new(RateLimits::default(), now);
-        let mut good = says(None, 5, 0);
+        let mut good = feedback(None, 5, 0);
         good.bytes = 60_000;
         run(&mut rate, &mut now, &good, 5);
         let grown = rate.bytes_per_s();
@@ -240,18 +243,21 @@ mod tests {
             },
             1,
         );
-        assert_eq!(rate.bytes_per_s(), 34e3 * GIVES_WAY);
+        assert_eq!(rate.bytes_per_s(), 34e3 * BACKOFF);
     }
 
     #[test]
-    fn silence_halves_it_down_to_where_it_began() {
+    fn without_feedback_the_rate_halves_down_to_the_initial_one() {
         let mut now = Instant::now();
         let mut rate = Rate::new(RateLimits::default(), now);
-        run(&mut rate, &mut now, &says(Some(10_000_000), 5, 0), 20);
+        run(&mut rate, &mut now, &feedback(Some(10_000_000), 5, 0), 20);
         for _ in 0..20 {
             now += Duration::from_secs(1);
             rate.poll(now);
         }
-        assert_eq!(rate.bytes_per_s(), RateLimits::default().first);
+        assert_eq!(
+            rate.bytes_per_s(),
+            RateLimits::default().initial_bytes_per_s
+        );
     }
 }

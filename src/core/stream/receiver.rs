@@ -1,5 +1,5 @@
-//! Owns the receiving end of a stream: which frames are new, how old they are, what was skipped, where to listen, and what
-//! to tell the sender.
+//! Implements the receiver of a stream: decides which frames are new, how old they are, what was skipped, which group
+//! to subscribe to, and what to report to the sender.
 use std::time::{Duration, Instant};
 
 use super::{feedback::Feedback, notice::Notice, offset::Offset, Group};
@@ -8,32 +8,33 @@ use crate::core::{
     name::Name,
 };
 
-/// Without an answer for so long, the sender is some other program: its frames are on the stream's own key.
-const STRANGE_AFTER: Duration = Duration::from_millis(1500);
-/// When nothing comes, that is said this often.
+/// If the sender does not reply within this time, it does not use RECT, and its frames are on the stream's own key.
+const FOREIGN_AFTER: Duration = Duration::from_millis(1500);
+/// The feedback interval while no frames arrive.
 const IDLE: Duration = Duration::from_secs(2);
-/// How often the sender's clock is asked for: at first a few times, for a quick answer among them.
-const ASK_AGAIN: Duration = Duration::from_secs(1);
-const ASK_MORE: Duration = Duration::from_millis(400);
-const ASK_LATER: Duration = Duration::from_secs(15);
-const FIRST_QUESTIONS: u32 = 4;
-/// A frame of another source that is so little older is of before a change of groups.
+/// How often the sender's clock is queried. It is queried a few times at first, so that one of the replies is likely to
+/// be fast.
+const QUERY_RETRY: Duration = Duration::from_secs(1);
+const FIRST_QUERY_INTERVAL: Duration = Duration::from_millis(400);
+const QUERY_INTERVAL: Duration = Duration::from_secs(15);
+const FIRST_QUERIES: u32 = 4;
+/// A frame of another source that is older by at most this was sent before a change of groups.
 const OVERTAKEN_MS: i16 = -2000;
-/// No frame takes less, as far as these clocks can tell.
+/// The shortest time in transit that the clocks can resolve.
 const SHORTEST: Duration = Duration::from_millis(1);
-/// Smaller frames take what any message takes: they tell nothing of the pace.
-const LEAST_PACED_BYTES: usize = 500;
-const MOST_AGES: usize = 1024;
+/// The minimum size of frames that the pace is measured with. Smaller frames take as long as any message.
+const MIN_PACED_BYTES: usize = 500;
+const MAX_AGES: usize = 1024;
 
-/// A frame that came.
+/// A frame that the program receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seen {
-    /// Its number.
+    /// Sequence number of the frame.
     pub number: u32,
-    /// How long ago it was sent; until the sender has told its time, how much longer it took than the fastest of the
-    /// last minute. `None`: another program's frame, which does not tell.
+    /// Age of the frame. Until the offset of the clocks is known, its delay relative to the fastest frame of the last
+    /// minute. `None` for a frame of a program that does not use RECT.
     pub age: Option<Duration>,
-    /// So many between the last one and this one have not come.
+    /// Number of frames between the previous one and this one that did not arrive.
     pub skipped: u32,
 }
 
@@ -42,10 +43,10 @@ struct Last {
     source: u16,
     number: u32,
     sent: Option<u16>,
-    came: Instant,
+    arrived_at: Instant,
 }
 
-/// What came since the last feedback.
+/// The frames since the last feedback.
 #[derive(Debug)]
 struct Span {
     since: Instant,
@@ -53,7 +54,7 @@ struct Span {
     bytes: u32,
     skipped: u32,
     ages_ms: Vec<u32>,
-    /// Frames whose time on the way is known: their bytes, and how long the way was busy with them.
+    /// Frames whose time in transit is known: their bytes, and how long they occupied the link.
     paced_bytes: f64,
     busy: Duration,
 }
@@ -72,41 +73,41 @@ impl Span {
     }
 }
 
-/// One program's end of one stream.
+/// The receiver of one stream in one program.
 #[derive(Debug)]
 pub struct Receiver {
     robot: Name,
     id: u16,
-    born: Instant,
+    created_at: Instant,
     group: Option<Group>,
     offset: Offset,
-    answers: u32,
-    ask_at: Instant,
+    replies: u32,
+    query_at: Instant,
     last: Option<Last>,
     span: Span,
-    feedback_every: Option<Duration>,
-    has_said_hello: bool,
+    feedback_interval: Option<Duration>,
+    has_reported: bool,
 }
 
 impl Receiver {
-    /// Of a program of `robot`, which draws `id` when it starts.
+    /// Creates the receiver of a program of `robot`. `id` is a random number.
     pub fn new(robot: Name, id: u16, now: Instant) -> Self {
         Self {
             robot,
             id,
-            born: now,
+            created_at: now,
             group: None,
             offset: Offset::new(now),
-            answers: 0,
-            ask_at: now,
+            replies: 0,
+            query_at: now,
             last: None,
             span: Span::new(now),
-            feedback_every: Some(Duration::from_millis(500)),
-            has_said_hello: false,
+            feedback_interval: Some(Duration::from_millis(500)),
+            has_reported: false,
         }
     }
 
-    /// A frame came. `None`: it is older than what has been there already.
+    /// Handles a frame. Returns `None` if it is older than a frame that has already arrived.
     pub fn on_frame(
         &mut self,
         attachment: Option<Attachment>,
@@ -119,7 +120,7 @@ impl Receiver {
             sent,
         }) = attachment
         else {
-            return Some(self.on_strange_frame(bytes, now));
+            return Some(self.on_foreign_frame(bytes, now));
         };
         let sent = match sent {
             Sent::Low(low) => Some(low),
@@ -147,16 +148,16 @@ impl Receiver {
         };
         let age = sent.map(|low| self.offset.on_frame(low, now));
         let span = &mut self.span;
-        let known = age.and_then(|age| Some((age.age, age.least?)));
-        if let Some((age, least)) = known.filter(|_| bytes >= LEAST_PACED_BYTES) {
-            // A frame that waited for the one before it had the way only after that.
+        let measured = age.and_then(|age| Some((age.age, age.min_delay?)));
+        if let Some((age, min_delay)) = measured.filter(|_| bytes >= MIN_PACED_BYTES) {
+            // A frame that queued behind the previous one occupied the link only after that one had arrived.
             let alone = self.last.map_or(age, |last| {
-                age.min(now.saturating_duration_since(last.came) + least)
+                age.min(now.saturating_duration_since(last.arrived_at) + min_delay)
             });
-            span.busy += alone.saturating_sub(least).max(SHORTEST);
+            span.busy += alone.saturating_sub(min_delay).max(SHORTEST);
             span.paced_bytes += bytes as f64;
         }
-        if let Some(age) = age.filter(|_| span.ages_ms.len() < MOST_AGES) {
+        if let Some(age) = age.filter(|_| span.ages_ms.len() < MAX_AGES) {
             span.ages_ms
                 .push(u32::try_from(age.age.as_millis()).unwrap_or(u32::MAX));
         }
@@ -166,7 +167,7 @@ impl Receiver {
             source,
             number,
             sent,
-            came: now,
+            arrived_at: now,
         });
         Some(Seen {
             number,
@@ -175,15 +176,15 @@ impl Receiver {
         })
     }
 
-    /// The sender, asked at `asked`, has answered.
-    pub fn on_answer(&mut self, notice: &Notice, asked: Instant, now: Instant) {
-        self.offset.on_answer(asked, notice.time_ms as u16, now);
-        self.answers += 1;
-        self.ask_at = now
-            + if self.answers < FIRST_QUESTIONS {
-                ASK_MORE
+    /// Handles the sender's reply to a query that was sent at `asked_at`.
+    pub fn on_reply(&mut self, notice: &Notice, asked_at: Instant, now: Instant) {
+        self.offset.on_reply(asked_at, notice.time_ms as u16, now);
+        self.replies += 1;
+        self.query_at = now
+            + if self.replies < FIRST_QUERIES {
+                FIRST_QUERY_INTERVAL
             } else {
-                ASK_LATER
+                QUERY_INTERVAL
             };
         if self.group.is_none() {
             self.group = Some(notice.join);
@@ -191,49 +192,55 @@ impl Receiver {
         self.on_notice(notice);
     }
 
-    /// The sender says something to all.
+    /// Handles a notice that the sender has published.
     pub fn on_notice(&mut self, notice: &Notice) {
         if let Some(group) = notice.group_of(self.robot.as_str()) {
-            // What it hears there tells when it has moved.
-            self.has_said_hello &= self.group == Some(group);
+            // The first feedback from the new group confirms the move.
+            self.has_reported &= self.group == Some(group);
             self.group = Some(group);
         }
         let every = Duration::from_millis(u64::from(notice.feedback_ms.clamp(200, 10_000)));
-        self.feedback_every = (notice.feedback_ms > 0).then_some(every);
+        self.feedback_interval = (notice.feedback_ms > 0).then_some(every);
     }
 
-    /// Where to listen now; `None`: not known yet.
+    /// Returns the group to subscribe to. `None` if it is not known yet.
     pub fn poll_group(&mut self, now: Instant) -> Option<Group> {
-        if self.group.is_none() && now.saturating_duration_since(self.born) >= STRANGE_AFTER {
+        if self.group.is_none() && now.saturating_duration_since(self.created_at) >= FOREIGN_AFTER {
             self.group = Some(Group::Main);
         }
         self.group
     }
 
-    /// Whether to ask the sender now.
-    pub fn poll_question(&mut self, now: Instant) -> bool {
-        if now < self.ask_at {
+    /// Returns whether to query the sender now.
+    pub fn poll_query(&mut self, now: Instant) -> bool {
+        if now < self.query_at {
             return false;
         }
-        let is_young = now.saturating_duration_since(self.born) < 4 * ASK_AGAIN;
-        self.ask_at = now + if is_young { ASK_AGAIN } else { 5 * ASK_AGAIN };
+        let is_young = now.saturating_duration_since(self.created_at) < 4 * QUERY_RETRY;
+        self.query_at = now
+            + if is_young {
+                QUERY_RETRY
+            } else {
+                5 * QUERY_RETRY
+            };
         true
     }
 
-    /// What to tell the sender now, if anything. A sender that answers no question is told nothing.
+    /// Returns the feedback to send now, if there is any. No feedback is sent to a sender that does not reply to
+    /// queries.
     pub fn poll_feedback(&mut self, now: Instant) -> Option<Feedback> {
-        let every = self.feedback_every?;
-        let group = self.group.filter(|_| self.answers > 0)?;
+        let every = self.feedback_interval?;
+        let group = self.group.filter(|_| self.replies > 0)?;
         let passed = now.saturating_duration_since(self.span.since);
         let wait = if self.span.frames > 0 {
             every
         } else {
             IDLE.max(every)
         };
-        if self.has_said_hello && passed < wait {
+        if self.has_reported && passed < wait {
             return None;
         }
-        self.has_said_hello = true;
+        self.has_reported = true;
         let span = std::mem::replace(&mut self.span, Span::new(now));
         let pace = (span.busy > Duration::ZERO).then(|| span.paced_bytes / span.busy.as_secs_f64());
         Some(Feedback {
@@ -245,43 +252,43 @@ impl Receiver {
             frames: span.frames,
             bytes: span.bytes,
             skipped: span.skipped,
-            age_ms: most_of(span.ages_ms),
+            age_ms: percentile_90(span.ages_ms),
             pace_bytes_per_s: pace.map(|pace| pace as u32),
         })
     }
 
-    /// When to poll again, unless the sender says something before that.
+    /// Returns the time of the next poll, unless the sender replies or publishes a notice before that.
     pub fn poll_at(&self, now: Instant) -> Instant {
-        let group = (self.group.is_none()).then(|| self.born + STRANGE_AFTER);
+        let group = (self.group.is_none()).then(|| self.created_at + FOREIGN_AFTER);
         let feedback = self
-            .feedback_every
-            .filter(|_| self.group.is_some() && self.answers > 0);
+            .feedback_interval
+            .filter(|_| self.group.is_some() && self.replies > 0);
         let feedback = feedback.map(|every| {
             let from = if self.span.frames > 0 {
                 self.span.since
             } else {
-                // What comes meanwhile is told that much later at most.
+                // Frames that arrive meanwhile are reported at most one interval later.
                 now.min(self.span.since + IDLE.max(every) - every)
             };
             from + every
         });
         let first = [group, feedback].into_iter().flatten().min();
-        first.map_or(self.ask_at, |first| first.min(self.ask_at))
+        first.map_or(self.query_at, |first| first.min(self.query_at))
     }
 
-    /// What a small message takes there and back, where the sender has answered.
+    /// Returns the round trip of a small message, if the sender has replied.
     pub fn round_trip(&self) -> Option<Duration> {
         self.offset.round_trip()
     }
 
-    fn on_strange_frame(&mut self, bytes: usize, now: Instant) -> Seen {
+    fn on_foreign_frame(&mut self, bytes: usize, now: Instant) -> Seen {
         self.count(bytes);
         let number = self.last.map_or(0, |last| last.number.wrapping_add(1));
         self.last = Some(Last {
             source: 0,
             number,
             sent: None,
-            came: now,
+            arrived_at: now,
         });
         Seen {
             number,
@@ -299,8 +306,8 @@ impl Receiver {
     }
 }
 
-/// What nine of ten are not above.
-fn most_of(mut values: Vec<u32>) -> u32 {
+/// Returns the 90th percentile.
+fn percentile_90(mut values: Vec<u32>) -> u32 {
     values.sort_unstable();
     let at = (values.len() * 9).div_ceil(10).saturating_sub(1);
     values.get(at).copied().unwrap_or(0)
@@ -329,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn only_newer_frames_are_new_and_what_is_left_out_is_counted() {
+    fn accepts_newer_frames_and_counts_skipped_ones() {
         let start = Instant::now();
         let mut receiver = receiver(start);
         let mut see = |source, number, at_ms| {
@@ -339,18 +346,18 @@ mod tests {
         assert_eq!(
             see(1, u32::MAX - 1, 0),
             Some((u32::MAX - 1, 0)),
-            "what was before is not missed"
+            "frames before the first one are not missed"
         );
-        assert_eq!(see(1, 2, 100), Some((2, 3)), "past the highest");
-        assert_eq!(see(1, 2, 100), None, "again");
+        assert_eq!(see(1, 2, 100), Some((2, 3)), "wrapped around");
+        assert_eq!(see(1, 2, 100), None, "duplicate");
         assert_eq!(see(1, 1, 110), None, "late");
         assert_eq!(see(2, 50, 200), Some((50, 0)), "another source");
         assert_eq!(see(1, 3, 150), None, "sent before that one");
-        assert_eq!(see(1, 9, 300), Some((9, 0)), "and back");
+        assert_eq!(see(1, 9, 300), Some((9, 0)), "the first source again");
     }
 
     #[test]
-    fn frames_of_other_programs_are_seen_too_and_nothing_is_said() {
+    fn accepts_frames_of_other_programs_without_sending_feedback() {
         let start = Instant::now();
         let mut receiver = receiver(start);
         for n in 0..50u64 {
@@ -361,14 +368,14 @@ mod tests {
         }
         assert_eq!(receiver.poll_group(start + ms(100)), None);
         assert_eq!(
-            receiver.poll_group(start + STRANGE_AFTER),
+            receiver.poll_group(start + FOREIGN_AFTER),
             Some(Group::Main)
         );
     }
 
     #[test]
-    fn the_pace_is_the_links_whether_frames_wait_for_each_other_or_not() {
-        // 30 kB/s, 20 ms: a frame of 3 kB takes 120 ms, sent every 200 or every 90 ms.
+    fn measures_the_links_pace_with_and_without_queueing() {
+        // 30 kB/s and a delay of 20 ms: a frame of 3 kB takes 120 ms. It is sent every 200 ms or every 90 ms.
         for every_ms in [200, 90] {
             let start = Instant::now();
             let mut receiver = receiver(start);
@@ -377,48 +384,51 @@ mod tests {
                 feedback_ms: 500,
                 ..Notice::default()
             };
-            receiver.on_answer(&notice, start, start + ms(40));
+            receiver.on_reply(&notice, start, start + ms(40));
             let mut free_ms = 0;
             for n in 0..5u64 {
                 let sent_ms = 100 + n * every_ms;
                 free_ms = free_ms.max(sent_ms) + 100;
                 receiver.on_frame(frame(1, n as u32, sent_ms), 3000, start + ms(free_ms + 20));
             }
-            let said = receiver
+            let feedback = receiver
                 .poll_feedback(start + ms(free_ms + 500))
-                .expect("something");
-            let pace = said.pace_bytes_per_s.expect("known");
+                .expect("feedback");
+            let pace = feedback.pace_bytes_per_s.expect("known");
             assert!((27_000..33_000).contains(&pace), "every {every_ms}: {pace}");
-            assert_eq!((said.frames, said.bytes, said.skipped), (5, 15_000, 0));
+            assert_eq!(
+                (feedback.frames, feedback.bytes, feedback.skipped),
+                (5, 15_000, 0)
+            );
         }
     }
 
     #[test]
-    fn frames_of_a_few_bytes_tell_no_pace() {
+    fn measures_no_pace_from_small_frames() {
         let start = Instant::now();
         let mut receiver = receiver(start);
         let notice = Notice {
             feedback_ms: 500,
             ..Notice::default()
         };
-        receiver.on_answer(&notice, start, start);
+        receiver.on_reply(&notice, start, start);
         for n in 0..5u64 {
-            let came = start + ms(n * 100 + 40);
-            receiver.on_frame(frame(1, n as u32, n * 100), 20, came);
+            let arrived_at = start + ms(n * 100 + 40);
+            receiver.on_frame(frame(1, n as u32, n * 100), 20, arrived_at);
         }
-        let said = receiver.poll_feedback(start + ms(1000)).expect("something");
+        let feedback = receiver.poll_feedback(start + ms(1000)).expect("feedback");
         assert_eq!(
-            (said.frames, said.age_ms, said.pace_bytes_per_s),
+            (feedback.frames, feedback.age_ms, feedback.pace_bytes_per_s),
             (5, 40, None)
         );
     }
 
     #[test]
-    fn polled_only_when_it_wants_to_be_it_is_prompt() {
+    fn sends_feedback_in_time_if_polled_only_when_due() {
         let start = Instant::now();
         let mut receiver = receiver(start);
-        let (mut polls, mut poll_at, mut questions) = (0, start, Vec::new());
-        let (mut untold_ms, mut told_ms) = (None, 0);
+        let (mut polls, mut poll_at, mut queries) = (0, start, Vec::new());
+        let (mut unreported_ms, mut reported_ms) = (None, 0);
         for at_ms in 0..20_000 {
             let now = start + ms(at_ms);
             if at_ms == 250 {
@@ -426,36 +436,36 @@ mod tests {
                     feedback_ms: 500,
                     ..Notice::default()
                 };
-                receiver.on_answer(&notice, start, now);
+                receiver.on_reply(&notice, start, now);
                 poll_at = now;
             }
-            // Frames for a while, and none for a while.
+            // Frames arrive for some time, and then none.
             if at_ms % 100 == 0 && (1000..4000).contains(&(at_ms % 10_000)) {
                 receiver.on_frame(frame(1, at_ms as u32, at_ms), 2000, now);
-                untold_ms = untold_ms.or(Some(at_ms));
+                unreported_ms = unreported_ms.or(Some(at_ms));
             }
             if now < poll_at {
                 continue;
             }
             polls += 1;
-            if receiver.poll_question(now) {
-                questions.push(at_ms);
+            if receiver.poll_query(now) {
+                queries.push(at_ms);
             }
             receiver.poll_group(now);
             if receiver.poll_feedback(now).is_some() {
-                let waited_ms = untold_ms.take().map_or(0, |since| at_ms - since);
-                assert!(waited_ms <= 500, "told {waited_ms} ms later");
+                let waited_ms = unreported_ms.take().map_or(0, |since| at_ms - since);
+                assert!(waited_ms <= 500, "reported {waited_ms} ms later");
                 assert!(
-                    at_ms - told_ms <= 2000,
-                    "nothing said from {told_ms} to {at_ms}"
+                    at_ms - reported_ms <= 2000,
+                    "no feedback from {reported_ms} to {at_ms}"
                 );
-                told_ms = at_ms;
+                reported_ms = at_ms;
             }
             poll_at = receiver.poll_at(now);
-            assert!(poll_at > now, "it would never rest");
+            assert!(poll_at > now, "polls without a pause");
         }
         assert_eq!(
-            (untold_ms, questions),
+            (unreported_ms, queries),
             (
                 None,
                 vec![0, 650, 1650, 2650, 3650, 4650, 9650, 14650, 19650]
@@ -465,20 +475,22 @@ mod tests {
     }
 
     #[test]
-    fn it_goes_where_it_is_told_and_says_so_at_once() {
+    fn confirms_a_change_of_group_immediately() {
         let start = Instant::now();
         let mut receiver = receiver(start);
-        assert!(receiver.poll_question(start) && !receiver.poll_question(start));
+        assert!(receiver.poll_query(start) && !receiver.poll_query(start));
         let notice = Notice {
             feedback_ms: 500,
             join: Group::Slow,
             ..Notice::default()
         };
-        receiver.on_answer(&notice, start, start + ms(10));
+        receiver.on_reply(&notice, start, start + ms(10));
         assert_eq!(receiver.poll_group(start + ms(10)), Some(Group::Slow));
-        let hello = receiver.poll_feedback(start + ms(10)).expect("hello");
+        let first = receiver
+            .poll_feedback(start + ms(10))
+            .expect("first feedback");
         assert_eq!(
-            (hello.group, hello.receiver, hello.frames),
+            (first.group, first.receiver, first.frames),
             (Group::Slow, 7, 0)
         );
         assert_eq!(receiver.poll_feedback(start + ms(20)), None);
@@ -496,7 +508,7 @@ mod tests {
         assert_eq!(
             receiver.poll_group(start),
             Some(Group::Main),
-            "not named, so it stays"
+            "not named: unchanged"
         );
     }
 }

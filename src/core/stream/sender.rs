@@ -1,4 +1,4 @@
-//! Owns the sending end of a stream: which frames are wanted, at which step, and what goes with them.
+//! Implements the sender of a stream: decides which frames to send, at which step, and with which attachment.
 use std::{
     collections::BTreeMap,
     time::{Duration, Instant},
@@ -7,11 +7,11 @@ use std::{
 use super::{
     feedback::Feedback,
     groups::Groups,
-    ladder::{Ladder, Level},
+    ladder::{Ladder, Step},
     notice::{Notice, MAX_NAMES},
-    offset::Millis,
+    offset::MillisecondClock,
     pacer::Pacer,
-    picture::Photographs,
+    picture::LossyFormat,
     rate::{Rate, RateLimits},
     status::{in_words, GroupStatus, ReceiverStatus, Status},
     Group,
@@ -21,48 +21,56 @@ use crate::core::{
     name::Name,
 };
 
-/// A receiver that says nothing for so long is gone; where it is asked to say something less often, three times as long.
-const GONE_AFTER: Duration = Duration::from_secs(6);
-/// Who listens where it should not any more is told again.
-const REMIND: Duration = Duration::from_secs(1);
-/// The most receivers of a stream that are listened to.
+/// How long a receiver may be silent before it is removed. With a long feedback interval, three intervals.
+const REMOVED_AFTER: Duration = Duration::from_secs(6);
+/// How long after a report from the wrong group the notice is published again.
+const REPEAT_NOTICE: Duration = Duration::from_secs(1);
+/// The maximum number of receivers of a stream that are tracked.
 pub const MAX_RECEIVERS: usize = 256;
-/// The most of them at one robot, so that no robot takes the places of the others.
+/// The maximum number of receivers of one robot, so that no robot displaces the others.
 pub const MAX_RECEIVERS_OF_ROBOT: usize = 16;
-/// How long a receiver counts that has not reported a frame.
+/// How long a receiver limits the rate without having reported a frame.
 const NEWCOMER: Duration = Duration::from_secs(3);
-/// How long a robot that is to listen elsewhere still counts where it was; where feedback comes less often, three times as
-/// long as between two reports.
+/// How long a robot that was moved to the other group still counts in its previous group. With a long feedback
+/// interval, three intervals.
 const LEAVES_WITHIN: Duration = Duration::from_secs(3);
-/// The slowest robot of the slow group holds the others down to this share of what the next one gets through, and no
-/// further.
-const HELD_TO: f64 = 1.0 / 3.0;
+/// The slowest robot of the slow group limits the rate to no less than this share of the next one's rate.
+const MIN_SHARE_OF_NEXT: f64 = 1.0 / 3.0;
 
-/// How a stream is sent.
+/// The options of a stream.
+///
+/// ```
+/// use rect::StreamOptions;
+/// let options = StreamOptions {
+///     max_frames_per_s: 30.0,
+///     ..StreamOptions::default()
+/// };
+/// assert_eq!(options.min_frames_per_s, 5.0);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Whether quality, size and rate follow what gets through.
+    /// Whether quality, size and rate adapt to the links. Default: adaptive.
     pub mode: Mode,
-    /// Frames per second that are wanted even of the smallest; default 5.
-    pub least_frames_per_s: f64,
-    /// Not more frames per second than that; default 15.
-    pub most_frames_per_s: f64,
-    /// Bytes per second.
+    /// Minimum frame rate in frames per second, which the smallest step is chosen for. Default: 5.
+    pub min_frames_per_s: f64,
+    /// Maximum frame rate in frames per second. Default: 15.
+    pub max_frames_per_s: f64,
+    /// Limits of the data rate.
     pub rates: RateLimits,
-    /// How pictures with a quality are written.
-    pub photographs: Photographs,
-    /// The steps, best first; none: [`super::ladder::PICTURES`].
-    pub steps: Vec<Level>,
-    /// How often receivers are to say what comes; zero: never. Default half a second; 20 to 30 bytes each time.
-    pub feedback: Duration,
+    /// Format of pictures that are compressed with a quality. Default: JPEG.
+    pub lossy_format: LossyFormat,
+    /// Steps of the ladder, best first. Empty (the default) for [`super::ladder::PICTURES`].
+    pub steps: Vec<Step>,
+    /// Interval at which receivers send feedback of 20 to 30 bytes. Zero for none. Default: 500 ms.
+    pub feedback_interval: Duration,
 }
 
-/// Whether frames change with what gets through.
+/// Whether frames adapt to the links.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// Frames go as they are given.
+    /// Frames are sent as the program supplies them.
     Fixed,
-    /// Frames are as good as what gets through allows.
+    /// Frames have the best quality that the links permit. The default.
     #[default]
     Adaptive,
 }
@@ -71,53 +79,53 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             mode: Mode::Adaptive,
-            least_frames_per_s: 5.0,
-            most_frames_per_s: 15.0,
+            min_frames_per_s: 5.0,
+            max_frames_per_s: 15.0,
             rates: RateLimits::default(),
-            photographs: Photographs::default(),
+            lossy_format: LossyFormat::default(),
             steps: Vec::new(),
-            feedback: Duration::from_millis(500),
+            feedback_interval: Duration::from_millis(500),
         }
     }
 }
 
 impl Options {
-    /// For frames that go as they are, at most so often.
-    pub fn fixed(most_frames_per_s: f64) -> Self {
+    /// Returns the options for frames that are sent unchanged, at most `max_frames_per_s` per second.
+    pub fn fixed(max_frames_per_s: f64) -> Self {
         Self {
             mode: Mode::Fixed,
-            most_frames_per_s,
-            feedback: Duration::from_secs(2),
+            max_frames_per_s,
+            feedback_interval: Duration::from_secs(2),
             ..Self::default()
         }
     }
 
-    /// For a sensor's values: as they are, as often as they come, and nothing comes back.
+    /// Returns the options for sensor values: sent unchanged, without a maximum rate, and without feedback.
     pub fn sensor() -> Self {
         Self {
-            feedback: Duration::ZERO,
+            feedback_interval: Duration::ZERO,
             ..Self::fixed(1e6)
         }
     }
 }
 
-/// A frame that is wanted.
+/// A frame that is to be encoded and sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Job {
-    /// For whom.
+    /// Group to which the frame is sent.
     pub group: Group,
-    /// How to write it; `None`: as it is.
-    pub level: Option<Level>,
+    /// Step at which to encode the frame. `None` to send it unchanged.
+    pub step: Option<Step>,
 }
 
 #[derive(Debug)]
-struct Lane {
+struct GroupOutput {
     source: u16,
     next: u32,
     pacer: Pacer,
     ladder: Ladder,
-    level: Option<Level>,
-    /// Zenoh says whether anyone subscribes.
+    step: Option<Step>,
+    /// Whether Zenoh reports subscribers; `None` before its first report.
     has_subscribers: Option<bool>,
     frames: u64,
     bytes: u64,
@@ -125,48 +133,48 @@ struct Lane {
 }
 
 #[derive(Debug)]
-struct Known {
+struct ReceiverState {
     rate: Rate,
     since: Instant,
-    heard: Instant,
-    says: Feedback,
+    last_report: Instant,
+    feedback: Feedback,
     is_measured: bool,
 }
 
-/// One stream's.
+/// The sender of one stream.
 #[derive(Debug)]
 pub struct Sender {
     options: Options,
-    clock: Millis,
-    lanes: [Lane; 2],
-    receivers: BTreeMap<(Name, u16), Known>,
+    clock: MillisecondClock,
+    outputs: [GroupOutput; 2],
+    receivers: BTreeMap<(Name, u16), ReceiverState>,
     groups: Groups,
     polled: Instant,
     notice_at: Option<Instant>,
 }
 
 impl Sender {
-    /// A stream begins; `source` is drawn for it, `unix_ms` is the time since 1970.
+    /// Creates the sender of a stream. `source` is a random number, and `unix_ms` the time in milliseconds since 1970.
     pub fn new(options: Options, source: u16, unix_ms: u64, now: Instant) -> Self {
-        let lane = |source| Lane {
+        let output = |source| GroupOutput {
             source,
             next: 0,
             pacer: Pacer::default(),
             ladder: Ladder::new(
                 &options.steps,
-                options.least_frames_per_s,
-                options.most_frames_per_s,
+                options.min_frames_per_s,
+                options.max_frames_per_s,
             ),
-            level: None,
+            step: None,
             has_subscribers: None,
             frames: 0,
             bytes: 0,
             changes: 0,
         };
         Self {
-            lanes: [lane(source), lane(source ^ 0x8000)],
+            outputs: [output(source), output(source ^ 0x8000)],
             options,
-            clock: Millis::new(now, unix_ms),
+            clock: MillisecondClock::new(now, unix_ms),
             receivers: BTreeMap::new(),
             groups: Groups::default(),
             polled: now,
@@ -174,8 +182,8 @@ impl Sender {
         }
     }
 
-    /// There is a frame of so many pixels (of something else: bytes). What is to be made of it: nothing, if nobody
-    /// listens or the last one is too near; then nothing has to be encoded.
+    /// Offers a frame of `pixels` pixels (or bytes, if it is not a picture). Returns for which groups it is to be
+    /// encoded: none if there are no receivers, or if the previous frame was sent too recently.
     pub fn offer(&mut self, pixels: usize, now: Instant) -> Vec<Job> {
         self.poll(now);
         Group::ALL
@@ -187,61 +195,65 @@ impl Sender {
     fn offer_to(&mut self, group: Group, pixels: usize, now: Instant) -> Option<Job> {
         let is_adaptive = self.options.mode == Mode::Adaptive;
         let rate = self.rate_of(group);
-        let is_wanted = match group {
+        let has_receivers = match group {
             Group::Slow if !is_adaptive => false,
-            _ => self.lanes[group.index()]
+            _ => self.outputs[group.index()]
                 .has_subscribers
                 .unwrap_or(rate.is_some()),
         };
-        let frames_per_s = self.options.most_frames_per_s;
-        let first = self.options.rates.first;
-        let lane = &mut self.lanes[group.index()];
-        if !is_wanted {
-            lane.ladder.forget();
-            lane.level = None;
+        let frames_per_s = self.options.max_frames_per_s;
+        let first = self.options.rates.initial_bytes_per_s;
+        let output = &mut self.outputs[group.index()];
+        if !has_receivers {
+            output.ladder.forget();
+            output.step = None;
             return None;
         }
         if is_adaptive {
-            let level = lane.ladder.level(pixels, rate.unwrap_or(first), now);
-            lane.changes += u64::from(lane.level.is_some_and(|before| before != level));
-            lane.level = Some(level);
+            let step = output.ladder.step(pixels, rate.unwrap_or(first), now);
+            output.changes += u64::from(output.step.is_some_and(|before| before != step));
+            output.step = Some(step);
         }
-        let level = lane.level;
-        lane.pacer
+        let step = output.step;
+        output
+            .pacer
             .is_due(frames_per_s, now)
-            .then_some(Job { group, level })
+            .then_some(Job { group, step })
     }
 
-    /// The frame of a job has become so many bytes, and goes now, with this.
+    /// Handles a frame that was encoded for a job to `bytes` bytes and is sent now. Returns its attachment.
     pub fn on_encoded(&mut self, job: Job, bytes: usize, now: Instant) -> Attachment {
         let rate = match self.options.mode {
             Mode::Fixed => f64::INFINITY,
-            Mode::Adaptive => self.rate_of(job.group).unwrap_or(self.options.rates.first),
+            Mode::Adaptive => self
+                .rate_of(job.group)
+                .unwrap_or(self.options.rates.initial_bytes_per_s),
         };
-        let lane = &mut self.lanes[job.group.index()];
-        if let Some(level) = job.level {
-            lane.ladder.on_encoded(level, bytes, now);
+        let output = &mut self.outputs[job.group.index()];
+        if let Some(step) = job.step {
+            output.ladder.on_encoded(step, bytes, now);
         }
-        lane.pacer
-            .on_sent(bytes, rate, self.options.most_frames_per_s, now);
-        lane.frames += 1;
-        lane.bytes += bytes as u64;
-        let sequence = lane.next;
-        lane.next = sequence.wrapping_add(1);
+        output
+            .pacer
+            .on_sent(bytes, rate, self.options.max_frames_per_s, now);
+        output.frames += 1;
+        output.bytes += bytes as u64;
+        let sequence = output.next;
+        output.next = sequence.wrapping_add(1);
         Attachment {
-            source: lane.source,
+            source: output.source,
             sequence,
             sent: Sent::Low(self.clock.low(now)),
         }
     }
 
-    /// Zenoh says whether anyone subscribes to a group's key.
+    /// Handles Zenoh's report whether a group's key has subscribers.
     pub fn on_subscribers(&mut self, group: Group, has_subscribers: bool) {
-        self.lanes[group.index()].has_subscribers = Some(has_subscribers);
+        self.outputs[group.index()].has_subscribers = Some(has_subscribers);
     }
 
-    /// Handles the feedback of a receiver of `robot`. That the robot sent it is certain, by its key; what it reports may be
-    /// wrong or made up, and holds down the other robots within limits only.
+    /// Handles the feedback of a receiver of `robot`. The key proves that the robot sent it, but its content may be
+    /// wrong or forged; its influence on other robots is therefore limited.
     pub fn on_feedback(&mut self, robot: &Name, feedback: &Feedback, now: Instant) {
         let key = (robot.clone(), feedback.receiver);
         let of_robot = self
@@ -254,59 +266,59 @@ impl Sender {
             return;
         }
         let limits = self.options.rates;
-        let known = self.receivers.entry(key).or_insert_with(|| Known {
+        let state = self.receivers.entry(key).or_insert_with(|| ReceiverState {
             rate: Rate::new(limits, now),
             since: now,
-            heard: now,
-            says: *feedback,
+            last_report: now,
+            feedback: *feedback,
             is_measured: false,
         });
-        known.heard = now;
-        known.says = *feedback;
-        known.is_measured |= feedback.frames > 0;
-        known.rate.on_feedback(feedback, now);
-        // A new robot is where newcomers are to listen, or where it holds down fewer.
+        state.last_report = now;
+        state.feedback = *feedback;
+        state.is_measured |= feedback.frames > 0;
+        state.rate.on_feedback(feedback, now);
+        // A new robot joins the group that newcomers join, or the slow group, where it affects fewer robots.
         let group = match feedback.group {
             Group::Main => self.join(),
             Group::Slow => Group::Slow,
         };
         self.groups.on_robot(robot, group);
         if self.options.mode == Mode::Adaptive && self.groups.of(robot) != Some(feedback.group) {
-            self.notice_at.get_or_insert(now + REMIND);
+            self.notice_at.get_or_insert(now + REPEAT_NOTICE);
         }
         self.poll(now);
     }
 
-    /// Whether it reports frames that this program has sent, or none yet. What a receiver heard of an earlier program of
-    /// this name says nothing of this one.
+    /// Returns whether the feedback is about frames of this sender, or about none yet. Feedback about an earlier
+    /// program of the same robot is meaningless.
     fn is_of_this_stream(&self, feedback: &Feedback) -> bool {
         let is_newcomer = feedback.source == 0 && feedback.frames == 0;
-        let was_sent = |lane: &Lane| {
-            let ago = lane.next.wrapping_sub(1).wrapping_sub(feedback.last);
-            lane.source == feedback.source && lane.frames > 0 && ago < u32::MAX / 2
+        let was_sent = |output: &GroupOutput| {
+            let ago = output.next.wrapping_sub(1).wrapping_sub(feedback.last);
+            output.source == feedback.source && output.frames > 0 && ago < u32::MAX / 2
         };
-        is_newcomer || self.lanes.iter().any(was_sent)
+        is_newcomer || self.outputs.iter().any(was_sent)
     }
 
-    /// What to put for all to know, if anything.
+    /// Returns the notice to publish now, if there is one.
     pub fn poll_notice(&mut self, now: Instant) -> Option<Notice> {
         self.notice_at.filter(|&at| now >= at)?;
         self.notice_at = None;
         Some(self.notice(now))
     }
 
-    /// The answer to whoever asks.
+    /// Returns the reply to a query for the notice.
     pub fn notice(&self, now: Instant) -> Notice {
         let names = |group| {
             let names = self.groups.members(group).take(MAX_NAMES);
             names.map(|name| name.as_str().to_owned()).collect()
         };
-        let is_parted = self.groups.members(Group::Slow).next().is_some();
+        let has_slow_group = self.groups.members(Group::Slow).next().is_some();
         let is_moving = self
             .receivers
             .iter()
-            .any(|((robot, _), known)| self.groups.of(robot) != Some(known.says.group));
-        let (main, slow) = if is_parted || is_moving {
+            .any(|((robot, _), state)| self.groups.of(robot) != Some(state.feedback.group));
+        let (main, slow) = if has_slow_group || is_moving {
             (names(Group::Main), names(Group::Slow))
         } else {
             Default::default()
@@ -314,13 +326,14 @@ impl Sender {
         Notice {
             time_ms: self.clock.at(now),
             join: self.join(),
-            feedback_ms: u32::try_from(self.options.feedback.as_millis()).unwrap_or(u32::MAX),
+            feedback_ms: u32::try_from(self.options.feedback_interval.as_millis())
+                .unwrap_or(u32::MAX),
             main,
             slow,
         }
     }
 
-    /// What is known of it.
+    /// Returns the status of the stream.
     pub fn status(&self) -> Status {
         let groups = Group::ALL
             .into_iter()
@@ -328,17 +341,17 @@ impl Sender {
         let receivers = self
             .receivers
             .iter()
-            .map(|((robot, receiver), known)| ReceiverStatus {
+            .map(|((robot, receiver), state)| ReceiverStatus {
                 robot: robot.as_str().to_owned(),
                 receiver: *receiver,
-                group: known.says.group,
-                last: known.says.last,
-                age_ms: known.says.age_ms,
-                frames_per_s: f64::from(known.says.frames) * 1000.0
-                    / f64::from(known.says.span_ms.max(1)),
-                lost_share: known.rate.lost_share(),
-                bytes_per_s: known.rate.bytes_per_s(),
-                pace_bytes_per_s: known.says.pace_bytes_per_s,
+                group: state.feedback.group,
+                last: state.feedback.last,
+                age_ms: state.feedback.age_ms,
+                frames_per_s: f64::from(state.feedback.frames) * 1000.0
+                    / f64::from(state.feedback.span_ms.max(1)),
+                lost_share: state.rate.lost_share(),
+                bytes_per_s: state.rate.bytes_per_s(),
+                pace_bytes_per_s: state.feedback.pace_bytes_per_s,
             });
         Status {
             groups: groups.collect(),
@@ -347,57 +360,59 @@ impl Sender {
     }
 
     fn group_status(&self, group: Group) -> Option<GroupStatus> {
-        let lane = &self.lanes[group.index()];
+        let output = &self.outputs[group.index()];
         let rate = self.rate_of(group);
-        lane.has_subscribers
+        output
+            .has_subscribers
             .unwrap_or(rate.is_some())
             .then(|| GroupStatus {
                 group,
-                bytes_per_s: rate.unwrap_or(self.options.rates.first),
-                level: lane.level,
-                frame_bytes: match (lane.level, lane.frames) {
-                    (Some(_), _) => lane.ladder.frame_bytes(),
-                    (None, frames) => lane.bytes as f64 / frames.max(1) as f64,
+                bytes_per_s: rate.unwrap_or(self.options.rates.initial_bytes_per_s),
+                step: output.step,
+                frame_bytes: match (output.step, output.frames) {
+                    (Some(_), _) => output.ladder.frame_bytes(),
+                    (None, frames) => output.bytes as f64 / frames.max(1) as f64,
                 },
-                frames: lane.frames,
-                bytes: lane.bytes,
-                changes: lane.changes,
-                last_change: lane.level.and(lane.ladder.last_change()).map(in_words),
+                frames: output.frames,
+                bytes: output.bytes,
+                changes: output.changes,
+                last_change: output.step.and(output.ladder.last_change()).map(in_words),
             })
     }
 
-    /// Forgets who is gone, and parts or joins the rest.
+    /// Removes silent receivers, and updates the groups.
     fn poll(&mut self, now: Instant) {
         if now.saturating_duration_since(self.polled) < Duration::from_millis(50) {
             return;
         }
         self.polled = now;
-        let gone_after = GONE_AFTER.max(self.options.feedback * 3);
+        let removed_after = REMOVED_AFTER.max(self.options.feedback_interval * 3);
         self.receivers
-            .retain(|_, known| now.saturating_duration_since(known.heard) < gone_after);
+            .retain(|_, state| now.saturating_duration_since(state.last_report) < removed_after);
         self.receivers
             .values_mut()
-            .for_each(|known| known.rate.poll(now));
+            .for_each(|state| state.rate.poll(now));
         if self.options.mode == Mode::Adaptive && self.groups.update(&self.potentials(), now) {
             self.notice_at = Some(now);
         }
     }
 
-    /// What each robot could get; who has not had a frame yet may be as good as any.
+    /// Returns the potential rate of each robot. A robot that has not reported a frame yet is assumed to be as fast as
+    /// the fastest.
     fn potentials(&self) -> BTreeMap<Name, f64> {
-        let enough = self.lanes[0]
+        let enough = self.outputs[0]
             .ladder
-            .most_bytes_per_s()
-            .min(self.options.rates.most);
+            .max_useful_bytes_per_s()
+            .min(self.options.rates.max_bytes_per_s);
         let mut potentials = BTreeMap::new();
-        for ((robot, _), known) in &self.receivers {
-            let potential = if known.is_measured {
-                known.rate.potential().min(enough)
+        for ((robot, _), state) in &self.receivers {
+            let potential = if state.is_measured {
+                state.rate.potential().min(enough)
             } else {
                 f64::INFINITY
             };
-            let least = potentials.entry(robot.clone()).or_insert(f64::INFINITY);
-            *least = potential.min(*least);
+            let lowest = potentials.entry(robot.clone()).or_insert(f64::INFINITY);
+            *lowest = potential.min(*lowest);
         }
         let finite = potentials
             .values()
@@ -410,33 +425,36 @@ impl Sender {
         potentials
     }
 
-    /// The least rate among the receivers that listen to a group's key or are to listen there.
+    /// Returns the lowest rate among the receivers that are assigned to a group or have not left it yet.
     fn rate_of(&self, group: Group) -> Option<f64> {
         let now = self.polled;
-        let leaves_within = LEAVES_WITHIN.max(self.options.feedback * 3);
-        let is_there = |((robot, _), known): &(&(Name, u16), &Known)| {
+        let leaves_within = LEAVES_WITHIN.max(self.options.feedback_interval * 3);
+        let counts = |((robot, _), state): &(&(Name, u16), &ReceiverState)| {
             let is_leaving = self.groups.is_leaving(robot, group, leaves_within, now);
-            let is_new = now.saturating_duration_since(known.since) < NEWCOMER;
-            (self.groups.of(robot) == Some(group) || (is_leaving && known.says.group == group))
-                && (known.is_measured || is_new)
+            let is_new = now.saturating_duration_since(state.since) < NEWCOMER;
+            (self.groups.of(robot) == Some(group) || (is_leaving && state.feedback.group == group))
+                && (state.is_measured || is_new)
         };
         let mut robots = BTreeMap::new();
-        for ((robot, _), known) in self.receivers.iter().filter(is_there) {
-            let least = robots.entry(robot).or_insert(f64::INFINITY);
-            *least = known.rate.bytes_per_s().min(*least);
+        for ((robot, _), state) in self.receivers.iter().filter(counts) {
+            let lowest = robots.entry(robot).or_insert(f64::INFINITY);
+            *lowest = state.rate.bytes_per_s().min(*lowest);
         }
         let mut rates: Vec<f64> = robots.into_values().collect();
         rates.sort_by(f64::total_cmp);
-        let least = rates.first().copied()?;
+        let lowest = rates.first().copied()?;
         Some(match (group, rates.get(1)) {
-            (Group::Slow, Some(next)) => least.max((next * HELD_TO).min(self.options.rates.first)),
-            _ => least,
+            (Group::Slow, Some(next)) => {
+                lowest.max((next * MIN_SHARE_OF_NEXT).min(self.options.rates.initial_bytes_per_s))
+            }
+            _ => lowest,
         })
     }
 
-    /// Where a newcomer listens at first: not to frames that would fill a slow link for seconds.
+    /// Returns the group that newcomers join. If the main group's frames would fill a slow link for seconds, it is the
+    /// slow group.
     fn join(&self) -> Group {
-        let first = self.options.rates.first;
+        let first = self.options.rates.initial_bytes_per_s;
         let is_heavy = self
             .rate_of(Group::Main)
             .is_some_and(|rate| rate > first * 2.0);

@@ -1,12 +1,12 @@
-//! A stream in virtual time: a camera, its sender, and receivers behind a link each, which carries so much and drops what
-//! has no room, as `ble/` links do.
+//! Simulates a stream in virtual time: a camera, its sender, and receivers behind a link each. A link has a limited
+//! capacity and drops frames for which there is no room, like `ble/` links.
 use std::{
     collections::{BTreeSet, VecDeque},
     time::{Duration, Instant},
 };
 
 use super::{
-    ladder::Level,
+    ladder::Step,
     notice::Notice,
     receiver::Receiver,
     sender::{Options, Sender},
@@ -18,10 +18,10 @@ use crate::core::{
 };
 
 const STEP: Duration = Duration::from_millis(1);
-/// What must be sent before a droppable message within this time, or it is dropped: `droppable=` of a `ble/` link.
+/// A droppable message that is not sent within this time is dropped, like `droppable=` of a `ble/` link.
 const DROPPABLE: Duration = Duration::from_millis(100);
 
-/// A seeded generator (SplitMix64): a run can be repeated.
+/// A seeded generator (SplitMix64), so that runs can be repeated.
 pub struct Random(pub u64);
 
 impl Random {
@@ -32,21 +32,21 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// 0 to 1.
+    /// Returns a number from 0 to 1.
     pub fn share(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 }
 
-/// What a link is like at a time.
+/// The condition of a link at some time.
 #[derive(Clone, Copy, Debug)]
 pub struct Condition {
     pub bytes_per_s: f64,
-    /// Everything is lost.
+    /// Whether everything is lost.
     pub is_cut: bool,
-    /// Of the frames that got through, so many are lost after all.
+    /// The share of delivered frames that is lost nevertheless.
     pub loss: f64,
-    /// Bytes per second of reliable messages of the same priority, in messages of 1 kB.
+    /// Reliable traffic of the same priority, in bytes per second; messages of 1 kB.
     pub others_bytes_per_s: f64,
 }
 
@@ -67,26 +67,26 @@ struct Packet {
     frame: Option<(Group, Attachment, usize, Instant)>,
 }
 
-/// A frame as it was seen.
+/// A frame that a receiver accepted.
 #[derive(Clone, Copy, Debug)]
 pub struct Arrival {
-    /// Since the beginning.
+    /// Time since the beginning.
     pub at: Duration,
-    /// Truly.
+    /// True age.
     pub age: Duration,
-    /// As the receiver has it.
-    pub told: Option<Duration>,
+    /// Age as the receiver estimates it.
+    pub estimated: Option<Duration>,
     pub bytes: usize,
-    pub level: Level,
+    pub step: Step,
     pub group: Group,
 }
 
-type Weather = Box<dyn Fn(Duration) -> Condition>;
+type ConditionAt = Box<dyn Fn(Duration) -> Condition>;
 
-pub struct Place {
+pub struct Endpoint {
     pub name: Name,
     receiver: Receiver,
-    weather: Weather,
+    condition_at: ConditionAt,
     one_way: Duration,
     present: Box<dyn Fn(Duration) -> bool>,
     is_present: bool,
@@ -95,7 +95,7 @@ pub struct Place {
     queue: VecDeque<Packet>,
     others: f64,
     arriving: VecDeque<(Instant, Packet)>,
-    /// To the sender and back: small messages.
+    /// Small messages to the sender and back.
     to_sender: VecDeque<(Instant, Small)>,
     from_sender: VecDeque<(Instant, Small)>,
     pub arrivals: Vec<Arrival>,
@@ -105,34 +105,34 @@ pub struct Place {
 
 #[derive(Clone, Debug)]
 enum Small {
-    Question(Instant),
-    Answer(Instant, Notice),
+    Query(Instant),
+    Reply(Instant, Notice),
     Feedback(super::feedback::Feedback),
     Notice(Notice),
 }
 
 type Forge = Box<dyn FnMut(&mut Sender, [Option<Attachment>; 2], Duration, Instant)>;
 
-/// Everything.
+/// The simulated world.
 pub struct World {
     pub start: Instant,
     pub now: Instant,
     pub sender: Sender,
-    pub places: Vec<Place>,
+    pub endpoints: Vec<Endpoint>,
     random: Random,
     camera_every: Duration,
     camera_at: Instant,
     pixels: usize,
-    /// What the picture shows takes so many times what is usual.
+    /// How many times the usual size the pictures have.
     pub scene: Box<dyn Fn(Duration) -> f64>,
-    levels: Vec<(u64, Group, Level)>,
-    /// Each change of a group's step.
-    pub changes: Vec<(Duration, Group, Level)>,
-    /// The rate of each group, ten times a second.
+    steps: Vec<(u64, Group, Step)>,
+    /// The changes of each group's step.
+    pub changes: Vec<(Duration, Group, Step)>,
+    /// The rate of each group, sampled ten times per second.
     pub rates: Vec<(Duration, Group, f64)>,
     pub feedback_bytes: usize,
     pub encoded: usize,
-    /// The feedback that a forger who knows the newest frame of each group sends twice a second.
+    /// Feedback of an attacker who knows the newest frame of each group, sent twice per second.
     pub forge: Forge,
     newest: [Option<Attachment>; 2],
 }
@@ -146,13 +146,13 @@ impl World {
             start,
             now: start,
             sender: Sender::new(options, random.next() as u16, unix_ms, start),
-            places: Vec::new(),
+            endpoints: Vec::new(),
             random,
             camera_every: Duration::from_millis(50),
             camera_at: start,
             pixels,
             scene: Box::new(|_| 1.0),
-            levels: Vec::new(),
+            steps: Vec::new(),
             changes: Vec::new(),
             rates: Vec::new(),
             feedback_bytes: 0,
@@ -166,23 +166,23 @@ impl World {
         &mut self,
         name: &str,
         one_way_ms: u64,
-        weather: impl Fn(Duration) -> Condition + 'static,
+        condition_at: impl Fn(Duration) -> Condition + 'static,
     ) {
-        self.add_at_times(name, one_way_ms, weather, |_| true);
+        self.add_at_times(name, one_way_ms, condition_at, |_| true);
     }
 
     pub fn add_at_times(
         &mut self,
         name: &str,
         one_way_ms: u64,
-        weather: impl Fn(Duration) -> Condition + 'static,
+        condition_at: impl Fn(Duration) -> Condition + 'static,
         present: impl Fn(Duration) -> bool + 'static,
     ) {
         let name = Name::new(name).expect("a name");
-        self.places.push(Place {
+        self.endpoints.push(Endpoint {
             receiver: Receiver::new(name.clone(), self.random.next() as u16, self.now),
             name,
-            weather: Box::new(weather),
+            condition_at: Box::new(condition_at),
             one_way: Duration::from_millis(one_way_ms),
             present: Box::new(present),
             is_present: false,
@@ -199,9 +199,9 @@ impl World {
         });
     }
 
-    pub fn place(&self, name: &str) -> &Place {
-        let is_it = |place: &&Place| place.name.as_str() == name;
-        self.places.iter().find(is_it).expect("such a place")
+    pub fn endpoint(&self, name: &str) -> &Endpoint {
+        let is_it = |endpoint: &&Endpoint| endpoint.name.as_str() == name;
+        self.endpoints.iter().find(is_it).expect("endpoint")
     }
 
     pub fn run(&mut self, seconds: u64) {
@@ -213,11 +213,11 @@ impl World {
                 self.picture();
             }
             if let Some(notice) = self.sender.poll_notice(self.now) {
-                for place in &mut self.places {
-                    place.tell(Small::Notice(notice.clone()), self.now);
+                for endpoint in &mut self.endpoints {
+                    endpoint.deliver(Small::Notice(notice.clone()), self.now);
                 }
             }
-            for n in 0..self.places.len() {
+            for n in 0..self.endpoints.len() {
                 self.step(n);
             }
             let since = self.now - self.start;
@@ -235,16 +235,16 @@ impl World {
     fn picture(&mut self) {
         let now = self.now;
         let matched = Group::ALL.map(|group| {
-            self.places
+            self.endpoints
                 .iter()
-                .any(|place| place.is_connected(group, now - self.start))
+                .any(|endpoint| endpoint.is_connected(group, now - self.start))
         });
         for group in Group::ALL {
             self.sender.on_subscribers(group, matched[group.index()]);
         }
         for job in self.sender.offer(self.pixels, now) {
-            let level = job.level.expect("adaptive");
-            let bytes = self.encoded_bytes(level);
+            let step = job.step.expect("adaptive");
+            let bytes = self.encoded_bytes(step);
             self.encoded += 1;
             let attachment = self.sender.on_encoded(job, bytes, now);
             self.newest[job.group.index()] = Some(attachment);
@@ -253,61 +253,61 @@ impl World {
                 .iter()
                 .rev()
                 .find(|(_, group, _)| *group == job.group);
-            if last.is_none_or(|&(_, _, before)| before != level) {
-                self.changes.push((now - self.start, job.group, level));
+            if last.is_none_or(|&(_, _, before)| before != step) {
+                self.changes.push((now - self.start, job.group, step));
             }
-            self.levels.push((id(&attachment), job.group, level));
-            for place in &mut self.places {
-                place.push(job.group, attachment, bytes, now, self.start);
+            self.steps.push((id(&attachment), job.group, step));
+            for endpoint in &mut self.endpoints {
+                endpoint.push(job.group, attachment, bytes, now, self.start);
             }
         }
     }
 
-    /// Not what is guessed of the step, and not twice the same.
-    fn encoded_bytes(&mut self, level: Level) -> usize {
-        let quality = match level.coding {
+    /// Returns a size that differs from the estimate and varies randomly.
+    fn encoded_bytes(&mut self, step: Step) -> usize {
+        let quality = match step.coding {
             super::ladder::Coding::Lossless => 100,
             super::ladder::Coding::Lossy(quality) => u64::from(quality),
         };
-        let wrong = 0.75 + 0.6 * Random(quality * 31 + u64::from(level.quarters)).share();
+        let wrong = 0.75 + 0.6 * Random(quality * 31 + u64::from(step.quarters)).share();
         let noise = 0.9 + 0.2 * self.random.share();
         let scene = (self.scene)(self.now - self.start);
-        (level.guess() * self.pixels as f64 * wrong * noise * scene) as usize
+        (step.guess() * self.pixels as f64 * wrong * noise * scene) as usize
     }
 
     fn step(&mut self, n: usize) {
         let (now, start) = (self.now, self.start);
-        let place = &mut self.places[n];
-        place.come_and_go(now, start);
-        place.carry(now, start);
-        // What arrives.
-        while place.arriving.front().is_some_and(|(at, _)| *at <= now) {
+        let endpoint = &mut self.endpoints[n];
+        endpoint.come_and_go(now, start);
+        endpoint.carry(now, start);
+        // Deliver what arrives.
+        while endpoint.arriving.front().is_some_and(|(at, _)| *at <= now) {
             let Some((
                 _,
                 Packet {
                     frame: Some((group, attachment, bytes, sent)),
                     ..
                 },
-            )) = place.arriving.pop_front()
+            )) = endpoint.arriving.pop_front()
             else {
                 continue;
             };
-            let condition = (place.weather)(now - start);
-            if !place.listens.contains(&group) || self.random.share() < condition.loss {
+            let condition = (endpoint.condition_at)(now - start);
+            if !endpoint.listens.contains(&group) || self.random.share() < condition.loss {
                 continue;
             }
-            if let Some(seen) = place.receiver.on_frame(Some(attachment), bytes, now) {
-                let level = self
-                    .levels
+            if let Some(seen) = endpoint.receiver.on_frame(Some(attachment), bytes, now) {
+                let step = self
+                    .steps
                     .iter()
                     .rev()
                     .find(|(known, _, _)| *known == id(&attachment));
-                place.arrivals.push(Arrival {
+                endpoint.arrivals.push(Arrival {
                     at: now - start,
                     age: now - sent,
-                    told: seen.age,
+                    estimated: seen.age,
                     bytes,
-                    level: level.expect("it was sent").2,
+                    step: step.expect("it was sent").2,
                     group,
                 });
             }
@@ -319,28 +319,30 @@ impl World {
                 .flatten()
                 .map(|(_, small)| small)
         };
-        while let Some(small) = due(&mut place.from_sender) {
+        while let Some(small) = due(&mut endpoint.from_sender) {
             match small {
-                Small::Answer(asked, notice) => place.receiver.on_answer(&notice, asked, now),
-                Small::Notice(notice) => place.receiver.on_notice(&notice),
+                Small::Reply(asked, notice) => endpoint.receiver.on_reply(&notice, asked, now),
+                Small::Notice(notice) => endpoint.receiver.on_notice(&notice),
                 _ => {}
             }
         }
-        if place.is_present {
-            if place.receiver.poll_question(now) {
-                place.say(Small::Question(now), now, start);
+        if endpoint.is_present {
+            if endpoint.receiver.poll_query(now) {
+                endpoint.send(Small::Query(now), now, start);
             }
-            if let Some(feedback) = place.receiver.poll_feedback(now) {
+            if let Some(feedback) = endpoint.receiver.poll_feedback(now) {
                 self.feedback_bytes += feedback.encode().len();
-                place.say(Small::Feedback(feedback), now, start);
+                endpoint.send(Small::Feedback(feedback), now, start);
             }
         }
-        while let Some(small) = due(&mut place.to_sender) {
+        while let Some(small) = due(&mut endpoint.to_sender) {
             match small {
-                Small::Question(asked) => {
-                    place.tell(Small::Answer(asked, self.sender.notice(now)), now)
+                Small::Query(asked) => {
+                    endpoint.deliver(Small::Reply(asked, self.sender.notice(now)), now)
                 }
-                Small::Feedback(feedback) => self.sender.on_feedback(&place.name, &feedback, now),
+                Small::Feedback(feedback) => {
+                    self.sender.on_feedback(&endpoint.name, &feedback, now)
+                }
                 _ => {}
             }
         }
@@ -349,14 +351,14 @@ impl World {
 
 fn id(attachment: &Attachment) -> u64 {
     let Sent::Low(_) = attachment.sent else {
-        panic!("a stream's frames have short times")
+        panic!("frames of streams have short times")
     };
     u64::from(attachment.source) << 32 | u64::from(attachment.sequence)
 }
 
-impl Place {
+impl Endpoint {
     fn is_connected(&self, group: Group, since: Duration) -> bool {
-        self.listens.contains(&group) && !(self.weather)(since).is_cut
+        self.listens.contains(&group) && !(self.condition_at)(since).is_cut
     }
 
     fn come_and_go(&mut self, now: Instant, start: Instant) {
@@ -373,7 +375,7 @@ impl Place {
         if self.listens.insert(group) {
             self.groups.push((now - start, group));
         }
-        // The other is left when the new one is there, and that takes a moment to be known.
+        // The receiver unsubscribes from the old group shortly after it has subscribed to the new one.
         let other = Group::ALL[1 - group.index()];
         if self.listens.contains(&other) {
             match self.leaves {
@@ -408,7 +410,7 @@ impl Place {
         if !self.is_connected(group, now - start) {
             return;
         }
-        let condition = (self.weather)(now - start);
+        let condition = (self.condition_at)(now - start);
         let waiting: f64 = self.queue.iter().map(|packet| packet.left).sum();
         if waiting <= condition.bytes_per_s * DROPPABLE.as_secs_f64() {
             self.queue.push_back(Packet {
@@ -419,7 +421,7 @@ impl Place {
     }
 
     fn carry(&mut self, now: Instant, start: Instant) {
-        let condition = (self.weather)(now - start);
+        let condition = (self.condition_at)(now - start);
         if condition.is_cut {
             self.queue.clear();
             self.arriving.clear();
@@ -449,13 +451,13 @@ impl Place {
         }
     }
 
-    fn say(&mut self, small: Small, now: Instant, start: Instant) {
-        if !(self.weather)(now - start).is_cut {
+    fn send(&mut self, small: Small, now: Instant, start: Instant) {
+        if !(self.condition_at)(now - start).is_cut {
             self.to_sender.push_back((now + self.one_way, small));
         }
     }
 
-    fn tell(&mut self, small: Small, now: Instant) {
+    fn deliver(&mut self, small: Small, now: Instant) {
         self.from_sender.push_back((now + self.one_way, small));
     }
 }

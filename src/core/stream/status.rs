@@ -1,65 +1,66 @@
-//! Owns what a program may know of its stream: what goes out, what gets through, and why it is as it is.
+//! Describes the status of a stream for the program: what is sent, what is received, and why the current step was
+//! chosen.
 use serde::Serialize;
 
 use super::{
-    ladder::{Change, Level, Why},
+    ladder::{Change, Reason, Step},
     Group,
 };
 
-/// What is known of a stream.
+/// The status of a stream.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
-    /// What goes out, by group; those that have anyone.
+    /// Groups that have receivers.
     pub groups: Vec<GroupStatus>,
-    /// Who says that it listens.
+    /// Receivers that send feedback.
     pub receivers: Vec<ReceiverStatus>,
 }
 
-/// What goes out to a group.
+/// The status of a group.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GroupStatus {
-    /// Which.
+    /// The group.
     pub group: Group,
-    /// What may be sent, in bytes per second.
+    /// Rate at which frames may be sent, in bytes per second.
     pub bytes_per_s: f64,
-    /// The step; `None`: the program's own choice.
-    pub level: Option<Level>,
-    /// What its frames take, in bytes.
+    /// Current step. `None` if the program chooses the size and quality itself.
+    pub step: Option<Step>,
+    /// Mean size of a frame, in bytes.
     pub frame_bytes: f64,
-    /// Frames that went, since the stream began.
+    /// Frames sent since the stream began.
     pub frames: u64,
-    /// Their bytes.
+    /// Bytes of these frames.
     pub bytes: u64,
-    /// How often the step has changed.
+    /// Number of changes of the step.
     pub changes: u64,
-    /// The last change, in words.
+    /// Description of the last change.
     pub last_change: Option<String>,
 }
 
-/// What one program says that it gets.
+/// The status of one receiver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReceiverStatus {
-    /// Whose program.
+    /// Robot of the receiver.
     pub robot: String,
-    /// Which of its programs.
+    /// Number that distinguishes the receivers of the robot.
     pub receiver: u16,
-    /// Where it listens.
+    /// Group of the receiver.
     pub group: Group,
-    /// The number of the newest frame it has.
+    /// Sequence number of the newest frame that it received.
     pub last: u32,
-    /// 9 of 10 frames are not older there, in milliseconds.
+    /// 90th percentile of the age of frames on arrival, in milliseconds.
     pub age_ms: u32,
-    /// Frames per second that come there.
+    /// Frames received per second.
     pub frames_per_s: f64,
-    /// The share of frames that do not.
+    /// Share of frames that were lost, 0 to 1.
     pub lost_share: f64,
-    /// What may be sent to it, in bytes per second.
+    /// Rate at which frames may be sent to it, in bytes per second.
     pub bytes_per_s: f64,
-    /// How fast frames come through, in bytes per second, where known.
+    /// Pace at which frames arrive, in bytes per second. `None` if it is unknown.
     pub pace_bytes_per_s: Option<u32>,
 }
 
-/// A change in words.
+/// Describes a change of the step.
 pub(super) fn in_words(change: &Change) -> String {
     let Change {
         from,
@@ -68,11 +69,13 @@ pub(super) fn in_words(change: &Change) -> String {
         ..
     } = change;
     let kb_per_s = bytes_per_s / 1000.0;
-    match change.why {
-        Why::Begins => format!("began with {to}: {kb_per_s:.0} kB/s are expected to get through"),
-        Why::Room => {
-            format!("from {from} to {to}: {kb_per_s:.0} kB/s get through, more than that needs")
+    match change.reason {
+        Reason::Start => format!("started with {to}: the expected capacity is {kb_per_s:.0} kB/s"),
+        Reason::Headroom => {
+            format!("from {from} to {to}: the capacity is {kb_per_s:.0} kB/s, more than the step requires")
         }
-        Why::Tight => format!("from {from} to {to}: only {kb_per_s:.0} kB/s get through"),
+        Reason::Congestion => {
+            format!("from {from} to {to}: the capacity is only {kb_per_s:.0} kB/s")
+        }
     }
 }

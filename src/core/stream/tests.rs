@@ -1,4 +1,4 @@
-//! Streams over slow links, in virtual time: `cargo test --no-default-features -p rect stream`
+//! Tests streams over slow links, in virtual time: `cargo test --no-default-features -p rect stream`
 use std::time::Duration;
 
 use super::{
@@ -24,7 +24,7 @@ fn secs(seconds: u64) -> Duration {
     Duration::from_secs(seconds)
 }
 
-/// What is wanted of the frames that came in a span of seconds.
+/// The frames that arrived in a time span, in seconds.
 #[derive(Debug)]
 struct Found {
     frames_per_s: f64,
@@ -34,7 +34,7 @@ struct Found {
 
 fn found(world: &World, name: &str, from: u64, to: u64) -> Found {
     let is_in = |arrival: &&Arrival| (secs(from)..secs(to)).contains(&arrival.at);
-    let arrivals: Vec<_> = world.place(name).arrivals.iter().filter(is_in).collect();
+    let arrivals: Vec<_> = world.endpoint(name).arrivals.iter().filter(is_in).collect();
     let mut ages: Vec<_> = arrivals.iter().map(|arrival| arrival.age).collect();
     ages.sort();
     let span = (to - from) as f64;
@@ -52,15 +52,15 @@ fn found(world: &World, name: &str, from: u64, to: u64) -> Found {
     }
 }
 
-/// How often the step of a group changed.
+/// Returns how often the step of a group changed.
 fn changes(world: &World, group: Group, from: u64, to: u64) -> usize {
     let is_in =
         |&&(at, of, _): &&(Duration, Group, _)| of == group && at >= secs(from) && at < secs(to);
     world.changes.iter().filter(is_in).count()
 }
 
-/// How far the rate of a group sways: its standard deviation, as a share of its mean.
-fn sway(world: &World, group: Group, from: u64, to: u64) -> f64 {
+/// Returns the standard deviation of a group's rate, as a share of its mean.
+fn deviation(world: &World, group: Group, from: u64, to: u64) -> f64 {
     let is_in =
         |&&(at, of, _): &&(Duration, Group, f64)| of == group && at >= secs(from) && at < secs(to);
     let rates: Vec<f64> = world
@@ -75,8 +75,8 @@ fn sway(world: &World, group: Group, from: u64, to: u64) -> f64 {
     square.sqrt() / mean
 }
 
-/// It does not oscillate: while the link stays as it is, the step changes at most once in 20 s, and the rate sways by
-/// less than 15 %.
+/// Asserts that the stream does not oscillate: while the link does not change, the step changes at most once in 20 s,
+/// and the standard deviation of the rate is below 15 %.
 fn assert_calm(world: &World, group: Group, from: u64, to: u64, about: &str) {
     let changes = changes(world, group, from, to);
     assert!(
@@ -84,12 +84,15 @@ fn assert_calm(world: &World, group: Group, from: u64, to: u64, about: &str) {
         "{about}: {changes} changes: {:?}",
         world.changes
     );
-    let sway = sway(world, group, from, to);
-    assert!(sway < 0.15, "{about}: the rate sways by {sway:.2}");
+    let deviation = deviation(world, group, from, to);
+    assert!(
+        deviation < 0.15,
+        "{about}: the rate varies by {deviation:.2}"
+    );
 }
 
 #[test]
-fn on_links_of_34_100_and_1000_kb_per_s_it_finds_its_place_in_5_s_and_stays_there() {
+fn converges_within_5_s_on_links_of_34_100_and_1000_kb_per_s() {
     for seed in SEEDS {
         for rate in [34e3, 100e3, 1e6] {
             let mut world = world(seed);
@@ -111,17 +114,22 @@ fn on_links_of_34_100_and_1000_kb_per_s_it_finds_its_place_in_5_s_and_stays_ther
 }
 
 #[test]
-fn on_wi_fi_it_is_lossless_within_8_s() {
+fn is_lossless_within_8_s_on_wi_fi() {
     for seed in SEEDS {
         let mut world = world(seed);
         world.add("laptop", 2, |_| Condition::of(20e6));
         world.run(30);
         let late = |arrival: &&Arrival| arrival.at > secs(8);
-        let arrivals: Vec<_> = world.place("laptop").arrivals.iter().filter(late).collect();
+        let arrivals: Vec<_> = world
+            .endpoint("laptop")
+            .arrivals
+            .iter()
+            .filter(late)
+            .collect();
         assert!(
             arrivals
                 .iter()
-                .all(|arrival| arrival.level.coding == Coding::Lossless),
+                .all(|arrival| arrival.step.coding == Coding::Lossless),
             "seed {seed}: {:?}",
             world.changes
         );
@@ -133,20 +141,20 @@ fn on_wi_fi_it_is_lossless_within_8_s() {
 }
 
 #[test]
-fn the_age_that_is_told_is_the_true_one_whatever_the_clocks_say() {
+fn estimates_the_age_correctly_for_any_clock_offset() {
     for seed in SEEDS {
         let mut world = world(seed);
         world.add("wombat-2", 30, |_| Condition::of(34e3));
         world.run(130);
         for arrival in world
-            .place("wombat-2")
+            .endpoint("wombat-2")
             .arrivals
             .iter()
             .filter(|arrival| arrival.at > secs(2))
         {
-            let told = arrival.told.expect("known");
+            let estimated = arrival.estimated.expect("known");
             assert!(
-                told.abs_diff(arrival.age) <= Duration::from_millis(35),
+                estimated.abs_diff(arrival.age) <= Duration::from_millis(35),
                 "seed {seed}: {arrival:?}"
             );
         }
@@ -154,7 +162,7 @@ fn the_age_that_is_told_is_the_true_one_whatever_the_clocks_say() {
 }
 
 #[test]
-fn when_the_link_changes_it_follows_within_5_s_and_old_frames_stay_few() {
+fn adapts_within_5_s_when_the_link_changes() {
     for seed in SEEDS {
         for (before, after) in [(100e3, 34e3), (34e3, 100e3), (1e6, 34e3)] {
             let mut world = world(seed);
@@ -176,7 +184,7 @@ fn when_the_link_changes_it_follows_within_5_s_and_old_frames_stay_few() {
 }
 
 #[test]
-fn after_cuts_of_seconds_it_is_back_within_3_s() {
+fn recovers_within_3_s_after_an_interruption() {
     for seed in SEEDS {
         for cut in [1, 3, 10, 40] {
             let mut world = world(seed);
@@ -190,7 +198,7 @@ fn after_cuts_of_seconds_it_is_back_within_3_s() {
             let encoded = world.encoded - before;
             assert!(
                 encoded <= 2,
-                "seed {seed}: {encoded} frames were encoded for nobody"
+                "seed {seed}: {encoded} frames were encoded without a receiver"
             );
             world.run(30);
             let about = format!("seed {seed}, cut for {cut} s");
@@ -207,7 +215,7 @@ fn after_cuts_of_seconds_it_is_back_within_3_s() {
 }
 
 #[test]
-fn a_loss_of_one_frame_in_twenty_changes_nothing() {
+fn tolerates_a_loss_of_five_percent() {
     for seed in SEEDS {
         for rate in [34e3, 100e3] {
             let mut world = world(seed);
@@ -225,7 +233,7 @@ fn a_loss_of_one_frame_in_twenty_changes_nothing() {
 }
 
 #[test]
-fn what_others_send_on_the_link_is_left_to_them() {
+fn leaves_room_for_other_traffic() {
     for seed in SEEDS {
         let mut world = world(seed);
         let busy = |at: Duration| at >= secs(20) && at < secs(50);
@@ -256,7 +264,7 @@ fn what_others_send_on_the_link_is_left_to_them() {
 }
 
 #[test]
-fn a_picture_that_takes_twice_as_much_takes_another_step_and_no_more_time() {
+fn changes_the_step_when_pictures_become_larger() {
     for seed in SEEDS {
         let mut world = world(seed);
         world.scene = Box::new(|at| {
@@ -289,16 +297,16 @@ fn a_picture_that_takes_twice_as_much_takes_another_step_and_no_more_time() {
 }
 
 #[test]
-fn a_laptop_on_wi_fi_is_not_held_down_by_a_robot_on_bluetooth() {
+fn a_robot_on_bluetooth_does_not_limit_a_laptop_on_wi_fi() {
     for seed in SEEDS {
         let mut world = world(seed);
         world.add("laptop", 2, |_| Condition::of(20e6));
         world.add("wombat-2", 30, |_| Condition::of(34e3));
         world.run(60);
-        let (fast, slow) = (world.place("laptop"), world.place("wombat-2"));
+        let (fast, slow) = (world.endpoint("laptop"), world.endpoint("wombat-2"));
         let last = fast.arrivals.last().expect("frames");
         assert_eq!(
-            (last.group, last.level.coding),
+            (last.group, last.step.coding),
             (Group::Main, Coding::Lossless),
             "seed {seed}"
         );
@@ -327,13 +335,13 @@ fn a_laptop_on_wi_fi_is_not_held_down_by_a_robot_on_bluetooth() {
 }
 
 #[test]
-fn a_robot_on_bluetooth_that_joins_late_never_gets_a_picture_for_wi_fi() {
+fn a_robot_on_bluetooth_that_joins_late_gets_only_small_frames() {
     for seed in SEEDS {
         let mut world = world(seed);
         world.add_at_times("laptop", 2, |_| Condition::of(20e6), |at| at < secs(40));
         world.add_at_times("wombat-2", 30, |_| Condition::of(34e3), |at| at > secs(20));
         world.run(80);
-        let slow = world.place("wombat-2");
+        let slow = world.endpoint("wombat-2");
         let oldest = slow
             .arrivals
             .iter()
@@ -345,7 +353,7 @@ fn a_robot_on_bluetooth_that_joins_late_never_gets_a_picture_for_wi_fi() {
             found(&world, "wombat-2", 21, 24).frames_per_s >= 3.0,
             "seed {seed}"
         );
-        // Once the laptop is gone, the stream's own key is for the robot.
+        // After the laptop has left, the robot is in the main group.
         assert_eq!(
             slow.groups.last().map(|&(_, group)| group),
             Some(Group::Main),
@@ -359,7 +367,7 @@ fn a_robot_on_bluetooth_that_joins_late_never_gets_a_picture_for_wi_fi() {
 }
 
 #[test]
-fn what_receivers_say_is_under_60_bytes_a_second() {
+fn feedback_takes_less_than_60_bytes_per_second() {
     let mut world = world(1);
     world.add("wombat-2", 30, |_| Condition::of(34e3));
     world.run(60);
@@ -368,16 +376,16 @@ fn what_receivers_say_is_under_60_bytes_a_second() {
 }
 
 #[test]
-fn a_sensors_value_takes_six_to_eight_bytes_more_and_goes_at_once() {
+fn sensor_values_are_sent_at_once_with_six_to_eight_bytes_of_overhead() {
     let start = std::time::Instant::now();
     let mut sender = Sender::new(Options::sensor(), 7, 1_795_000_000_000, start);
-    assert_eq!(sender.offer(4, start), [], "nobody listens");
+    assert_eq!(sender.offer(4, start), [], "no receivers");
     sender.on_subscribers(Group::Main, true);
     for n in 0..20_000u32 {
         let now = start + Duration::from_millis(u64::from(n));
         let jobs = sender.offer(4, now);
         assert_eq!(jobs.len(), 1, "value {n}");
-        assert_eq!(jobs[0].level, None);
+        assert_eq!(jobs[0].step, None);
         let attachment = sender.on_encoded(jobs[0], 4, now);
         assert_eq!(attachment.sequence, n);
         assert!(matches!(attachment.sent, Sent::Low(_)));
@@ -386,7 +394,7 @@ fn a_sensors_value_takes_six_to_eight_bytes_more_and_goes_at_once() {
     assert_eq!(sender.notice(start).feedback_ms, 0);
 }
 
-/// Feedback of a forger, in the robot's own name, about a stream that it subscribes to.
+/// Returns an attacker's feedback, sent in the robot's own name, about a stream that it subscribes to.
 fn reported(newest: [Option<Attachment>; 2], group: Group, pace: u32) -> Option<Feedback> {
     let newest = newest[group.index()]?;
     Some(Feedback {
@@ -402,12 +410,12 @@ fn reported(newest: [Option<Attachment>; 2], group: Group, pace: u32) -> Option<
     })
 }
 
-fn forger() -> Name {
-    Name::new("forger").expect("a name")
+fn attacker() -> Name {
+    Name::new("attacker").expect("valid name")
 }
 
 #[test]
-fn nonsense_as_feedback_makes_no_receiver_and_holds_nobody_down() {
+fn invalid_feedback_has_no_effect() {
     let mut world = world(1);
     world.add("laptop", 2, |_| Condition::of(20e6));
     let mut random = Random(5);
@@ -426,7 +434,7 @@ fn nonsense_as_feedback_makes_no_receiver_and_holds_nobody_down() {
                 pace_bytes_per_s: Some(number() % 1000),
                 ..Feedback::default()
             };
-            sender.on_feedback(&forger(), &feedback, now);
+            sender.on_feedback(&attacker(), &feedback, now);
         }
     });
     world.run(40);
@@ -440,15 +448,15 @@ fn nonsense_as_feedback_makes_no_receiver_and_holds_nobody_down() {
 }
 
 #[test]
-fn a_robot_that_reports_next_to_nothing_holds_a_laptop_down_for_seconds_only() {
+fn a_robot_that_reports_a_low_rate_limits_others_for_seconds_only() {
     for (about, forge_from) in [("from the beginning", 0), ("later", 20)] {
         let mut world = world(1);
         world.add("laptop", 2, |_| Condition::of(20e6));
         world.forge = Box::new(move |sender, newest, since, now| {
-            // Whatever it is told, it stays where it is.
-            let says = reported(newest, Group::Main, 1);
-            if let Some(says) = says.filter(|_| since >= secs(forge_from)) {
-                sender.on_feedback(&forger(), &says, now);
+            // It ignores the notices and stays in its group.
+            let feedback = reported(newest, Group::Main, 1);
+            if let Some(feedback) = feedback.filter(|_| since >= secs(forge_from)) {
+                sender.on_feedback(&attacker(), &feedback, now);
             }
         });
         world.run(60);
@@ -460,7 +468,7 @@ fn a_robot_that_reports_next_to_nothing_holds_a_laptop_down_for_seconds_only() {
 }
 
 #[test]
-fn a_robot_that_reports_much_and_little_by_turns_holds_a_laptop_down_less_and_less() {
+fn a_robot_that_alternates_its_reports_limits_others_less_and_less() {
     let mut world = world(1);
     world.add("laptop", 2, |_| Condition::of(20e6));
     world.forge = Box::new(|sender, newest, since, now| {
@@ -469,8 +477,8 @@ fn a_robot_that_reports_much_and_little_by_turns_holds_a_laptop_down_less_and_le
         } else {
             1
         };
-        if let Some(says) = reported(newest, Group::Main, pace) {
-            sender.on_feedback(&forger(), &says, now);
+        if let Some(feedback) = reported(newest, Group::Main, pace) {
+            sender.on_feedback(&attacker(), &feedback, now);
         }
     });
     world.run(300);
@@ -479,26 +487,26 @@ fn a_robot_that_reports_much_and_little_by_turns_holds_a_laptop_down_less_and_le
             .rates
             .iter()
             .filter(|(at, group, _)| *group == Group::Main && (secs(from)..secs(to)).contains(at));
-        let (count, held) = rates.fold((0, 0), |(count, held), (_, _, rate)| {
-            (count + 1, held + u32::from(*rate < 500e3))
+        let (count, limited) = rates.fold((0, 0), |(count, limited), (_, _, rate)| {
+            (count + 1, limited + u32::from(*rate < 500e3))
         });
-        f64::from(held) / f64::from(count)
+        f64::from(limited) / f64::from(count)
     };
     let share = held_down(60, 300);
-    println!("held down for {share:.2} of the time");
+    println!("limited for {share:.2} of the time");
     assert!(share < 0.2, "{share}");
 }
 
 #[test]
-fn a_robot_that_reports_next_to_nothing_leaves_the_slow_group_a_third() {
+fn a_robot_that_reports_a_low_rate_leaves_the_slow_group_a_third() {
     for seed in SEEDS {
         let mut world = world(seed);
         world.add("laptop", 2, |_| Condition::of(20e6));
         world.add("wombat-2", 30, |_| Condition::of(34e3));
         world.forge = Box::new(|sender, newest, since, now| {
-            let says = reported(newest, Group::Slow, 1);
-            if let Some(says) = says.filter(|_| since >= secs(20)) {
-                sender.on_feedback(&forger(), &says, now);
+            let feedback = reported(newest, Group::Slow, 1);
+            if let Some(feedback) = feedback.filter(|_| since >= secs(20)) {
+                sender.on_feedback(&attacker(), &feedback, now);
             }
         });
         world.run(80);
@@ -519,19 +527,19 @@ fn a_robot_that_reports_next_to_nothing_leaves_the_slow_group_a_third() {
 }
 
 #[test]
-fn one_robot_does_not_take_the_places_of_the_others() {
+fn one_robot_does_not_displace_the_receivers_of_others() {
     let now = std::time::Instant::now();
     let mut sender = Sender::new(Options::default(), 1, 0, now);
     for receiver in 0..1000 {
-        let says = Feedback {
+        let feedback = Feedback {
             receiver,
             ..Feedback::default()
         };
-        sender.on_feedback(&forger(), &says, now);
+        sender.on_feedback(&attacker(), &feedback, now);
     }
     assert_eq!(sender.status().receivers.len(), MAX_RECEIVERS_OF_ROBOT);
     for robot in 0..MAX_RECEIVERS {
-        let name = Name::new(&format!("wombat-{robot}")).expect("a name");
+        let name = Name::new(&format!("wombat-{robot}")).expect("valid name");
         sender.on_feedback(&name, &Feedback::default(), now);
     }
     assert_eq!(sender.status().receivers.len(), MAX_RECEIVERS);

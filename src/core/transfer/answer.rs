@@ -1,67 +1,71 @@
-//! Owns what a receiver answers to an offer, and what went wrong where something did.
+//! Encodes a receiver's answers to offers, and the faults of transfers.
 use super::wire::{cut, write_number, write_text, Reader};
 
 const VERSION: u8 = 1;
-/// The longest text of a reason, in bytes; what is longer is cut.
+/// The maximum length of a reason, in bytes. Longer ones are truncated.
 pub const MAX_TEXT_BYTES: usize = 200;
 
-/// What a receiver answers to an offer.
+/// A receiver's answer to an offer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// It is being received; so many bytes are there.
+    /// The transfer is in progress.
     Running {
-        /// How many.
-        held_bytes: u64,
+        /// Number of bytes received so far.
+        received_bytes: u64,
     },
-    /// As many as it takes at once are running: offer again later.
+    /// The maximum number of concurrent transfers is reached. Offer it again later.
     Busy,
-    /// All is there, and its checksum is right.
+    /// The transfer is complete, and its checksum is correct.
     Done,
-    /// It is not taken.
+    /// The offer is refused.
     Refused(Refusal),
-    /// It was taken, and can't be finished.
+    /// The transfer began, but failed.
     Failed(Fault),
 }
 
-/// Why a receiver does not take a transfer.
+/// The reason why a receiver refuses an offer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
-    /// No program there receives transfers about this from this robot: it has to say so (`receive_transfers`).
-    #[error("no program there receives transfers of this topic from this robot")]
-    NotWanted,
-    /// It is larger than the program there takes.
-    #[error("it is larger than the {limit_bytes} bytes that are taken there")]
+    /// No program of the robot receives transfers of this topic from this sender. The program must call
+    /// `receive_transfers`.
+    #[error("no program on that robot receives transfers of this topic from this sender")]
+    NotAccepted,
+    /// The transfer is larger than the receiving program accepts.
+    #[error("it is larger than the {limit_bytes} bytes that the receiver accepts")]
     TooLarge {
-        /// What it takes.
+        /// Maximum size that it accepts, in bytes.
         limit_bytes: u64,
     },
-    /// The offer can't be read there: versions that differ, or a name that is not for files.
-    #[error("the offer is not understood there: {0}")]
-    NotUnderstood(String),
+    /// The receiver cannot read the offer: its version differs, or the name is not valid for a file.
+    #[error("the receiver cannot read the offer: {0}")]
+    InvalidOffer(String),
 }
 
-/// Why a transfer that had begun ended.
+/// The reason why a transfer failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
-    /// The bytes that came are not those that were offered. Most likely they changed meanwhile: send it again.
-    #[error("the checksum is wrong: the source changed while it was sent, or bytes were damaged")]
+    /// The received data does not match the checksum of the offer. It probably changed meanwhile: send it again.
+    #[error(
+        "the checksum is wrong: the source changed while it was sent, or the data was damaged"
+    )]
     Checksum,
-    /// The source is not what it was when it was offered. Send it again once nobody writes to it any more.
+    /// The source has changed since it was offered. Send it again when nothing writes to it any more.
     #[error("the source changed while it was sent: {0}")]
     Changed(String),
-    /// The sender can't read its source.
-    #[error("the sender can't read it: {0}")]
+    /// The sender cannot read its source.
+    #[error("the sender cannot read the source: {0}")]
     Unreadable(String),
-    /// The receiver can't keep it: its disk is full, for example.
-    #[error("the receiver can't keep it: {0}")]
-    NotKept(String),
-    /// The sender answered with something else than what was asked for.
-    #[error("the sender broke the protocol: {0}")]
+    /// The receiver cannot store the data, for example because its disk is full.
+    #[error("the receiver cannot store it: {0}")]
+    NotStored(String),
+    /// The sender's reply does not match the request.
+    #[error("the sender violated the protocol: {0}")]
     Protocol(String),
-    /// Nothing came for too long. What is there is kept where it is kept in a file, and offered again it goes on.
-    #[error("nothing came from the sender for {0} s")]
-    Silence(u64),
-    /// The program there no longer wants it.
+    /// Nothing was received for too long, in seconds. If the receiver stores transfers in a folder, a new offer
+    /// continues where this one stopped.
+    #[error("nothing was received from the sender for {0} s")]
+    TimedOut(u64),
+    /// The receiving program ended the transfer.
     #[error("the receiving program ended it")]
     Stopped,
 }
@@ -73,13 +77,13 @@ const REFUSED: u8 = 3;
 const FAILED: u8 = 4;
 
 impl Answer {
-    /// As bytes.
+    /// Encodes the answer.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![VERSION];
         match self {
-            Self::Running { held_bytes } => {
+            Self::Running { received_bytes } => {
                 out.push(RUNNING);
-                write_number(&mut out, *held_bytes);
+                write_number(&mut out, *received_bytes);
             }
             Self::Busy => out.push(BUSY),
             Self::Done => out.push(DONE),
@@ -95,7 +99,7 @@ impl Answer {
         out
     }
 
-    /// From bytes that anyone may have sent; `None`: they are no answer, or one of another version.
+    /// Decodes an untrusted answer. Returns `None` if the bytes are not an answer of this version.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let mut reader = Reader(bytes);
         if reader.byte()? != VERSION {
@@ -103,7 +107,7 @@ impl Answer {
         }
         let answer = match reader.byte()? {
             RUNNING => Self::Running {
-                held_bytes: reader.number()?,
+                received_bytes: reader.number()?,
             },
             BUSY => Self::Busy,
             DONE => Self::Done,
@@ -119,12 +123,12 @@ impl Answer {
 impl Refusal {
     fn write(&self, out: &mut Vec<u8>) {
         match self {
-            Self::NotWanted => out.push(0),
+            Self::NotAccepted => out.push(0),
             Self::TooLarge { limit_bytes } => {
                 out.push(1);
                 write_number(out, *limit_bytes);
             }
-            Self::NotUnderstood(text) => {
+            Self::InvalidOffer(text) => {
                 out.push(2);
                 write_text(out, cut(text, MAX_TEXT_BYTES));
             }
@@ -133,25 +137,25 @@ impl Refusal {
 
     fn read(reader: &mut Reader<'_>) -> Option<Self> {
         Some(match reader.byte()? {
-            0 => Self::NotWanted,
+            0 => Self::NotAccepted,
             1 => Self::TooLarge {
                 limit_bytes: reader.number()?,
             },
-            2 => Self::NotUnderstood(reader.text(MAX_TEXT_BYTES)?.to_owned()),
+            2 => Self::InvalidOffer(reader.text(MAX_TEXT_BYTES)?.to_owned()),
             _ => return None,
         })
     }
 }
 
 impl Fault {
-    /// As bytes: the error that a sender replies to a request.
+    /// Encodes the fault, which a sender replies to a request as an error.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![VERSION];
         self.write(&mut out);
         out
     }
 
-    /// From bytes that anyone may have sent; `None`: they are no fault of this version.
+    /// Decodes an untrusted fault. Returns `None` if the bytes are not a fault of this version.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let mut reader = Reader(bytes);
         if reader.byte()? != VERSION {
@@ -167,16 +171,16 @@ impl Fault {
             Self::Checksum => (0, None),
             Self::Changed(text) => (1, Some(text)),
             Self::Unreadable(text) => (2, Some(text)),
-            Self::NotKept(text) => (3, Some(text)),
+            Self::NotStored(text) => (3, Some(text)),
             Self::Protocol(text) => (4, Some(text)),
-            Self::Silence(_) => (5, None),
+            Self::TimedOut(_) => (5, None),
             Self::Stopped => (6, None),
         };
         out.push(code);
         if let Some(text) = text {
             write_text(out, cut(text, MAX_TEXT_BYTES));
         }
-        if let Self::Silence(seconds) = self {
+        if let Self::TimedOut(seconds) = self {
             write_number(out, *seconds);
         }
     }
@@ -188,9 +192,9 @@ impl Fault {
             0 => Self::Checksum,
             1 => Self::Changed(text()?),
             2 => Self::Unreadable(text()?),
-            3 => Self::NotKept(text()?),
+            3 => Self::NotStored(text()?),
             4 => Self::Protocol(text()?),
-            5 => Self::Silence(reader.number()?),
+            5 => Self::TimedOut(reader.number()?),
             6 => Self::Stopped,
             _ => return None,
         })
@@ -202,26 +206,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_answer_comes_back_as_it_was_and_no_part_of_it_does() {
+    fn answers_round_trip_and_truncated_ones_are_rejected() {
         let text = || "ä reason".to_owned();
         let faults = [
             Fault::Checksum,
             Fault::Changed(text()),
             Fault::Unreadable(text()),
-            Fault::NotKept(text()),
+            Fault::NotStored(text()),
             Fault::Protocol(text()),
-            Fault::Silence(600),
+            Fault::TimedOut(600),
             Fault::Stopped,
         ];
         let refusals = [
-            Refusal::NotWanted,
+            Refusal::NotAccepted,
             Refusal::TooLarge {
                 limit_bytes: 1 << 40,
             },
-            Refusal::NotUnderstood(text()),
+            Refusal::InvalidOffer(text()),
         ];
         let mut answers = vec![
-            Answer::Running { held_bytes: 300 },
+            Answer::Running {
+                received_bytes: 300,
+            },
             Answer::Busy,
             Answer::Done,
         ];
@@ -236,7 +242,7 @@ mod tests {
             assert_eq!(
                 Answer::decode(&[&bytes[..], &[0]].concat()),
                 None,
-                "one more"
+                "one byte too many"
             );
         }
         for fault in faults {
@@ -254,9 +260,9 @@ mod tests {
     }
 
     #[test]
-    fn a_long_reason_is_cut() {
-        let long = Answer::Failed(Fault::NotKept("ä".repeat(500)));
-        let Some(Answer::Failed(Fault::NotKept(text))) = Answer::decode(&long.encode()) else {
+    fn long_reasons_are_truncated() {
+        let long = Answer::Failed(Fault::NotStored("ä".repeat(500)));
+        let Some(Answer::Failed(Fault::NotStored(text))) = Answer::decode(&long.encode()) else {
             panic!("not read back");
         };
         assert_eq!(text, "ä".repeat(100));

@@ -1,4 +1,4 @@
-//! Owns the offer: what a sender says of what it has.
+//! Encodes the offer of a transfer: the sender's description of what it sends.
 use std::fmt;
 
 use sha2::{Digest, Sha256};
@@ -11,65 +11,65 @@ use crate::core::{
 };
 
 const VERSION: u8 = 1;
-/// The longest name of a file, in bytes.
+/// The maximum length of a file name, in bytes.
 pub const MAX_NAME_BYTES: usize = 120;
-/// The longest offer, in bytes.
+/// The maximum length of an offer, in bytes.
 pub const MAX_BYTES: usize = 700;
 
-/// What is offered, and by whom.
+/// The offer of a transfer.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Offer {
-    /// The robot that has it, as the offer claims. The receiver asks that robot before it believes it
-    /// ([`super::inbox`]).
-    pub from: Name,
-    /// About what.
+    /// Robot that makes the offer, according to the offer itself. The receiver asks that robot for confirmation
+    /// ([`super::admission`]).
+    pub sender: Name,
+    /// Topic of the transfer.
     pub topic: Topic,
-    /// What it is called; becomes the file's name where it is kept in a file. May be empty.
+    /// File name under which a receiver stores the transfer in a folder. May be empty.
     pub name: FileName,
-    /// What it is.
+    /// Encoding of the data.
     pub encoding: Encoding,
-    /// How long it is.
+    /// Size of the data, in bytes.
     pub size_bytes: u64,
-    /// What its bytes come to.
+    /// Checksum of the data.
     pub checksum: Checksum,
-    /// Drawn for each call of the program: the same offered again is the same transfer, and the same bytes sent again
-    /// by the program's wish are another. A transfer that was interrupted goes on under whatever number.
+    /// Random number of the program's call. An offer that is repeated has the same number; the same data sent by
+    /// another call has another one. An interrupted transfer continues under any number.
     pub call: u64,
 }
 
-/// SHA-256 of all the bytes: what every machine can check with a tool that it has (`sha256sum`), written without C or
-/// assembly, in hardware on current processors (1 GB/s and more), and faster than any link of a robot without.
+/// SHA-256 of the data. It can be verified with standard tools (`sha256sum`), needs neither C nor assembly, runs in
+/// hardware on current processors (1 GB/s and more), and is faster than the links of a robot on all others.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Checksum(pub [u8; 32]);
 
-/// Which transfer: the same for the same bytes under the same name to the same receiver, so that it goes on after either
-/// side was restarted.
+/// The id of a transfer. The same data under the same name to the same receiver has the same id, so that the transfer
+/// continues after a restart of either side.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TransferId(u64);
 
-/// What a file may be called: one part of a path, which is not hidden and leads nowhere else.
+/// A valid file name: a single path component that is not hidden.
 #[derive(Clone, Default, PartialEq, Eq, Hash)]
 pub struct FileName(String);
 
-/// The bytes are no offer, or one that can't be taken whatever the receiver wants.
+/// The bytes are not a valid offer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OfferError {
-    /// Of a later version of RECT.
-    #[error("an offer of version {0}; this is version {VERSION}: update RECT here")]
+    /// The offer has an unsupported version.
+    #[error("the offer has version {0}, but this program supports version {VERSION}: update RECT on this robot")]
     Version(u8),
-    /// Cut off, too long, or not an offer at all.
-    #[error("not an offer of a transfer: its {0} can't be read")]
+    /// The offer is truncated or too long, or the bytes are something else.
+    #[error("invalid offer of a transfer: its {0} cannot be read")]
     Malformed(&'static str),
-    /// A name that could lead somewhere else on the disk.
+    /// The file name could refer to another folder, or to a hidden file.
     #[error(
-        "{0:?} can't name a file here: up to {MAX_NAME_BYTES} bytes, no `/` or `\\`, no control characters, \
+        "{0:?} is not a valid file name: use up to {MAX_NAME_BYTES} bytes, no `/` or `\\`, no control characters, \
          no `.` at the beginning"
     )]
     Name(String),
 }
 
 impl Offer {
-    /// Which transfer it is, to this receiver.
+    /// Returns the id of the transfer to the receiver `to`.
     pub fn id(&self, to: &Name) -> TransferId {
         let mut all = Vec::new();
         write_text(&mut all, to.as_str());
@@ -79,7 +79,7 @@ impl Offer {
         TransferId(u64::from_be_bytes(first))
     }
 
-    /// The same content, whatever the call.
+    /// Returns whether both offers have the same content, regardless of the call.
     pub fn is_same(&self, other: &Self) -> bool {
         let call = self.call;
         *self
@@ -89,7 +89,7 @@ impl Offer {
             }
     }
 
-    /// As bytes.
+    /// Encodes the offer.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
         bytes.extend_from_slice(&self.call.to_le_bytes());
@@ -98,7 +98,7 @@ impl Offer {
     }
 
     fn write_content(&self, out: &mut Vec<u8>) {
-        write_text(out, self.from.as_str());
+        write_text(out, self.sender.as_str());
         write_text(out, self.topic.as_str());
         write_text(out, self.name.as_str());
         write_text(out, self.encoding.as_str());
@@ -106,10 +106,10 @@ impl Offer {
         out.extend_from_slice(&self.checksum.0);
     }
 
-    /// From bytes that anyone may have sent.
+    /// Decodes an untrusted offer.
     ///
     /// # Errors
-    /// [`OfferError`]: what is wrong with them.
+    /// Returns an [`OfferError`] that explains why the bytes are not a valid offer.
     pub fn decode(bytes: &[u8]) -> Result<Self, OfferError> {
         use OfferError::Malformed;
         if bytes.len() > MAX_BYTES {
@@ -122,14 +122,14 @@ impl Offer {
             None => return Err(Malformed("version")),
         }
         let call = reader.array().ok_or(Malformed("call"))?;
-        let from = reader.text(crate::core::name::MAX_BYTES);
-        // It becomes a folder's name, and `..` is a name.
-        let from = from.filter(|text| !text.starts_with('.'));
-        let from = from.and_then(|text| Name::new(text).ok());
+        let sender = reader.text(crate::core::name::MAX_BYTES);
+        // The sender becomes a folder's name, and `...` is a valid name of a robot.
+        let sender = sender.filter(|text| !text.starts_with('.'));
+        let sender = sender.and_then(|text| Name::new(text).ok());
         let topic = reader.text(topic::MAX_BYTES);
         let topic = topic.and_then(|text| Topic::new(text).ok());
-        let (from, topic) = (
-            from.ok_or(Malformed("sender"))?,
+        let (sender, topic) = (
+            sender.ok_or(Malformed("sender"))?,
             topic.ok_or(Malformed("topic"))?,
         );
         let name = reader.text(MAX_BYTES).ok_or(Malformed("name"))?;
@@ -140,7 +140,7 @@ impl Offer {
         let checksum = Checksum(reader.array().ok_or(Malformed("checksum"))?);
         reader.end().ok_or(Malformed("end"))?;
         Ok(Self {
-            from,
+            sender,
             topic,
             name,
             encoding,
@@ -152,10 +152,10 @@ impl Offer {
 }
 
 impl FileName {
-    /// Checks a name. The empty one is for what has none.
+    /// Creates a file name after checking it. The empty name stands for data without a name.
     ///
     /// # Errors
-    /// [`OfferError::Name`]: it could lead somewhere else, or be hidden.
+    /// Returns [`OfferError::Name`] if the name could refer to another folder, or to a hidden file.
     pub fn new(text: &str) -> Result<Self, OfferError> {
         let bad = |c: char| c.is_control() || matches!(c, '/' | '\\' | ':');
         if text.len() > MAX_NAME_BYTES || text.starts_with('.') || text.contains(bad) {
@@ -166,14 +166,14 @@ impl FileName {
         Ok(Self(text.to_owned()))
     }
 
-    /// As text.
+    /// Returns the file name as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
 impl Checksum {
-    /// Of bytes that are at hand.
+    /// Computes the checksum of bytes in memory.
     pub fn of(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
     }
@@ -218,7 +218,7 @@ impl fmt::Debug for FileName {
 impl fmt::Debug for Offer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
-            from,
+            sender,
             topic,
             name,
             encoding,
@@ -227,18 +227,18 @@ impl fmt::Debug for Offer {
         } = self;
         write!(
             f,
-            "Offer({from}/{topic}, {name:?}, {encoding}, {size_bytes} bytes)"
+            "Offer({sender}/{topic}, {name:?}, {encoding}, {size_bytes} bytes)"
         )
     }
 }
 
-/// One for the tests of this folder.
+/// An offer for the tests of this folder.
 #[cfg(test)]
 pub(super) fn sample(size_bytes: u64) -> Offer {
     Offer {
-        from: Name::new("wombat-1").expect("a name"),
-        topic: Topic::new("map/kitchen").expect("a topic"),
-        name: FileName::new("kitchen.pcd").expect("a file's name"),
+        sender: Name::new("wombat-1").expect("valid name"),
+        topic: Topic::new("map/kitchen").expect("valid topic"),
+        name: FileName::new("kitchen.pcd").expect("valid file name"),
         encoding: Encoding::BYTES,
         size_bytes,
         checksum: Checksum::of(b"abc"),

@@ -1,21 +1,21 @@
-//! Owns progress: how much of a transfer is there.
+//! Describes the progress of a transfer.
 
-/// How much of a transfer the receiver holds.
+/// The progress of a transfer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// What it holds.
-    pub held_bytes: u64,
-    /// Of how many.
+    /// Number of bytes that the receiver has received.
+    pub received_bytes: u64,
+    /// Total size of the transfer, in bytes.
     pub size_bytes: u64,
 }
 
 impl Progress {
-    /// 0 to 1; of nothing, all is there.
+    /// Returns the progress as a fraction from 0 to 1. An empty transfer is complete.
     pub fn fraction(self) -> f64 {
         if self.size_bytes == 0 {
             return 1.0;
         }
-        self.held_bytes as f64 / self.size_bytes as f64
+        self.received_bytes as f64 / self.size_bytes as f64
     }
 }
 
@@ -24,10 +24,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_nothing_all_is_there() {
-        let of = |held_bytes, size_bytes| {
+    fn an_empty_transfer_is_complete() {
+        let of = |received_bytes, size_bytes| {
             Progress {
-                held_bytes,
+                received_bytes,
                 size_bytes,
             }
             .fraction()

@@ -1,32 +1,33 @@
-//! Owns sets of bytes: which parts of something are there.
+//! Implements sets of byte ranges, which describe the parts of a transfer that were received.
 use std::ops::Range;
 
-/// Which bytes are there: ranges in order, none empty, no two that touch.
+/// A set of bytes, stored as ranges in ascending order of which none is empty and no two are adjacent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Ranges(Vec<Range<u64>>);
 
 impl Ranges {
-    /// In order, none empty, no two that touch.
+    /// Returns the ranges in ascending order. None is empty, and no two are adjacent.
     pub fn iter(&self) -> impl Iterator<Item = Range<u64>> + '_ {
         self.0.iter().cloned()
     }
 
-    /// How many there are.
+    /// Returns the number of ranges.
     pub fn count(&self) -> usize {
         self.0.len()
     }
 
-    /// How many bytes.
+    /// Returns the number of bytes.
     pub fn bytes(&self) -> u64 {
         self.0.iter().map(|range| range.end - range.start).sum()
     }
 
-    /// Adds these bytes, some of which may be there.
+    /// Adds the bytes of a range, some of which may be in the set already.
     pub fn insert(&mut self, range: Range<u64>) {
         if range.is_empty() {
             return;
         }
-        // Those that touch it: all from the first that does not end before it to the last that does not begin after it.
+        // The ranges that touch it: from the first that does not end before it, to the last that does not begin after
+        // it.
         let first = self.0.partition_point(|r| r.end < range.start);
         let last = self.0.partition_point(|r| r.start <= range.end);
         let merged = match self.0.get(first..last) {
@@ -37,7 +38,7 @@ impl Ranges {
         self.0.splice(first..last, [merged]);
     }
 
-    /// Takes these bytes out.
+    /// Removes the bytes of a range.
     pub fn remove(&mut self, range: Range<u64>) {
         if range.is_empty() {
             return;
@@ -54,14 +55,14 @@ impl Ranges {
         self.0.splice(first..last, left);
     }
 
-    /// All of these bytes are there.
+    /// Returns whether all bytes of a range are in the set.
     pub fn contains(&self, range: &Range<u64>) -> bool {
         let after = self.0.partition_point(|r| r.start <= range.start);
-        let there = after.checked_sub(1).and_then(|n| self.0.get(n));
-        range.is_empty() || there.is_some_and(|r| r.end >= range.end)
+        let range_before = after.checked_sub(1).and_then(|n| self.0.get(n));
+        range.is_empty() || range_before.is_some_and(|r| r.end >= range.end)
     }
 
-    /// The first bytes that are missing of so many.
+    /// Returns the first range of bytes that are not in the set, below `size_bytes`.
     pub fn first_gap(&self, size_bytes: u64) -> Option<Range<u64>> {
         let (start, end) = match self.0.as_slice() {
             [first, rest @ ..] if first.start == 0 => {
@@ -74,7 +75,7 @@ impl Ranges {
         (start < end).then_some(start..end)
     }
 
-    /// Where the last of them ends.
+    /// Returns the end of the last range.
     pub fn end(&self) -> u64 {
         self.0.last().map_or(0, |range| range.end)
     }
@@ -88,7 +89,7 @@ mod tests {
     use crate::core::transfer::simulated::Random;
 
     #[test]
-    fn it_is_what_a_set_of_single_bytes_would_be() {
+    fn behaves_like_a_set_of_single_bytes() {
         for seed in 0..200 {
             let (mut random, mut ranges) = (Random::new(seed), Ranges::default());
             let mut bytes = BTreeSet::new();
@@ -131,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gap_ends_where_something_is_there() {
+    fn a_gap_ends_at_the_next_range() {
         let mut ranges = Ranges::default();
         assert_eq!(
             (ranges.first_gap(0), ranges.first_gap(9)),

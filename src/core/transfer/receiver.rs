@@ -1,4 +1,5 @@
-//! Owns the receiving side of one transfer: what to ask for and when, and when it is over.
+//! Implements the receiver of one transfer: decides which pieces to request and when, and when the transfer has
+//! finished.
 use std::{
     collections::BTreeMap,
     ops::Range,
@@ -7,136 +8,139 @@ use std::{
 
 use super::{answer::Fault, progress::Progress, ranges::Ranges, request::Request, window::Window};
 
-/// Between the first two tries where nobody answers; twice as long each time.
+/// The pause after the first unanswered attempt. It doubles each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
-/// The longest pause between tries.
+/// The maximum pause between attempts.
 const LAST_PAUSE: Duration = Duration::from_secs(2);
-/// How many tries come to nothing before patience counts: a clock that jumps ends nothing.
-const MIN_TRIES: u32 = 5;
+/// The minimum number of failed attempts before the timeout applies, so that a jump of the clock does not end a
+/// transfer.
+const MIN_ATTEMPTS: u32 = 5;
 
-/// A transfer that is being received. Given the time and what came; says what to do.
+/// A transfer that is being received. It is given the time and the events, and returns what to do.
 #[derive(Debug)]
 pub struct Receiver {
     size_bytes: u64,
-    patience: Duration,
+    timeout: Duration,
     state: State,
     held: Ranges,
-    /// What is held or on its way.
-    asked: Ranges,
-    out: BTreeMap<u64, Out>,
-    out_bytes: u64,
-    next_ticket: u64,
+    /// Bytes that were received or are in flight.
+    requested: Ranges,
+    in_flight: BTreeMap<u64, InFlight>,
+    in_flight_bytes: u64,
+    next_id: u64,
     window: Window,
-    heard: Instant,
-    /// Something is from before a restart: a wrong checksum may be its fault.
+    last_reply: Instant,
+    /// Whether some data is from before a restart; it may be the cause of a wrong checksum.
     resumed: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum State {
-    /// Asks as the window lets it.
-    Pulling,
-    /// A request came to nothing while others are out: they will tell whether the way is cut.
-    Doubting,
-    /// Nobody answers. Tried again then.
+    /// Requests pieces as the window permits.
+    Requesting,
+    /// One request failed while others are in flight. Their outcome will show whether the sender is unreachable.
+    Suspecting,
+    /// The sender does not answer. The next attempt is made at `until`.
     Pausing {
         until: Instant,
         pause: Duration,
-        tries: u32,
+        attempts: u32,
     },
-    /// One request is out, to see.
-    Trying {
+    /// A single request is in flight, to check whether the sender answers.
+    Probing {
         pause: Duration,
-        tries: u32,
+        attempts: u32,
     },
-    /// All is there, and is being checked.
+    /// Everything was received, and is being verified.
     Checking,
-    Over(Result<(), Fault>),
+    Finished(Result<(), Fault>),
 }
 
-/// A request that is out.
+/// A request that is in flight.
 #[derive(Clone, Debug)]
-struct Out {
+struct InFlight {
     range: Range<u64>,
-    asked_at: Instant,
+    requested_at: Instant,
     due: Instant,
 }
 
-/// What to do next.
+/// The next action.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
-    /// Ask the sender for this.
-    Ask(Ask),
-    /// Nothing before then, unless something comes.
+    /// Send this request.
+    Request(PieceRequest),
+    /// Wait until then, unless an event occurs.
     Wait(Instant),
-    /// All is there: compute the checksum and say [`Receiver::on_checked`].
+    /// Everything was received. Compute the checksum, and report it with [`Receiver::on_checked`].
     Check,
-    /// It is over.
-    Over(Result<(), Fault>),
+    /// The transfer has finished.
+    Finished(Result<(), Fault>),
 }
 
-/// A request to the sender.
+/// A request for a piece.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ask {
-    /// Its number, by which what comes of it is told.
-    pub ticket: u64,
-    /// Which bytes.
+pub struct PieceRequest {
+    /// Number that identifies the request in later calls.
+    pub id: u64,
+    /// Requested bytes.
     pub range: Range<u64>,
-    /// What to send.
+    /// Request to send.
     pub request: Request,
-    /// After this it counts as lost, and is asked for again. What comes later is of use all the same.
+    /// Time after which the request counts as lost and is repeated. A later reply is used nevertheless.
     pub timeout: Duration,
 }
 
 impl Receiver {
-    /// Of so many bytes, some of which may be there from before a restart. `patience`: how long nothing may come before it
-    /// is given up.
-    pub fn new(now: Instant, size_bytes: u64, held: Ranges, patience: Duration) -> Self {
+    /// Creates the receiver of a transfer of `size_bytes`. `held` is what was received before a restart. `timeout` is
+    /// how long nothing may arrive before the transfer fails.
+    pub fn new(now: Instant, size_bytes: u64, held: Ranges, timeout: Duration) -> Self {
         Self {
             size_bytes,
-            patience,
-            state: State::Pulling,
+            timeout,
+            state: State::Requesting,
             resumed: held.bytes() > 0,
-            asked: held.clone(),
+            requested: held.clone(),
             held,
-            out: BTreeMap::new(),
-            out_bytes: 0,
-            next_ticket: 0,
+            in_flight: BTreeMap::new(),
+            in_flight_bytes: 0,
+            next_id: 0,
             window: Window::default(),
-            heard: now,
+            last_reply: now,
         }
     }
 
-    /// What to do now. Ask until it says something else.
+    /// Returns what to do now. Call it repeatedly until it returns something other than a request.
     pub fn poll(&mut self, now: Instant) -> Step {
-        let late = self.out.iter().filter(|(_, out)| out.due <= now);
-        let late: Vec<u64> = late.map(|(&ticket, _)| ticket).collect();
-        late.into_iter()
-            .for_each(|ticket| self.on_silence(now, ticket));
-        if let State::Over(how) = &self.state {
-            return Step::Over(how.clone());
+        let late = self
+            .in_flight
+            .iter()
+            .filter(|(_, in_flight)| in_flight.due <= now);
+        let late: Vec<u64> = late.map(|(&id, _)| id).collect();
+        late.into_iter().for_each(|id| self.on_no_reply(now, id));
+        if let State::Finished(how) = &self.state {
+            return Step::Finished(how.clone());
         }
         if self.state != State::Checking && self.held.contains(&(0..self.size_bytes)) {
             self.state = State::Checking;
             return Step::Check;
         }
         match self.state.clone() {
-            State::Pulling => match self.ask(now) {
-                Some(ask) => Step::Ask(ask),
+            State::Requesting => match self.next_request(now) {
+                Some(request) => Step::Request(request),
                 None => self.wait(now),
             },
             State::Pausing {
                 until,
                 pause,
-                tries,
+                attempts,
             } if until <= now => {
-                let silent = now.saturating_duration_since(self.heard);
-                if silent > self.patience && tries >= MIN_TRIES {
-                    return self.over(Err(Fault::Silence(silent.as_secs())));
+                let silent = now.saturating_duration_since(self.last_reply);
+                if silent > self.timeout && attempts >= MIN_ATTEMPTS {
+                    return self.finish(Err(Fault::TimedOut(silent.as_secs())));
                 }
-                self.state = State::Trying { pause, tries };
-                match self.ask(now) {
-                    Some(ask) => Step::Ask(ask),
+                self.state = State::Probing { pause, attempts };
+                match self.next_request(now) {
+                    Some(request) => Step::Request(request),
                     None => self.wait(now),
                 }
             }
@@ -146,183 +150,189 @@ impl Receiver {
     }
 
     fn wait(&self, now: Instant) -> Step {
-        let due = self.out.values().map(|out| out.due).min();
+        let due = self.in_flight.values().map(|in_flight| in_flight.due).min();
         Step::Wait(due.unwrap_or(now + LAST_PAUSE))
     }
 
-    fn over(&mut self, how: Result<(), Fault>) -> Step {
-        self.state = State::Over(how.clone());
-        Step::Over(how)
+    fn finish(&mut self, how: Result<(), Fault>) -> Step {
+        self.state = State::Finished(how.clone());
+        Step::Finished(how)
     }
 
-    fn ask(&mut self, now: Instant) -> Option<Ask> {
-        let gap = self.asked.first_gap(self.size_bytes)?;
-        let most = u64::from(self.window.room(now, self.out_bytes)?);
-        let range = gap.start..gap.end.min(gap.start + most);
-        let (ticket, timeout) = (self.next_ticket, self.window.timeout());
-        self.next_ticket += 1;
-        self.asked.insert(range.clone());
-        self.out_bytes += range.end - range.start;
-        let out = Out {
+    fn next_request(&mut self, now: Instant) -> Option<PieceRequest> {
+        let gap = self.requested.first_gap(self.size_bytes)?;
+        let limit = u64::from(self.window.room(now, self.in_flight_bytes)?);
+        let range = gap.start..gap.end.min(gap.start + limit);
+        let (id, timeout) = (self.next_id, self.window.timeout());
+        self.next_id += 1;
+        self.requested.insert(range.clone());
+        self.in_flight_bytes += range.end - range.start;
+        let in_flight = InFlight {
             range: range.clone(),
-            asked_at: now,
+            requested_at: now,
             due: now + timeout,
         };
-        self.out.insert(ticket, out);
+        self.in_flight.insert(id, in_flight);
         let length = u32::try_from(range.end - range.start).unwrap_or(u32::MAX);
         let request = Request::Range {
             offset: range.start,
             length,
-            held_bytes: self.held.bytes(),
+            received_bytes: self.held.bytes(),
         };
-        Some(Ask {
-            ticket,
+        Some(PieceRequest {
+            id,
             range,
             request,
             timeout,
         })
     }
 
-    fn take(&mut self, ticket: u64) -> Option<Out> {
-        let out = self.out.remove(&ticket)?;
-        self.out_bytes -= out.range.end - out.range.start;
-        Some(out)
+    fn take(&mut self, id: u64) -> Option<InFlight> {
+        let in_flight = self.in_flight.remove(&id)?;
+        self.in_flight_bytes -= in_flight.range.end - in_flight.range.start;
+        Some(in_flight)
     }
 
-    /// A reply with so many bytes. `true`: they are to be kept, and then to be told as [`Self::on_kept`]; `false`: they are
-    /// there already, or it is over.
-    pub fn on_reply(&mut self, now: Instant, ask: &Ask, bytes: u64) -> bool {
-        if matches!(self.state, State::Over(_)) {
+    /// Handles a reply of `bytes` bytes. Returns whether to store them and then call [`Self::on_written`]; otherwise
+    /// they are present already, or the transfer has finished.
+    pub fn on_reply(&mut self, now: Instant, request: &PieceRequest, bytes: u64) -> bool {
+        if matches!(self.state, State::Finished(_)) {
             return false;
         }
-        let wanted = ask.range.end - ask.range.start;
-        if bytes != wanted {
-            let text = format!("{bytes} bytes came where {wanted} were asked for");
-            self.over(Err(Fault::Protocol(text)));
+        let expected = request.range.end - request.range.start;
+        if bytes != expected {
+            let text = format!("{bytes} bytes were received where {expected} were requested");
+            self.finish(Err(Fault::Protocol(text)));
             return false;
         }
-        self.heard = now;
-        let out = self.take(ask.ticket);
+        self.last_reply = now;
+        let in_flight = self.take(request.id);
         match self.state {
-            State::Doubting => {
+            State::Suspecting => {
                 self.window.on_lost();
-                self.state = State::Pulling;
+                self.state = State::Requesting;
             }
-            // One that was given up came all the same: the way is there.
-            State::Trying { .. } | State::Pausing { .. } => self.state = State::Pulling,
+            // A reply to a request that had timed out: the sender is reachable.
+            State::Probing { .. } | State::Pausing { .. } => self.state = State::Requesting,
             _ => {}
         }
-        if let Some(out) = out {
-            let bytes = u32::try_from(wanted).unwrap_or(u32::MAX);
-            self.window.on_piece(now, out.asked_at, bytes);
+        if let Some(in_flight) = in_flight {
+            let bytes = u32::try_from(expected).unwrap_or(u32::MAX);
+            self.window.on_piece(now, in_flight.requested_at, bytes);
         }
-        self.state != State::Checking && !self.held.contains(&ask.range)
+        self.state != State::Checking && !self.held.contains(&request.range)
     }
 
-    /// These bytes are where they belong.
-    pub fn on_kept(&mut self, range: Range<u64>) {
-        self.asked.insert(range.clone());
+    /// Handles bytes that were stored.
+    pub fn on_written(&mut self, range: Range<u64>) {
+        self.requested.insert(range.clone());
         self.held.insert(range);
     }
 
-    /// They can't be kept.
-    pub fn on_not_kept(&mut self, reason: String) {
-        self.end(Fault::NotKept(reason));
+    /// Handles bytes that could not be stored.
+    pub fn on_write_failed(&mut self, reason: String) {
+        self.end(Fault::NotStored(reason));
     }
 
-    /// A request ended without a reply: the way was cut, or nobody is there.
-    pub fn on_silence(&mut self, now: Instant, ticket: u64) {
-        let Some(out) = self.take(ticket) else {
+    /// Handles a request that ended without a reply: the sender is unreachable or not running.
+    pub fn on_no_reply(&mut self, now: Instant, id: u64) {
+        let Some(in_flight) = self.take(id) else {
             return;
         };
-        self.asked.remove(out.range.clone());
-        // A late reply may have brought a part of it.
-        let there: Vec<_> = self
+        self.requested.remove(in_flight.range.clone());
+        // A late reply may have delivered a part of it.
+        let present: Vec<_> = self
             .held
             .iter()
-            .filter(|held| held.start < out.range.end)
+            .filter(|held| held.start < in_flight.range.end)
             .collect();
-        there.into_iter().for_each(|held| self.asked.insert(held));
-        let paused = |pause: Duration, tries| State::Pausing {
+        present
+            .into_iter()
+            .for_each(|held| self.requested.insert(held));
+        let paused = |pause: Duration, attempts| State::Pausing {
             until: now + pause,
             pause,
-            tries,
+            attempts,
         };
         match self.state {
-            State::Pulling | State::Doubting if self.out.is_empty() => {
-                self.window.on_cut();
+            State::Requesting | State::Suspecting if self.in_flight.is_empty() => {
+                self.window.on_interruption();
                 self.state = paused(FIRST_PAUSE, 0);
             }
-            State::Pulling => self.state = State::Doubting,
-            State::Trying { pause, tries } => {
-                self.state = paused((pause * 2).min(LAST_PAUSE), tries + 1);
+            State::Requesting => self.state = State::Suspecting,
+            State::Probing { pause, attempts } => {
+                self.state = paused((pause * 2).min(LAST_PAUSE), attempts + 1);
             }
             _ => {}
         }
     }
 
-    /// The sender says that it can't.
-    pub fn on_fault(&mut self, ticket: u64, fault: Fault) {
-        if self.take(ticket).is_some() {
+    /// Handles a fault that the sender reported.
+    pub fn on_fault(&mut self, id: u64, fault: Fault) {
+        if self.take(id).is_some() {
             self.end(fault);
         }
     }
 
-    /// The sender offers it again: it is there, so that no pause is to be waited for.
+    /// Handles a repeated offer: the sender is reachable, so the pause ends.
     pub fn on_offered(&mut self, now: Instant) {
-        if let State::Pausing { pause, tries, .. } = self.state {
+        if let State::Pausing {
+            pause, attempts, ..
+        } = self.state
+        {
             self.state = State::Pausing {
                 until: now,
                 pause: pause.min(FIRST_PAUSE),
-                tries,
+                attempts,
             };
         }
     }
 
-    /// What the checksum of all came to: as offered, or not.
-    pub fn on_checked(&mut self, right: bool) {
+    /// Handles the verification of the checksum.
+    pub fn on_checked(&mut self, is_correct: bool) {
         if self.state != State::Checking {
             return;
         }
-        if right {
-            self.over(Ok(()));
+        if is_correct {
+            self.finish(Ok(()));
         } else if std::mem::take(&mut self.resumed) {
-            // What was there from before may have been damaged when the machine lost its power: all of it again, once.
-            (self.held, self.asked) = (Ranges::default(), Ranges::default());
-            self.out.clear();
-            self.out_bytes = 0;
-            self.state = State::Pulling;
+            // Data from before a restart may have been damaged when the computer lost power. Request everything again,
+            // once.
+            (self.held, self.requested) = (Ranges::default(), Ranges::default());
+            self.in_flight.clear();
+            self.in_flight_bytes = 0;
+            self.state = State::Requesting;
         } else {
             self.end(Fault::Checksum);
         }
     }
 
-    /// The program wants it no more, or something outside ends it.
+    /// Ends the transfer with a fault, for example because the program stops it.
     pub fn end(&mut self, fault: Fault) {
-        if !matches!(self.state, State::Over(_)) {
-            self.over(Err(fault));
+        if !matches!(self.state, State::Finished(_)) {
+            self.finish(Err(fault));
         }
     }
 
-    /// What is there.
+    /// Returns the received ranges.
     pub fn held(&self) -> &Ranges {
         &self.held
     }
 
-    /// How much is there.
+    /// Returns the progress.
     pub fn progress(&self) -> Progress {
         Progress {
-            held_bytes: self.held.bytes(),
+            received_bytes: self.held.bytes(),
             size_bytes: self.size_bytes,
         }
     }
 
-    /// How many bytes are asked for and not there yet, nor given up.
-    pub fn on_the_way_bytes(&self) -> u64 {
-        self.out_bytes
+    /// Returns the number of bytes that were requested and have neither arrived nor timed out.
+    pub fn in_flight_bytes(&self) -> u64 {
+        self.in_flight_bytes
     }
 
-    /// How much is asked for at once.
+    /// Returns the window.
     pub fn window(&self) -> &Window {
         &self.window
     }

@@ -1,8 +1,8 @@
-//! Owns the record: what a receiver keeps beside a part file, so that it goes on after a restart.
+//! Encodes the record that a receiver stores beside a part file, so that the transfer continues after a restart.
 //!
-//! `RECTPART`, a version, the offer (a length before it), the ranges that are there (their count, then for each how far
-//! after the last one it begins and how long it is), and four bytes of SHA-256 of all this: a machine may lose its power
-//! while it is written.
+//! A record consists of `RECTPART`, a version, the offer (preceded by its length), the received ranges (their count,
+//! then for each the distance from the end of the previous range, and its length), and four bytes of SHA-256 of all
+//! that, because a computer may lose power while the record is written.
 use sha2::{Digest, Sha256};
 
 use super::{
@@ -13,23 +13,23 @@ use super::{
 
 const MARK: &[u8; 8] = b"RECTPART";
 const VERSION: u8 = 1;
-/// The most ranges that a record has. A receiver asks in order, so that there are few: with more, the last are asked for
-/// again.
+/// The maximum number of ranges in a record. There are few, because pieces are requested in order. If there are more,
+/// the last ones are requested again.
 const MAX_RANGES: usize = 1024;
-/// The longest record, in bytes.
+/// The maximum length of a record, in bytes.
 pub const MAX_BYTES: usize = 32 * 1024;
 
-/// What of a transfer is in its part file.
+/// The state of a part file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// Which transfer.
+    /// Offer of the transfer.
     pub offer: Offer,
-    /// What is there.
+    /// Ranges that the part file contains.
     pub held: Ranges,
 }
 
 impl Record {
-    /// As bytes.
+    /// Encodes the record.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = MARK.to_vec();
         out.push(VERSION);
@@ -48,7 +48,7 @@ impl Record {
         out
     }
 
-    /// From a file; `None`: it is damaged, or something else, and the transfer begins anew.
+    /// Decodes a record. Returns `None` if it is damaged or something else; then the transfer begins anew.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         if bytes.len() > MAX_BYTES {
             return None;
@@ -94,7 +94,7 @@ fn check(bytes: &[u8]) -> [u8; 4] {
     hash.first_chunk().copied().unwrap_or_default()
 }
 
-/// For fuzzing: a check that fits, after whatever there is.
+/// Appends a valid check to any bytes, for fuzzing.
 pub fn seal(bytes: &[u8]) -> Vec<u8> {
     [bytes, &check(bytes)].concat()
 }
@@ -105,7 +105,7 @@ mod tests {
     use crate::core::transfer::offer::sample;
 
     #[test]
-    fn a_record_comes_back_as_it_was_and_no_part_of_it_does() {
+    fn records_round_trip_and_damaged_ones_are_rejected() {
         let mut held = Ranges::default();
         for ranges in [
             &[][..],
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_that_can_not_be_are_not_read() {
+    fn invalid_ranges_are_rejected() {
         let record = |ranges: &[u8]| {
             let whole = Record {
                 offer: sample(100),
@@ -142,15 +142,15 @@ mod tests {
         };
         assert!(record(&[1, 0, 100]).is_some(), "all");
         assert!(record(&[2, 0, 50, 1, 49]).is_some(), "all but one");
-        assert!(record(&[1, 1, 100]).is_none(), "more than there is");
+        assert!(record(&[1, 1, 100]).is_none(), "beyond the end");
         assert!(record(&[1, 0, 0]).is_none(), "an empty one");
-        assert!(record(&[2, 0, 5, 0, 5]).is_none(), "two that touch");
+        assert!(record(&[2, 0, 5, 0, 5]).is_none(), "two adjacent ones");
         assert!(record(&[2, 0, 5]).is_none(), "one is missing");
         assert!(record(&[0xff, 0xff, 0xff, 0x7f]).is_none(), "too many");
     }
 
     #[test]
-    fn of_too_many_ranges_the_first_are_kept() {
+    fn keeps_the_first_of_too_many_ranges() {
         let mut held = Ranges::default();
         (0..5000).for_each(|n| held.insert(n * 1_000_000..n * 1_000_000 + 500_000));
         let bytes = Record {

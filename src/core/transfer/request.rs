@@ -1,4 +1,4 @@
-//! Owns the request: what a receiver asks of a sender.
+//! Encodes the requests of a receiver to a sender.
 use std::ops::Range;
 
 use super::{
@@ -11,38 +11,39 @@ const RANGE: u8 = 0x10;
 const ENDED: u8 = 0x11;
 const CONFIRM: u8 = 0x12;
 
-/// What a receiver asks of a sender, or tells it.
+/// A request of a receiver to the sender of a transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// These bytes. The reply has exactly them and nothing else, so that they go to where they belong without a copy.
+    /// Requests a piece. The reply consists of exactly these bytes, so that they can be stored without a copy.
     Range {
-        /// Where they begin.
+        /// Offset of the first byte.
         offset: u64,
-        /// How many: 1 to [`MAX_PIECE_BYTES`].
+        /// Number of bytes: 1 to [`MAX_PIECE_BYTES`].
         length: u32,
-        /// How many bytes the receiver holds: the sender's progress.
-        held_bytes: u64,
+        /// Number of bytes that the receiver has, from which the sender derives the progress.
+        received_bytes: u64,
     },
-    /// The transfer is over at the receiver. The sender offers once more, and the answer to that offer says how it ended: on
-    /// the receiver's own key, so that nobody else can end it. The sender keeps this query open until it has the answer.
+    /// Reports that the transfer has finished at the receiver. The sender then offers it once more, and the answer to
+    /// that offer contains the outcome: on the receiver's own key, so that no other robot can end the transfer. The
+    /// sender keeps this query open until it has the answer.
     Ended,
     /// Asks whether this robot offers the transfer. The reply is the encoded [`Offer`](super::Offer).
     Confirm,
 }
 
 impl Request {
-    /// As bytes.
+    /// Encodes the request.
     pub fn encode(&self) -> Vec<u8> {
         match self {
             Self::Range {
                 offset,
                 length,
-                held_bytes,
+                received_bytes,
             } => {
                 let mut out = vec![RANGE];
                 write_number(&mut out, *offset);
                 write_number(&mut out, u64::from(*length));
-                write_number(&mut out, *held_bytes);
+                write_number(&mut out, *received_bytes);
                 out
             }
             Self::Ended => vec![ENDED],
@@ -50,7 +51,7 @@ impl Request {
         }
     }
 
-    /// From bytes that anyone may have sent; `None`: they are no request.
+    /// Decodes an untrusted request. Returns `None` if the bytes are not a request.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let mut reader = Reader(bytes);
         let request = match reader.byte()? {
@@ -61,11 +62,11 @@ impl Request {
                     return None;
                 }
                 offset.checked_add(u64::from(length))?;
-                let held_bytes = reader.number()?;
+                let received_bytes = reader.number()?;
                 Self::Range {
                     offset,
                     length,
-                    held_bytes,
+                    received_bytes,
                 }
             }
             ENDED => Self::Ended,
@@ -76,15 +77,15 @@ impl Request {
         Some(request)
     }
 
-    /// The bytes that are asked for, of so many that there are.
+    /// Returns the requested range of a source of `size_bytes`.
     ///
     /// # Errors
-    /// [`Fault::Protocol`]: there are fewer.
+    /// Returns [`Fault::Protocol`] if the range exceeds the source.
     pub fn range(offset: u64, length: u32, size_bytes: u64) -> Result<Range<u64>, Fault> {
         match offset.checked_add(u64::from(length)) {
             Some(end) if end <= size_bytes => Ok(offset..end),
             _ => {
-                let text = format!("asked for {length} bytes at {offset} of {size_bytes}");
+                let text = format!("requested {length} bytes at {offset} of {size_bytes}");
                 Err(Fault::Protocol(text))
             }
         }
@@ -96,11 +97,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_comes_back_as_it_was_and_no_part_of_it_does() {
+    fn requests_round_trip_and_truncated_ones_are_rejected() {
         let range = |offset, length| Request::Range {
             offset,
             length,
-            held_bytes: 200,
+            received_bytes: 200,
         };
         let requests = [
             range(0, 1),
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_beyond_the_end_is_not_answered() {
+    fn ranges_beyond_the_end_are_rejected() {
         assert_eq!(Request::range(4, 6, 10), Ok(4..10));
         for (offset, length) in [(5, 6), (10, 1), (u64::MAX, 1)] {
             assert!(matches!(

@@ -1,7 +1,8 @@
-//! Owns the sending side of one transfer: when to offer it (again), what a request gets, and when it is over.
+//! Implements the sender of one transfer: decides when to repeat the offer, how to reply to requests, and when the
+//! transfer has finished.
 //!
-//! It offers until the receiver says how it ended: links come and go, the receiver's program may not run yet, and either
-//! may be restarted. While the receiver asks for ranges it need not be asked how it goes.
+//! The offer is repeated until the receiver reports the end: links may fail, the receiver's program may not be running
+//! yet, and either side may be restarted. While the receiver requests pieces, there is no need to repeat the offer.
 use std::{
     ops::Range,
     time::{Duration, Instant},
@@ -13,34 +14,35 @@ use super::{
     request::Request,
 };
 
-/// Between the first two offers where nobody answers; twice as long each time.
+/// The pause after the first unanswered offer. It doubles each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
-/// The longest pause between two offers.
+/// The maximum pause between two offers.
 const LAST_PAUSE: Duration = Duration::from_secs(5);
-/// How long a receiver that works on it may say nothing before it is asked again.
+/// How long an active receiver may be silent before the offer is repeated.
 const QUIET: Duration = Duration::from_secs(3);
-/// How long an offer is waited for, whatever the layer below says.
+/// The timeout of an offer, whatever the layer below reports.
 const ANSWER: Duration = Duration::from_secs(10);
 
-/// A transfer that is being sent. Given the time and what came; says what to do.
+/// A transfer that is being sent. It is given the time and the events, and returns what to do.
 #[derive(Debug)]
 pub struct Sender {
     size_bytes: u64,
-    patience: Option<Duration>,
+    timeout: Option<Duration>,
     state: State,
     pause: Duration,
     jitter: u64,
-    heard: Instant,
-    /// How often nobody answered since something was heard.
+    last_contact: Instant,
+    /// Number of unanswered offers since the last message from the receiver.
     unanswered: u32,
-    held_bytes: u64,
-    /// How many times it was offered.
+    received_bytes: u64,
+    /// Number of offers made.
     offers: u64,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum State {
-    /// An offer is out. `again`: something happened since; offer again as soon as this one is answered.
+    /// An offer is in flight. `again`: the receiver reported an event since; repeat the offer as soon as this one is
+    /// answered.
     Offering {
         until: Instant,
         again: bool,
@@ -48,63 +50,64 @@ enum State {
     Waiting {
         until: Instant,
     },
-    Over(Outcome),
+    Finished(Outcome),
 }
 
-/// How a transfer ended.
+/// The outcome of a transfer, as seen by its sender.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// All is there, with the right checksum.
+    /// The receiver has everything, and the checksum is correct.
     Done,
-    /// It is not taken.
+    /// The receiver refused the offer.
     Refused(Refusal),
-    /// It was taken, and can't be finished.
+    /// The transfer began, but failed.
     Failed(Fault),
-    /// Nothing was heard of the receiver for as long as the program wanted to wait.
-    Unanswered(Duration),
+    /// The receiver did not answer for this long, which exceeds the timeout.
+    NoAnswer(Duration),
 }
 
-/// What to do next.
+/// The next action.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
-    /// Offer it, wait at most so long, and tell what was answered ([`Sender::on_answers`]).
+    /// Send the offer, wait for answers for at most this long, and report them with [`Sender::on_answers`].
     Offer(Duration),
-    /// Nothing before then, unless something comes.
+    /// Wait until then, unless an event occurs.
     Wait(Instant),
-    /// It is over.
-    Over(Outcome),
+    /// The transfer has finished.
+    Finished(Outcome),
 }
 
-/// The response to a request.
+/// The reply to a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Response {
     /// These bytes of the source.
     Piece(Range<u64>),
-    /// The encoded offer: this robot does offer the transfer.
+    /// The encoded offer, which confirms it.
     Offer,
-    /// Nothing yet. The query stays open until the answers to the offer of this number have come (the first has number 1), so
-    /// that the receiver knows when the sender has learned how the transfer ended.
+    /// No reply yet. Keep the query open until the answers to the offer with this number (the first has number 1) have
+    /// arrived. The receiver learns from the end of the query that the sender knows the outcome.
     AfterOffer(u64),
 }
 
 impl Sender {
-    /// Of so many bytes. `patience`: how long nothing may be heard of the receiver; `None`: until the program ends it.
-    /// `seed`: any number; pauses vary by it, so that many robots do not offer at once.
-    pub fn new(now: Instant, size_bytes: u64, patience: Option<Duration>, seed: u64) -> Self {
+    /// Creates the sender of a transfer of `size_bytes`. `timeout` is how long the receiver may be silent; `None` for
+    /// no limit. `seed` is any number, by which the pauses vary so that several robots do not send offers
+    /// simultaneously.
+    pub fn new(now: Instant, size_bytes: u64, timeout: Option<Duration>, seed: u64) -> Self {
         Self {
             size_bytes,
-            patience,
+            timeout,
             state: State::Waiting { until: now },
             pause: FIRST_PAUSE,
             jitter: seed | 1,
-            heard: now,
+            last_contact: now,
             unanswered: 0,
-            held_bytes: 0,
+            received_bytes: 0,
             offers: 0,
         }
     }
 
-    /// What to do now.
+    /// Returns what to do now.
     pub fn poll(&mut self, now: Instant) -> Step {
         match self.state.clone() {
             State::Offering { until, .. } if until <= now => {
@@ -120,35 +123,35 @@ impl Sender {
                 Step::Offer(ANSWER / 2)
             }
             State::Offering { until, .. } | State::Waiting { until } => Step::Wait(until),
-            State::Over(outcome) => Step::Over(outcome),
+            State::Finished(outcome) => Step::Finished(outcome),
         }
     }
 
-    /// What the receiver's programs answered to an offer; none if nobody did.
+    /// Handles the answers of the receiver's programs to an offer; empty if there were none.
     pub fn on_answers(&mut self, now: Instant, answers: &[Answer]) {
         let State::Offering { again, .. } = self.state else {
             return;
         };
         if !answers.is_empty() {
-            (self.heard, self.unanswered) = (now, 0);
+            (self.last_contact, self.unanswered) = (now, 0);
         }
         for answer in answers {
-            if let Answer::Running { held_bytes } = answer {
-                self.on_held(*held_bytes);
+            if let Answer::Running { received_bytes } = answer {
+                self.on_received_bytes(*received_bytes);
             }
         }
         if let Some(outcome) = settled(answers) {
             if outcome == Outcome::Done {
-                self.held_bytes = self.size_bytes;
+                self.received_bytes = self.size_bytes;
             }
-            self.state = State::Over(outcome);
+            self.state = State::Finished(outcome);
             return;
         }
         let pause = if answers.is_empty() {
             self.unanswered += 1;
-            let silent = now.saturating_duration_since(self.heard);
-            if self.unanswered > 3 && self.patience.is_some_and(|patience| silent > patience) {
-                self.state = State::Over(Outcome::Unanswered(silent));
+            let silent = now.saturating_duration_since(self.last_contact);
+            if self.unanswered > 3 && self.timeout.is_some_and(|timeout| silent > timeout) {
+                self.state = State::Finished(Outcome::NoAnswer(silent));
                 return;
             }
             let pause = self.pause;
@@ -162,7 +165,7 @@ impl Sender {
         self.state = State::Waiting { until: now + pause };
     }
 
-    /// 0 to 1. Xorshift: it only has to differ.
+    /// Returns a number from 0 to 1 (xorshift; the quality does not matter).
     fn random(&mut self) -> f64 {
         self.jitter ^= self.jitter << 13;
         self.jitter ^= self.jitter >> 7;
@@ -170,26 +173,26 @@ impl Sender {
         (self.jitter >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Handles a request and returns what it is answered with.
+    /// Handles a request, and returns the reply to it.
     ///
     /// # Errors
-    /// [`Fault::Protocol`]: there are no such bytes. [`Fault::Stopped`]: the transfer is over, so it is not confirmed any
-    /// more. The request is answered with this error.
+    /// Returns [`Fault::Protocol`] if the source has no such bytes, and [`Fault::Stopped`] if the transfer has finished
+    /// and therefore is not confirmed any more. The error is the reply to the request.
     pub fn on_request(&mut self, now: Instant, request: &Request) -> Result<Response, Fault> {
-        (self.heard, self.unanswered) = (now, 0);
+        (self.last_contact, self.unanswered) = (now, 0);
         match *request {
             Request::Range {
                 offset,
                 length,
-                held_bytes,
+                received_bytes,
             } => {
                 let range = Request::range(offset, length, self.size_bytes)?;
-                self.on_held(held_bytes);
+                self.on_received_bytes(received_bytes);
                 self.quiet_until(now + QUIET);
                 Ok(Response::Piece(range))
             }
             Request::Confirm => {
-                if matches!(self.state, State::Over(_)) {
+                if matches!(self.state, State::Finished(_)) {
                     return Err(Fault::Stopped);
                 }
                 self.quiet_until(now + QUIET);
@@ -199,48 +202,48 @@ impl Sender {
                 match &mut self.state {
                     State::Waiting { until } => *until = now,
                     State::Offering { again, .. } => *again = true,
-                    State::Over(_) => {}
+                    State::Finished(_) => {}
                 }
                 Ok(Response::AfterOffer(self.offers + 1))
             }
         }
     }
 
-    /// The receiver works on it: it is not offered again before then.
+    /// Suspends the offers until then, because the receiver is active.
     fn quiet_until(&mut self, until: Instant) {
         if let State::Waiting { .. } = self.state {
             self.state = State::Waiting { until };
         }
     }
 
-    fn on_held(&mut self, held_bytes: u64) {
-        self.held_bytes = held_bytes.min(self.size_bytes);
+    fn on_received_bytes(&mut self, received_bytes: u64) {
+        self.received_bytes = received_bytes.min(self.size_bytes);
     }
 
-    /// The source can't be read any more, or is another one.
+    /// Handles a fault of the source: it cannot be read any more, or it has changed.
     pub fn on_fault(&mut self, fault: Fault) {
-        if !matches!(self.state, State::Over(_)) {
-            self.state = State::Over(Outcome::Failed(fault));
+        if !matches!(self.state, State::Finished(_)) {
+            self.state = State::Finished(Outcome::Failed(fault));
         }
     }
 
-    /// How much the receiver holds, as far as it told.
+    /// Returns the progress that the receiver has reported.
     pub fn progress(&self) -> Progress {
         Progress {
-            held_bytes: self.held_bytes,
+            received_bytes: self.received_bytes,
             size_bytes: self.size_bytes,
         }
     }
 }
 
-/// What several programs of a robot say to one offer: whoever works on it counts most, then whoever has it, then whoever
-/// failed; and only if none wants it, it is refused.
+/// Combines the answers of several programs of a robot to one offer. A program that is receiving it takes precedence,
+/// then one that has received it, then one that failed. The offer is refused only if all programs refuse it.
 fn settled(answers: &[Answer]) -> Option<Outcome> {
     let rank = |answer: &Answer| match answer {
         Answer::Running { .. } | Answer::Busy => 0,
         Answer::Done => 1,
         Answer::Failed(_) => 2,
-        Answer::Refused(Refusal::NotWanted) => 4,
+        Answer::Refused(Refusal::NotAccepted) => 4,
         Answer::Refused(_) => 3,
     };
     match answers.iter().min_by_key(|answer| rank(answer))? {

@@ -1,5 +1,5 @@
-//! A link in virtual time: requests go one way, replies share the rate of the other and wait for each other; it may be cut,
-//! and lose requests. For tests; what happens follows from the seed.
+//! Simulates a link in virtual time for tests. Requests travel in one direction; replies share the rate of the other
+//! direction and queue. The link may be interrupted and may lose requests. The seed determines everything.
 use std::{
     cmp::Reverse,
     collections::{BTreeMap, BinaryHeap},
@@ -10,10 +10,10 @@ use std::{
 use super::{
     answer::Fault,
     ranges::Ranges,
-    receiver::{Ask, Receiver, Step},
+    receiver::{PieceRequest, Receiver, Step},
 };
 
-/// Xorshift.
+/// A xorshift generator.
 pub struct Random(u64);
 
 impl Random {
@@ -29,28 +29,28 @@ impl Random {
     }
 }
 
-/// The link is away from `at` on, for so long. `told`: whoever has a request out is told at once, as a router does when it
-/// notices; else only the timeouts tell.
+/// An interruption of the link. `reported`: pending requests fail immediately, as when a router detects the
+/// interruption; otherwise only the timeouts detect it.
 #[derive(Clone)]
-pub struct Cut {
+pub struct Interruption {
     pub at: Duration,
     pub lasts: Duration,
-    pub told: bool,
+    pub reported: bool,
 }
 
 #[derive(Clone)]
 pub struct Link {
     pub rate_bytes_per_s: f64,
     pub round_trip: Duration,
-    /// What a reply costs beside its bytes.
+    /// Overhead of a reply, in bytes.
     pub overhead_bytes: u32,
-    /// Everything arrives at multiples of this, as with a radio's connection events; zero: at once.
+    /// Messages arrive at multiples of this interval, like a radio's connection events. Zero for no such interval.
     pub interval: Duration,
-    /// Of a thousand requests, how many get lost without a word.
+    /// Number of requests per thousand that are lost silently.
     pub lost_per_mille: u64,
-    pub cuts: Vec<Cut>,
+    pub interruptions: Vec<Interruption>,
     pub seed: u64,
-    /// After so long the rate is another one.
+    /// Time after which the rate changes, and the new rate.
     pub then: Option<(Duration, f64)>,
 }
 
@@ -62,22 +62,22 @@ impl Link {
             overhead_bytes: 60,
             interval: Duration::ZERO,
             lost_per_mille: 0,
-            cuts: Vec::new(),
+            interruptions: Vec::new(),
             seed: 1,
             then: None,
         }
     }
 }
 
-/// What one transfer came to.
+/// The result of one transfer.
 #[derive(Debug, Default)]
 pub struct Result {
     pub took: Duration,
-    /// What the sender sent.
+    /// Bytes that the sender sent.
     pub sent_bytes: u64,
-    /// The most that was on its way.
-    pub most_out: u64,
-    /// How long each reply waited in front of the narrow link, in order of length.
+    /// Maximum number of bytes in flight.
+    pub max_in_flight: u64,
+    /// How long each reply queued in front of the link, sorted.
     pub waits: Vec<Duration>,
     pub ended: Option<std::result::Result<(), Fault>>,
 }
@@ -95,18 +95,18 @@ impl Result {
 struct Flow {
     receiver: Receiver,
     result: Result,
-    out: BTreeMap<u64, Ask>,
+    out: BTreeMap<u64, PieceRequest>,
     size: u64,
     wakes_at: Option<Instant>,
 }
 
 #[derive(Clone)]
 enum Event {
-    Request(usize, Ask),
-    Reply(usize, Ask),
-    Silence(usize, Ask),
+    Request(usize, PieceRequest),
+    Reply(usize, PieceRequest),
+    TimedOut(usize, PieceRequest),
     Wake(usize),
-    Cut(bool),
+    Interruption(bool),
 }
 
 /// Transfers over one link.
@@ -115,9 +115,9 @@ pub struct World {
     pub start: Instant,
     pub now: Instant,
     events: BinaryHeap<Reverse<(Instant, u64)>>,
-    what: BTreeMap<u64, (u64, Event)>,
+    pending: BTreeMap<u64, (u64, Event)>,
     next: u64,
-    /// What was under way before a cut never arrives.
+    /// Incremented by each interruption. Messages of an earlier era never arrive.
     era: u64,
     busy_until: Instant,
     flows: Vec<Flow>,
@@ -131,7 +131,7 @@ impl World {
             start,
             now: start,
             events: BinaryHeap::new(),
-            what: BTreeMap::new(),
+            pending: BTreeMap::new(),
             next: 0,
             era: 0,
             busy_until: start,
@@ -139,18 +139,18 @@ impl World {
             random: Random::new(link.seed),
             link,
         };
-        for cut in world.link.cuts.clone() {
-            world.at(start + cut.at, Event::Cut(cut.told));
+        for cut in world.link.interruptions.clone() {
+            world.at(start + cut.at, Event::Interruption(cut.reported));
         }
         world
     }
 
-    /// Adds a transfer of so many bytes.
+    /// Adds a transfer.
     pub fn transfer(&mut self, size: u64) {
         self.resume(size, Ranges::default());
     }
 
-    /// Adds one of which some is there.
+    /// Adds a transfer that was partly received before.
     pub fn resume(&mut self, size: u64, held: Ranges) {
         let receiver = Receiver::new(self.now, size, held, Duration::from_secs(600));
         self.flows.push(Flow {
@@ -162,15 +162,15 @@ impl World {
         });
     }
 
-    /// Until all have ended, or so long. What they came to.
-    pub fn run(mut self, most: Duration) -> Vec<Result> {
+    /// Runs until all transfers have ended, or for at most `limit`, and returns the results.
+    pub fn run(mut self, limit: Duration) -> Vec<Result> {
         (0..self.flows.len()).for_each(|flow| self.turn(flow));
         while let Some(Reverse((at, id))) = self.events.pop() {
-            if at > self.start + most || self.flows.iter().all(|f| f.result.ended.is_some()) {
+            if at > self.start + limit || self.flows.iter().all(|f| f.result.ended.is_some()) {
                 break;
             }
             self.now = at;
-            if let Some((era, event)) = self.what.remove(&id) {
+            if let Some((era, event)) = self.pending.remove(&id) {
                 self.happen(era, event);
             }
         }
@@ -183,14 +183,14 @@ impl World {
 
     fn at(&mut self, at: Instant, event: Event) {
         self.events.push(Reverse((at, self.next)));
-        self.what.insert(self.next, (self.era, event));
+        self.pending.insert(self.next, (self.era, event));
         self.next += 1;
     }
 
-    fn cut_now(&self) -> Option<&Cut> {
+    fn interruption_now(&self) -> Option<&Interruption> {
         let since = self.now - self.start;
         self.link
-            .cuts
+            .interruptions
             .iter()
             .find(|cut| (cut.at..cut.at + cut.lasts).contains(&since))
     }
@@ -211,41 +211,42 @@ impl World {
     fn happen(&mut self, era: u64, event: Event) {
         let one_way = self.link.round_trip / 2;
         match event {
-            Event::Cut(told) => {
+            Event::Interruption(reported) => {
                 self.era += 1;
                 self.busy_until = self.now;
                 let out = self.flows.iter().enumerate();
-                let out =
-                    out.flat_map(|(n, flow)| flow.out.values().map(move |ask| (n, ask.clone())));
-                for (flow, ask) in out.collect::<Vec<_>>() {
-                    if told {
-                        self.at(self.now, Event::Silence(flow, ask));
+                let out = out.flat_map(|(n, flow)| {
+                    flow.out.values().map(move |request| (n, request.clone()))
+                });
+                for (flow, request) in out.collect::<Vec<_>>() {
+                    if reported {
+                        self.at(self.now, Event::TimedOut(flow, request));
                     }
                 }
             }
-            Event::Request(flow, ask) if era == self.era => {
-                let bytes = ask.range.end - ask.range.start;
+            Event::Request(flow, request) if era == self.era => {
+                let bytes = request.range.end - request.range.start;
                 self.flows[flow].result.sent_bytes += bytes;
                 let starts = self.busy_until.max(self.now);
                 self.flows[flow].result.waits.push(starts - self.now);
                 let all = bytes + u64::from(self.link.overhead_bytes);
                 self.busy_until = starts + Duration::from_secs_f64(all as f64 / self.rate());
                 let arrives = self.event_after(self.busy_until + one_way);
-                self.at(arrives, Event::Reply(flow, ask));
+                self.at(arrives, Event::Reply(flow, request));
             }
-            Event::Reply(flow, ask) if era == self.era => {
+            Event::Reply(flow, request) if era == self.era => {
                 let this = &mut self.flows[flow];
-                this.out.remove(&ask.ticket);
-                let Range { start, end } = ask.range;
-                if this.receiver.on_reply(self.now, &ask, end - start) {
-                    this.receiver.on_kept(start..end);
+                this.out.remove(&request.id);
+                let Range { start, end } = request.range;
+                if this.receiver.on_reply(self.now, &request, end - start) {
+                    this.receiver.on_written(start..end);
                 }
                 self.turn(flow);
             }
-            Event::Silence(flow, ask) => {
+            Event::TimedOut(flow, request) => {
                 let this = &mut self.flows[flow];
-                this.out.remove(&ask.ticket);
-                this.receiver.on_silence(self.now, ask.ticket);
+                this.out.remove(&request.id);
+                this.receiver.on_no_reply(self.now, request.id);
                 self.turn(flow);
             }
             Event::Wake(flow) => {
@@ -260,11 +261,11 @@ impl World {
         loop {
             let this = &mut self.flows[flow];
             match this.receiver.poll(self.now) {
-                Step::Ask(ask) => {
-                    this.out.insert(ask.ticket, ask.clone());
-                    let out = this.receiver.on_the_way_bytes();
-                    this.result.most_out = this.result.most_out.max(out);
-                    self.send(flow, ask);
+                Step::Request(request) => {
+                    this.out.insert(request.id, request.clone());
+                    let out = this.receiver.in_flight_bytes();
+                    this.result.max_in_flight = this.result.max_in_flight.max(out);
+                    self.send(flow, request);
                 }
                 Step::Check => {
                     assert_eq!(this.receiver.held().bytes(), this.size);
@@ -278,7 +279,7 @@ impl World {
                     }
                     return;
                 }
-                Step::Over(how) => {
+                Step::Finished(how) => {
                     this.result.took = self.now - self.start;
                     this.result.ended.get_or_insert(how);
                     return;
@@ -287,17 +288,17 @@ impl World {
         }
     }
 
-    fn send(&mut self, flow: usize, ask: Ask) {
-        if let Some(cut) = self.cut_now() {
-            if cut.told {
+    fn send(&mut self, flow: usize, request: PieceRequest) {
+        if let Some(cut) = self.interruption_now() {
+            if cut.reported {
                 self.at(
                     self.now + Duration::from_millis(1),
-                    Event::Silence(flow, ask),
+                    Event::TimedOut(flow, request),
                 );
             }
         } else if self.random.below(1000) >= self.link.lost_per_mille {
             let arrives = self.event_after(self.now + self.link.round_trip / 2);
-            self.at(arrives, Event::Request(flow, ask));
+            self.at(arrives, Event::Request(flow, request));
         }
     }
 }

@@ -1,76 +1,77 @@
-//! Owns how much is asked for at once, and in pieces of which size.
+//! Decides how many bytes of a transfer may be in flight, and the size of pieces.
 //!
-//! What is asked for and not there yet waits somewhere on its way: in the sender, in routers, in the radio. So much is to
-//! be asked for that the narrowest link is never idle, and hardly more, since the rest only waits in front of it, and
-//! what is urgent may have to wait behind it. The two differ in how long a piece takes: as long as nothing waits, asking
-//! for more makes more come; as soon as something waits, it only makes each piece take longer.
+//! Requested bytes that have not arrived yet are queued somewhere: in the sender, in routers, in the radio. Enough must
+//! be requested to keep the narrowest link busy, but hardly more, because the excess only queues in front of that link
+//! and may delay urgent messages. The two cases differ in the time that a piece takes: as long as nothing queues,
+//! requesting more increases the throughput; as soon as pieces queue, it only makes each piece take longer.
 //!
-//! So the limit is `rate * base + headroom`: what came per second in the last round trips, times what a piece takes when
-//! nothing waits in front of it, plus one piece that waits. `base` is the least that a piece took lately. A queue of one's
-//! own would in time be taken for a part of the way: every 15 s one piece goes alone, and is measured anew.
+//! So the limit is `rate * base + headroom`: the throughput of the last round trips, times the time that a piece takes
+//! when nothing queues in front of it, plus one piece that queues. `base` is the shortest time that a piece took
+//! recently. A permanent queue of the transfer itself would eventually be mistaken for a part of the delay. Therefore,
+//! every 15 s, one piece is requested alone and the base is measured again.
 use std::time::{Duration, Instant};
 
 use super::MAX_PIECE_BYTES;
 
-/// The first pieces, on a link that nothing is known of.
+/// The size of the first pieces, while nothing is known of the link.
 const FIRST_PIECE: u32 = 2048;
-/// The smallest pieces. A reply costs some 60 bytes of its own.
+/// The minimum size of pieces. A reply has an overhead of about 60 bytes.
 const MIN_PIECE: u32 = 1024;
-/// How long a piece may occupy the link: what another transfer waits for it, or an urgent message on a link that knows no
-/// priorities (ours does). With half as long ones, requests and headers took another 4 % of a Bluetooth link.
+/// The target duration of a piece on the link. It delays other transfers, and urgent messages on links without
+/// priorities (RECT's links have them). With half of it, requests and headers took 4 % more of a Bluetooth link.
 const PIECE_TIME: Duration = Duration::from_millis(128);
-/// What may wait at the narrowest link even where a piece takes less: programs are not on time.
+/// The minimum time for which data may queue at the narrowest link, because programs do not respond instantly.
 const SLACK: Duration = Duration::from_millis(5);
-/// The most that is on its way, in bytes: what a transfer takes of memory at most, beside its place in a file.
+/// The maximum number of bytes in flight, which is also the maximum memory of a transfer that is stored in a file.
 pub const MAX_LIMIT_BYTES: u64 = 4 << 20;
-/// The most requests at once.
+/// The maximum number of requests in flight.
 const MAX_REQUESTS: u64 = 64;
-/// How long the least time that a piece took is believed.
+/// How long the shortest time of a piece remains valid.
 const BASE_AGE: Duration = Duration::from_secs(15);
-/// The shortest and the longest time that a request has to be answered in.
+/// The minimum and the maximum timeout of a request.
 const TIMEOUTS: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(30));
 
-/// How much may be on its way.
+/// The window of a transfer: how much may be in flight.
 #[derive(Clone, Debug)]
 pub struct Window {
     phase: Phase,
     piece: u32,
     limit: u64,
     base: Option<Base>,
-    /// Bytes per second.
+    /// Throughput in bytes per second.
     rate: Option<f64>,
-    /// What a piece takes, of late.
+    /// Mean time that a piece took recently.
     smoothed: Option<Duration>,
     round: Option<Round>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum Phase {
-    /// Nothing waits yet, as far as can be seen: twice as much each round.
+    /// Nothing seems to queue yet: the limit doubles each round.
     Opening {
-        /// The rounds in which the rate did not grow any more.
+        /// Number of rounds in which the throughput did not grow.
         flat: u32,
     },
-    /// As the rate and the base say.
+    /// The limit follows from the throughput and the base.
     Steady,
-    /// One piece at a time, until one asked for since then has come.
+    /// One piece at a time, until a piece that was requested since then has arrived.
     Draining { since: Instant },
 }
 
-/// What a piece takes when nothing waits in front of it.
+/// The time that a piece takes when nothing queues in front of it.
 #[derive(Clone, Copy, Debug)]
 struct Base {
-    least: Duration,
+    shortest: Duration,
     at: Instant,
 }
 
-/// From one piece's arrival to that of the first that was asked for after it.
+/// A round lasts from the arrival of a piece to the arrival of the first piece that was requested after it.
 #[derive(Clone, Debug)]
 struct Round {
     since: Instant,
     bytes: u64,
-    least: Option<Duration>,
-    /// There was more to ask for than the limit allowed.
+    shortest: Option<Duration>,
+    /// Whether more could have been requested than the limit allowed.
     full: bool,
 }
 
@@ -89,13 +90,13 @@ impl Default for Window {
 }
 
 impl Window {
-    /// How many bytes to ask for now at most, if so many are on their way; `None`: wait for what is.
-    pub fn room(&mut self, now: Instant, on_the_way: u64) -> Option<u32> {
+    /// Returns how many bytes to request now at most, given the bytes in flight. `None` to wait for these.
+    pub fn room(&mut self, now: Instant, in_flight: u64) -> Option<u32> {
         let limit = match self.phase {
             Phase::Draining { .. } => u64::from(self.piece),
             _ => self.limit,
         };
-        if on_the_way > 0 && on_the_way + u64::from(self.piece / 2) > limit {
+        if in_flight > 0 && in_flight + u64::from(self.piece / 2) > limit {
             if let Some(round) = self.round.as_mut() {
                 round.full = true;
             }
@@ -105,46 +106,51 @@ impl Window {
         Some(self.piece)
     }
 
-    /// A piece came.
-    pub fn on_piece(&mut self, now: Instant, asked_at: Instant, bytes: u32) {
-        let took = now.saturating_duration_since(asked_at);
+    /// Handles a piece that was requested at `requested_at`.
+    pub fn on_piece(&mut self, now: Instant, requested_at: Instant, bytes: u32) {
+        let elapsed = now.saturating_duration_since(requested_at);
         self.smoothed = Some(match self.smoothed {
-            Some(smoothed) => (smoothed * 7 + took) / 8,
-            None => took,
+            Some(smoothed) => (smoothed * 7 + elapsed) / 8,
+            None => elapsed,
         });
-        // A shorter one, the last of all, takes less for no reason of the link's.
+        // The last piece may be shorter, and then takes less time for reasons that have nothing to do with the link.
         let usual = bytes == self.piece;
         match self.phase {
-            Phase::Draining { since } if asked_at >= since && usual => {
+            Phase::Draining { since } if requested_at >= since && usual => {
                 self.base = Some(Base {
-                    least: took,
+                    shortest: elapsed,
                     at: now,
                 });
                 self.phase = Phase::Steady;
-                // The rate of this round is that of one piece at a time.
+                // The throughput of this round is that of one piece at a time.
                 self.round = Some(Round::new(now));
                 return;
             }
-            _ if usual => self.on_usual(now, took),
+            _ if usual => self.on_usual(now, elapsed),
             _ => {}
         }
         let round = self.round.get_or_insert(Round::new(now));
         round.bytes += u64::from(bytes);
         if usual {
-            round.least = Some(round.least.map_or(took, |least| least.min(took)));
+            round.shortest = Some(
+                round
+                    .shortest
+                    .map_or(elapsed, |shortest| shortest.min(elapsed)),
+            );
         }
-        if asked_at >= round.since {
+        if requested_at >= round.since {
             let done = std::mem::replace(round, Round::new(now));
             self.on_round(now, &done);
         }
     }
 
-    fn on_usual(&mut self, now: Instant, took: Duration) {
-        let least = self.base.map(|base| base.least);
-        // Nearly as little counts as the same, or a jitter of microseconds would make it older than it is.
-        if least.is_none_or(|least| took <= least + least / 32) {
-            let least = least.map_or(took, |least| least.min(took));
-            self.base = Some(Base { least, at: now });
+    fn on_usual(&mut self, now: Instant, elapsed: Duration) {
+        let shortest = self.base.map(|base| base.shortest);
+        // Almost the same time counts as equal; otherwise a jitter of microseconds would make the measurement look
+        // outdated.
+        if shortest.is_none_or(|shortest| elapsed <= shortest + shortest / 32) {
+            let shortest = shortest.map_or(elapsed, |shortest| shortest.min(elapsed));
+            self.base = Some(Base { shortest, at: now });
         }
     }
 
@@ -163,24 +169,26 @@ impl Window {
         });
         let rate = self.rate.unwrap_or(measured).max(1.0);
         let headroom = f64::from(self.piece).max(rate * SLACK.as_secs_f64());
-        let on_the_way = rate * base.least.as_secs_f64();
-        let waited = round.least.map(|least| least.saturating_sub(base.least));
+        let in_flight = rate * base.shortest.as_secs_f64();
+        let waited = round
+            .shortest
+            .map(|shortest| shortest.saturating_sub(base.shortest));
         match self.phase {
             Phase::Opening { flat } => {
                 let grew = before.is_none_or(|before| measured > before * 1.25);
                 let flat = if grew { 0 } else { flat + 1 };
-                let waits = waited.is_some_and(|w| w.as_secs_f64() > 0.75 * headroom / rate);
-                if waits || flat == 3 {
+                let queues = waited.is_some_and(|w| w.as_secs_f64() > 0.75 * headroom / rate);
+                if queues || flat == 3 {
                     self.phase = Phase::Steady;
-                    self.limit = (on_the_way + headroom) as u64;
+                    self.limit = (in_flight + headroom) as u64;
                 } else {
                     self.phase = Phase::Opening { flat };
-                    self.limit = (on_the_way + on_the_way + headroom) as u64;
+                    self.limit = (in_flight + in_flight + headroom) as u64;
                 }
             }
             _ => {
-                let wanted = on_the_way + headroom;
-                self.limit = ((self.limit as f64 + wanted) / 2.0) as u64;
+                let target = in_flight + headroom;
+                self.limit = ((self.limit as f64 + target) / 2.0) as u64;
                 if now.saturating_duration_since(base.at) > BASE_AGE {
                     self.phase = Phase::Draining { since: now };
                 }
@@ -188,17 +196,17 @@ impl Window {
         }
         self.fit_piece(rate);
         let piece = u64::from(self.piece);
-        let most = MAX_LIMIT_BYTES.min(piece * MAX_REQUESTS);
-        self.limit = self.limit.clamp(piece * 2, most);
+        let max = MAX_LIMIT_BYTES.min(piece * MAX_REQUESTS);
+        self.limit = self.limit.clamp(piece * 2, max);
     }
 
-    /// The piece that takes about [`PIECE_TIME`], and is not changed for little.
+    /// Adapts the size of pieces to [`PIECE_TIME`], with some hysteresis.
     fn fit_piece(&mut self, rate: f64) {
         let ideal = rate * PIECE_TIME.as_secs_f64();
         let before = self.piece;
-        // At first the rate is what was asked for, not what the link has.
+        // At first, the throughput is limited by the requests and not by the link.
         let steady = self.phase == Phase::Steady;
-        // Four times at once is enough: the first rounds know little.
+        // At most a factor of four at once, because little is known in the first rounds.
         for _ in 0..2 {
             if ideal >= f64::from(self.piece) * 2.0 && self.piece < MAX_PIECE_BYTES {
                 self.piece *= 2;
@@ -206,14 +214,14 @@ impl Window {
                 self.piece /= 2;
             }
         }
-        // A larger one takes longer. A guess may be too long, since what comes shows that it was; too short it would stay
-        // for a while. So nothing is taken off for a smaller one.
+        // A larger piece takes longer, so the base is increased by an estimate. If that is too high, the next pieces
+        // correct it; one that is too low would persist. So nothing is subtracted for a smaller piece.
         if let Some(base) = self.base.as_mut().filter(|_| before < self.piece) {
-            base.least += Duration::from_secs_f64(f64::from(self.piece - before) / rate);
+            base.shortest += Duration::from_secs_f64(f64::from(self.piece - before) / rate);
         }
     }
 
-    /// One request got lost, while others are answered: somewhere it is full.
+    /// Handles the loss of one request while others are answered, which indicates congestion.
     pub fn on_lost(&mut self) {
         self.limit = (self.limit / 2).max(u64::from(self.piece) * 2);
         self.round = None;
@@ -222,24 +230,23 @@ impl Window {
         }
     }
 
-    /// Nothing is answered any more. The next way may be another one.
-    pub fn on_cut(&mut self) {
+    /// Handles an interruption: no request is answered any more. The next route may be another one.
+    pub fn on_interruption(&mut self) {
         *self = Self::default();
     }
 
-    /// How long to wait for an answer.
+    /// Returns the timeout of a request.
     pub fn timeout(&self) -> Duration {
-        let (least, most) = TIMEOUTS;
-        self.smoothed
-            .map_or(least * 2, |s| (s * 4).clamp(least, most))
+        let (min, max) = TIMEOUTS;
+        self.smoothed.map_or(min * 2, |s| (s * 4).clamp(min, max))
     }
 
-    /// The most that may be on its way, in bytes.
+    /// Returns the maximum number of bytes in flight.
     pub fn limit_bytes(&self) -> u64 {
         self.limit
     }
 
-    /// What a request asks for, in bytes.
+    /// Returns the current size of pieces, in bytes.
     pub fn piece_bytes(&self) -> u32 {
         self.piece
     }
@@ -250,7 +257,7 @@ impl Round {
         Self {
             since,
             bytes: 0,
-            least: None,
+            shortest: None,
             full: false,
         }
     }
@@ -261,7 +268,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_piece_may_always_be_asked_for() {
+    fn one_piece_can_always_be_requested() {
         let (mut window, now) = (Window::default(), Instant::now());
         assert_eq!(window.room(now, 0), Some(FIRST_PIECE));
         assert_eq!(window.room(now, u64::from(FIRST_PIECE)), Some(FIRST_PIECE));
@@ -269,19 +276,19 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_jumps_does_not_upset_it() {
+    fn stays_within_its_limits_if_the_clock_jumps() {
         let (mut window, now) = (Window::default(), Instant::now());
         let day = Duration::from_secs(86_400);
         for n in 0..1000u32 {
             window.room(now, 0);
             window.room(now, u64::MAX / 2);
-            let (came, asked) = match n % 4 {
+            let (arrived, requested) = match n % 4 {
                 0 => (now + day, now),
                 1 => (now, now + day),
                 2 => (now, now),
                 _ => (now + Duration::from_millis(100), now),
             };
-            window.on_piece(came, asked, window.piece_bytes());
+            window.on_piece(arrived, requested, window.piece_bytes());
             let (limit, piece) = (window.limit_bytes(), window.piece_bytes());
             assert!((u64::from(piece) * 2..=MAX_LIMIT_BYTES).contains(&limit));
             assert!((MIN_PIECE..=MAX_PIECE_BYTES).contains(&piece));
@@ -290,20 +297,20 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_halves_it_and_a_cut_begins_anew() {
+    fn losses_halve_the_window_and_interruptions_reset_it() {
         let (mut window, mut now) = (Window::default(), Instant::now());
         for _ in 0..200 {
-            let asked = now;
+            let requested = now;
             window.room(now, 0);
             window.room(now, u64::MAX / 2);
             now += Duration::from_millis(1);
-            window.on_piece(now, asked, window.piece_bytes());
+            window.on_piece(now, requested, window.piece_bytes());
         }
         let limit = window.limit_bytes();
         assert!(limit > 100_000, "{window:?}");
         window.on_lost();
         assert!(window.limit_bytes() <= limit.div_ceil(2).max(u64::from(window.piece_bytes()) * 2));
-        window.on_cut();
+        window.on_interruption();
         assert_eq!(window.limit_bytes(), u64::from(FIRST_PIECE) * 2);
     }
 }

@@ -1,6 +1,6 @@
-//! Owns how numbers and texts are written in a transfer's messages: LEB128, and a length before each text.
+//! Encodes the numbers (LEB128) and texts (with their length) in a transfer's messages.
 
-/// What is left to read. Every read says `None` where there is too little, or too much.
+/// The bytes that are left to read. Each method returns `None` if there are too few bytes, or if they are invalid.
 pub(super) struct Reader<'a>(pub(super) &'a [u8]);
 
 impl<'a> Reader<'a> {
@@ -18,7 +18,7 @@ impl<'a> Reader<'a> {
         Some(self.array::<1>()?[0])
     }
 
-    /// LEB128, in the shortest form only: one number has one way to be written.
+    /// Reads a number in LEB128. Only the shortest form is accepted, so that each number has a single encoding.
     pub(super) fn number(&mut self) -> Option<u64> {
         let mut number = 0u64;
         for shift in (0..70).step_by(7) {
@@ -35,16 +35,16 @@ impl<'a> Reader<'a> {
         None
     }
 
-    /// A text of at most so many bytes.
-    pub(super) fn text(&mut self, most: usize) -> Option<&'a str> {
+    /// Reads a text of at most `max_bytes`.
+    pub(super) fn text(&mut self, max_bytes: usize) -> Option<&'a str> {
         let length = usize::try_from(self.number()?).ok()?;
-        if length > most {
+        if length > max_bytes {
             return None;
         }
         std::str::from_utf8(self.bytes(length)?).ok()
     }
 
-    /// Nothing is left.
+    /// Returns `None` unless everything was read.
     pub(super) fn end(&self) -> Option<()> {
         self.0.is_empty().then_some(())
     }
@@ -63,9 +63,9 @@ pub(super) fn write_text(out: &mut Vec<u8>, text: &str) {
     out.extend_from_slice(text.as_bytes());
 }
 
-/// The beginning of a text that has room in so many bytes.
-pub(super) fn cut(text: &str, most: usize) -> &str {
-    let end = (0..=most.min(text.len())).rev();
+/// Returns the longest beginning of a text that fits `max_bytes`.
+pub(super) fn cut(text: &str, max_bytes: usize) -> &str {
+    let end = (0..=max_bytes.min(text.len())).rev();
     &text[..end
         .into_iter()
         .find(|&n| text.is_char_boundary(n))
@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_has_one_way_to_be_written() {
+    fn numbers_have_a_single_encoding() {
         for number in [0, 1, 127, 128, 300, 1 << 32, u64::MAX - 1, u64::MAX] {
             let mut bytes = Vec::new();
             write_number(&mut bytes, number);
@@ -100,13 +100,13 @@ mod tests {
     }
 
     #[test]
-    fn a_text_is_no_longer_than_allowed() {
+    fn the_length_of_texts_is_limited() {
         let mut bytes = Vec::new();
         write_text(&mut bytes, "äö");
         assert_eq!(Reader(&bytes).text(4), Some("äö"));
         assert_eq!(Reader(&bytes).text(3), None);
         assert_eq!(Reader(&[2, 0xff, 0xff]).text(9), None, "not UTF-8");
-        assert_eq!(Reader(&[0xff, 0xff, 3]).text(usize::MAX), None, "not there");
+        assert_eq!(Reader(&[0xff, 0xff, 3]).text(usize::MAX), None, "missing");
         assert_eq!((cut("äö", 3), cut("äö", 9), cut("äö", 0)), ("ä", "äö", ""));
     }
 }

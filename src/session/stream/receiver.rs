@@ -1,4 +1,5 @@
-//! Owns the receiving end of a stream: it listens where it is to, asks, tells, and hands the newest frame to the program.
+//! Receives a stream: subscribes to the group that the sender assigns, queries the sender's notices, sends feedback, and
+//! passes the newest frame to the program.
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -18,7 +19,7 @@ use zenoh::{
 use crate::{
     core::{
         attachment::Attachment,
-        key::Place,
+        key::KeySpace,
         name::Name,
         payload::Payload,
         queue::{Queue, WhenFull},
@@ -28,33 +29,35 @@ use crate::{
     },
     error::Error,
     session::{
-        inbox::Inbox,
         publication::priority,
+        receive_queue::ReceiveQueue,
         robot::Robot,
-        subscriber::{self, Receiving},
+        subscriber::{self, QueueOptions},
     },
 };
 
-/// The key of a group that is left is listened to for so long still: what is on its way comes.
+/// How long the receiver stays subscribed to the previous group after a change, to receive the frames in flight.
 const LINGER: Duration = Duration::from_millis(300);
-const PATIENCE: Duration = Duration::from_secs(3);
+/// Timeout of a query for the sender's notice.
+const TIMEOUT: Duration = Duration::from_secs(3);
 
-/// A frame of a stream.
+/// A frame of a stream, received by a [`Watch`].
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// What it is.
+    /// The picture or value.
     pub payload: Payload,
-    /// Its number. The sender numbers anew when it starts, and when this robot gets other frames than before.
+    /// The number of the frame. It starts again when the sender restarts or assigns this receiver to another group.
     pub number: u32,
-    /// How old it was when it came; until the sender has told its time, how much older than the fastest of the last
-    /// minute. `None`: another program's, which does not tell.
+    /// The age of the frame on arrival. Until the offset of the clocks is known, the delay relative to the fastest frame of
+    /// the last minute. `None` if the sender is a stock Zenoh program.
     pub age: Option<Duration>,
-    /// So many before it were not seen: the link dropped them, or this program was not there to take them.
+    /// The number of frames between the previous frame that the program read and this one. They were dropped by the link, or
+    /// replaced by newer ones in the receive queue.
     pub skipped: u32,
     ordinal: u64,
 }
 
-/// A stream that this program watches. It ends when this is dropped.
+/// Receives a stream of another robot; created by [`Robot::watch`]. Dropping it ends the subscription.
 pub struct Watch {
     shared: Arc<Shared>,
     last: Mutex<Option<u64>>,
@@ -63,31 +66,33 @@ pub struct Watch {
 
 struct Shared {
     core: Mutex<Counted>,
-    /// The sender has said something.
-    told: Notify,
-    inbox: Arc<Inbox<Frame>>,
+    /// Notified when a notice of the sender arrives.
+    changed: Notify,
+    queue: Arc<ReceiveQueue<Frame>>,
 }
 
 struct Counted {
     receiver: Receiver,
-    /// Frames that were sent since the first that came.
+    /// Number of frames sent since the first one that arrived.
     ordinal: u64,
 }
 
 impl Robot {
-    /// Watches a robot's stream: the newest frame waits until it is taken.
+    /// Receives the stream `topic` of `robot`. Only the newest frame is kept until the program reads it.
+    ///
+    /// The stream may start later than the watch, and may stop and start again.
     ///
     /// ```no_run
-    /// # async fn watched(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// # async fn watch(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let camera = robot.watch("wombat-2", "camera").await?;
-    /// while let Some(frame) = camera.recv().await {
-    ///     println!("frame {}, {:?} old, after {} others", frame.number, frame.age, frame.skipped);
+    /// while let Some(frame) = camera.next().await {
+    ///     println!("frame {}, {:?} old, {} skipped", frame.number, frame.age, frame.skipped);
     /// }
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// [`Error::Name`], [`Error::Topic`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid, and [`Error::Zenoh`] if the session is closed.
     pub async fn watch<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -96,29 +101,30 @@ impl Robot {
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        let newest = Receiving {
+        let newest = QueueOptions {
             capacity: 1,
-            when_full: WhenFull::NewestWins,
+            when_full: WhenFull::DropOldest,
         };
         self.watch_with(robot, topic, newest).await
     }
 
-    /// The same, with a say in how frames wait: a program may want all values of a sensor.
+    /// Receives the stream `topic` of `robot` with other settings of the receive queue, for example to read every value of a
+    /// sensor.
     ///
     /// # Errors
-    /// As [`watch`](Self::watch).
+    /// Returns the same errors as [`watch`](Self::watch).
     pub async fn watch_with<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
         topic: T,
-        receiving: Receiving,
+        queue: QueueOptions,
     ) -> Result<Watch, Error>
     where
         Error: From<N::Error> + From<T::Error>,
     {
         let (robot, topic) = (robot.try_into()?, topic.try_into()?);
         let inner = &self.inner;
-        let inbox = Inbox::new(Queue::new(receiving.capacity, receiving.when_full));
+        let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let receiver = Receiver::new(inner.place.robot.clone(), rand::random(), Instant::now());
         let core = Mutex::new(Counted {
             receiver,
@@ -126,11 +132,11 @@ impl Robot {
         });
         let shared = Arc::new(Shared {
             core,
-            told: Notify::new(),
-            inbox,
+            changed: Notify::new(),
+            queue,
         });
-        let listening = Listening::declare(&inner.session, &inner.place, robot, topic, &shared)?;
-        let task = inner.runtime.spawn(listening.run());
+        let task = WatchTask::declare(&inner.session, &inner.place, robot, topic, &shared)?;
+        let task = inner.runtime.spawn(task.run());
         Ok(Watch {
             shared,
             last: Mutex::default(),
@@ -140,26 +146,26 @@ impl Robot {
 }
 
 impl Watch {
-    /// The newest frame, once there is one that was not taken yet; `None`: the session was closed.
-    pub async fn recv(&self) -> Option<Frame> {
+    /// Waits for the next frame, by default the newest one; returns `None` once the session or the watch is closed.
+    pub async fn next(&self) -> Option<Frame> {
         self.shared
-            .inbox
+            .queue
             .pop()
             .await
             .map(|frame| self.counted(frame))
     }
 
-    /// The same, if there is one.
-    pub fn try_recv(&self) -> Option<Frame> {
-        self.shared.inbox.try_pop().map(|frame| self.counted(frame))
+    /// Returns the next frame if one is queued.
+    pub fn try_next(&self) -> Option<Frame> {
+        self.shared.queue.try_pop().map(|frame| self.counted(frame))
     }
 
-    /// Nothing comes any more; what waits can still be taken.
+    /// Stops receiving. Frames that are already queued can still be read.
     pub fn close(&self) {
-        self.shared.inbox.close();
+        self.shared.queue.close();
     }
 
-    /// What a small message takes to the sender and back, once it has answered one.
+    /// Returns the round trip of a small message to the sender; `None` until the first one has been measured.
     pub fn round_trip(&self) -> Option<Duration> {
         self.shared.core().receiver.round_trip()
     }
@@ -174,57 +180,59 @@ impl Watch {
 }
 
 /// The task behind a [`Watch`].
-struct Listening {
+struct WatchTask {
     session: Session,
-    sender: Place,
+    sender: KeySpace,
     topic: Topic,
     shared: Arc<Shared>,
-    says: Publisher<'static>,
-    hears: [Option<Subscriber<()>>; 2],
+    feedback: Publisher<'static>,
+    subscribers: [Option<Subscriber<()>>; 2],
     group: Option<(Group, Instant)>,
     _notices: Subscriber<()>,
 }
 
-impl Listening {
+impl WatchTask {
     fn declare(
         session: &Session,
-        place: &Place,
+        place: &KeySpace,
         robot: Name,
         topic: Topic,
         shared: &Arc<Shared>,
     ) -> Result<Self, Error> {
-        let says = session
+        let feedback = session
             .declare_publisher(feedback_key(place, &robot, &topic))
             .priority(priority(Urgency::Urgent.qos()))
             .express(true)
             .congestion_control(CongestionControl::Drop)
             .wait()
-            .map_err(Error::zenoh("what comes can't be told"))?;
-        let sender = Place {
+            .map_err(Error::zenoh(
+                "cannot declare the publisher of the stream's feedback",
+            ))?;
+        let sender = KeySpace {
             fleet: place.fleet.clone(),
             robot,
         };
         let notices = session
             .declare_subscriber(notice_key(&sender, &topic))
             .callback({
-                let shared = Told(shared.clone());
+                let shared = NoticeSource(shared.clone());
                 move |sample: Sample| {
                     let shared = &shared.0;
                     if let Ok(notice) = Notice::decode(&sample.payload().to_bytes()) {
                         shared.core().receiver.on_notice(&notice);
-                        shared.told.notify_one();
+                        shared.changed.notify_one();
                     }
                 }
             })
             .wait()
-            .map_err(Error::zenoh("the stream's notices are refused"))?;
+            .map_err(Error::zenoh("cannot subscribe to the stream's notices"))?;
         Ok(Self {
             session: session.clone(),
             sender,
             topic,
             shared: shared.clone(),
-            says,
-            hears: [None, None],
+            feedback,
+            subscribers: [None, None],
             group: None,
             _notices: notices,
         })
@@ -241,74 +249,74 @@ impl Listening {
             };
             tokio::select! {
                 () = tokio::time::sleep_until(poll_at.into()) => {}
-                () = self.shared.told.notified() => {}
+                () = self.shared.changed.notified() => {}
             }
         }
-        self.shared.inbox.close();
+        self.shared.queue.close();
     }
 
-    /// Does what is due; when there may be more to do.
+    /// Performs the actions that are due, and returns the time of the next call.
     async fn poll(&mut self, now: Instant) -> zenoh::Result<Instant> {
-        let (group, asks, says) = {
+        let (group, is_query_due, feedback) = {
             let receiver = &mut self.shared.core().receiver;
             (
                 receiver.poll_group(now),
-                receiver.poll_question(now),
+                receiver.poll_query(now),
                 receiver.poll_feedback(now),
             )
         };
-        if asks {
-            self.ask().await?;
+        if is_query_due {
+            self.query_notice().await?;
         }
         if let Some(group) = group {
-            self.listen(group, now).await?;
+            self.subscribe_to(group, now).await?;
         }
-        if let Some(feedback) = says {
-            self.says.put(feedback.encode()).await?;
+        if let Some(feedback) = feedback {
+            self.feedback.put(feedback.encode()).await?;
         }
-        let left_at = self.group.and_then(|(group, since)| {
-            let other = self.hears[1 - group.index()].as_ref();
+        let unsubscribe_at = self.group.and_then(|(group, since)| {
+            let other = self.subscribers[1 - group.index()].as_ref();
             other.map(|_| since + LINGER)
         });
         let poll_at = self.shared.core().receiver.poll_at(now);
-        Ok(left_at.map_or(poll_at, |left_at| left_at.min(poll_at)))
+        Ok(unsubscribe_at.map_or(poll_at, |unsubscribe_at| unsubscribe_at.min(poll_at)))
     }
 
-    async fn ask(&self) -> zenoh::Result<()> {
-        let (shared, asked) = (self.shared.clone(), Instant::now());
+    async fn query_notice(&self) -> zenoh::Result<()> {
+        let (shared, sent) = (self.shared.clone(), Instant::now());
         self.session
             .get(notice_key(&self.sender, &self.topic))
             .priority(priority(Urgency::Urgent.qos()))
             .express(true)
-            .timeout(PATIENCE)
+            .timeout(TIMEOUT)
             .callback(move |reply: Reply| {
                 let now = Instant::now();
                 let sample = reply.result().ok();
                 let notice =
                     sample.and_then(|sample| Notice::decode(&sample.payload().to_bytes()).ok());
                 if let Some(notice) = notice {
-                    shared.core().receiver.on_answer(&notice, asked, now);
-                    shared.told.notify_one();
+                    shared.core().receiver.on_reply(&notice, sent, now);
+                    shared.changed.notify_one();
                 }
             })
             .await
     }
 
-    /// Listens to a group's key; the other's is left a little later.
-    async fn listen(&mut self, group: Group, now: Instant) -> zenoh::Result<()> {
-        if self.hears[group.index()].is_none() {
+    /// Subscribes to a group; the subscription to the other group ends [`LINGER`] later.
+    async fn subscribe_to(&mut self, group: Group, now: Instant) -> zenoh::Result<()> {
+        if self.subscribers[group.index()].is_none() {
             let shared = self.shared.clone();
-            let declared = self
+            let subscriber = self
                 .session
                 .declare_subscriber(group.key(&self.sender, &self.topic));
-            let declared = declared
+            let subscriber = subscriber
                 .callback(move |sample| shared.on_frame(&sample))
                 .await?;
-            self.hears[group.index()] = Some(declared);
+            self.subscribers[group.index()] = Some(subscriber);
         }
         match self.group {
             Some((known, since)) if known == group => {
-                let other = &mut self.hears[1 - group.index()];
+                let other = &mut self.subscribers[1 - group.index()];
                 if now.saturating_duration_since(since) >= LINGER {
                     if let Some(left) = other.take() {
                         left.undeclare().await?;
@@ -346,17 +354,18 @@ impl Shared {
             ordinal: core.ordinal,
         };
         drop(core);
-        self.inbox.push(frame);
+        self.queue.push(frame);
     }
 }
 
-/// Where the sender's notices come in: a callback that Zenoh drops with the session, at the latest.
-struct Told(Arc<Shared>);
+/// Held by the callback for the sender's notices. Zenoh drops the callback with the session at the latest, which closes the
+/// receive queue.
+struct NoticeSource(Arc<Shared>);
 
-impl Drop for Told {
+impl Drop for NoticeSource {
     fn drop(&mut self) {
-        self.0.inbox.close();
-        self.0.told.notify_one();
+        self.0.queue.close();
+        self.0.changed.notify_one();
     }
 }
 

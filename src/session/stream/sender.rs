@@ -1,4 +1,5 @@
-//! Owns the sending end of a stream: it puts the frames that are wanted, and hears what receivers say.
+//! Sends a stream: publishes the frames of each group that has receivers, processes feedback, and answers queries for the
+//! stream's notice.
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -18,15 +19,15 @@ use zenoh::{
 
 use crate::{
     core::{
-        key::Place,
+        key::KeySpace,
         payload::{Payload, ToPayload},
         picture::Picture,
         stream::{
             feedback::Feedback,
             feedback_from, feedback_keys,
-            ladder::Level,
+            ladder::Step,
             notice_key,
-            picture::{encode, Photographs},
+            picture::{encode, LossyFormat},
             sender::{Job, Options, Sender},
             status::Status,
             Group,
@@ -41,11 +42,11 @@ use crate::{
     },
 };
 
-/// A stream that this program sends. It ends when this is dropped.
+/// Sends frames of which the newest counts; created by [`Robot::stream`]. Dropping it ends the stream.
 pub struct Stream {
     shared: Arc<Shared>,
-    photographs: Photographs,
-    /// One frame at a time: they go out in the order of their numbers.
+    lossy_format: LossyFormat,
+    /// Locked while a frame is sent, so that frames are sent in the order of their numbers.
     sending: Mutex<[Publisher<'static>; 2]>,
     task: JoinHandle<()>,
     _declared: (Subscriber<()>, Queryable<()>, [MatchingListener<()>; 2]),
@@ -53,24 +54,26 @@ pub struct Stream {
 
 struct Shared {
     core: Mutex<Sender>,
-    /// A receiver has said something.
-    heard: Notify,
+    /// Notified when feedback of a receiver arrives.
+    feedback_received: Notify,
     notice_key: String,
 }
 
 impl Robot {
-    /// A stream of which the newest frame counts: what is old, a slow link drops. An adaptive one
-    /// ([`Stream::send_with`]) fits its frames to what gets through; see [`Options`] for the others.
+    /// Declares a stream of frames of which the newest counts: a slow link drops older ones.
+    ///
+    /// An adaptive stream ([`Stream::send_picture`], [`Stream::send_with`]) adapts size, quality and rate to the throughput
+    /// of the link. [`Options`] describes the kinds of streams and their limits.
     ///
     /// ```no_run
-    /// # async fn streamed(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// # async fn stream(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let distance = robot.stream("distance", rect::StreamOptions::sensor()).await?;
     /// distance.send([12, 34])?;
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, and [`Error::Zenoh`] if the session is closed.
     pub async fn stream<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -95,16 +98,16 @@ impl Robot {
 impl Stream {
     fn declare(
         session: &Session,
-        place: &Place,
+        place: &KeySpace,
         topic: &Topic,
         options: Options,
         urgency: Urgency,
     ) -> Result<Self, Error> {
-        let photographs = options.photographs;
+        let lossy_format = options.lossy_format;
         let sender = Sender::new(options, rand::random(), now_ms(), Instant::now());
         let shared = Arc::new(Shared {
             core: Mutex::new(sender),
-            heard: Notify::new(),
+            feedback_received: Notify::new(),
             notice_key: notice_key(place, topic),
         });
         let [main, slow] = Group::ALL;
@@ -117,67 +120,78 @@ impl Stream {
                 move |sample| shared.on_feedback(&place, &sample)
             })
             .wait()
-            .map_err(Error::zenoh("the stream can't hear its receivers"))?;
+            .map_err(Error::zenoh("cannot subscribe to the stream's feedback"))?;
         let queryable = session
             .declare_queryable(shared.notice_key.clone())
             .complete(true)
             .callback({
                 let shared = shared.clone();
-                move |query| shared.on_question(&query)
+                move |query| shared.on_query(&query)
             })
             .wait()
-            .map_err(Error::zenoh("the stream can't tell of itself"))?;
-        let task = tokio::spawn(tell_changes(session.clone(), shared.clone()));
+            .map_err(Error::zenoh(
+                "cannot declare the queryable of the stream's notice",
+            ))?;
+        let task = tokio::spawn(publish_notices(session.clone(), shared.clone()));
         Ok(Self {
             shared,
-            photographs,
+            lossy_format,
             sending: Mutex::new([main, slow]),
             task,
             _declared: (subscriber, queryable, [main_matched, slow_matched]),
         })
     }
 
-    /// Sends a frame as it is, if anyone wants one now; how many groups it went to. Does not wait for the link.
+    /// Sends a frame unchanged to each group of receivers that is due for one, and returns the number of those groups (0 to
+    /// 2). Does not wait for the link.
     ///
     /// # Errors
-    /// [`Error::Payload`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Payload`] if the frame cannot be serialized, and [`Error::Zenoh`] if the session is closed.
     pub fn send(&self, frame: impl ToPayload) -> Result<usize, Error> {
         let payload = frame.to_payload()?;
         let size = payload.bytes.len();
         self.send_with(size, |_| Ok(payload.clone()))
     }
 
-    /// There is a frame of so many pixels: `encode` writes it at the level that is wanted (`None`: as the program likes),
-    /// once for each group that gets one now, and not at all where nobody does. To how many it went. Takes as long as
-    /// `encode`, and does not wait for the link: in async code, call it where blocking is allowed.
+    /// Offers a frame of `pixels` pixels, and returns the number of groups of receivers to which it was sent (0 to 2).
+    ///
+    /// `encode` is called once for each group that is due for a frame, and not at all without receivers. It encodes the frame
+    /// at the given step; `None` means that the stream is not adaptive and the program chooses. The call takes as long as
+    /// `encode` and does not wait for the link; asynchronous programs call it where blocking is permitted.
     ///
     /// # Errors
-    /// What `encode` returns; [`Error::Zenoh`] when the session is closed.
+    /// Returns the error of `encode`, and [`Error::Zenoh`] if the session is closed.
     pub fn send_with(
         &self,
         pixels: usize,
-        mut encode: impl FnMut(Option<Level>) -> Result<Payload, Error>,
+        mut encode: impl FnMut(Option<Step>) -> Result<Payload, Error>,
     ) -> Result<usize, Error> {
         let publishers = self.sending.lock().unwrap_or_else(PoisonError::into_inner);
         let jobs = self.shared.core().offer(pixels, Instant::now());
         for job in &jobs {
-            self.put(&publishers, *job, encode(job.level)?)?;
+            self.put(&publishers, *job, encode(job.step)?)?;
         }
         Ok(jobs.len())
     }
 
-    /// Sends a picture, at the size and quality that get through; for [`send_with`](Self::send_with) with RECT's codecs.
+    /// Sends a picture with RECT's codecs, at a size and quality that fit the throughput of the link. Returns the number of
+    /// groups of receivers to which it was sent (0 to 2), and blocks as [`send_with`](Self::send_with) does.
+    ///
+    /// ```no_run
+    /// # fn send(stream: rect::Stream, picture: rect::core::picture::Picture) -> Result<(), rect::Error> {
+    /// stream.send_picture(&picture)?;
+    /// println!("{:?}", stream.status());
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// [`Error::Codec`]; [`Error::Zenoh`] when the session is closed.
+    /// [`Error::Codec`] if the picture cannot be encoded, and [`Error::Zenoh`] if the session is closed.
     pub fn send_picture(&self, picture: &Picture) -> Result<usize, Error> {
         let pixels = picture.width() as usize * picture.height() as usize;
-        self.send_with(pixels, |level| {
-            Ok(encode(picture, level, self.photographs)?)
-        })
+        self.send_with(pixels, |step| Ok(encode(picture, step, self.lossy_format)?))
     }
 
-    /// What goes out, what gets through, and why it is as it is.
+    /// Returns the current rate, throughput and step of each group, with the reason for the choice.
     pub fn status(&self) -> Status {
         self.shared.core().status()
     }
@@ -202,21 +216,21 @@ impl Stream {
         let put = put
             .encoding(Encoding::from(payload.encoding.as_str()))
             .attachment(attachment.encode());
-        put.wait().map_err(Error::zenoh("the frame is not sent"))
+        put.wait().map_err(Error::zenoh("cannot send the frame"))
     }
 }
 
-/// What puts a group's frames, and what knows whether anyone wants them.
+/// Declares the publisher of a group, and the listener that reports whether the group has subscribers.
 fn frames(
     session: &Session,
-    place: &Place,
+    place: &KeySpace,
     topic: &Topic,
     urgency: Urgency,
     group: Group,
     shared: &Arc<Shared>,
 ) -> Result<(Publisher<'static>, MatchingListener<()>), Error> {
-    let qos = urgency.qos().newest_wins();
-    let refused = || Error::zenoh("the stream is refused");
+    let qos = urgency.qos().drop_when_congested();
+    let refused = || Error::zenoh("cannot declare the stream's publisher");
     let publisher = session
         .declare_publisher(group.key(place, topic))
         .priority(priority(qos))
@@ -237,10 +251,10 @@ fn frames(
     Ok((publisher, listener))
 }
 
-/// Who is to listen elsewhere is told, reliably.
-async fn tell_changes(session: Session, shared: Arc<Shared>) {
+/// Publishes a notice, reliably, whenever feedback changes the assignment of receivers to groups.
+async fn publish_notices(session: Session, shared: Arc<Shared>) {
     loop {
-        shared.heard.notified().await;
+        shared.feedback_received.notified().await;
         let notice = shared.core().poll_notice(Instant::now());
         if let Some(notice) = notice {
             let put = session.put(&shared.notice_key, notice.encode());
@@ -248,7 +262,7 @@ async fn tell_changes(session: Session, shared: Arc<Shared>) {
                 .encoding(Encoding::APPLICATION_JSON)
                 .congestion_control(CongestionControl::Block);
             if let Err(error) = put.await {
-                tracing::debug!("{} is not told any more: {error}", shared.notice_key);
+                tracing::debug!("no more notices on {}: {error}", shared.notice_key);
                 return;
             }
         }
@@ -260,7 +274,7 @@ impl Shared {
         self.core.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn on_feedback(&self, place: &Place, sample: &Sample) {
+    fn on_feedback(&self, place: &KeySpace, sample: &Sample) {
         let Some(robot) = feedback_from(place, sample.key_expr().as_str()) else {
             return;
         };
@@ -268,14 +282,14 @@ impl Shared {
             Ok(feedback) => self.core().on_feedback(&robot, &feedback, Instant::now()),
             Err(error) => tracing::debug!("{}: {error}", sample.key_expr()),
         }
-        self.heard.notify_one();
+        self.feedback_received.notify_one();
     }
 
-    fn on_question(&self, query: &Query) {
+    fn on_query(&self, query: &Query) {
         let notice = self.core().notice(Instant::now());
         let reply = query.reply(&self.notice_key, notice.encode());
         if let Err(error) = reply.encoding(Encoding::APPLICATION_JSON).wait() {
-            tracing::debug!("{} is not answered: {error}", self.notice_key);
+            tracing::debug!("cannot reply to a query for {}: {error}", self.notice_key);
         }
     }
 }

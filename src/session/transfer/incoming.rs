@@ -1,4 +1,4 @@
-//! Owns taking transfers: what a program gets.
+//! Defines [`Transfers`], through which a program receives transfers, and starts its threads.
 use std::{fmt, fs, sync::Arc, thread, time::SystemTime};
 
 use tokio::{
@@ -11,32 +11,34 @@ use tokio::{
 use zenoh::{query::Queryable, Session, Wait};
 
 use super::{
-    inbox::{self, Shared},
-    options::{Incoming, Keep, ReceiveTransfers},
+    options::{Destination, IncomingTransfer, ReceiveOptions},
+    receiver::{self, Shared},
 };
 use crate::{
     core::{
-        key::Place,
+        key::KeySpace,
         topic::Pattern,
         transfer::{
-            inbox::{Inbox, Wanted},
-            INBOX,
+            admission::{Admission, AdmissionRules},
+            OFFERS,
         },
     },
     error::Error,
     storage::{Content, Store},
 };
 
-/// A transfer that came, with the right checksum.
+/// A complete transfer whose checksum was verified.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Received {
-    /// Of whom, about what, and what it is.
-    pub about: Incoming,
-    /// What came.
+    /// The properties of the transfer, which are also accessible through `Deref`: `received.sender`.
+    pub transfer: IncomingTransfer,
+    /// The content: a file or a buffer.
     pub content: Content,
 }
 
-/// The transfers that come. Dropped, it takes no more; what came of those that run is kept where it is kept in files.
+/// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
+///
+/// Dropping it stops receiving. Incomplete transfers are kept if they are received into a folder.
 pub struct Transfers {
     ended: Mutex<Receiver<Result<Received, Error>>>,
     shared: Arc<Shared>,
@@ -44,57 +46,57 @@ pub struct Transfers {
 }
 
 impl Received {
-    pub(super) fn new(about: Incoming, content: Content) -> Self {
-        Self { about, content }
+    pub(super) fn new(transfer: IncomingTransfer, content: Content) -> Self {
+        Self { transfer, content }
     }
 }
 
 impl std::ops::Deref for Received {
-    type Target = Incoming;
+    type Target = IncomingTransfer;
 
-    fn deref(&self) -> &Incoming {
-        &self.about
+    fn deref(&self) -> &IncomingTransfer {
+        &self.transfer
     }
 }
 
 impl Transfers {
     pub(super) fn start(
         session: Session,
-        place: Place,
+        place: KeySpace,
         runtime: Handle,
         pattern: Pattern,
-        options: ReceiveTransfers,
+        options: ReceiveOptions,
     ) -> Result<Self, Error> {
-        if let Keep::Folder(folder) = &options.keep {
+        if let Destination::Folder(folder) = &options.destination {
             fs::create_dir_all(folder).map_err(|reason| Error::File {
                 path: folder.clone(),
                 reason,
             })?;
             Store::clean(folder, SystemTime::now());
         }
-        let (ended, waiting) = mpsc::channel(options.at_once);
-        let wanted = Wanted {
+        let (ended, waiting) = mpsc::channel(options.max_concurrent);
+        let rules = AdmissionRules {
             pattern,
             max_bytes: options.max_bytes,
-            max_running: options.at_once,
+            max_concurrent: options.max_concurrent,
         };
-        let inbox = Inbox::new(place.robot.clone(), wanted);
-        let key = place.own(Some(&place.robot), INBOX);
-        let shared = Shared::new(session.clone(), place, options, runtime, inbox, ended);
-        let (offers, incoming) = inbox::events();
+        let admission = Admission::new(place.robot.clone(), rules);
+        let key = place.own(Some(&place.robot), OFFERS);
+        let shared = Shared::new(session.clone(), place, options, runtime, admission, ended);
+        let (offers, incoming) = receiver::events();
         let (this, reply_key) = (shared.clone(), key.clone());
-        let thread = thread::Builder::new().name("rect-inbox".into());
+        let thread = thread::Builder::new().name("rect-admission".into());
         let started = thread.spawn(move || this.answer_all(&incoming, &reply_key));
         started.map_err(|error| Error::Zenoh {
-            what: "no thread for transfers",
+            operation: "cannot start a thread for transfers",
             reason: error.to_string(),
         })?;
-        // The thread ends with the queryable, which has the only other end.
+        // The thread ends with the queryable, which owns the other end of the channel.
         let declared = session
             .declare_queryable(key)
             .callback(move |query| offers.push(query))
             .wait()
-            .map_err(Error::zenoh("transfers can't be taken"))?;
+            .map_err(Error::zenoh("cannot declare the queryable for transfers"))?;
         Ok(Self {
             ended: Mutex::new(waiting),
             shared,
@@ -102,7 +104,10 @@ impl Transfers {
         })
     }
 
-    /// The next one that ended, once there is one: all of it, or why it is not. `None`: the session was closed.
+    /// Waits for the next transfer that ends, and returns it; returns `None` once the session is closed.
+    ///
+    /// # Errors
+    /// [`Error::TransferFailed`] if the transfer failed. Further calls return the other transfers.
     pub async fn next(&self) -> Option<Result<Received, Error>> {
         self.ended.lock().await.recv().await
     }

@@ -1,4 +1,4 @@
-//! Owns the thread of a transfer that is sent: it offers, and answers requests, until it is settled.
+//! Runs the thread of an outgoing transfer, which offers it and serves its pieces until it ends.
 use std::{
     sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError},
     thread,
@@ -9,8 +9,8 @@ use zenoh::{bytes::ZBytes, query::Query, Wait};
 
 use super::{
     outgoing::{Transfer, TransferSource},
-    queries::{ask, Whom},
-    told::Told,
+    progress_throttle::ProgressThrottle,
+    queries::{ask, Target},
 };
 use crate::{
     core::{
@@ -26,22 +26,22 @@ use crate::{
     storage::Source,
 };
 
-/// How many requests and answers wait for the thread. What has no room is lost, and asked for again.
+/// Capacity of the thread's channel. Requests that find no room are lost, and the receiver repeats them.
 pub(super) const WAITING: usize = 256;
-/// How many programs of a robot are heard about one offer.
+/// Largest number of programs of a robot whose answers to one offer are considered.
 const MAX_ANSWERS: usize = 16;
-/// How many receivers' programs are kept waiting for the end of the transfer.
+/// Largest number of queries that stay open until an offer is answered.
 const MAX_HELD: usize = 16;
 
 impl Transfer {
-    /// From the checksum to the end.
+    /// Runs the transfer, from computing the checksum to its end.
     pub(super) fn run(
         mut self,
         events: &SyncSender<Event>,
         incoming: &Receiver<Event>,
     ) -> Result<(), Error> {
         let (source, offer) = self.prepare()?;
-        let id = offer.id(&self.to);
+        let id = offer.id(&self.recipient);
         let key = self
             .place
             .own(Some(&self.place.robot), &transfer::source(id));
@@ -52,9 +52,9 @@ impl Transfer {
             .complete(true)
             .callback(move |query| drop(requests.try_send(Event::Query(query))))
             .wait()
-            .map_err(Error::zenoh("the transfer can't be served"))?;
-        let mut sender = Sender::new(Instant::now(), offer.size_bytes, self.patience, offer.call);
-        let mut told = Told::default();
+            .map_err(Error::zenoh("cannot declare the queryable of the transfer"))?;
+        let mut sender = Sender::new(Instant::now(), offer.size_bytes, self.timeout, offer.call);
+        let mut throttle = ProgressThrottle::default();
         let mut round = Round::default();
         let mut served = Served {
             source,
@@ -63,7 +63,7 @@ impl Transfer {
             held: Vec::new(),
         };
         loop {
-            told.tell(sender.progress(), false, |progress| {
+            throttle.report(sender.progress(), false, |progress| {
                 if let Some(callback) = self.on_progress.as_mut() {
                     callback(progress);
                 }
@@ -78,8 +78,8 @@ impl Transfer {
                     continue;
                 }
                 Step::Wait(until) => until,
-                Step::Over(outcome) => {
-                    told.tell(sender.progress(), true, |progress| {
+                Step::Finished(outcome) => {
+                    throttle.report(sender.progress(), true, |progress| {
                         if let Some(callback) = self.on_progress.as_mut() {
                             callback(progress);
                         }
@@ -126,7 +126,7 @@ impl Transfer {
         };
         let name = self.name.take().or(name).unwrap_or_default();
         let offer = Offer {
-            from: self.place.robot.clone(),
+            sender: self.place.robot.clone(),
             topic: self.topic.clone(),
             name: FileName::new(&name)?,
             encoding: self.encoding.take().unwrap_or(encoding),
@@ -138,7 +138,7 @@ impl Transfer {
     }
 
     fn offer(&self, events: &SyncSender<Event>, number: u64, offer: Vec<u8>, timeout: Duration) {
-        let key = self.place.own(Some(&self.to), transfer::INBOX);
+        let key = self.place.own(Some(&self.recipient), transfer::OFFERS);
         let (answers, end) = (events.clone(), events.clone());
         let on_reply = move |reply: Result<ZBytes, ZBytes>| {
             let answer = reply
@@ -148,12 +148,12 @@ impl Transfer {
                 let _ = answers.try_send(Event::Answer(number, answer));
             }
         };
-        // Without room for this one, the offer's own deadline ends it.
+        // If the channel is full, the deadline of the offer ends it.
         let on_end = move || drop(end.try_send(Event::Answered(number)));
         ask(
             &self.session,
             &key,
-            Whom::All,
+            Target::All,
             offer,
             timeout,
             on_reply,
@@ -162,7 +162,7 @@ impl Transfer {
     }
 
     fn outcome(self, outcome: Outcome) -> Result<(), Error> {
-        let (robot, topic) = (self.to, self.topic);
+        let (robot, topic) = (self.recipient, self.topic);
         Err(match outcome {
             Outcome::Done => return Ok(()),
             Outcome::Refused(refusal) => Error::TransferRefused {
@@ -175,25 +175,25 @@ impl Transfer {
                 topic,
                 fault,
             },
-            Outcome::Unanswered(after) => Error::TimedOut {
-                what: format!("word of {robot} about the transfer {topic}"),
-                after,
+            Outcome::NoAnswer(timeout) => Error::TimedOut {
+                expected: format!("reply of {robot} about the transfer {topic}"),
+                timeout,
             },
         })
     }
 }
 
-/// The content with which a transfer answers requests.
+/// The content of a transfer, from which it answers requests.
 struct Served {
     source: Source,
     key: String,
     offer: Vec<u8>,
-    /// Queries that stay open until the offer of that number has been answered.
+    /// Queries that stay open until the offer with that number has been answered.
     held: Vec<(u64, Query)>,
 }
 
 impl Served {
-    /// Answers a request; what is no request gets no answer.
+    /// Answers a request; ignores queries that are not valid requests.
     fn answer(&mut self, sender: &mut Sender, query: Query) {
         let request = query
             .payload()
@@ -220,21 +220,21 @@ impl Served {
             Err(fault) => query.reply_err(fault.encode()).wait(),
         };
         if let Err(error) = sent {
-            tracing::debug!("a piece was not sent: {error}");
+            tracing::debug!("cannot reply on {}: {error}", self.key);
         }
     }
 }
 
-/// What happens to it.
+/// An event for the thread of an outgoing transfer.
 pub(super) enum Event {
     Query(Query),
     Answer(u64, Answer),
-    /// No more answers.
+    /// All answers to the offer with that number have arrived.
     Answered(u64),
     Stop,
 }
 
-/// An offer, and what was answered to it.
+/// An offer and the answers to it.
 #[derive(Default)]
 struct Round {
     number: u64,
@@ -242,13 +242,13 @@ struct Round {
 }
 
 impl Round {
-    /// An answer to this offer, and not one too many.
+    /// Returns whether an answer belongs to this offer and is within the limit.
     fn takes(&self, number: u64) -> bool {
         number == self.number && self.answers.len() < MAX_ANSWERS
     }
 }
 
-/// Ends it when dropped.
+/// Stops the transfer when dropped.
 pub(super) struct Stop(SyncSender<Event>);
 
 impl Stop {
@@ -260,7 +260,7 @@ impl Stop {
 impl Drop for Stop {
     fn drop(&mut self) {
         if let Err(TrySendError::Full(event)) = self.0.try_send(Event::Stop) {
-            // The thread is behind; someone has to wait for it.
+            // The channel is full: another thread waits for room, since `drop` must not block.
             let events = self.0.clone();
             let _ = thread::Builder::new().spawn(move || drop(events.send(event)));
         }

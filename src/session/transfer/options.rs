@@ -1,4 +1,4 @@
-//! Owns how a program takes transfers: where to, how large, how many.
+//! Defines the options with which a program receives transfers: their destination, their size, their number.
 use std::{fmt, path::PathBuf, sync::Arc, time::Duration};
 
 use crate::core::{
@@ -8,91 +8,101 @@ use crate::core::{
     transfer::{Offer, Progress},
 };
 
-/// How long a sender may be silent.
-const PATIENCE: Duration = Duration::from_secs(600);
-const AT_ONCE: usize = 4;
+/// Default time without progress after which a transfer is abandoned.
+const TIMEOUT: Duration = Duration::from_secs(600);
+const MAX_CONCURRENT: usize = 4;
 
-/// Where what comes is kept.
+/// Where received transfers are kept.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Keep {
-    /// In memory. What was there is lost in a restart.
+pub enum Destination {
+    /// In memory. Incomplete transfers are lost when the program ends.
     Memory,
-    /// In a folder for each sender in this one, under the name that the sender gives, replacing a file of that name. What
-    /// came goes on after a restart; what nothing was added to for a week is removed, and of one sender all but the newest 16
-    /// parts. What fails for good leaves nothing behind. One taker for a folder.
+    /// In this folder, which contains a folder for each sender. The file has the name that the sender chose, and replaces a
+    /// file of that name.
+    ///
+    /// An incomplete transfer resumes after a restart. Its parts are removed after a week without progress, and when one
+    /// sender has more than 16 of them; a transfer that failed permanently leaves no files. Only one receiver may use a
+    /// folder.
     Folder(PathBuf),
 }
 
-/// How a program takes transfers.
+/// The options with which a program receives transfers, for [`Robot::receive_transfers`](crate::Robot::receive_transfers).
+///
+/// ```
+/// use rect::ReceiveOptions;
+/// let options = ReceiveOptions::in_folder("/var/lib/maps", 100 << 20)
+///     .max_concurrent(2)
+///     .on_progress(|transfer, progress| println!("{}: {:.0} %", transfer.name, progress.fraction() * 100.0));
+/// ```
 #[derive(Clone)]
-pub struct ReceiveTransfers {
-    pub(super) keep: Keep,
+pub struct ReceiveOptions {
+    pub(super) destination: Destination,
     pub(super) max_bytes: u64,
-    pub(super) at_once: usize,
-    pub(super) patience: Duration,
+    pub(super) max_concurrent: usize,
+    pub(super) timeout: Duration,
     pub(super) on_progress: Option<OnProgress>,
 }
 
-type OnProgress = Arc<dyn Fn(&Incoming, Progress) + Send + Sync>;
+type OnProgress = Arc<dyn Fn(&IncomingTransfer, Progress) + Send + Sync>;
 
-/// A transfer that comes.
+/// The properties of a transfer that is being received.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Incoming {
-    /// Of whom.
-    pub from: Name,
-    /// About what.
+pub struct IncomingTransfer {
+    /// The robot that sends it.
+    pub sender: Name,
+    /// The topic.
     pub topic: Topic,
-    /// What its sender calls it; may be empty.
+    /// The file name that the sender chose; may be empty.
     pub name: String,
-    /// What it is.
+    /// The encoding of the content.
     pub encoding: Encoding,
-    /// How long it is.
+    /// The size of the content, in bytes.
     pub size_bytes: u64,
 }
 
-impl ReceiveTransfers {
-    /// Into memory, each of at most so many bytes.
+impl ReceiveOptions {
+    /// Receives transfers of at most `max_bytes` each into memory.
     pub fn in_memory(max_bytes: u64) -> Self {
-        Self::kept(Keep::Memory, max_bytes)
+        Self::kept(Destination::Memory, max_bytes)
     }
 
-    /// Into files, each of at most so many bytes.
+    /// Receives transfers of at most `max_bytes` each into files below `folder`; see [`Destination::Folder`].
     pub fn in_folder(folder: impl Into<PathBuf>, max_bytes: u64) -> Self {
-        Self::kept(Keep::Folder(folder.into()), max_bytes)
+        Self::kept(Destination::Folder(folder.into()), max_bytes)
     }
 
-    fn kept(keep: Keep, max_bytes: u64) -> Self {
+    fn kept(destination: Destination, max_bytes: u64) -> Self {
         Self {
-            keep,
+            destination,
             max_bytes,
-            at_once: AT_ONCE,
-            patience: PATIENCE,
+            max_concurrent: MAX_CONCURRENT,
+            timeout: TIMEOUT,
             on_progress: None,
         }
     }
 
-    /// How many at once, half of them (rounded up) of one sender at most; others wait. Default 4. On a slow link fewer wait for
-    /// each other less.
+    /// Sets the largest number of concurrent transfers, at least 1; default: 4. Further transfers wait. One sender gets at
+    /// most half of the number, rounded up. On a slow link, a smaller number completes single transfers sooner.
     #[must_use]
-    pub fn at_once(self, at_once: usize) -> Self {
+    pub fn max_concurrent(self, max_concurrent: usize) -> Self {
         Self {
-            at_once: at_once.max(1),
+            max_concurrent: max_concurrent.max(1),
             ..self
         }
     }
 
-    /// How long nothing may come before one is given up, to make room for others. Offered again it goes on. Default 10
-    /// minutes.
+    /// Sets the time without progress after which a transfer is abandoned, to make room for others; default: 10 minutes. It
+    /// resumes when the sender offers it again.
     #[must_use]
-    pub fn patience(self, patience: Duration) -> Self {
-        Self { patience, ..self }
+    pub fn timeout(self, timeout: Duration) -> Self {
+        Self { timeout, ..self }
     }
 
-    /// Calls this with what is there, up to ten times a second for each transfer, on the transfer's thread.
+    /// Calls `callback` with the progress of each transfer, at most ten times per second, on the transfer's thread.
     #[must_use]
     pub fn on_progress(
         self,
-        callback: impl Fn(&Incoming, Progress) + Send + Sync + 'static,
+        callback: impl Fn(&IncomingTransfer, Progress) + Send + Sync + 'static,
     ) -> Self {
         Self {
             on_progress: Some(Arc::new(callback)),
@@ -101,10 +111,10 @@ impl ReceiveTransfers {
     }
 }
 
-impl From<&Offer> for Incoming {
+impl From<&Offer> for IncomingTransfer {
     fn from(offer: &Offer) -> Self {
         Self {
-            from: offer.from.clone(),
+            sender: offer.sender.clone(),
             topic: offer.topic.clone(),
             name: offer.name.as_str().to_owned(),
             encoding: offer.encoding.clone(),
@@ -113,13 +123,13 @@ impl From<&Offer> for Incoming {
     }
 }
 
-impl fmt::Debug for ReceiveTransfers {
+impl fmt::Debug for ReceiveOptions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("ReceiveTransfers")
-            .field("keep", &self.keep)
+        f.debug_struct("ReceiveOptions")
+            .field("destination", &self.destination)
             .field("max_bytes", &self.max_bytes)
-            .field("at_once", &self.at_once)
-            .field("patience", &self.patience)
+            .field("max_concurrent", &self.max_concurrent)
+            .field("timeout", &self.timeout)
             .finish_non_exhaustive()
     }
 }

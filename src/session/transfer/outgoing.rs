@@ -1,4 +1,4 @@
-//! Owns what a program says of a transfer that it sends.
+//! Defines [`Transfer`], the builder and future of a transfer that a program sends.
 use std::{
     fmt,
     future::{Future, IntoFuture},
@@ -17,7 +17,7 @@ use super::offering::{Stop, WAITING};
 use crate::{
     core::{
         encoding::Encoding,
-        key::Place,
+        key::KeySpace,
         name::Name,
         payload::{Payload, PayloadError},
         topic::Topic,
@@ -26,26 +26,26 @@ use crate::{
     error::Error,
 };
 
-/// What is transferred: a file by its path, or bytes.
+/// The content of a transfer: a file or a buffer.
 #[derive(Clone, Debug)]
 pub enum TransferSource {
-    /// A file. It must not change before all is there.
+    /// The path of a file. The file must not change until the transfer is complete.
     File(PathBuf),
-    /// Bytes.
+    /// A buffer with its encoding.
     Bytes(Bytes, Encoding),
 }
 
-/// A transfer to a robot. Does nothing until awaited.
-#[must_use = "a transfer begins when it is awaited"]
+/// A transfer to a robot; created by [`Robot::transfer`](crate::Robot::transfer). It does nothing until it is awaited.
+#[must_use = "a transfer starts when it is awaited"]
 pub struct Transfer {
     pub(super) session: Session,
-    pub(super) place: Place,
-    pub(super) to: Name,
+    pub(super) place: KeySpace,
+    pub(super) recipient: Name,
     pub(super) topic: Topic,
     pub(super) source: TransferSource,
     pub(super) name: Option<String>,
     pub(super) encoding: Option<Encoding>,
-    pub(super) patience: Option<Duration>,
+    pub(super) timeout: Option<Duration>,
     pub(super) on_progress: Option<Box<dyn FnMut(Progress) + Send>>,
 }
 
@@ -54,58 +54,63 @@ type Outcome = oneshot::Receiver<Result<(), Error>>;
 impl Transfer {
     pub(super) fn new(
         session: Session,
-        place: Place,
-        to: Name,
+        place: KeySpace,
+        recipient: Name,
         topic: Topic,
         source: TransferSource,
     ) -> Self {
         Self {
             session,
             place,
-            to,
+            recipient,
             topic,
             source,
             name: None,
             encoding: None,
-            patience: None,
+            timeout: None,
             on_progress: None,
         }
     }
 
-    /// What it is called there. Default: the file's name; bytes have none.
-    pub fn named(mut self, name: impl Into<String>) -> Self {
+    /// Sets the file name at the receiver; default: the name of the file, or an empty name for a buffer.
+    pub fn name(mut self, name: impl Into<String>) -> Self {
         self.name = Some(name.into());
         self
     }
 
-    /// What it is. Default: the payload's encoding; files and other bytes are bytes.
+    /// Sets the encoding of the content; default: the encoding of the payload, and [`Encoding::BYTES`] for files and raw
+    /// buffers.
     pub fn encoding(mut self, encoding: Encoding) -> Self {
         self.encoding = Some(encoding);
         self
     }
 
-    /// How long nothing may be heard of the receiver. Default: it may come back whenever it likes.
-    pub fn patience(mut self, patience: Duration) -> Self {
-        self.patience = Some(patience);
+    /// Sets the time without a sign of the receiver after which the transfer fails with [`Error::TimedOut`]; default: none,
+    /// the transfer waits until the receiver is reachable again.
+    pub fn timeout(mut self, timeout: Duration) -> Self {
+        self.timeout = Some(timeout);
         self
     }
 
-    /// Calls this with what the receiver holds, up to ten times a second, on the transfer's thread.
+    /// Calls `callback` with the receiver's progress, at most ten times per second, on the transfer's thread.
     pub fn on_progress(mut self, callback: impl FnMut(Progress) + Send + 'static) -> Self {
         self.on_progress = Some(Box::new(callback));
         self
     }
 
-    /// Begins it, and waits for its end: for programs without `async`. Panics inside of an async runtime.
+    /// Starts the transfer and blocks until it ends, for programs without `async`.
     ///
     /// # Errors
-    /// As when awaited.
+    /// Returns the same errors as the awaited transfer; see [`Robot::transfer`](crate::Robot::transfer).
+    ///
+    /// # Panics
+    /// Panics if it is called from an asynchronous runtime.
     pub fn wait(self) -> Result<(), Error> {
         let (_stop, outcome) = self.begin()?;
         outcome.blocking_recv().unwrap_or(Err(Error::Closed))
     }
 
-    /// Begins; the first that is returned ends it when dropped, the other has how it ended.
+    /// Starts the transfer. Dropping the returned [`Stop`] ends it; the other value resolves to its outcome.
     fn begin(self) -> Result<(Stop, Outcome), Error> {
         let of_source = match &self.source {
             TransferSource::Bytes(_, encoding) => Some(encoding),
@@ -119,12 +124,12 @@ impl Transfer {
         let stop = Stop::new(&events);
         let thread = thread::Builder::new().name("rect-transfer".into());
         let started = thread.spawn(move || {
-            let how = self.run(&events, &incoming);
-            // Nobody waits any more where it was dropped.
-            let _ = done.send(how);
+            let outcome = self.run(&events, &incoming);
+            // Fails if the future was dropped and no one waits for the outcome.
+            let _ = done.send(outcome);
         });
         started.map_err(|error| Error::Zenoh {
-            what: "no thread for the transfer",
+            operation: "cannot start a thread for the transfer",
             reason: error.to_string(),
         })?;
         Ok((stop, outcome))
@@ -183,10 +188,13 @@ impl From<Vec<u8>> for TransferSource {
 impl fmt::Debug for Transfer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
-            to, topic, source, ..
+            recipient,
+            topic,
+            source,
+            ..
         } = self;
         f.debug_struct("Transfer")
-            .field("to", to)
+            .field("recipient", recipient)
             .field("topic", topic)
             .field("source", source)
             .finish_non_exhaustive()

@@ -1,4 +1,4 @@
-//! Owns one transfer that comes: the thread that asks for its pieces and keeps them.
+//! Runs the thread of an incoming transfer, which requests its pieces and stores them.
 use std::{
     sync::{
         atomic::{AtomicBool, Ordering},
@@ -10,74 +10,74 @@ use std::{
 use zenoh::{bytes::ZBytes, Session};
 
 use super::{
-    options::{Incoming, Keep, ReceiveTransfers},
-    queries::{ask, Whom},
-    told::Told,
+    options::{Destination, IncomingTransfer, ReceiveOptions},
+    progress_throttle::ProgressThrottle,
+    queries::{ask, Target},
 };
 use crate::{
     core::{
-        key::Place,
+        key::KeySpace,
         transfer::{
             self,
-            receiver::{Ask, Receiver as Pulling, Step},
+            receiver::{PieceRequest, Receiver as Pulling, Step},
             Fault, Offer, Progress, Request, TransferId,
         },
     },
     storage::{Content, Store},
 };
 
-/// How often what is there is written down.
+/// Interval at which the received ranges are saved to a file.
 const SAVE_EVERY: Duration = Duration::from_secs(2);
-/// How long nobody looks whether the session was closed.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Interval at which the thread checks whether the session was closed.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
-/// How long a sender may take to learn how a transfer ended.
-const TELL: Duration = Duration::from_secs(3);
+/// Timeout for notifying the sender that the transfer has ended.
+const END_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// What happens to it.
+/// An event for the thread of an incoming transfer.
 pub(super) enum Event {
-    Reply(Ask, ZBytes),
+    Reply(PieceRequest, ZBytes),
     Fault(u64, Fault),
     End(u64),
-    /// Its sender offers it again.
+    /// The sender has offered the transfer again.
     Offered,
     Stop,
 }
 
-/// A transfer that comes.
+/// An incoming transfer.
 pub(super) struct Pull {
     pub(super) session: Session,
-    pub(super) place: Place,
-    pub(super) options: ReceiveTransfers,
+    pub(super) place: KeySpace,
+    pub(super) options: ReceiveOptions,
     pub(super) id: TransferId,
     pub(super) offer: Offer,
     pub(super) events: Sender<Event>,
 }
 
 impl Pull {
-    /// Until its end. `on_held`: so much is there.
+    /// Runs the transfer to its end. `on_received_bytes` is called with the number of received bytes.
     pub(super) fn run(
         &self,
         incoming: &Receiver<Event>,
-        on_held: impl Fn(u64),
+        on_received_bytes: impl Fn(u64),
     ) -> Result<Content, Fault> {
-        let not_kept = |error: std::io::Error| Fault::NotKept(error.to_string());
-        let opened = match &self.options.keep {
-            Keep::Memory => {
+        let not_kept = |error: std::io::Error| Fault::NotStored(error.to_string());
+        let opened = match &self.options.destination {
+            Destination::Memory => {
                 Store::in_memory(self.offer.size_bytes).map(|store| (store, Default::default()))
             }
-            Keep::Folder(folder) => Store::in_folder(folder, self.id, &self.offer),
+            Destination::Folder(folder) => Store::in_folder(folder, self.id, &self.offer),
         };
         let (mut store, held) = opened.map_err(not_kept)?;
-        let patience = self.options.patience;
-        let mut pulling = Pulling::new(Instant::now(), self.offer.size_bytes, held, patience);
-        let how = self.pull(&mut pulling, &mut store, incoming, on_held);
+        let timeout = self.options.timeout;
+        let mut pulling = Pulling::new(Instant::now(), self.offer.size_bytes, held, timeout);
+        let how = self.pull(&mut pulling, &mut store, incoming, on_received_bytes);
         match how {
             Ok(()) => store.finish().map_err(not_kept),
             Err(fault) => {
                 if let Err(error) = store.interrupt(pulling.held(), &fault) {
                     tracing::warn!(
-                        "what came of {:?} is not kept for later: {error}",
+                        "cannot keep the received part of {:?} for later: {error}",
                         self.offer
                     );
                 }
@@ -91,46 +91,46 @@ impl Pull {
         pulling: &mut Pulling,
         store: &mut Store,
         incoming: &Receiver<Event>,
-        on_held: impl Fn(u64),
+        on_received_bytes: impl Fn(u64),
     ) -> Result<(), Fault> {
-        let about = Incoming::from(&self.offer);
+        let about = IncomingTransfer::from(&self.offer);
         let key = self.source();
-        let mut told = Told::default();
-        let mut tell = |progress: Progress, last| {
-            on_held(progress.held_bytes);
+        let mut throttle = ProgressThrottle::default();
+        let mut report = |progress: Progress, last| {
+            on_received_bytes(progress.received_bytes);
             if let Some(callback) = &self.options.on_progress {
-                told.tell(progress, last, |progress| callback(&about, progress));
+                throttle.report(progress, last, |progress| callback(&about, progress));
             }
         };
-        let (mut saved_at, mut saved_bytes) = (Instant::now(), pulling.progress().held_bytes);
+        let (mut saved_at, mut saved_bytes) = (Instant::now(), pulling.progress().received_bytes);
         loop {
             let now = Instant::now();
-            let held_bytes = pulling.progress().held_bytes;
-            if held_bytes != saved_bytes && now.duration_since(saved_at) >= SAVE_EVERY {
+            let received_bytes = pulling.progress().received_bytes;
+            if received_bytes != saved_bytes && now.duration_since(saved_at) >= SAVE_EVERY {
                 if let Err(error) = store.save(pulling.held()) {
-                    pulling.on_not_kept(error.to_string());
+                    pulling.on_write_failed(error.to_string());
                 }
-                (saved_at, saved_bytes) = (Instant::now(), held_bytes);
+                (saved_at, saved_bytes) = (Instant::now(), received_bytes);
             }
             let until = match pulling.poll(now) {
-                Step::Ask(ask) => {
+                Step::Request(ask) => {
                     self.ask(&key, ask);
                     continue;
                 }
                 Step::Check => {
                     match store.checksum() {
                         Ok(checksum) => pulling.on_checked(checksum == self.offer.checksum),
-                        Err(error) => pulling.on_not_kept(error.to_string()),
+                        Err(error) => pulling.on_write_failed(error.to_string()),
                     }
                     continue;
                 }
-                Step::Over(how) => {
-                    tell(pulling.progress(), true);
+                Step::Finished(how) => {
+                    report(pulling.progress(), true);
                     return how;
                 }
                 Step::Wait(until) => until,
             };
-            let left = until.saturating_duration_since(now).min(LOOK_EVERY);
+            let left = until.saturating_duration_since(now).min(CHECK_EVERY);
             match incoming.recv_timeout(left) {
                 Ok(event) => on_event(pulling, store, event),
                 Err(mpsc::RecvTimeoutError::Timeout) => {}
@@ -139,31 +139,31 @@ impl Pull {
             if self.session.is_closed() {
                 pulling.end(Fault::Stopped);
             }
-            tell(pulling.progress(), false);
+            report(pulling.progress(), false);
         }
     }
 
-    /// Where its sender answers.
+    /// Returns the key at which the sender serves the transfer.
     fn source(&self) -> String {
         let source = transfer::source(self.id);
-        self.place.own(Some(&self.offer.from), &source)
+        self.place.own(Some(&self.offer.sender), &source)
     }
 
-    fn ask(&self, key: &str, ask_for: Ask) {
+    fn ask(&self, key: &str, ask_for: PieceRequest) {
         let (replies, end) = (self.events.clone(), self.events.clone());
-        let ticket = ask_for.ticket;
+        let ticket = ask_for.id;
         let payload = ask_for.request.encode();
-        // What comes late is of use, too.
+        // A late reply is of use, too.
         let timeout = ask_for.timeout * 2;
         let answered = AtomicBool::new(false);
         let on_reply = move |reply: Result<ZBytes, ZBytes>| {
-            // One question, one answer: more would fill the memory.
+            // Only the first reply counts: an unlimited number could exhaust the memory.
             if answered.swap(true, Ordering::Relaxed) {
                 return;
             }
             let event = match reply {
                 Ok(bytes) => Event::Reply(ask_for.clone(), bytes),
-                // Other errors are Zenoh's own, such as that it took too long.
+                // Other errors are Zenoh's own, such as an expired timeout.
                 Err(error) => match Fault::decode(&error.to_bytes()) {
                     Some(fault) => Event::Fault(ticket, fault),
                     None => return,
@@ -175,7 +175,7 @@ impl Pull {
         ask(
             &self.session,
             key,
-            Whom::One,
+            Target::One,
             payload,
             timeout,
             on_reply,
@@ -183,8 +183,8 @@ impl Pull {
         );
     }
 
-    /// Tells the sender that it is over, and waits until it has learned how, as long as it can be reached.
-    pub(super) fn tell_end(&self) {
+    /// Notifies the sender that the transfer has ended, and waits until it has received the outcome or cannot be reached.
+    pub(super) fn report_end(&self) {
         let key = self.source();
         let (ended, end) = mpsc::channel::<()>();
         let on_end = move || drop(ended);
@@ -192,13 +192,13 @@ impl Pull {
         ask(
             &self.session,
             &key,
-            Whom::One,
+            Target::One,
             payload,
-            TELL,
+            END_TIMEOUT,
             |_| {},
             on_end,
         );
-        let _ = end.recv_timeout(TELL);
+        let _ = end.recv_timeout(END_TIMEOUT);
     }
 }
 
@@ -212,21 +212,21 @@ fn on_event(pulling: &mut Pulling, store: &mut Store, event: Event) {
             let mut at = ask.range.start;
             for slice in bytes.slices() {
                 if let Err(error) = store.write(at, slice) {
-                    return pulling.on_not_kept(error.to_string());
+                    return pulling.on_write_failed(error.to_string());
                 }
                 at += slice.len() as u64;
             }
-            pulling.on_kept(ask.range);
+            pulling.on_written(ask.range);
         }
         Event::Fault(ticket, fault) => pulling.on_fault(ticket, fault),
-        Event::End(ticket) => pulling.on_silence(now, ticket),
+        Event::End(ticket) => pulling.on_no_reply(now, ticket),
         Event::Offered => pulling.on_offered(now),
         Event::Stop => pulling.end(Fault::Stopped),
     }
 }
 
-/// The two ends of what happens to a transfer.
+/// Creates the channel of the thread.
 pub(super) fn events() -> (Sender<Event>, Receiver<Event>) {
-    // As many as requests are on their way, and no more: the window bounds them.
+    // The window limits the number of requests in flight, and thereby of events.
     mpsc::channel()
 }

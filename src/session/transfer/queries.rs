@@ -1,4 +1,4 @@
-//! Owns the queries of transfers: all in no hurry, none dropped where it is full, each ended exactly once.
+//! Sends the queries of transfers: with background priority, never dropped on congestion, and with exactly one end each.
 use std::time::Duration;
 
 use zenoh::{
@@ -9,19 +9,19 @@ use zenoh::{
     Session, Wait,
 };
 
-/// Whom to ask.
-pub(super) enum Whom {
-    /// All programs of the robot.
+/// Which queryables receive a query.
+pub(super) enum Target {
+    /// All matching programs of the robot.
     All,
-    /// One that has it.
+    /// One matching program.
     One,
 }
 
-/// Asks. `on_end` is called once, after the last reply; also if it could not be asked.
+/// Sends a query. `on_end` is called exactly once, after the last reply or if the query cannot be sent.
 pub(super) fn ask(
     session: &Session,
     key: &str,
-    whom: Whom,
+    target: Target,
     payload: Vec<u8>,
     timeout: Duration,
     on_reply: impl Fn(Result<ZBytes, ZBytes>) + Send + Sync + 'static,
@@ -39,9 +39,9 @@ pub(super) fn ask(
             }
         },
     };
-    let target = match whom {
-        Whom::All => QueryTarget::All,
-        Whom::One => QueryTarget::BestMatching,
+    let target = match target {
+        Target::All => QueryTarget::All,
+        Target::One => QueryTarget::BestMatching,
     };
     let asked = session
         .get(key)
@@ -54,7 +54,7 @@ pub(super) fn ask(
         .with(handler)
         .wait();
     if let Err(error) = asked {
-        // Its end has been told.
-        tracing::debug!("{key} can't be asked: {error}");
+        // `on_end` has been called.
+        tracing::debug!("cannot query {key}: {error}");
     }
 }

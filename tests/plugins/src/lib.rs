@@ -1,1 +1,1 @@
-//! Nothing: the dependencies are what is wanted (`scripts/build-plugins`).
+//! Contains no code. The package exists for its dependencies, which `scripts/build-plugins` builds.

@@ -6,10 +6,10 @@ use std::{
     sync::Mutex,
 };
 
-/// Ports that were given out, so that no two tests of a program get the same one.
-static GIVEN: Mutex<BTreeSet<u16>> = Mutex::new(BTreeSet::new());
+/// The ports that were assigned, so that each test of a program gets another one.
+static ASSIGNED: Mutex<BTreeSet<u16>> = Mutex::new(BTreeSet::new());
 
-/// Returns a TCP port of the loopback interface on which nobody listens.
+/// Returns a TCP port of the loopback interface that no program listens on.
 ///
 /// # Panics
 ///
@@ -21,7 +21,7 @@ pub fn get_free_tcp_port() -> u16 {
     })
 }
 
-/// Returns a UDP port of the loopback interface that nobody uses.
+/// Returns a UDP port of the loopback interface that no program uses.
 ///
 /// # Panics
 ///
@@ -34,8 +34,8 @@ pub fn get_free_udp_port() -> u16 {
 }
 
 fn new_port(free: impl Fn() -> u16) -> u16 {
-    let mut given = GIVEN.lock().expect("no test panics here");
+    let mut assigned = ASSIGNED.lock().expect("no test panics here");
     std::iter::repeat_with(free)
-        .find(|port| given.insert(*port))
+        .find(|port| assigned.insert(*port))
         .expect("the iterator is endless")
 }

@@ -1,6 +1,6 @@
 #!/bin/bash
-# First process of the guest once the host's root is in place: makes a small system with Bluetooth, runs the command of
-# `run`, reports its status and switches the machine off. Its own words go to the console.
+# First process of the guest after the host's root is mounted. Sets up a small system with Bluetooth, runs the command
+# of `run`, reports its exit status and powers the machine off. Its own messages go to the console.
 set -uo pipefail
 
 # shellcheck source=tests/vm/guest/job.sh
@@ -25,7 +25,7 @@ ln -sfn /proc/self/fd/0 /dev/stdin
 ln -sfn /proc/self/fd/1 /dev/stdout
 ln -sfn /proc/self/fd/2 /dev/stderr
 chmod 1777 /tmp
-ip link set lo up || fail 'the loopback interface does not come up'
+ip link set lo up || fail 'cannot start the loopback interface'
 for i in "${!shares[@]}"; do
   mount_share "share$i" "${shares[i]}" || fail "${shares[i]} could not be shared"
 done
@@ -33,19 +33,19 @@ done
 port=$(output_port)
 [[ -n $port ]] || fail 'the guest has no port for its output'
 
-# The host's own services may have left their ids in files that the overlay shows.
+# Services of the host may have left files with process ids that are visible through the overlay.
 rm -f /var/run/dbus/pid /run/dbus/pid
 mkdir -p /run/dbus
-dbus-daemon --system --fork || fail 'the D-Bus system bus does not start'
+dbus-daemon --system --fork || fail 'cannot start the D-Bus system bus'
 if ((controllers)); then
-  room start "$controllers" || fail "the emulated controllers do not start: $(room log | tail -n 3)"
-  bluetoothd start || fail "bluetoothd does not start: $(bluetoothd log | tail -n 3)"
+  room start "$controllers" || fail "cannot start the emulated controllers: $(room log | tail -n 3)"
+  bluetoothd start || fail "cannot start bluetoothd: $(bluetoothd log | tail -n 3)"
   for ((i = 0; i < controllers; i++)); do
     adapter wait "hci$i" || fail "hci$i does not come up: $(room log | tail -n 3)"
   done
 fi
 
-cd "$directory" || fail "$directory is not there in the guest"
+cd "$directory" || fail "$directory does not exist in the guest"
 mkfifo /run/rect-output
 cat /run/rect-output >"$port" &
 cat=$!
@@ -53,7 +53,7 @@ export RECT_VM_UPTIME
 read -r RECT_VM_UPTIME _ </proc/uptime
 setsid "${command[@]}" </dev/null >/run/rect-output 2>&1 9>&-
 status=$?
-# What the command left behind may hold its output open; what it wrote itself is read to the end.
+# Processes that the command left behind may keep its output open. The output of the command itself is read to its end.
 for _ in {1..50}; do
   kill -0 "$cat" 2>/dev/null || break
   sleep 0.1

@@ -1,8 +1,8 @@
-"""A bare LE L2CAP channel (SOCK_SEQPACKET) for tests in the guest; needs nothing but Python.
+"""Provides plain LE L2CAP channels (SOCK_SEQPACKET) for tests in the guest, with nothing but Python.
 
-Python's own sockets cannot say that an L2CAP address is an LE one, hence `bind` and `connect` through the C library.
+Python's sockets do not support LE addresses of L2CAP, so `bind` and `connect` are called through the C library.
 A channel is read without blocking in the kernel (`settimeout`): kernel 5.10.262 keeps the socket locked while a reader
-waits in `recv`, and whatever arrives meanwhile stops the adapter's receiver, a deadlock.
+waits in `recv`, and data that arrives in the meantime blocks the adapter's receiver, which is a deadlock.
 """
 
 import ctypes
@@ -38,14 +38,14 @@ def _socket(local, psm, mtu, timeout):
 
 
 def listen(local, psm=128, mtu=65535, timeout=30):
-    """A listening socket on the adapter with this address; `accept` it with `accept(socket)`."""
+    """Returns a listening socket on the adapter with this address, for use with `accept(socket)`."""
     sock = _socket(local, psm, mtu, timeout)
     sock.listen(8)
     return sock
 
 
 def accept(listener, timeout=30):
-    """The next channel. (Python's own `accept` cannot read an LE peer's address on every version.)"""
+    """Returns the next channel. (Not every Python version can read an LE peer's address in its own `accept`.)"""
     fd = _libc.accept(listener.fileno(), None, None)
     if fd < 0:
         code = ctypes.get_errno()
@@ -56,7 +56,7 @@ def accept(listener, timeout=30):
 
 
 def connect(local, peer, psm=128, mtu=65535, timeout=30):
-    """A channel from the adapter `local` to the listener on `peer`, which must be advertising."""
+    """Opens a channel from the adapter `local` to the listener on `peer`, which must be advertising."""
     sock = _socket(local, 0, mtu, timeout)
     _call(_libc.connect, sock, peer, psm)
     sock.settimeout(timeout)

@@ -1,6 +1,6 @@
 #!/bin/bash
-# The command of `run --root`, as a service of the guest's systemd: with controllers, if there shall be some; reports its
-# status and switches the machine off.
+# Runs the command of `run --root` as a service of the guest's systemd, with controllers if requested. Reports the exit
+# status and powers the machine off.
 set -uo pipefail
 
 # shellcheck source=tests/vm/guest/job.sh
@@ -19,7 +19,7 @@ port=$(output_port)
 {
   status=0
   if ((controllers)); then
-    room start "$controllers" || { echo "the emulated controllers do not start: $(room log | tail -n 3)"; status=125; }
+    room start "$controllers" || { echo "cannot start the emulated controllers: $(room log | tail -n 3)"; status=125; }
   fi
   if ((status == 0)); then
     "${command[@]}"

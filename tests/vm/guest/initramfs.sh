@@ -1,15 +1,16 @@
 #!/bin/busybox sh
-# /init of the initramfs: loads the modules, puts a throw-away overlay over the host's root, goes on with boot.sh there.
+# /init of the initramfs: loads the modules, mounts a temporary overlay over the host's root, and continues with boot.sh
+# there.
 b=/bin/busybox
 $b mount -t proc proc /proc
 $b mount -t sysfs sys /sys
 $b mount -t devtmpfs dev /dev
 while read -r module; do
-  $b insmod "/modules/$module" || echo "rect-vm: module $module did not load"
+  $b insmod "/modules/$module" || echo "rect-vm: cannot load module $module"
 done </modules/order
 
 options=trans=virtio,version=9p2000.L,msize=512000
-# The host's root does not change under the guest as far as it matters here, so the guest may cache it.
+# The host's root does not change in a way that affects the guest, so the guest may cache it.
 $b mount -t 9p -o "$options,cache=loose,ro" root /lower
 $b mount -t tmpfs tmpfs /overlay
 $b mkdir /overlay/upper /overlay/work

@@ -1,6 +1,6 @@
 #!/bin/bash
-# In place of boot.sh where `run --root` says whose files the guest has: hands the machine to that root's systemd, which
-# starts the command of `run` as a service once the system is up.
+# Replaces boot.sh for `run --root`: hands the machine over to systemd of that root, which starts the command of `run`
+# as a service after the boot.
 set -uo pipefail
 
 here=/run/rect-vm
@@ -15,7 +15,7 @@ ExecStart=/bin/bash /run/rect-vm/guest/command.sh
 TimeoutStartSec=infinity
 END
 ln -s ../rect-vm.service /run/systemd/system/multi-user.target.wants/
-# Nothing to wait for: neither network nor a person who logs in.
+# Skip units that delay the boot: neither a network nor a login is needed.
 for unit in getty.target systemd-networkd.service systemd-resolved.service systemd-timesyncd.service; do
   ln -sf /dev/null "/run/systemd/system/$unit"
 done

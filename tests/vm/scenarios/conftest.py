@@ -1,4 +1,4 @@
-"""Inside the VM: robots on the emulated controllers, each with a router, with stock eclipse-zenoh clients."""
+"""Fixtures for tests in the VM: robots on the emulated controllers, each with a router and eclipse-zenoh clients."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ import zenoh
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples" / "demo"))
 
-from robots import Inbox, Robot, wait_until
+from robots import Collector, Robot, wait_until
 
 
 def guest(*command: str) -> str:
@@ -20,14 +20,14 @@ def guest(*command: str) -> str:
 
 
 def start_bluetoothd() -> None:
-    """Returns when both adapters are up."""
+    """Starts bluetoothd, and returns when both adapters are up."""
     guest("bluetoothd", "start")
     for adapter in ("hci0", "hci1"):
         guest("adapter", "wait", adapter)
 
 
 def power(adapter: str, state: str) -> None:
-    """Switches an adapter, with a supervisor as systemd is on a robot: BlueZ 5.66 was seen to crash at that."""
+    """Switches an adapter on or off. Restarts bluetoothd if it crashes, as systemd does: BlueZ 5.66 sometimes does."""
 
     def switched() -> bool:
         guest("bluetoothd", "start")
@@ -37,19 +37,21 @@ def power(adapter: str, state: str) -> None:
 
 
 def exchange(here: zenoh.Session, there: zenoh.Session) -> None:
-    """Fifty messages each way, all of them in order."""
+    """Asserts that fifty messages arrive in order in each direction."""
     for sender, receiver in ((here, there), (there, here)):
-        inbox = Inbox(receiver, "rect/both/ways", sender)
+        collector = Collector(receiver, "rect/both/ways", sender)
         for n in range(50):
             sender.put("rect/both/ways", f"message {n}")
-        assert inbox.take(50) == [f"message {n}".encode() for n in range(50)]
-        inbox.close()
+        assert collector.take(50) == [f"message {n}".encode() for n in range(50)]
+        collector.close()
 
 
 @pytest.fixture(autouse=True)
 def fresh_bluetooth():
-    """Each scenario begins with a kernel and a bluetoothd that remember nothing: routers killed in the middle of a scan
-    were seen to leave either at "operation in progress", which is a finding of its own."""
+    """Resets the kernel and bluetoothd before each scenario.
+
+    A router that is killed during a scan can leave either of them at "operation in progress".
+    """
     guest("bluetoothd", "stop")
     adapters = guest("adapter", "list").split()
     for adapter in adapters:
@@ -61,7 +63,7 @@ def fresh_bluetooth():
 
 @pytest.fixture
 def robots(tmp_path: Path):
-    """Makes robots `wombat-1` on hci0, `wombat-2` on hci1, ...; ends them all."""
+    """Creates robots `wombat-1` on hci0, `wombat-2` on hci1, and so on, and stops them after the test."""
     made: list[Robot] = []
 
     def make(count: int) -> list[Robot]:
@@ -76,7 +78,7 @@ def robots(tmp_path: Path):
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item):
-    """With a failure, what the routers said last."""
+    """Adds the last lines of the routers' logs to the report of a failed test."""
     report = (yield).get_result()
     if report.failed and "tmp_path" in getattr(item, "funcargs", {}):
         for log in sorted(item.funcargs["tmp_path"].glob("*.log")):

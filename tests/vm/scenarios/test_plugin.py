@@ -1,4 +1,4 @@
-"""Stock zenohd with our plugin, and rect-router, on a real kernel's Bluetooth stack. Run by `tests/vm/test`."""
+"""Stock zenohd with our plugin, and rect-router, on the Bluetooth stack of a real kernel. Run by `tests/vm/test`."""
 
 import os
 import time
@@ -8,14 +8,14 @@ from conftest import exchange
 from robots import PluginRobot, Robot
 
 if not os.environ.get("RECT_PLUGIN"):
-    pytest.skip("RECT_PLUGIN and RECT_ZENOHD are not given: scripts/test-vm does", allow_module_level=True)
+    pytest.skip("RECT_PLUGIN and RECT_ZENOHD are not set: run scripts/test-vm", allow_module_level=True)
 
 
 PAIRINGS = [(Robot, PluginRobot), (PluginRobot, Robot), (PluginRobot, PluginRobot)]
 
 
 @pytest.mark.parametrize("kinds", PAIRINGS, ids=lambda kinds: "-".join(kind.__name__ for kind in kinds))
-def test_every_pairing_with_the_plugin_exchanges_messages_both_ways(tmp_path, kinds):
+def test_plugin_exchanges_messages_in_every_combination(tmp_path, kinds):
     one, two = (kind(f"wombat-{n + 1}", f"hci{n}", tmp_path / f"{n}.log") for n, kind in enumerate(kinds))
     try:
         one.start([])
@@ -23,7 +23,7 @@ def test_every_pairing_with_the_plugin_exchanges_messages_both_ways(tmp_path, ki
         started = time.monotonic()
         with one.session() as here, two.session() as there:
             exchange(here, there)
-        print(f"both ways after {time.monotonic() - started:.1f} s")
+        print(f"both directions work after {time.monotonic() - started:.1f} s")
     finally:
         one.kill()
         two.kill()

@@ -1,5 +1,6 @@
-"""Two programs of the Python package `rect`, each at its robot's router, on a real kernel's Bluetooth stack. Run by
-`tests/vm/test`; needs the package in .venv (`scripts/test-python` installs it there)."""
+"""Two programs of the Python package `rect`, each at its robot's router, on the Bluetooth stack of a real kernel.
+
+Run by `tests/vm/test`. Requires the package in .venv (`scripts/test-python` installs it there)."""
 
 import os
 import time
@@ -11,7 +12,7 @@ WAIT_S = 60
 MAP = os.urandom(200_000)
 
 
-def test_two_python_programs_talk_ask_stream_and_transfer(robots):
+def test_two_python_programs_publish_request_stream_and_transfer(robots):
     one, two = pair(robots)
     with (
         rect.connect(one.name, router=one.endpoint()) as here,
@@ -19,17 +20,17 @@ def test_two_python_programs_talk_ask_stream_and_transfer(robots):
         there.receive_transfers("*/maps") as maps,
         here.watch(two.name, "camera") as camera,
         there.subscribe("*/hello") as greetings,
-        there.subscribe("*/arm/*") as heard,
+        there.subscribe("*/arm/*") as readings,
     ):
         there.serve("double", lambda request: request.value * 2)
         answer = until(lambda: here.request(two.name, "double", 21, timeout=WAIT_S), rect.NoService)
         assert (answer.sender, answer.value) == (two.name, 42)
 
         reading = {"angle_deg": 12.5, "ok": True}
-        until(lambda: said(here, greetings, "hello", "are you there?"), rect.TimedOut)
+        until(lambda: publish_and_receive(here, greetings, "hello", "hello from wombat-1"), rect.TimedOut)
         for n in range(50):
             here.send(two.name, "arm/angle", reading | {"n": n}, urgency="urgent" if n % 2 else "normal")
-        messages = [heard.next(WAIT_S) for _ in range(50)]
+        messages = [readings.next(WAIT_S) for _ in range(50)]
         assert sorted(message.value["n"] for message in messages) == list(range(50))
 
         here.transfer(two.name, "maps", MAP, timeout=WAIT_S)
@@ -38,27 +39,27 @@ def test_two_python_programs_talk_ask_stream_and_transfer(robots):
 
         picture = rect.Picture.of_pixels(64, 48, "rgb8", bytes(range(256)) * 36)
         with there.stream("camera", mode="fixed", codec="png") as stream:
-            frame = until(lambda: streamed(stream, picture, camera), rect.TimedOut)
+            frame = until(lambda: send_and_receive_frame(stream, picture, camera), rect.TimedOut)
         assert frame.value.pixels == picture.pixels
 
 
-def until(call, not_yet):
-    """What the call gives, once it does: what is declared at one end takes its time to the other."""
+def until(call, expected_error):
+    """Repeats the call until it succeeds, and returns its result: declarations take time to reach the other end."""
     deadline = time.monotonic() + WAIT_S
     while True:
         try:
             return call()
-        except not_yet:
+        except expected_error:
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.1)
 
 
-def said(speaker: rect.Robot, heard: rect.Subscriber, topic: str, value: object) -> rect.Message:
-    speaker.publish(topic, value)
-    return heard.next(1)
+def publish_and_receive(publisher: rect.Robot, subscriber: rect.Subscriber, topic: str, value: object) -> rect.Message:
+    publisher.publish(topic, value)
+    return subscriber.next(1)
 
 
-def streamed(stream: rect.Stream, picture: rect.Picture, camera: rect.Watch) -> rect.Frame:
+def send_and_receive_frame(stream: rect.Stream, picture: rect.Picture, camera: rect.Watch) -> rect.Frame:
     stream.send(picture)
     return camera.next(1)

@@ -1,4 +1,4 @@
-"""Two robots on a real kernel's Bluetooth stack. Run by `tests/vm/test`."""
+"""Two robots on the Bluetooth stack of a real kernel. Run by `tests/vm/test`."""
 
 import hashlib
 import json
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from conftest import exchange, guest, power, start_bluetoothd
-from robots import Inbox, Robot, RobotError, wait_until
+from robots import Collector, Robot, RobotError, wait_until
 
 MEGABYTE = os.urandom(1_000_000)
 
@@ -21,16 +21,16 @@ def linked(one: Robot, two: Robot) -> bool:
 
 
 def pair(robots) -> tuple[Robot, Robot]:
-    """wombat-2 dials wombat-1 by name."""
+    """Links two robots: wombat-2 dials wombat-1 by name."""
     one, two = robots(2)
     one.start([])
     two.start([f"ble/{one.name}"])
     took = wait_until("the two are linked", 30, lambda: linked(one, two))
-    print(f"linked {took:.2f} s after the second router was up")
+    print(f"linked {took:.2f} s after the second router started")
     return one, two
 
 
-def test_a_robot_is_found_by_name_and_messages_go_both_ways(robots):
+def test_dials_by_name_and_exchanges_messages(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
         exchange(here, there)
@@ -43,21 +43,21 @@ def test_a_robot_is_found_by_name_and_messages_go_both_ways(robots):
         service.undeclare()
 
 
-def test_a_robot_is_found_by_address_and_psm(robots):
+def test_dials_by_address_and_psm(robots):
     one, two = robots(2)
     one.start([], ble_options=";psm=173")
     two.start([f"ble/{guest('adapter', 'address', 'hci0')}#psm=173"])
     wait_until("the two are linked", 30, lambda: linked(one, two))
 
 
-def test_robots_that_encrypt_are_paired_once_and_linked_again_after_a_restart(robots):
+def test_pairs_once_and_reconnects_encrypted_after_a_restart(robots):
     one, two = robots(2)
     one.start([], ble_options=";sec=medium")
     two.start([f"ble/{one.name}#sec=medium"], ble_options=";sec=medium")
     took = wait_until("the two are paired and linked", 30, lambda: linked(one, two))
     print(f"paired and linked after {took:.2f} s")
     paired = keys()
-    assert len(paired) == 2, f"both remember the other: {paired}"
+    assert len(paired) == 2, f"both store the key of the other: {paired}"
     for robot in (one, two):
         robot.kill()
         robot.start()
@@ -65,171 +65,171 @@ def test_robots_that_encrypt_are_paired_once_and_linked_again_after_a_restart(ro
     print(f"linked again after {took:.2f} s")
     with one.session() as here, two.session() as there:
         exchange(here, there)
-    assert keys() == paired, "they were paired anew"
+    assert keys() == paired, "they were paired again"
 
 
 def keys() -> dict[str, list[str]]:
-    """The keys of all that are paired, by the file where bluetoothd keeps them."""
+    """Returns the keys of all paired devices, by the file in which bluetoothd keeps them."""
     infos = {str(file): file.read_text().splitlines() for file in Path("/var/lib/bluetooth").glob("*/*/info")}
     keys = {file: [line for line in lines if line.startswith("Key=")] for file, lines in infos.items()}
     return {file: lines for file, lines in keys.items() if lines}
 
 
 @pytest.mark.parametrize("bytes_per_s", [100_000, 0])
-def test_a_megabyte_arrives_intact(robots, bytes_per_s):
+def test_delivers_a_megabyte_intact(robots, bytes_per_s):
     one, two = pair(robots)
-    paced(bytes_per_s)
+    limit_rate(bytes_per_s)
     try:
         with one.session() as here, two.session() as there:
-            inbox = Inbox(there, "rect/bulk", here)
+            collector = Collector(there, "rect/bulk", here)
             here.put("rect/bulk", MEGABYTE, congestion_control=zenoh.CongestionControl.BLOCK)
-            [received] = inbox.take(1)
+            [received] = collector.take(1)
             assert hashlib.sha256(received).digest() == hashlib.sha256(MEGABYTE).digest()
     finally:
-        paced(0)
+        limit_rate(0)
 
 
 @pytest.mark.parametrize("bytes_per_s", [100_000, 0])
-def test_a_receiver_that_freezes_for_a_while_loses_nothing(robots, bytes_per_s):
+def test_frozen_receiver_loses_no_messages(robots, bytes_per_s):
     one, two = pair(robots)
-    paced(bytes_per_s)
+    limit_rate(bytes_per_s)
     messages = [b"%d " % n + bytes(900) for n in range(500)]
     try:
         with one.session() as here, two.session() as there:
-            inbox = Inbox(there, "rect/frozen", here)
+            collector = Collector(there, "rect/frozen", here)
             for message in messages:
                 here.put("rect/frozen", message, congestion_control=zenoh.CongestionControl.BLOCK)
                 if message is messages[50]:
                     two.freeze()
-            # How long it is frozen is what this test is about (less than Zenoh's lease); nothing is waited for.
+            # The duration is part of the test (less than Zenoh's lease); it does not wait for anything.
             time.sleep(5)
             two.thaw()
-            assert inbox.take(len(messages)) == messages
+            assert collector.take(len(messages)) == messages
     finally:
         two.thaw()
-        paced(0)
-    assert (one.log() + two.log()).count("linked with") == 2, "it was one link throughout"
+        limit_rate(0)
+    assert (one.log() + two.log()).count("linked with") == 2, "the link was never replaced"
 
 
-def paced(bytes_per_s: int) -> None:
-    """Both radios send so fast; 0: as fast as the emulation goes."""
+def limit_rate(bytes_per_s: int) -> None:
+    """Limits the rate of both radios; 0: as fast as the emulation."""
     for adapter in ("hci0", "hci1"):
         guest("room", "pace", adapter, str(bytes_per_s))
 
 
-@pytest.mark.parametrize(("who", "away_s"), [("listener", 0.3), ("listener", 10), ("dialler", 0.3), ("dialler", 10)])
-def test_a_killed_peer_is_linked_again_when_it_is_back(robots, who, away_s):
+@pytest.mark.parametrize(("side", "away_s"), [("listener", 0.3), ("listener", 10), ("dialler", 0.3), ("dialler", 10)])
+def test_reconnects_after_peer_restart(robots, side, away_s):
     listener, dialler = pair(robots)
-    gone, stays = (listener, dialler) if who == "listener" else (dialler, listener)
-    with stays.session() as there:
-        gone.kill()
-        wait_until("the end is noticed", 30, lambda: not stays.ble_links())
-        # How long it is away is what this test is about; nothing is waited for.
+    stopped, other = (listener, dialler) if side == "listener" else (dialler, listener)
+    with other.session() as there:
+        stopped.kill()
+        wait_until("the end is detected", 30, lambda: not other.ble_links())
+        # The duration is part of the test; it does not wait for anything.
         time.sleep(away_s)
         restarted = time.monotonic()
-        gone.start()
+        stopped.start()
         up_s = time.monotonic() - restarted
-        with gone.session() as here:
-            Inbox(there, "rect/again", here).close()
+        with stopped.session() as here:
+            Collector(there, "rect/again", here).close()
             message_s = time.monotonic() - restarted
-            print(f"the {who} is up {up_s:.2f} s after its restart, its first message there at {message_s:.2f} s")
+            print(f"the {side} is up {up_s:.2f} s after its restart; its first message arrived after {message_s:.2f} s")
 
 
-def test_a_link_lost_without_a_word_is_made_again(robots):
+def test_reconnects_after_supervision_timeout(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/again", here)
+        collector = Collector(there, "rect/again", here)
         for _ in range(3):
             links = one.log().count("linked with")
             guest("room", "drop", "hci0")
             took = wait_until("the two are linked again", 30, lambda n=links: one.log().count("linked with") > n)
-            reached = inbox.wait_until_reached(here)
+            reached = collector.wait_until_reached(here)
             print(f"linked again {took:.2f} s after the loss, first message {reached:.2f} s later")
 
 
-def test_an_adapter_switched_off_and_on_is_linked_again(robots):
+def test_reconnects_after_adapter_power_cycle(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/again", here)
+        collector = Collector(there, "rect/again", here)
         power("hci0", "off")
-        wait_until("the end is noticed", 30, lambda: not one.ble_links() and not two.ble_links())
+        wait_until("the end is detected", 30, lambda: not one.ble_links() and not two.ble_links())
         power("hci0", "on")
-        print(f"first message {inbox.wait_until_reached(here):.2f} s after the adapter was on")
+        print(f"first message {collector.wait_until_reached(here):.2f} s after the adapter was on")
 
 
-def test_a_scan_lists_who_listens(robots):
+def test_scan_lists_listening_robots(robots):
     (one,) = robots(1)
     one.start([], ble_options=";fleet=lions")
     command = [os.environ["RECT_ROUTER"], "scan", "--adapter", "hci1", "--seconds", "5", "--fleet", "lions", "--json"]
     scan = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert scan.returncode == 0, scan.stderr
-    (heard,) = json.loads(scan.stdout)
-    assert heard["address"] == guest("adapter", "address", "hci0")
-    assert (heard["name"], heard["fleet"]) == (one.name, "lions")
+    (robot,) = json.loads(scan.stdout)
+    assert robot["address"] == guest("adapter", "address", "hci0")
+    assert (robot["name"], robot["fleet"]) == (one.name, "lions")
 
 
-def test_adapters_that_come_back_under_other_numbers_are_linked_again(robots):
+def test_reconnects_after_adapters_are_renumbered(robots):
     one, two = pair(robots)
     addresses = [guest("adapter", "address", f"hci{n}") for n in range(2)]
     with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/again", here)
+        collector = Collector(there, "rect/again", here)
         try:
             for name, address in zip(guest("room", "swap", "hci0", "hci1").split(), addresses, strict=True):
                 guest("adapter", "wait", name)
                 assert guest("adapter", "address", name) == address
-            print(f"first message {inbox.wait_until_reached(here):.2f} s after both adapters were on")
+            print(f"first message {collector.wait_until_reached(here):.2f} s after both adapters were on")
         finally:
             guest("room", "swap", "hci0", "hci1")
 
 
-def test_a_computer_that_slept_is_linked_again(robots):
+def test_reconnects_after_suspend(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/again", here)
-        # The kernel tells Bluetooth to go to sleep, freezes all processes for 5 s, and wakes everything up.
+        collector = Collector(there, "rect/again", here)
+        # The kernel suspends Bluetooth, freezes all processes for 5 s, and resumes everything.
         Path("/sys/power/pm_test").write_text("freezer")
         Path("/sys/power/state").write_text("freeze")
-        print(f"first message {inbox.wait_until_reached(here):.2f} s after the sleep")
+        print(f"first message {collector.wait_until_reached(here):.2f} s after the sleep")
 
 
-def test_a_clock_that_is_set_leaves_the_link_alone(robots):
+def test_clock_change_does_not_affect_the_link(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/again", here)
+        collector = Collector(there, "rect/again", here)
         now = time.time()
         try:
             for years in (10, -1):
                 time.clock_settime(time.CLOCK_REALTIME, now + years * 365 * 86400)
-                inbox.wait_until_reached(here)
+                collector.wait_until_reached(here)
         finally:
             time.clock_settime(time.CLOCK_REALTIME, now)
         assert one.log().count("linked with") == 1, "still the first link"
 
 
-def test_a_router_that_may_asks_for_a_connections_timing(robots):
+def test_router_with_permission_sets_the_connection_timing(robots):
     folder = Path("/sys/kernel/debug/bluetooth/hci0")
-    figures = {"conn_min_interval": 24, "conn_max_interval": 40, "supervision_timeout": 42}
-    # Linux's own; the longest interval first, as it may not be under the shortest.
-    for name in sorted(figures):
-        (folder / name).write_text(str(figures[name]))
+    defaults = {"conn_min_interval": 24, "conn_max_interval": 40, "supervision_timeout": 42}
+    # The defaults of Linux. The maximum interval comes first, because it must not be below the minimum.
+    for name in sorted(defaults):
+        (folder / name).write_text(str(defaults[name]))
     pair(robots)
-    assert [int((folder / name).read_text()) for name in figures] == [6, 12, 200]
+    assert [int((folder / name).read_text()) for name in defaults] == [6, 12, 200]
 
 
-def test_bluetoothd_killed_while_linked_leaves_the_link_alone_and_a_later_one_possible(robots):
+def test_link_survives_bluetoothd_restart_and_reconnects(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
-        inbox = Inbox(there, "rect/again", here)
+        collector = Collector(there, "rect/again", here)
         guest("bluetoothd", "kill")
         start_bluetoothd()
-        inbox.wait_until_reached(here)
+        collector.wait_until_reached(here)
         two.kill()
-        wait_until("the end is noticed", 30, lambda: not one.ble_links())
+        wait_until("the end is detected", 30, lambda: not one.ble_links())
         two.start()
         wait_until("the two are linked again", 60, lambda: linked(one, two))
 
 
-def test_bluetoothd_killed_while_idle_is_no_end_of_listening_nor_of_dialling(robots):
+def test_listens_and_dials_after_bluetoothd_restart(robots):
     one, two = robots(2)
     one.start([])
     two.start(["ble/nobody"])
@@ -241,7 +241,7 @@ def test_bluetoothd_killed_while_idle_is_no_end_of_listening_nor_of_dialling(rob
     wait_until("the two are linked", 60, lambda: linked(one, two))
 
 
-def test_two_robots_that_dial_each_other_at_once_end_as_one_link(robots):
+def test_two_robots_that_dial_each_other_make_one_link(robots):
     one, two = robots(2)
     for _ in range(5):
         one.start([f"ble/{two.name}"], wait=False)
@@ -249,25 +249,25 @@ def test_two_robots_that_dial_each_other_at_once_end_as_one_link(robots):
         one.wait_until_up()
         wait_until("the two are linked", 30, lambda: linked(one, two))
         with one.session() as here, two.session() as there:
-            Inbox(there, "rect/once", here).close()
-            Inbox(here, "rect/back", there).close()
+            Collector(there, "rect/once", here).close()
+            Collector(here, "rect/back", there).close()
         assert linked(one, two), "still one link"
         one.kill()
         two.kill()
 
 
-def test_a_name_nobody_advertises_keeps_the_router_running(robots):
+def test_router_keeps_running_without_the_dialled_peer(robots):
     (one,) = robots(1)
     one.start(["ble/nobody"])
     with one.session() as here, one.session() as there:
-        Inbox(there, "rect/local", here).close()
+        Collector(there, "rect/local", here).close()
 
 
-def test_an_adapter_that_is_missing_or_off_ends_the_router_with_its_reason(robots, tmp_path):
+def test_router_reports_a_missing_or_disabled_adapter(robots, tmp_path):
     missing = Robot("wombat-9", "hci9", tmp_path / "missing.log")
     with pytest.raises(RobotError):
         missing.start([])
-    assert "there is no bluetooth adapter hci9: there is hci0, hci1" in missing.log()
+    assert "there is no bluetooth adapter hci9: available adapters: hci0, hci1" in missing.log()
     power("hci1", "off")
     off = Robot("wombat-8", "hci1", tmp_path / "off.log")
     with pytest.raises(RobotError):
@@ -276,19 +276,19 @@ def test_an_adapter_that_is_missing_or_off_ends_the_router_with_its_reason(robot
     assert "hci1 is switched off: run `bluetoothctl power on`" in off.log()
 
 
-def test_a_second_router_of_the_same_name_ends_with_its_reason(robots, tmp_path):
+def test_second_router_with_the_same_name_reports_the_conflict(robots, tmp_path):
     (one,) = robots(1)
     one.start([])
-    twin = Robot(one.name, "hci1", tmp_path / "twin.log")
+    duplicate = Robot(one.name, "hci1", tmp_path / "duplicate.log")
     with pytest.raises(RobotError):
-        twin.start([])
-        wait_until("the twin ends", 10, lambda: twin.ended())
+        duplicate.start([])
+        wait_until("the duplicate ends", 10, lambda: duplicate.ended())
         raise RobotError
-    assert "give one of the two another name=" in twin.log()
+    assert "give one of the two another name=" in duplicate.log()
     assert one.ble_links() == []
 
 
-def test_no_bluetoothd_ends_the_router_with_its_reason(robots):
+def test_router_reports_missing_bluetoothd(robots):
     (one,) = robots(1)
     guest("bluetoothd", "stop")
     try:
@@ -299,12 +299,12 @@ def test_no_bluetoothd_ends_the_router_with_its_reason(robots):
         start_bluetoothd()
 
 
-FORBIDDEN = """<busconfig><policy user="nobody"><deny send_destination="org.bluez"/></policy></busconfig>"""
+DENY_BLUEZ_POLICY = """<busconfig><policy user="nobody"><deny send_destination="org.bluez"/></policy></busconfig>"""
 
 
-def test_a_user_who_may_not_use_bluetooth_is_told_how_to_be_let_in():
+def test_router_advises_a_user_without_permission():
     policy = Path("/etc/dbus-1/system.d/forbidden.conf")
-    policy.write_text(FORBIDDEN)
+    policy.write_text(DENY_BLUEZ_POLICY)
     reload = [
         "dbus-send",
         "--system",
@@ -315,7 +315,7 @@ def test_a_user_who_may_not_use_bluetooth_is_told_how_to_be_let_in():
     ]
     guest(*reload)
     try:
-        # Where this user can read it.
+        # A copy in a folder that this user can read.
         router = shutil.copy(os.environ["RECT_ROUTER"], "/tmp/router-of-nobody")
         command = ["setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", router, "-l", "ble/hci0#name=x"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)

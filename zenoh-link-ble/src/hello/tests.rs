@@ -1,4 +1,4 @@
-//! `cargo test -p zenoh-link-ble --lib hello`
+//! Tests the messages of the handshake: `cargo test -p zenoh-link-ble --lib hello`
 use super::*;
 
 fn hello(name: &str) -> Hello {
@@ -19,8 +19,8 @@ fn hello_with_nonce() -> Hello {
     }
 }
 
-fn challenge() -> Opening {
-    Opening::Challenge(Challenge {
+fn challenge() -> HandshakeMessage {
+    HandshakeMessage::Challenge(Challenge {
         node: NodeId(0x0123_4567_89ab_cdef),
         nonce: [7; NONCE_BYTES],
         proof: [8; PROOF_BYTES],
@@ -28,88 +28,100 @@ fn challenge() -> Opening {
 }
 
 #[test]
-fn every_opening_reads_back_as_it_was_written() {
+fn every_message_decodes_to_what_was_encoded() {
     let longest = "x".repeat(MAX_NAME);
-    for opening in [
-        Opening::Hello(hello("wombat-1")),
-        Opening::Hello(hello("")),
-        Opening::Accept(hello(&longest)),
-        Opening::Refuse(Refusal::Crossing),
-        Opening::Refuse(Refusal::Secret),
-        Opening::Refuse(Refusal::Other(200)),
-        Opening::Hello(hello_with_nonce()),
+    for message in [
+        HandshakeMessage::Hello(hello("wombat-1")),
+        HandshakeMessage::Hello(hello("")),
+        HandshakeMessage::Accept(hello(&longest)),
+        HandshakeMessage::Refuse(Refusal::Crossing),
+        HandshakeMessage::Refuse(Refusal::Secret),
+        HandshakeMessage::Refuse(Refusal::Other(200)),
+        HandshakeMessage::Hello(hello_with_nonce()),
         challenge(),
-        Opening::Proof([9; PROOF_BYTES]),
+        HandshakeMessage::Proof([9; PROOF_BYTES]),
     ] {
-        assert_eq!(Opening::decode(&opening.encode()), Ok(opening));
+        assert_eq!(HandshakeMessage::decode(&message.encode()), Ok(message));
     }
 }
 
 #[test]
-fn the_layout_is_the_documented_one() {
-    let sdu = Opening::Hello(hello("ab")).encode();
+fn layout_is_as_documented() {
+    let sdu = HandshakeMessage::Hello(hello("ab")).encode();
     assert_eq!(
         sdu,
         b"RECT\x01\x01\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\xe0\x2e\x02ab"
     );
-    let with_nonce = Opening::Hello(hello_with_nonce()).encode();
+    let with_nonce = HandshakeMessage::Hello(hello_with_nonce()).encode();
     assert_eq!(with_nonce, [&sdu[..], b"S", &[5; 16]].concat());
     let node = b"\xef\xcd\xab\x89\x67\x45\x23\x01";
     let expected = [&b"RECT\x04\x01"[..], node, &[7; 16], &[8; 16]].concat();
     assert_eq!(challenge().encode(), expected);
-    let proof = Opening::Proof([9; PROOF_BYTES]).encode();
+    let proof = HandshakeMessage::Proof([9; PROOF_BYTES]).encode();
     assert_eq!(proof, [&b"RECT\x05\x01"[..], &[9; 16]].concat());
 }
 
 #[test]
-fn half_a_hello_is_refused_at_every_length() {
-    for opening in [
-        Opening::Hello(hello("wombat-1")),
+fn truncated_message_is_rejected_at_every_length() {
+    for message in [
+        HandshakeMessage::Hello(hello("wombat-1")),
         challenge(),
-        Opening::Proof([9; PROOF_BYTES]),
+        HandshakeMessage::Proof([9; PROOF_BYTES]),
     ] {
-        let sdu = opening.encode();
+        let sdu = message.encode();
         for length in 0..sdu.len() {
-            assert!(Opening::decode(&sdu[..length]).is_err(), "{length} bytes");
+            assert!(
+                HandshakeMessage::decode(&sdu[..length]).is_err(),
+                "{length} bytes"
+            );
         }
     }
 }
 
 #[test]
 fn fields_of_a_later_version_are_ignored() {
-    let mut sdu = Opening::Hello(hello("wombat-1")).encode();
+    let mut sdu = HandshakeMessage::Hello(hello("wombat-1")).encode();
     sdu.extend_from_slice(&[9; 20]);
-    assert_eq!(Opening::decode(&sdu), Ok(Opening::Hello(hello("wombat-1"))));
+    assert_eq!(
+        HandshakeMessage::decode(&sdu),
+        Ok(HandshakeMessage::Hello(hello("wombat-1")))
+    );
     sdu.resize(MAX_SIZE + 1, 9);
     assert_eq!(
-        Opening::decode(&sdu),
-        Err(OpeningError::Length(MAX_SIZE + 1))
+        HandshakeMessage::decode(&sdu),
+        Err(HandshakeMessageError::Length(MAX_SIZE + 1))
     );
 }
 
 #[test]
-fn wrong_fields_are_named() {
-    let good = Opening::Hello(hello("ab")).encode();
+fn invalid_fields_are_reported() {
+    let good = HandshakeMessage::Hello(hello("ab")).encode();
     let with = |at: usize, byte: u8| {
         let mut sdu = good.clone();
         sdu[at] = byte;
-        Opening::decode(&sdu)
+        HandshakeMessage::decode(&sdu)
     };
-    assert_eq!(with(0, b'X'), Err(OpeningError::NotAHello));
-    assert_eq!(with(4, 9), Err(OpeningError::Kind(9)));
-    assert_eq!(with(5, 0), Err(OpeningError::Version));
+    assert_eq!(with(0, b'X'), Err(HandshakeMessageError::NotAHello));
+    assert_eq!(with(4, 9), Err(HandshakeMessageError::Kind(9)));
+    assert_eq!(with(5, 0), Err(HandshakeMessageError::Version));
     let mut small = good.clone();
     small[14..16].copy_from_slice(&127u16.to_le_bytes());
-    assert_eq!(Opening::decode(&small), Err(OpeningError::Mtu(127)));
+    assert_eq!(
+        HandshakeMessage::decode(&small),
+        Err(HandshakeMessageError::Mtu(127))
+    );
     let mut small = good.clone();
     small[16..18].copy_from_slice(&511u16.to_le_bytes());
-    assert_eq!(Opening::decode(&small), Err(OpeningError::Window(511)));
-    assert_eq!(with(18, 30), Err(OpeningError::Name));
-    assert_eq!(with(19, 0xff), Err(OpeningError::Name));
+    assert_eq!(
+        HandshakeMessage::decode(&small),
+        Err(HandshakeMessageError::Window(511))
+    );
+    assert_eq!(with(18, 30), Err(HandshakeMessageError::Name));
+    assert_eq!(with(19, 0xff), Err(HandshakeMessageError::Name));
 }
 
 #[test]
-fn no_zenoh_init_begins_like_a_hello() {
+fn zenoh_init_never_begins_like_a_hello() {
     for flags in 0..8u8 {
         assert_ne!(flags << 5 | 0x01, MAGIC[0]);
     }

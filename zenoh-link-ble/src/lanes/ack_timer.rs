@@ -1,8 +1,9 @@
-//! Notices a peer that has stopped acknowledging.
+//! Detects a peer that has stopped acknowledging.
 //!
 //! A receiver acknowledges once it has taken [`credits::ack_due_bytes`](super::credits::ack_due_bytes). If at least that
 //! much is unacknowledged for [`ACK_TIMEOUT`] and no acknowledgement arrives, the peer does not read, or does not follow
-//! the protocol. What is sent meanwhile makes no difference: Zenoh's keep-alives go on whatever the peer does.
+//! the protocol. SDUs that are sent meanwhile do not restart the timer, because Zenoh sends keep-alives regardless of the
+//! peer.
 use std::time::{Duration, Instant};
 
 use super::credits::ack_due_bytes;
@@ -47,7 +48,7 @@ impl AckTimer {
         self.since = None;
     }
 
-    /// Returns when the link ends unless an acknowledgement arrives; `None` if none is due.
+    /// Returns when the link ends unless an acknowledgement arrives, or `None` if none is due.
     pub fn deadline(&self) -> Option<Instant> {
         self.since.map(|since| since + ACK_TIMEOUT)
     }
@@ -61,7 +62,7 @@ mod tests {
     const SECOND: Duration = Duration::from_secs(1);
 
     #[test]
-    fn fires_although_more_is_sent() {
+    fn expires_although_more_is_sent() {
         let (mut timer, start) = (AckTimer::new(WINDOW), Instant::now());
         timer.on_sent(511, start);
         assert_eq!(timer.deadline(), None, "no acknowledgement is due yet");
@@ -72,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn progress_restarts_or_ends_it_and_a_repeated_acknowledgement_does_not() {
+    fn new_acknowledgement_restarts_or_stops_the_timer_and_a_repeated_one_does_not() {
         let (mut timer, start) = (AckTimer::new(WINDOW), Instant::now());
         timer.on_sent(2000, start);
         timer.on_ack(0, 2000, start + SECOND);
@@ -84,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_window_is_acknowledged_by_quarters() {
+    fn small_window_is_acknowledged_in_quarters() {
         let (mut timer, start) = (AckTimer::new(1000), Instant::now());
         timer.on_sent(249, start);
         assert_eq!(timer.deadline(), None);

@@ -1,33 +1,35 @@
-//! Decides when a lane takes another message: the time that the messages on a lane wait to be sent is bounded, so that a
-//! flood of small messages does not delay the next message of its priority for minutes.
+//! Decides when a lane accepts another message. The time that the messages on a lane wait to be sent is bounded, so that a
+//! flood of small messages does not delay the next message of the same priority for minutes.
 //!
-//! A message of more than [`LARGE_MESSAGE_BYTES`] that must arrive is exempt: all its pieces are taken at once, because
-//! Zenoh closes a link that does not take a message within `wait_before_close`. What the lanes hold altogether has a bound
-//! in bytes besides (`scheduler`).
+//! A message of more than [`LARGE_MESSAGE_BYTES`] that must arrive is exempt: all its fragments are accepted at once,
+//! because Zenoh closes a link that does not accept a message within `wait_before_close`. In addition, `scheduler` bounds
+//! the number of bytes on all lanes together.
 use std::time::{Duration, Instant};
 
-use super::piece::Piece;
+use super::batch_kind::BatchKind;
 
 /// Size above which a message is large, in bytes.
 pub const LARGE_MESSAGE_BYTES: usize = 65_536;
-/// Bytes that may wait on a lane however slow the link is: enough to keep the radio busy.
-pub const LEAST_BYTES: usize = 8_192;
-/// The rate of a link that has not been measured yet, in bytes per second: that of a slow radio.
-pub const UNMEASURED_BYTES_PER_S: f64 = 34_000.0;
-/// Time after which a lane on which nothing moves takes one more batch of whole messages. Without it a message behind a
-/// large one, or on a lane that the peer has stopped, would wait longer than Zenoh's `wait_before_close`, and Zenoh would
-/// close the link.
-pub const BATCH_PATIENCE: Duration = Duration::from_secs(2);
-/// The same for a message of several batches, which may bring up to [`LARGE_MESSAGE_BYTES`].
-pub const MESSAGE_PATIENCE: Duration = Duration::from_secs(20);
+/// Number of bytes that may wait on a lane even if the link is slow: enough to keep the radio busy.
+pub const MIN_LIMIT_BYTES: usize = 8_192;
+/// Assumed rate of a link that has not been measured yet, in bytes per second: that of a slow radio.
+pub const DEFAULT_RATE_BYTES_PER_S: f64 = 34_000.0;
+/// Time after which a lane without progress accepts one more batch of whole messages. Without this limit, a message behind
+/// a large one, or on a lane that the peer has stopped, would wait longer than Zenoh's `wait_before_close`, and Zenoh
+/// would close the link.
+pub const BATCH_STALL_TIMEOUT: Duration = Duration::from_secs(2);
+/// Time after which a lane without progress accepts a message of several fragments, which may add up to
+/// [`LARGE_MESSAGE_BYTES`].
+pub const MESSAGE_STALL_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Returns how many bytes may wait on a lane so that a link of that rate sends them within `time`.
+/// Returns how many bytes may wait on a lane so that a link with that rate sends them within `time`; at least
+/// [`MIN_LIMIT_BYTES`].
 pub fn limit_bytes(rate_bytes_per_s: Option<f64>, time: Duration) -> usize {
-    let rate = rate_bytes_per_s.unwrap_or(UNMEASURED_BYTES_PER_S);
-    ((rate * time.as_secs_f64()) as usize).max(LEAST_BYTES)
+    let rate = rate_bytes_per_s.unwrap_or(DEFAULT_RATE_BYTES_PER_S);
+    ((rate * time.as_secs_f64()) as usize).max(MIN_LIMIT_BYTES)
 }
 
-/// The message whose pieces a lane takes at the moment.
+/// The message whose fragments a lane is accepting.
 #[derive(Clone, Copy, Debug, Default)]
 struct Message {
     bytes: usize,
@@ -40,53 +42,60 @@ impl Message {
     }
 }
 
-/// How a piece that was taken counts towards the limit.
+/// How an accepted batch counts towards the limit of its lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Counting {
-    /// It counts until it is sent.
+    /// The batch counts until it is sent.
     Counts,
-    /// It does not count, and neither do the earlier pieces of its message any more: the message has just become large.
+    /// The batch does not count. Its message has just become large, so that its earlier fragments do not count any more
+    /// either.
     ExemptsMessage,
-    /// It does not count: its message is large.
+    /// The batch does not count, because its message is large.
     Exempt,
 }
 
-/// The bytes that wait on a lane and count towards its limit.
+/// Counts the bytes that wait on a lane and count towards its limit.
 #[derive(Debug, Default)]
 pub struct Backlog {
     bytes: usize,
     message: Message,
-    /// When the lane last took a piece, or sent one that counts.
-    moved: Option<Instant>,
+    /// When the lane last accepted a batch, or sent one that counts.
+    last_progress: Option<Instant>,
 }
 
 impl Backlog {
-    /// Bytes that wait and count.
+    /// Returns the number of waiting bytes that count.
     pub fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// Returns whether a message that must arrive may begin.
-    pub fn has_room(&self, limit_bytes: usize) -> bool {
-        self.bytes < limit_bytes
+    /// Returns whether the lane has room for a batch of a message that must arrive. A message of several fragments brings up
+    /// to [`LARGE_MESSAGE_BYTES`] once its first fragment is accepted, so it begins only when few bytes wait.
+    pub fn has_room(&self, kind: BatchKind, limit_bytes: usize) -> bool {
+        match kind {
+            BatchKind::NextFragment => true,
+            BatchKind::Whole { .. } => self.bytes < limit_bytes,
+            BatchKind::FirstFragment { .. } => self.bytes < MIN_LIMIT_BYTES,
+        }
     }
 
-    /// Returns when the lane takes that piece although it has no room for it.
-    pub fn overdue_at(&self, piece: Piece) -> Option<Instant> {
-        let patience = match piece {
-            Piece::Whole { .. } => BATCH_PATIENCE,
-            Piece::First { .. } => MESSAGE_PATIENCE,
-            Piece::Next => Duration::ZERO,
+    /// Returns when the lane accepts a batch of that kind even without room for it.
+    pub fn overdue_at(&self, kind: BatchKind) -> Option<Instant> {
+        let timeout = match kind {
+            BatchKind::Whole { .. } => BATCH_STALL_TIMEOUT,
+            BatchKind::FirstFragment { .. } => MESSAGE_STALL_TIMEOUT,
+            BatchKind::NextFragment => Duration::ZERO,
         };
-        self.moved.map(|moved| moved + patience)
+        self.last_progress
+            .map(|last_progress| last_progress + timeout)
     }
 
-    /// Counts a piece of that many bytes that the lane has taken.
-    pub fn on_taken(&mut self, piece: Piece, bytes: usize, now: Instant) -> Counting {
-        self.moved = Some(now);
-        let was_exempt = match piece {
-            Piece::Next => self.message.is_exempt(),
-            Piece::Whole { is_droppable } | Piece::First { is_droppable } => {
+    /// Counts a batch of `bytes` bytes that the lane has accepted.
+    pub fn on_accepted(&mut self, kind: BatchKind, bytes: usize, now: Instant) -> Counting {
+        self.last_progress = Some(now);
+        let was_exempt = match kind {
+            BatchKind::NextFragment => self.message.is_exempt(),
+            BatchKind::Whole { is_droppable } | BatchKind::FirstFragment { is_droppable } => {
                 self.message = Message {
                     bytes: 0,
                     is_droppable,
@@ -95,8 +104,8 @@ impl Backlog {
             }
         };
         self.message.bytes += bytes;
-        // Several whole messages in one batch are small ones.
-        let is_exempt = self.message.is_exempt() && !matches!(piece, Piece::Whole { .. });
+        // If a batch contains several whole messages, they are small.
+        let is_exempt = self.message.is_exempt() && !matches!(kind, BatchKind::Whole { .. });
         match (was_exempt, is_exempt) {
             (false, false) => {
                 self.bytes += bytes;
@@ -107,15 +116,15 @@ impl Backlog {
         }
     }
 
-    /// Stops counting a piece that has become part of a large message, or was taken back.
-    pub fn on_discounted(&mut self, bytes: usize) {
+    /// Stops counting a batch that has become part of a large message, or was withdrawn.
+    pub fn on_exempted(&mut self, bytes: usize) {
         self.bytes = self.bytes.saturating_sub(bytes);
     }
 
-    /// Stops counting a piece that was sent.
+    /// Stops counting a batch that was sent.
     pub fn on_sent(&mut self, bytes: usize, now: Instant) {
-        self.on_discounted(bytes);
-        self.moved = Some(now);
+        self.on_exempted(bytes);
+        self.last_progress = Some(now);
     }
 }
 
@@ -123,10 +132,10 @@ impl Backlog {
 mod tests {
     use super::*;
 
-    const WHOLE: Piece = Piece::Whole {
+    const WHOLE: BatchKind = BatchKind::Whole {
         is_droppable: false,
     };
-    const FIRST: Piece = Piece::First {
+    const FIRST: BatchKind = BatchKind::FirstFragment {
         is_droppable: false,
     };
 
@@ -135,43 +144,69 @@ mod tests {
         let half = Duration::from_millis(500);
         assert_eq!(limit_bytes(Some(34_000.0), half), 17_000);
         assert_eq!(limit_bytes(Some(1_000_000.0), half), 500_000);
-        assert_eq!(limit_bytes(Some(2_000.0), half), LEAST_BYTES);
-        assert_eq!(limit_bytes(Some(0.0), half), LEAST_BYTES);
+        assert_eq!(limit_bytes(Some(2_000.0), half), MIN_LIMIT_BYTES);
+        assert_eq!(limit_bytes(Some(0.0), half), MIN_LIMIT_BYTES);
         assert_eq!(limit_bytes(None, half), 17_000);
     }
 
     #[test]
     fn message_counts_until_it_becomes_large() {
         let (mut backlog, now) = (Backlog::default(), Instant::now());
-        assert_eq!(backlog.on_taken(FIRST, 40_000, now), Counting::Counts);
-        assert_eq!(backlog.on_taken(Piece::Next, 25_536, now), Counting::Counts);
+        assert_eq!(backlog.on_accepted(FIRST, 40_000, now), Counting::Counts);
+        assert_eq!(
+            backlog.on_accepted(BatchKind::NextFragment, 25_536, now),
+            Counting::Counts
+        );
         assert_eq!(backlog.bytes(), LARGE_MESSAGE_BYTES);
-        let crossing = backlog.on_taken(Piece::Next, 1, now);
+        let crossing = backlog.on_accepted(BatchKind::NextFragment, 1, now);
         assert_eq!(crossing, Counting::ExemptsMessage);
-        backlog.on_discounted(LARGE_MESSAGE_BYTES);
-        assert_eq!(backlog.on_taken(Piece::Next, 700, now), Counting::Exempt);
+        backlog.on_exempted(LARGE_MESSAGE_BYTES);
+        assert_eq!(
+            backlog.on_accepted(BatchKind::NextFragment, 700, now),
+            Counting::Exempt
+        );
         assert_eq!(backlog.bytes(), 0);
-        assert_eq!(backlog.on_taken(WHOLE, 700, now), Counting::Counts);
+        assert_eq!(backlog.on_accepted(WHOLE, 700, now), Counting::Counts);
+    }
+
+    #[test]
+    fn fragmented_message_begins_only_when_few_bytes_wait() {
+        let (mut backlog, now) = (Backlog::default(), Instant::now());
+        let limit_bytes = 34_000;
+        backlog.on_accepted(WHOLE, MIN_LIMIT_BYTES - 1, now);
+        assert!(backlog.has_room(FIRST, limit_bytes));
+        backlog.on_accepted(WHOLE, 1, now);
+        assert!(!backlog.has_room(FIRST, limit_bytes));
+        assert!(backlog.has_room(BatchKind::NextFragment, limit_bytes));
+        assert!(backlog.has_room(WHOLE, limit_bytes));
+        backlog.on_accepted(WHOLE, limit_bytes - MIN_LIMIT_BYTES, now);
+        assert!(!backlog.has_room(WHOLE, limit_bytes));
     }
 
     #[test]
     fn large_droppable_message_counts() {
         let (mut backlog, now) = (Backlog::default(), Instant::now());
         let is_droppable = true;
-        let first = Piece::First { is_droppable };
-        assert_eq!(backlog.on_taken(first, 60_000, now), Counting::Counts);
-        assert_eq!(backlog.on_taken(Piece::Next, 60_000, now), Counting::Counts);
+        let first = BatchKind::FirstFragment { is_droppable };
+        assert_eq!(backlog.on_accepted(first, 60_000, now), Counting::Counts);
+        assert_eq!(
+            backlog.on_accepted(BatchKind::NextFragment, 60_000, now),
+            Counting::Counts
+        );
     }
 
     #[test]
-    fn piece_is_overdue_some_time_after_the_last_movement() {
+    fn batch_is_overdue_some_time_after_the_last_progress() {
         let (mut backlog, start) = (Backlog::default(), Instant::now());
-        assert_eq!(backlog.overdue_at(WHOLE), None, "nothing has waited yet");
-        backlog.on_taken(WHOLE, 700, start);
-        assert_eq!(backlog.overdue_at(WHOLE), Some(start + BATCH_PATIENCE));
-        assert_eq!(backlog.overdue_at(FIRST), Some(start + MESSAGE_PATIENCE));
+        assert_eq!(backlog.overdue_at(WHOLE), None, "nothing was accepted yet");
+        backlog.on_accepted(WHOLE, 700, start);
+        assert_eq!(backlog.overdue_at(WHOLE), Some(start + BATCH_STALL_TIMEOUT));
+        assert_eq!(
+            backlog.overdue_at(FIRST),
+            Some(start + MESSAGE_STALL_TIMEOUT)
+        );
         let later = start + Duration::from_secs(1);
         backlog.on_sent(700, later);
-        assert_eq!(backlog.overdue_at(WHOLE), Some(later + BATCH_PATIENCE));
+        assert_eq!(backlog.overdue_at(WHOLE), Some(later + BATCH_STALL_TIMEOUT));
     }
 }

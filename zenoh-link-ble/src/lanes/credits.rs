@@ -1,60 +1,63 @@
-//! Owns the credits of a link: how much may be on its way, so that the receiver's socket holds it even while nobody reads.
-//! Linux before 6.10 throws away what does not fit, without an error.
+//! Keeps track of the credits of a link: how many bytes may be in flight, so that they fit into the receiver's socket even
+//! if the receiver does not read. Linux before 6.10 discards what does not fit, without an error.
 //!
-//! The receiver's reader empties the socket at once and acknowledges what it took. Totals are counted, not differences,
-//! in bytes modulo 2^16: an acknowledgement that comes late changes nothing, and one that cannot be true is an error.
+//! The receiver empties its socket at once and acknowledges what it has read. An acknowledgement carries the total since the
+//! link began, in bytes modulo 2^16, rather than a difference. A late acknowledgement therefore changes nothing, and an
+//! impossible one is detected.
 
-/// Bytes that an SDU takes besides its own: a kernel's bookkeeping counts against a socket's buffer, and where the radio's
-/// packets are short (27 bytes) the shortest SDU takes as much of it as one of 23 bytes.
-pub const PER_SDU: u16 = 24;
-/// The largest window: totals are told apart within half of their range.
+/// Number of bytes that an SDU costs in addition to its batch. The kernel's bookkeeping counts against the buffer of the
+/// socket, and if the radio's packets are short (27 bytes), the shortest SDU occupies as much of it as one of 23 bytes.
+pub const SDU_OVERHEAD_BYTES: u16 = 24;
+/// The largest window, in bytes. Totals can be compared only within half of their range.
 pub const MAX_WINDOW: u16 = 16_384;
-/// The smallest window worth a link: two batches of Zenoh's handshake.
+/// The smallest window of a link, in bytes: two batches of Zenoh's handshake.
 pub const MIN_WINDOW: u16 = 512;
-/// The part of the window after which an acknowledgement is due at the latest, to keep the sender going.
-const PART: u16 = 4;
-/// Bytes after which one is worth it: each full SDU has its own, from which the sender learns how much to keep on its way
-/// (`flight`), and of small ones several share one. An acknowledgement takes 11 bytes of a packet that goes out anyway, and
-/// 12 of the other direction, where Linux returns its credit at once. (One for every other SDU carried 1 % more in the VM,
-/// but to keep the radio busy more has then to be on its way, which urgent messages wait for.)
+/// An acknowledgement is due at the latest when the window divided by this number was received, so that the sender can
+/// continue.
+const ACK_WINDOW_DIVISOR: u16 = 4;
+/// Number of bytes after which an acknowledgement is due. Each full SDU gets its own, from which the sender learns how many
+/// bytes to keep in flight (`flight`); several small SDUs share one. An acknowledgement takes 11 bytes of a packet that is
+/// sent anyway, and 12 bytes in the other direction, where Linux returns its credit at once. (One for every other SDU
+/// increased the throughput by 1 % in the VM, but keeping the radio busy then needs more bytes in flight, and urgent messages
+/// wait for those.)
 const ACK_BYTES: u16 = 512;
 
-/// What an SDU with a batch of that many bytes takes.
+/// Returns the cost in credits of an SDU with a batch of `bytes` bytes.
 pub fn cost(bytes: usize) -> u16 {
-    u16::try_from(bytes).map_or(u16::MAX, |bytes| bytes.saturating_add(PER_SDU))
+    u16::try_from(bytes).map_or(u16::MAX, |bytes| bytes.saturating_add(SDU_OVERHEAD_BYTES))
 }
 
-/// The window of a receiver that keeps so many bytes unread.
-pub fn window_of(kept_unread_bytes: usize) -> u16 {
-    let window = u16::try_from(kept_unread_bytes).unwrap_or(MAX_WINDOW);
+/// Returns the window of a receiver whose socket holds at least `kept_unread_bytes` unread bytes.
+pub fn window_of(receive_capacity_bytes: usize) -> u16 {
+    let window = u16::try_from(receive_capacity_bytes).unwrap_or(MAX_WINDOW);
     window.clamp(MIN_WINDOW, MAX_WINDOW)
 }
 
-/// The largest batch that never gets stuck on that window.
+/// Returns the size of the largest batch that can always be sent with that window, in bytes.
 pub fn largest_batch(window: u16) -> u16 {
-    window / 2 - PER_SDU
+    window / 2 - SDU_OVERHEAD_BYTES
 }
 
-/// Returns the bytes after which a receiver with that window acknowledges.
+/// Returns the number of bytes after which a receiver with that window acknowledges.
 pub fn ack_due_bytes(window: u16) -> u16 {
-    ACK_BYTES.min(window / PART)
+    ACK_BYTES.min(window / ACK_WINDOW_DIVISOR)
 }
 
-/// How the other side broke the rules of credits.
+/// A violation of the credits by the peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CreditError {
-    /// It sent more than it was allowed to.
+    /// The peer sent more than its credits allow.
     #[error("it sent more than its credits allow")]
     Overrun,
-    /// It acknowledged what was never sent.
-    #[error("it acknowledged what was never sent")]
-    NeverSent,
-    /// It took an acknowledgement back.
-    #[error("it took an acknowledgement back")]
-    TakenBack,
+    /// The peer acknowledged more than was sent.
+    #[error("it acknowledged more than was sent")]
+    ExceedsSent,
+    /// The peer acknowledged less than before.
+    #[error("it acknowledged less than before")]
+    Decreased,
 }
 
-/// The sender's side: what it may still send.
+/// The sender's side of the credits: what may still be sent.
 #[derive(Clone, Debug)]
 pub struct Allowance {
     window: u16,
@@ -63,7 +66,8 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// `window`: what the receiver told at the opening, in bytes.
+    /// Creates the allowance of a new link. `window` is what the receiver announced in the handshake, in bytes; at most
+    /// [`MAX_WINDOW`] of it is used.
     pub fn new(window: u16) -> Self {
         Self {
             window: window.min(MAX_WINDOW),
@@ -72,17 +76,20 @@ impl Allowance {
         }
     }
 
-    /// Whether the cost may be spent, and `reserve` is left over.
-    pub fn has(&self, cost: u16, reserve: u16) -> bool {
+    /// Returns whether `cost` can be spent so that at least `reserve` bytes remain.
+    pub fn can_spend(&self, cost: u16, reserve: u16) -> bool {
         self.window - self.unacknowledged() >= cost.saturating_add(reserve)
     }
 
-    /// Takes the cost off, after [`Allowance::has`] has said yes.
+    /// Spends `cost`. The caller has checked [`Allowance::can_spend`].
     pub fn spend(&mut self, cost: u16) {
         self.sent = self.sent.wrapping_add(cost);
     }
 
-    /// The receiver took `total` bytes since the link began. Tells how many of them are new.
+    /// Handles an acknowledgement of `total` bytes since the link began. Returns how many of them are new.
+    ///
+    /// # Errors
+    /// Fails if the peer cannot have received that total.
     pub fn on_ack(&mut self, total: u16) -> Result<u16, CreditError> {
         let new = total.wrapping_sub(self.acknowledged);
         if new <= self.unacknowledged() {
@@ -91,70 +98,73 @@ impl Allowance {
         }
         let is_ahead = total.wrapping_sub(self.sent) <= u16::MAX / 2;
         Err(match is_ahead {
-            true => CreditError::NeverSent,
-            false => CreditError::TakenBack,
+            true => CreditError::ExceedsSent,
+            false => CreditError::Decreased,
         })
     }
 
-    /// Bytes on their way, as far as is known.
+    /// Returns the number of bytes that were sent and not acknowledged yet.
     pub fn unacknowledged(&self) -> u16 {
         self.sent.wrapping_sub(self.acknowledged)
     }
 
-    /// Bytes sent since the link began.
+    /// Returns the number of bytes sent since the link began, modulo 2^16.
     pub fn sent(&self) -> u16 {
         self.sent
     }
 
-    /// The whole of it.
+    /// Returns the receiver's window, in bytes.
     pub fn window(&self) -> u16 {
         self.window
     }
 }
 
-/// The receiver's side: what it has taken, and told.
+/// The receiver's side of the credits: what was received and what was acknowledged.
 #[derive(Clone, Debug)]
 pub struct Acks {
     window: u16,
     received: u16,
-    told: u16,
+    acknowledged: u16,
 }
 
 impl Acks {
-    /// `window`: what this side told at the opening, in bytes.
+    /// Creates the counters of a new link. `window` is what this side announced in the handshake, in bytes.
     pub fn new(window: u16) -> Self {
         Self {
             window: window.min(MAX_WINDOW),
             received: 0,
-            told: 0,
+            acknowledged: 0,
         }
     }
 
-    /// An SDU of that cost was taken out of the socket.
+    /// Counts an SDU with that cost, which was read from the socket.
+    ///
+    /// # Errors
+    /// Fails if the peer has sent more than the window allows.
     pub fn on_received(&mut self, cost: u16) -> Result<(), CreditError> {
-        if self.untold().saturating_add(cost) > self.window {
+        if self.unacknowledged().saturating_add(cost) > self.window {
             return Err(CreditError::Overrun);
         }
         self.received = self.received.wrapping_add(cost);
         Ok(())
     }
 
-    /// The total to acknowledge, when it is worth it.
+    /// Returns the total to acknowledge, if an acknowledgement is due, and counts it as acknowledged.
     pub fn due(&mut self) -> Option<u16> {
         if !self.is_due() {
             return None;
         }
-        self.told = self.received;
-        Some(self.told)
+        self.acknowledged = self.received;
+        Some(self.acknowledged)
     }
 
-    /// Whether an acknowledgement is worth it.
+    /// Returns whether an acknowledgement is due.
     pub fn is_due(&self) -> bool {
-        self.untold() >= ack_due_bytes(self.window)
+        self.unacknowledged() >= ack_due_bytes(self.window)
     }
 
-    fn untold(&self) -> u16 {
-        self.received.wrapping_sub(self.told)
+    fn unacknowledged(&self) -> u16 {
+        self.received.wrapping_sub(self.acknowledged)
     }
 }
 
@@ -165,39 +175,46 @@ mod tests {
     const WINDOW: u16 = 12_000;
 
     #[test]
-    fn nothing_is_sent_beyond_the_window_until_some_of_it_is_acknowledged() {
+    fn sender_stops_at_the_window_until_an_acknowledgement_arrives() {
         let (mut allowance, mut acks) = (Allowance::new(WINDOW), Acks::new(WINDOW));
         let cost = cost(1000);
         let mut sent = 0;
-        while allowance.has(cost, 0) {
+        while allowance.can_spend(cost, 0) {
             allowance.spend(cost);
             acks.on_received(cost).expect("within the window");
             sent += 1;
         }
         assert_eq!(sent, WINDOW / cost);
-        let total = acks.due().expect("all is taken");
-        assert_eq!(acks.due(), None, "told once");
+        let total = acks.due().expect("an acknowledgement is due");
+        assert_eq!(acks.due(), None, "acknowledged once");
         assert_eq!(allowance.on_ack(total), Ok(sent * cost));
-        assert_eq!(allowance.on_ack(total), Ok(0), "the same again is no harm");
+        assert_eq!(
+            allowance.on_ack(total),
+            Ok(0),
+            "a repeated one changes nothing"
+        );
         assert_eq!(allowance.unacknowledged(), 0);
     }
 
     #[test]
-    fn a_window_over_the_largest_counts_as_the_largest() {
+    fn window_is_limited_to_the_largest() {
         assert_eq!(Allowance::new(u16::MAX).window(), MAX_WINDOW);
     }
 
     #[test]
-    fn totals_may_wrap_as_often_as_they_like() {
+    fn totals_may_wrap_any_number_of_times() {
         let (mut allowance, mut acks) = (Allowance::new(WINDOW), Acks::new(WINDOW));
         let mut sent: u32 = 0;
         for n in 0..10_000_usize {
             let cost = cost(n % 1000);
-            assert!(allowance.has(cost, 0), "sdu {n}: all before it were taken");
+            assert!(
+                allowance.can_spend(cost, 0),
+                "sdu {n}: all before it were received"
+            );
             allowance.spend(cost);
             acks.on_received(cost).expect("within the window");
             if let Some(total) = acks.due() {
-                allowance.on_ack(total).expect("true");
+                allowance.on_ack(total).expect("a valid total");
             }
             sent += u32::from(cost);
         }
@@ -205,32 +222,35 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_batch_never_gets_stuck_whatever_its_lane_leaves_to_others() {
+    fn largest_batch_can_always_be_sent_whatever_its_lane_reserves() {
         for window in [MIN_WINDOW, 4000, WINDOW, MAX_WINDOW] {
             let cost = cost(usize::from(largest_batch(window)));
             let (mut allowance, mut acks) = (Allowance::new(window), Acks::new(window));
             for n in 0..100 {
-                assert!(allowance.has(cost, window / 4 - 1), "{window}, sdu {n}");
+                assert!(
+                    allowance.can_spend(cost, window / 4 - 1),
+                    "{window}, sdu {n}"
+                );
                 allowance.spend(cost);
                 acks.on_received(cost).expect("within the window");
                 if let Some(total) = acks.due() {
-                    allowance.on_ack(total).expect("true");
+                    allowance.on_ack(total).expect("a valid total");
                 }
             }
         }
     }
 
     #[test]
-    fn a_peer_that_breaks_the_rules_is_found_out() {
+    fn credit_violations_are_detected() {
         let mut acks = Acks::new(1000);
         acks.on_received(600).expect("within the window");
         assert_eq!(acks.on_received(401), Err(CreditError::Overrun));
 
         let mut allowance = Allowance::new(1000);
         allowance.spend(600);
-        assert_eq!(allowance.on_ack(601), Err(CreditError::NeverSent));
+        assert_eq!(allowance.on_ack(601), Err(CreditError::ExceedsSent));
         assert_eq!(allowance.on_ack(500), Ok(500));
-        assert_eq!(allowance.on_ack(499), Err(CreditError::TakenBack));
+        assert_eq!(allowance.on_ack(499), Err(CreditError::Decreased));
         assert_eq!(allowance.unacknowledged(), 100);
     }
 }

@@ -1,9 +1,9 @@
-//! Owns what is on its way to the peer, and how much of it may be: enough to keep the radio busy and no more, since what
-//! was handed to the kernel and the controller cannot be overtaken any more.
+//! Keeps track of the bytes in flight to the peer and limits them: enough to keep the radio busy and no more, because
+//! urgent batches cannot overtake SDUs that were already handed to the kernel and the controller.
 //!
-//! How much that is shows in how long an SDU takes to its acknowledgement, in the best moment of a while: when even that
-//! one waited behind others, there was too much on the way. (It is the least, not the mean, because a radio works in
-//! connection events: what comes just before one is quick, however much the others wait.)
+//! The limit is adapted to the shortest time from an SDU to its acknowledgement within a round. If even that SDU waited
+//! behind others, too much was in flight. (The shortest time is used rather than the mean, because a radio works in
+//! connection events: an SDU that is sent just before one is fast, regardless of how long others wait.)
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
@@ -11,50 +11,52 @@ use std::{
 
 use super::{credits::ack_due_bytes, Lane, LANES};
 
-/// How long an SDU may wait behind others, in the best moment.
-const WAIT: Duration = Duration::from_millis(7);
-/// How long a best moment is looked for. Three of the connection intervals that BlueZ asks for.
+/// How long an SDU may wait behind others, measured on the fastest SDU of a round.
+const MAX_QUEUEING_DELAY: Duration = Duration::from_millis(7);
+/// The shortest duration of a round. Three of the connection intervals that BlueZ requests.
 const ROUND: Duration = Duration::from_millis(100);
-/// The fewest acknowledgements that a round is judged by.
-const ROUND_ACKS: u32 = 4;
-/// What of the limit is taken off when too much was on its way, as a divisor.
-const LESS: u16 = 4;
+/// The smallest number of acknowledgements in a round.
+const MIN_ROUND_ACKS: u32 = 4;
+/// Divisor that gives the part by which the limit is reduced when too much was in flight.
+const DECREASE_DIVISOR: u16 = 4;
 
+/// An SDU in flight.
 struct Sdu {
     lane: Lane,
     cost: u16,
-    /// Bytes sent since the link began, this one included.
+    /// Bytes sent since the link began, including this SDU, modulo 2^16.
     total: u16,
-    at: Instant,
+    sent_at: Instant,
 }
 
-/// What was seen since the limit was last thought over.
+/// The measurements since the limit was last adapted.
 struct Round {
     since: Instant,
     acks: u32,
-    least: Duration,
-    /// Something had to wait for the limit.
+    min_delay: Duration,
+    /// Whether something had to wait because of the limit.
     was_full: bool,
 }
 
-/// What was sent and not acknowledged yet.
+/// The SDUs that were sent and not acknowledged yet, and the limit of their bytes.
 pub struct Flight {
     sdus: VecDeque<Sdu>,
     costs: [u16; LANES],
     limit: u16,
-    /// Three of the largest SDUs: one on the air, one to follow it, one while an acknowledgement comes back. Never so
-    /// little that the sender waits for an acknowledgement before one is due.
+    /// The smallest limit, in bytes. Three of the largest SDUs: one on the air, one to follow it, and one while an
+    /// acknowledgement is returned. It is large enough that the sender never waits for an acknowledgement that is not due.
     floor: u16,
-    /// One of the largest SDUs.
+    /// Amount by which the limit is increased, in bytes: one of the largest SDUs.
     step: u16,
     window: u16,
-    /// What an SDU takes that waits for none.
-    base: Option<Duration>,
+    /// Delay of an SDU that waits behind no other.
+    base_delay: Option<Duration>,
     round: Option<Round>,
 }
 
 impl Flight {
-    /// `largest`: the cost of the largest SDU. `window`: the most that may be on its way, in bytes.
+    /// Creates the state of a new link. `largest` is the cost of the largest SDU, and `window` the most that may be in
+    /// flight, both in bytes.
     pub fn new(largest: u16, window: u16) -> Self {
         let until_acknowledged = ack_due_bytes(window).saturating_add(largest);
         let floor = largest.saturating_mul(3).max(until_acknowledged);
@@ -66,92 +68,96 @@ impl Flight {
             floor,
             step: largest,
             window,
-            base: None,
+            base_delay: None,
             round: None,
         }
     }
 
-    /// Whether something of that lane may go. What is less urgent and went before does not count.
+    /// Returns whether an SDU of that lane may be sent. SDUs of less urgent lanes that are in flight do not count.
     pub fn has_room(&self, lane: Lane, cost: u16) -> bool {
-        let before = self.on_its_way(lane);
+        let before = self.in_flight_bytes(lane);
         before == 0 || before + u32::from(cost) <= u32::from(self.limit)
     }
 
-    /// An SDU with a batch went out; `total` bytes are now sent since the link began.
+    /// Records that an SDU with a batch was sent, after which `total` bytes were sent since the link began.
     pub fn on_sent(&mut self, lane: Lane, cost: u16, total: u16, now: Instant) {
-        let at = now;
         self.sdus.push_back(Sdu {
             lane,
             cost,
             total,
-            at,
+            sent_at: now,
         });
         if let Some(of_lane) = self.costs.get_mut(lane.index()) {
             *of_lane = of_lane.saturating_add(cost);
         }
-        let is_full = self.on_its_way(Lane::last()) + u32::from(self.step) > u32::from(self.limit);
+        let is_full =
+            self.in_flight_bytes(Lane::last()) + u32::from(self.step) > u32::from(self.limit);
         if let Some(round) = self.round.as_mut() {
             round.was_full |= is_full;
         }
     }
 
-    /// The peer has taken `total` bytes since the link began. Tells how long the last SDU of them took.
+    /// Handles an acknowledgement of `total` bytes since the link began. Returns the time since the last of their SDUs was
+    /// sent.
     pub fn on_ack(&mut self, total: u16, now: Instant) -> Option<Duration> {
         let mut last = None;
         while let Some(sdu) = self.sdus.front() {
             if total.wrapping_sub(sdu.total) > u16::MAX / 2 {
                 break;
             }
-            // The one before it waited for the acknowledgement, at the receiver.
-            last = (sdu.total == total).then_some(sdu.at);
+            // Earlier SDUs waited at the receiver until the acknowledgement was due.
+            last = (sdu.total == total).then_some(sdu.sent_at);
             if let Some(of_lane) = self.costs.get_mut(sdu.lane.index()) {
                 *of_lane = of_lane.saturating_sub(sdu.cost);
             }
             self.sdus.pop_front();
         }
-        let took = now.saturating_duration_since(last?);
-        self.base = Some(self.base.map_or(took, |base| base.min(took)));
-        self.look(took, now);
-        Some(took)
+        let delay = now.saturating_duration_since(last?);
+        self.base_delay = Some(self.base_delay.map_or(delay, |base| base.min(delay)));
+        self.on_delay(delay, now);
+        Some(delay)
     }
 
-    /// What may be on its way, in bytes.
+    /// Returns how many bytes may be in flight.
     pub fn limit(&self) -> u16 {
         self.limit
     }
 
-    fn look(&mut self, took: Duration, now: Instant) {
+    /// Adds a measurement to the round, and adapts the limit at the end of the round.
+    fn on_delay(&mut self, delay: Duration, now: Instant) {
         let round = self.round.get_or_insert(Round {
             since: now,
             acks: 0,
-            least: took,
+            min_delay: delay,
             was_full: false,
         });
         round.acks += 1;
-        round.least = round.least.min(took);
-        if round.acks < ROUND_ACKS || now.saturating_duration_since(round.since) < ROUND {
+        round.min_delay = round.min_delay.min(delay);
+        if round.acks < MIN_ROUND_ACKS || now.saturating_duration_since(round.since) < ROUND {
             return;
         }
-        let (least, was_full) = (round.least, round.was_full);
+        let (min_delay, was_full) = (round.min_delay, round.was_full);
         self.round = None;
         if was_full {
-            self.think(least);
+            self.adapt_limit(min_delay);
         }
     }
 
-    fn think(&mut self, least: Duration) {
-        let base = self.base.unwrap_or(least);
-        if least <= base + WAIT {
+    /// Increases the limit if the fastest SDU of a round did not wait behind others, and reduces it otherwise.
+    fn adapt_limit(&mut self, min_delay: Duration) {
+        let base_delay = self.base_delay.unwrap_or(min_delay);
+        if min_delay <= base_delay + MAX_QUEUEING_DELAY {
             self.limit = self.limit.saturating_add(self.step).min(self.window);
         } else if self.limit > self.floor {
-            self.limit = (self.limit - self.limit / LESS).max(self.floor);
+            self.limit = (self.limit - self.limit / DECREASE_DIVISOR).max(self.floor);
         } else {
-            // With so little on its way nothing waits long: the way itself has become slower.
-            self.base = Some(least);
+            // With so few bytes in flight, no SDU waits long. The path itself has become slower.
+            self.base_delay = Some(min_delay);
         }
     }
 
-    fn on_its_way(&self, lane: Lane) -> u32 {
+    /// Returns the number of bytes in flight on that lane and on more urgent ones.
+    fn in_flight_bytes(&self, lane: Lane) -> u32 {
         let costs = self.costs.iter().take(lane.index() + 1);
         costs.copied().map(u32::from).sum()
     }
@@ -164,23 +170,23 @@ mod tests {
     const COST: u16 = 760;
     const WINDOW: u16 = 12_000;
 
-    /// A way that carries so many bytes a second, and takes a fixed time besides.
-    struct Way {
+    /// A simulated path with a rate in bytes per second and a fixed delay.
+    struct SimulatedPath {
         flight: Flight,
         now: Instant,
         total: u16,
-        /// When the radio will have carried what it was given.
+        /// When the radio will have sent everything that was handed to it.
         free_at: Instant,
         acks: VecDeque<(Instant, u16)>,
         rate_bytes_per_s: f64,
-        besides: Duration,
-        /// When the acknowledgements come: at the next multiple of it.
-        event: Duration,
+        delay: Duration,
+        /// The connection interval: acknowledgements arrive at multiples of it. Zero: at any time.
+        interval: Duration,
         start: Instant,
     }
 
-    impl Way {
-        fn new(rate_bytes_per_s: f64, besides: Duration, event: Duration) -> Self {
+    impl SimulatedPath {
+        fn new(rate_bytes_per_s: f64, delay: Duration, interval: Duration) -> Self {
             let now = Instant::now();
             Self {
                 flight: Flight::new(COST, WINDOW),
@@ -189,15 +195,15 @@ mod tests {
                 free_at: now,
                 acks: VecDeque::new(),
                 rate_bytes_per_s,
-                besides,
-                event,
+                delay,
+                interval,
                 start: now,
             }
         }
 
-        /// Sends all that may be sent, for so long; tells how many bytes were taken.
+        /// Sends as much as is allowed for `span`, and returns the number of bytes that were acknowledged.
         fn flood(&mut self, span: Duration) -> f64 {
-            let (end, mut taken) = (self.now + span, 0.0);
+            let (end, mut acknowledged) = (self.now + span, 0.0);
             let bulk = Lane::last();
             while self.now < end {
                 while self.flight.has_room(bulk, COST) {
@@ -205,20 +211,20 @@ mod tests {
                     self.flight.on_sent(bulk, COST, self.total, self.now);
                     let airtime = Duration::from_secs_f64(f64::from(COST) / self.rate_bytes_per_s);
                     self.free_at = self.free_at.max(self.now) + airtime;
-                    let mut heard = self.free_at + self.besides;
-                    if !self.event.is_zero() {
-                        let since = heard.duration_since(self.start).as_nanos();
-                        let event = self.event.as_nanos();
-                        heard += Duration::from_nanos((event - since % event) as u64);
+                    let mut ack_at = self.free_at + self.delay;
+                    if !self.interval.is_zero() {
+                        let since = ack_at.duration_since(self.start).as_nanos();
+                        let interval = self.interval.as_nanos();
+                        ack_at += Duration::from_nanos((interval - since % interval) as u64);
                     }
-                    self.acks.push_back((heard, self.total));
+                    self.acks.push_back((ack_at, self.total));
                 }
-                let (at, total) = self.acks.pop_front().expect("something is on its way");
+                let (at, total) = self.acks.pop_front().expect("something is in flight");
                 self.now = self.now.max(at);
                 self.flight.on_ack(total, self.now);
-                taken += f64::from(COST);
+                acknowledged += f64::from(COST);
             }
-            taken
+            acknowledged
         }
 
         fn limit_s(&self) -> f64 {
@@ -231,48 +237,48 @@ mod tests {
     }
 
     #[test]
-    fn the_radio_is_kept_busy_with_little_on_the_way() {
+    fn radio_is_kept_busy_with_few_bytes_in_flight() {
         for rate in [34e3, 100e3, 170e3, 600e3] {
-            for besides in [ms(1), ms(5), ms(12)] {
-                let mut way = Way::new(rate, besides, Duration::ZERO);
-                way.flood(ms(3000));
-                let share = way.flood(ms(10_000)) / (10.0 * rate);
-                assert!(share > 0.98, "{rate} B/s, {besides:?}: {share}");
-                let most = besides.as_secs_f64() + 0.010 + 4.5 * f64::from(COST) / rate;
+            for delay in [ms(1), ms(5), ms(12)] {
+                let mut path = SimulatedPath::new(rate, delay, Duration::ZERO);
+                path.flood(ms(3000));
+                let share = path.flood(ms(10_000)) / (10.0 * rate);
+                assert!(share > 0.98, "{rate} B/s, {delay:?}: {share}");
+                let max_s = delay.as_secs_f64() + 0.010 + 4.5 * f64::from(COST) / rate;
                 assert!(
-                    way.limit_s() < most,
-                    "{rate} B/s, {besides:?}: {} s",
-                    way.limit_s()
+                    path.limit_s() < max_s,
+                    "{rate} B/s, {delay:?}: {} s",
+                    path.limit_s()
                 );
             }
         }
     }
 
     #[test]
-    fn a_radio_that_answers_only_once_an_interval_is_kept_busy_too() {
+    fn radio_that_answers_once_per_connection_interval_is_kept_busy() {
         for (rate, interval) in [(34e3, ms(50)), (90e3, ms(30)), (90e3, ms(50))] {
-            let mut way = Way::new(rate, ms(1), interval);
-            way.flood(ms(3000));
-            let share = way.flood(ms(10_000)) / (10.0 * rate);
+            let mut path = SimulatedPath::new(rate, ms(1), interval);
+            path.flood(ms(3000));
+            let share = path.flood(ms(10_000)) / (10.0 * rate);
             assert!(share > 0.95, "{rate} B/s, {interval:?}: {share}");
         }
     }
 
     #[test]
-    fn a_way_that_becomes_slower_or_quicker_is_learnt_again() {
-        let mut way = Way::new(90e3, ms(2), Duration::ZERO);
-        way.flood(ms(3000));
-        way.besides = ms(60);
-        way.flood(ms(5000));
-        let share = way.flood(ms(10_000)) / (10.0 * 90e3);
+    fn limit_adapts_when_the_path_becomes_slower_or_faster() {
+        let mut path = SimulatedPath::new(90e3, ms(2), Duration::ZERO);
+        path.flood(ms(3000));
+        path.delay = ms(60);
+        path.flood(ms(5000));
+        let share = path.flood(ms(10_000)) / (10.0 * 90e3);
         assert!(share > 0.95, "slower: {share}");
-        way.besides = ms(2);
-        way.flood(ms(5000));
-        assert!(way.limit_s() < 0.050, "quicker: {} s", way.limit_s());
+        path.delay = ms(2);
+        path.flood(ms(5000));
+        assert!(path.limit_s() < 0.050, "faster: {} s", path.limit_s());
     }
 
     #[test]
-    fn what_is_urgent_waits_for_nothing_less_urgent() {
+    fn urgent_lane_does_not_wait_for_less_urgent_ones() {
         let (mut flight, now) = (Flight::new(COST, WINDOW), Instant::now());
         let mut total = 0;
         while flight.has_room(Lane::last(), COST) {

@@ -1,5 +1,5 @@
-//! Owns the receiving side: checks each SDU, sorts it by lane, and tells the sender what it has taken and when it holds
-//! enough of a lane. What it holds is bounded by that.
+//! Handles the receiving side of a link: verifies each SDU, queues its batch on its lane, acknowledges it, and stops and
+//! restarts lanes, which bounds the memory that unread batches occupy.
 use std::collections::VecDeque;
 
 use super::{
@@ -9,57 +9,58 @@ use super::{
     Lane, HEADER, LANES,
 };
 
-/// Bytes of a lane that are held before its sender is stopped: a moment of a fast radio, while Zenoh is busy. Each batch counts
-/// as its credits do, with what a queue needs for it, so that small ones take no more than large ones.
-pub const HIGH_MARK: usize = 16_384;
-/// Bytes of a lane at which its sender goes on.
-const LOW_MARK: usize = HIGH_MARK / 2;
+/// Number of unread bytes above which a lane is stopped. It covers a short time of a fast radio while Zenoh is busy. Each
+/// batch counts with its cost in credits, so that small batches do not occupy more memory than large ones.
+pub const HIGH_WATERMARK: usize = 16_384;
+/// Number of unread bytes at which a stopped lane is restarted.
+const LOW_WATERMARK: usize = HIGH_WATERMARK / 2;
 
-/// How the peer, or the way to it, broke the protocol. The link ends with it.
+/// A violation of the protocol by the peer, or a fault of the path to it. It ends the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Violation {
-    /// The SDU itself.
+    /// The SDU is damaged or malformed.
     #[error(transparent)]
     Sdu(#[from] SduError),
-    /// A batch over the link's MTU, in bytes.
+    /// The batch is larger than the link's MTU.
     #[error("a batch of {size} bytes is over the mtu of {mtu}")]
     TooLarge {
-        /// Its size.
+        /// The size of the batch, in bytes.
         size: usize,
-        /// The limit.
+        /// The link's MTU, in bytes.
         mtu: usize,
     },
-    /// The credits.
+    /// The peer violated the credits.
     #[error(transparent)]
     Credits(#[from] CreditError),
-    /// A lane was stopped, and more came than could have been on its way.
-    #[error("it goes on sending on lane {} that was stopped", .0.number())]
+    /// More arrived on a stopped lane than could have been in flight.
+    #[error("it keeps sending on lane {} that was stopped", .0.number())]
     Stopped(Lane),
-    /// A batch on another lane than the first, before Zenoh's handshake was over.
-    #[error("a batch came on lane {} during Zenoh's handshake, which takes place on lane 0", .0.number())]
+    /// A batch arrived on another lane than the first before Zenoh's handshake was complete.
+    #[error("a batch arrived on lane {} during Zenoh's handshake, which takes place on lane 0", .0.number())]
     Handshake(Lane),
-    /// Something after the goodbye.
+    /// An SDU arrived after the goodbye.
     #[error("an sdu after the goodbye")]
-    AfterBye,
+    AfterGoodbye,
 }
 
-/// What an SDU brought.
+/// The content of a received SDU, after its batch was queued.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// A batch, to be taken from that lane.
+    /// A batch that can be taken from that lane.
     Batch(Lane),
-    /// The peer has taken that total.
+    /// The peer has acknowledged that total, in bytes.
     Ack(u16),
-    /// The peer takes nothing more of that lane (`true`), or takes it again.
+    /// The peer has stopped that lane (`true`) or restarted it (`false`).
     Stopped(Lane, bool),
-    /// The peer ends the link; what came before it may still be taken.
-    Bye(u8),
+    /// The peer ends the link, with the code of its reason. Batches that arrived before can still be taken.
+    Goodbye(u8),
 }
 
+/// The receiving side of a lane.
 #[derive(Default)]
 struct InLane {
     queue: VecDeque<Vec<u8>>,
-    /// What is in it, at its cost in credits.
+    /// The cost of the queued batches in credits.
     bytes: usize,
     received: Count,
     is_stopped: bool,
@@ -69,17 +70,18 @@ struct InLane {
 pub struct Receiver {
     lanes: [InLane; LANES],
     acks: Acks,
-    /// Signals for the sender, a lane's before the acknowledgement of what filled it: what the peer sends of a stopped
-    /// lane is then within one window.
+    /// Signals for the peer. The signal that stops a lane precedes the acknowledgement of the batch that filled it, so that
+    /// the peer sends at most one more window on that lane.
     signals: VecDeque<Content<'static>>,
     mtu: usize,
     window: usize,
     number: u32,
-    is_over: bool,
+    is_finished: bool,
 }
 
 impl Receiver {
-    /// `mtu`: of a batch, in bytes. `window`: the bytes this side takes unacknowledged.
+    /// Creates the receiving side of a new link. `mtu` is the largest batch, and `window` what this side accepts
+    /// unacknowledged, both in bytes.
     pub fn new(mtu: usize, window: u16) -> Self {
         Self {
             lanes: Default::default(),
@@ -88,14 +90,17 @@ impl Receiver {
             mtu,
             window: usize::from(window),
             number: 0,
-            is_over: false,
+            is_finished: false,
         }
     }
 
-    /// An SDU arrived.
+    /// Handles a received SDU.
+    ///
+    /// # Errors
+    /// Fails if the SDU was lost, damaged or repeated, or breaks the protocol. The link has to end then.
     pub fn on_sdu(&mut self, sdu: &[u8]) -> Result<Received, Violation> {
-        if self.is_over {
-            return Err(Violation::AfterBye);
+        if self.is_finished {
+            return Err(Violation::AfterGoodbye);
         }
         let size = sdu.len().saturating_sub(HEADER);
         if size > self.mtu {
@@ -112,31 +117,31 @@ impl Receiver {
             Content::Ack(total) => Ok(Received::Ack(total)),
             Content::Stop(lane) => Ok(Received::Stopped(lane, true)),
             Content::Go(lane) => Ok(Received::Stopped(lane, false)),
-            Content::Bye(reason) => {
-                self.is_over = true;
-                Ok(Received::Bye(reason))
+            Content::Goodbye(reason) => {
+                self.is_finished = true;
+                Ok(Received::Goodbye(reason))
             }
         }
     }
 
-    /// The next batch of a lane.
+    /// Takes the next batch of a lane, if there is one.
     pub fn take(&mut self, lane: Lane) -> Option<Vec<u8>> {
-        let inside = self.lane(lane);
-        let batch = inside.queue.pop_front()?;
-        inside.bytes -= usize::from(cost(batch.len()));
-        if inside.is_stopped && inside.bytes <= LOW_MARK {
-            inside.is_stopped = false;
+        let in_lane = self.lane(lane);
+        let batch = in_lane.queue.pop_front()?;
+        in_lane.bytes -= usize::from(cost(batch.len()));
+        if in_lane.is_stopped && in_lane.bytes <= LOW_WATERMARK {
+            in_lane.is_stopped = false;
             self.signals.push_back(Content::Go(lane));
         }
         Some(batch)
     }
 
-    /// Returns the next batch of Zenoh's own handshake, which takes place on the first lane.
+    /// Takes the next batch of Zenoh's own handshake, which takes place on the first lane.
     ///
     /// # Errors
-    /// Fails if nothing has come on that lane, but something on another: Zenoh reads no other lane until its handshake is
-    /// over, so the link would stand still.
-    pub fn take_of_handshake(&mut self) -> Result<Option<Vec<u8>>, Violation> {
+    /// Fails if a batch has arrived on another lane and none on the first. Zenoh reads no other lane until its handshake is
+    /// complete, so the link would be blocked.
+    pub fn take_handshake_batch(&mut self) -> Result<Option<Vec<u8>>, Violation> {
         if let Some(batch) = self.take(Lane::first()) {
             return Ok(Some(batch));
         }
@@ -144,40 +149,41 @@ impl Receiver {
         elsewhere.map_or(Ok(None), |lane| Err(Violation::Handshake(lane)))
     }
 
-    /// Whether there is a signal for the peer.
+    /// Returns whether a signal for the peer is waiting.
     pub fn has_signal(&self) -> bool {
         !self.signals.is_empty() || self.acks.is_due()
     }
 
-    /// The next signal for the peer.
+    /// Takes the next signal for the peer.
     pub fn signal(&mut self) -> Option<Content<'static>> {
         let first = self.signals.pop_front();
         first.or_else(|| self.acks.due().map(Content::Ack))
     }
 
-    /// What came on a lane, and what is held.
+    /// Returns the counts of a lane.
     pub fn lane_report(&self, lane: Lane) -> InLaneReport {
         // A `Lane` is always less than LANES.
-        let inside = &self.lanes[lane.index()];
+        let in_lane = &self.lanes[lane.index()];
         InLaneReport {
-            received: inside.received,
-            held_bytes: inside.bytes,
+            received: in_lane.received,
+            unread_bytes: in_lane.bytes,
         }
     }
 
+    /// Queues a batch, and stops its lane if that is full.
     fn on_batch(&mut self, lane: Lane, batch: &[u8]) -> Result<(), Violation> {
         let cost = cost(batch.len());
         self.acks.on_received(cost)?;
-        let most = HIGH_MARK + self.mtu + self.window;
-        let inside = self.lane(lane);
-        if inside.bytes + usize::from(cost) > most {
+        let max_bytes = HIGH_WATERMARK + self.mtu + self.window;
+        let in_lane = self.lane(lane);
+        if in_lane.bytes + usize::from(cost) > max_bytes {
             return Err(Violation::Stopped(lane));
         }
-        inside.bytes += usize::from(cost);
-        inside.received.count(batch.len());
-        inside.queue.push_back(batch.to_vec());
-        if inside.bytes > HIGH_MARK && !inside.is_stopped {
-            inside.is_stopped = true;
+        in_lane.bytes += usize::from(cost);
+        in_lane.received.count(batch.len());
+        in_lane.queue.push_back(batch.to_vec());
+        if in_lane.bytes > HIGH_WATERMARK && !in_lane.is_stopped {
+            in_lane.is_stopped = true;
             self.signals.push_back(Content::Stop(lane));
         }
         Ok(())

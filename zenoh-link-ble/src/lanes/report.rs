@@ -1,19 +1,19 @@
-//! Owns what can be told of the lanes while they work: plain counts, kept always.
+//! Defines the counts and the state that lanes report. They are always kept.
 use std::{ops::Add, time::Duration};
 
 use serde::Serialize;
 
-/// SDUs with batches, and the bytes of those batches.
+/// A number of SDUs with batches, and the size of those batches.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Count {
-    /// SDUs.
+    /// Number of SDUs.
     pub sdus: u64,
-    /// Bytes, without framing.
+    /// Number of bytes, without framing.
     pub bytes: u64,
 }
 
 impl Count {
-    /// One more.
+    /// Counts one more SDU with a batch of `bytes` bytes.
     pub fn count(&mut self, bytes: usize) {
         self.sdus += 1;
         self.bytes += bytes as u64;
@@ -31,28 +31,28 @@ impl Add for Count {
     }
 }
 
-/// A lane, the sending side.
+/// The sending side of a lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutLaneReport {
-    /// What went out.
+    /// Batches that were sent.
     pub sent: Count,
-    /// What waits; its bytes are those it takes of the memory.
+    /// Batches that wait to be sent; `bytes` is the memory they occupy.
     pub waiting: Count,
-    /// How long the oldest has waited.
+    /// How long the oldest of them has waited.
     pub oldest: Option<Duration>,
-    /// Bytes that wait and count towards the lane's backlog.
+    /// Number of waiting bytes that count towards the lane's backlog.
     pub backlog_bytes: u64,
-    /// SDUs taken back because Zenoh gave their message up.
-    pub given_up_sdus: u64,
-    /// The peer takes nothing of it now.
+    /// Number of SDUs that were withdrawn because Zenoh abandoned their message.
+    pub abandoned_sdus: u64,
+    /// Whether the peer has stopped the lane.
     pub is_stopped: bool,
 }
 
-/// A lane, the receiving side.
+/// The receiving side of a lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InLaneReport {
-    /// What came.
+    /// Batches that were received.
     pub received: Count,
-    /// Bytes that nobody has taken yet, with what each batch takes besides.
-    pub held_bytes: usize,
+    /// Number of bytes that Zenoh has not read yet, including the overhead of each batch.
+    pub unread_bytes: usize,
 }

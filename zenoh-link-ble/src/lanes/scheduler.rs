@@ -1,5 +1,5 @@
-//! Owns the sending side: what waits on which lane, and which SDU goes next. The most urgent lane that has something and
-//! may send goes first; nothing else counts. Zenoh has no rule against starvation, and neither has this.
+//! Handles the sending side of a link: queues batches on their lanes and decides which SDU is sent next. The most urgent
+//! lane that has a batch and may send goes first. There is no protection against starvation, as in Zenoh itself.
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
@@ -8,79 +8,85 @@ use std::{
 use super::{
     ack_timer::AckTimer,
     backlog::{self, Backlog, Counting},
+    batch_kind::BatchKind,
     credits::{cost, Allowance, CreditError},
     flight::Flight,
     path::Path,
-    piece::Piece,
     report::{Count, OutLaneReport},
     sdu::{self, Content},
     Lane, HEADER, LANES,
 };
 
-/// How much may wait on a link.
+/// The limits of what may wait on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
-    /// On all lanes together, in bytes. It must hold the large messages that programs send at once: what does not fit holds
-    /// up the program's connection to its router, and its urgent messages with it. A lane with less than [`OWN_BYTES`] does
-    /// not count it.
+    /// Number of bytes on all lanes together. It must suffice for the large messages that programs send at once: a message
+    /// that does not fit blocks the session between the program and its router, including urgent messages. The limit
+    /// does not apply to a lane with less than [`RESERVED_BYTES_PER_LANE`].
     pub bytes: usize,
-    /// The time that the messages on a lane may take to be sent before the lane takes another one. Large messages do not
-    /// count (`backlog`), and neither does lane 0: Zenoh sends its declarations there, with its routing tables locked.
+    /// Time within which the messages that wait on a lane have to be sent for the lane to accept another one. Large messages
+    /// do not count (`backlog`). Lane 0 is exempt, because Zenoh sends its declarations there with its routing tables locked.
     pub backlog: Duration,
-    /// A message that may be dropped is taken while what waits before it is sent within this time, or when nothing has
-    /// moved on its lane for a while (`backlog`). It adds to the age of a stream's frames; too little, and the radio waits
-    /// for the next frame.
+    /// Time within which the batches that wait on a lane have to be sent for the lane to accept a message that may be
+    /// dropped. (A lane without progress accepts one after a timeout: see `backlog`.) This time adds to the age of a stream's
+    /// frames. If it is too short, the radio is idle until the next frame.
     pub droppable: Duration,
 }
 
-/// Bytes that each lane may hold whatever the others hold, so that no bulk takes the room of what is urgent.
-pub const OWN_BYTES: usize = 65_536;
-/// Bytes of droppable traffic that may wait while the rate of the link is not known.
-const DROPPABLE_AT_FIRST: f64 = 4000.0;
+/// Number of bytes that each lane may hold regardless of the others, so that bulk does not occupy the room of urgent
+/// messages.
+pub const RESERVED_BYTES_PER_LANE: usize = 65_536;
+/// Number of bytes that may wait before a droppable message while the rate of the link is not known.
+const INITIAL_DROPPABLE_BYTES: f64 = 4000.0;
 
+/// A batch that waits to be sent, encoded as an SDU.
 struct Waiting {
     sdu: Vec<u8>,
-    piece: Piece,
+    kind: BatchKind,
     since: Instant,
-    /// It counts towards the lane's backlog.
+    /// Whether it counts towards the lane's backlog.
     counts: bool,
 }
 
-/// How much may wait on a lane before another message, in bytes.
+/// How many bytes may wait on a lane before it accepts another message.
 #[derive(Clone, Copy)]
 struct Limits {
     droppable_bytes: usize,
     backlog_bytes: usize,
 }
 
+/// The sending side of a lane.
 struct OutLane {
     queue: VecDeque<Waiting>,
     bytes: usize,
     backlog: Backlog,
-    /// The peer holds enough of it.
+    /// Whether the peer has stopped the lane.
     is_stopped: bool,
-    allowed_rest: u16,
+    /// The part of the window that the lane leaves to more urgent ones, in bytes.
+    reserve: u16,
     sent: Count,
-    given_up: u64,
+    abandoned: u64,
 }
 
 impl OutLane {
-    /// Returns whether the lane takes that piece, as far as what waits before it is concerned.
-    fn may_begin(&self, piece: Piece, limits: Limits, now: Instant) -> bool {
-        let has_room = match piece {
-            Piece::Next => true,
-            Piece::Whole { is_droppable } | Piece::First { is_droppable } => match is_droppable {
-                true => self.bytes <= limits.droppable_bytes,
-                false => self.backlog.has_room(limits.backlog_bytes),
-            },
+    /// Returns whether the lane accepts a batch of that kind, given what waits before it.
+    fn accepts(&self, kind: BatchKind, limits: Limits, now: Instant) -> bool {
+        let has_room = match kind {
+            BatchKind::NextFragment => true,
+            BatchKind::Whole { is_droppable } | BatchKind::FirstFragment { is_droppable } => {
+                match is_droppable {
+                    true => self.bytes <= limits.droppable_bytes,
+                    false => self.backlog.has_room(kind, limits.backlog_bytes),
+                }
+            }
         };
-        let is_overdue = || self.backlog.overdue_at(piece).is_some_and(|at| at <= now);
+        let is_overdue = || self.backlog.overdue_at(kind).is_some_and(|at| at <= now);
         has_room || is_overdue()
     }
 
     fn push(&mut self, mut waiting: Waiting, now: Instant) {
         let cost = usize::from(waiting.cost());
-        let counting = self.backlog.on_taken(waiting.piece, cost, now);
+        let counting = self.backlog.on_accepted(waiting.kind, cost, now);
         waiting.counts = counting == Counting::Counts;
         if counting == Counting::ExemptsMessage {
             self.exempt_last_message();
@@ -89,34 +95,34 @@ impl OutLane {
         self.queue.push_back(waiting);
     }
 
-    /// Stops counting the pieces that wait of the message whose pieces came last.
+    /// Exempts the waiting fragments of the message whose fragments were queued last.
     fn exempt_last_message(&mut self) {
         for waiting in self.queue.iter_mut().rev() {
-            if matches!(waiting.piece, Piece::Whole { .. }) {
+            if matches!(waiting.kind, BatchKind::Whole { .. }) {
                 break;
             }
             if waiting.counts {
                 waiting.counts = false;
-                self.backlog.on_discounted(usize::from(waiting.cost()));
+                self.backlog.on_exempted(usize::from(waiting.cost()));
             }
-            if matches!(waiting.piece, Piece::First { .. }) {
+            if matches!(waiting.kind, BatchKind::FirstFragment { .. }) {
                 break;
             }
         }
     }
 
-    /// Takes back what still waits of the message whose fragments came last.
-    fn give_up_message(&mut self) {
+    /// Withdraws the waiting fragments of the message whose fragments were queued last.
+    fn abandon_message(&mut self) {
         while let Some(last) = self.queue.back() {
-            if matches!(last.piece, Piece::Whole { .. }) {
+            if matches!(last.kind, BatchKind::Whole { .. }) {
                 break;
             }
             self.bytes -= last.bytes();
             if last.counts {
-                self.backlog.on_discounted(usize::from(last.cost()));
+                self.backlog.on_exempted(usize::from(last.cost()));
             }
-            self.given_up += 1;
-            let is_first = matches!(last.piece, Piece::First { .. });
+            self.abandoned += 1;
+            let is_first = matches!(last.kind, BatchKind::FirstFragment { .. });
             self.queue.pop_back();
             if is_first {
                 break;
@@ -124,7 +130,7 @@ impl OutLane {
         }
     }
 
-    /// What the next SDU costs, unless the peer takes nothing of this lane.
+    /// Returns the cost of the next SDU; `None` if there is none or the peer has stopped the lane.
     fn next_cost(&self) -> Option<u16> {
         let next = self.queue.front().filter(|_| !self.is_stopped);
         next.map(Waiting::cost)
@@ -132,7 +138,7 @@ impl OutLane {
 }
 
 impl Waiting {
-    /// What it takes of the memory, nearly.
+    /// Returns the approximate memory that the SDU occupies.
     fn bytes(&self) -> usize {
         Self::bytes_of(self.sdu.len())
     }
@@ -146,29 +152,29 @@ impl Waiting {
     }
 }
 
-/// What kind of SDU is sent next.
+/// The kind of the SDU that is sent next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// It says what this side has taken, or takes.
+    /// An acknowledgement, or a signal that stops or restarts a lane.
     Signal,
-    /// A batch: once it is sent its lane has more room.
+    /// A batch of that lane, which has more room once the batch is sent.
     Batch(Lane),
-    /// The goodbye; nothing follows.
-    Bye,
+    /// The goodbye, after which nothing is sent.
+    Goodbye,
 }
 
-/// How far a link's end has come.
+/// How far the closing of a link has progressed.
 enum End {
     NotYet,
-    /// Nothing more is taken; this is the goodbye.
+    /// Nothing more is accepted. Contains the goodbye, which is sent last.
     Closing(Vec<u8>),
-    /// The goodbye is sent.
-    Over,
+    /// The goodbye was sent.
+    Finished,
 }
 
 impl End {
     fn closing(reason: u8) -> Self {
-        Self::Closing(Content::Bye(reason).encode())
+        Self::Closing(Content::Goodbye(reason).encode())
     }
 }
 
@@ -186,10 +192,12 @@ pub struct Scheduler {
 }
 
 impl Scheduler {
-    /// `mtu`: the largest batch, in bytes. `window`: the bytes that the peer takes unacknowledged.
+    /// Creates the sending side of a new link. `mtu` is the largest batch, and `window` what the peer accepts
+    /// unacknowledged, both in bytes.
     pub fn new(bounds: Bounds, mtu: usize, window: u16) -> Self {
         let allowance = Allowance::new(window);
-        // Each lane leaves something to the more urgent ones, which else would wait for an acknowledgement of bulk.
+        // Each lane leaves a part of the window to the more urgent ones. Otherwise they would wait until bulk is
+        // acknowledged.
         let step = allowance.window() / 4 / LANES as u16;
         Self {
             lanes: std::array::from_fn(|number| OutLane {
@@ -197,9 +205,9 @@ impl Scheduler {
                 bytes: 0,
                 backlog: Backlog::default(),
                 is_stopped: false,
-                allowed_rest: step * number as u16,
+                reserve: step * number as u16,
                 sent: Count::default(),
-                given_up: 0,
+                abandoned: 0,
             }),
             signals: VecDeque::new(),
             end: End::NotYet,
@@ -212,70 +220,77 @@ impl Scheduler {
         }
     }
 
-    /// Puts a batch on its lane. `false`: there is no room, ask again when something went out; or the link is closing.
-    /// An empty batch goes nowhere: Zenoh writes one when it gives up a message half-way, and what waits of that message
-    /// is of no use any more.
+    /// Queues a batch on its lane. Returns `false` if there is no room or the link is closing; offer the batch again when
+    /// something was sent, or at [`Scheduler::retry_at`].
+    ///
+    /// An empty batch is not sent. Zenoh writes one when it abandons a message half-way; the waiting fragments of that
+    /// message are then withdrawn.
     pub fn push(&mut self, lane: Lane, batch: &[u8], now: Instant) -> bool {
         if batch.is_empty() {
-            self.lane(lane).give_up_message();
+            self.lane(lane).abandon_message();
             return true;
         }
-        let piece = Piece::of(batch);
+        let kind = BatchKind::of(batch);
         let limits = self.limits(lane);
-        let all: usize = self.lanes.iter().map(|out| out.bytes).sum();
-        let most = self.bounds.bytes;
+        let total: usize = self.lanes.iter().map(|out| out.bytes).sum();
+        let max_bytes = self.bounds.bytes;
         let is_closing = !matches!(self.end, End::NotYet);
         let (out, size) = (self.lane(lane), Waiting::bytes_of(HEADER + batch.len()));
-        let fits = out.bytes + size <= OWN_BYTES || all + size <= most;
-        let is_taken = !is_closing && fits && out.may_begin(piece, limits, now);
-        if is_taken {
+        let fits = out.bytes + size <= RESERVED_BYTES_PER_LANE || total + size <= max_bytes;
+        let is_accepted = !is_closing && fits && out.accepts(kind, limits, now);
+        if is_accepted {
             let waiting = Waiting {
                 sdu: Content::Batch(lane, batch).encode(),
-                piece,
+                kind,
                 since: now,
                 counts: false,
             };
             out.push(waiting, now);
         }
-        is_taken
+        is_accepted
     }
 
-    /// Returns when to offer a batch again that [`Scheduler::push`] did not take, even if nothing went out until then.
-    pub fn ask_again_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
+    /// Returns when to offer a batch again that [`Scheduler::push`] did not accept, even if nothing is sent until then.
+    pub fn retry_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
         // A `Lane` is always less than LANES.
         let backlog = &self.lanes[lane.index()].backlog;
-        backlog.overdue_at(Piece::of(batch)).filter(|at| *at > now)
+        backlog
+            .overdue_at(BatchKind::of(batch))
+            .filter(|at| *at > now)
     }
 
-    /// Sends a signal to the peer, before all batches.
+    /// Queues a signal to the peer, which is sent before all batches.
     pub fn signal(&mut self, signal: Content<'static>) {
         self.signals.push_back(signal.encode());
     }
 
-    /// The peer has taken that total.
+    /// Handles an acknowledgement of `total` bytes since the link began.
+    ///
+    /// # Errors
+    /// Fails if the peer cannot have received that total.
     pub fn on_ack(&mut self, total: u16, now: Instant) -> Result<(), CreditError> {
         let new = self.allowance.on_ack(total)?;
         let unacknowledged = self.allowance.unacknowledged();
         self.ack_timer.on_ack(new, unacknowledged, now);
-        let took = self.flight.on_ack(total, now);
-        self.path.on_ack(new, took, now);
+        let round_trip = self.flight.on_ack(total, now);
+        self.path.on_ack(new, round_trip, now);
         Ok(())
     }
 
-    /// The peer takes nothing more of that lane, or takes it again.
+    /// Records that the peer has stopped or restarted a lane.
     pub fn on_stopped(&mut self, lane: Lane, is_stopped: bool) {
         self.lane(lane).is_stopped = is_stopped;
     }
 
-    /// The link ends: what waits goes out, then the goodbye.
+    /// Begins to close the link: sends what is queued, then a goodbye with the code `reason`. Nothing more is accepted.
     pub fn close(&mut self, reason: u8) {
         if matches!(self.end, End::NotYet) {
             self.end = End::closing(reason);
         }
     }
 
-    /// What to send now. It is the next as long as [`Scheduler::on_sent`] does not say that it went; something more urgent
-    /// that comes before takes its place.
+    /// Returns the SDU to send now. It is returned again until [`Scheduler::on_sent`] confirms that it was sent, unless
+    /// something more urgent is queued before.
     pub fn peek(&mut self) -> Option<(Next, &[u8])> {
         let next = self.choose()?;
         let number = self.number;
@@ -284,17 +299,17 @@ impl Scheduler {
         Some((next, sdu))
     }
 
-    /// Returns when the link ends unless the peer acknowledges something; `None` if no acknowledgement is due.
+    /// Returns when the link ends unless the peer acknowledges something, or `None` if no acknowledgement is due.
     pub fn ack_deadline(&self) -> Option<Instant> {
         self.ack_timer.deadline()
     }
 
-    /// What [`Scheduler::peek`] gave out last, and nothing was put in since, went out.
+    /// Records that the SDU was sent which [`Scheduler::peek`] returned last. Nothing may have been queued in between.
     pub fn on_sent(&mut self, sent: Next, now: Instant) {
         self.number = self.number.wrapping_add(1);
         match sent {
             Next::Signal => drop(self.signals.pop_front()),
-            Next::Bye => self.end = End::Over,
+            Next::Goodbye => self.end = End::Finished,
             Next::Batch(lane) => {
                 let out = self.lane(lane);
                 if let Some(batch) = out.queue.pop_front() {
@@ -316,9 +331,10 @@ impl Scheduler {
         }
     }
 
-    /// The link ends at once: what waits is thrown away, and the goodbye is next, unless one was sent.
+    /// Ends the link at once: discards what is queued, and sends a goodbye with the code `reason` next, unless one was sent
+    /// already.
     pub fn abort(&mut self, reason: u8) {
-        if matches!(self.end, End::Over) {
+        if matches!(self.end, End::Finished) {
             return;
         }
         self.signals.clear();
@@ -331,7 +347,7 @@ impl Scheduler {
         self.end = End::closing(reason);
     }
 
-    /// What went out on a lane, and what waits.
+    /// Returns what was sent on a lane, and what waits.
     pub fn lane_report(&self, lane: Lane, now: Instant) -> OutLaneReport {
         // A `Lane` is always less than LANES.
         let out = &self.lanes[lane.index()];
@@ -344,28 +360,30 @@ impl Scheduler {
             },
             oldest: oldest.map(|since| now.saturating_duration_since(since)),
             backlog_bytes: out.backlog.bytes() as u64,
-            given_up_sdus: out.given_up,
+            abandoned_sdus: out.abandoned,
             is_stopped: out.is_stopped,
         }
     }
 
-    /// What is on its way, and how much of it may be, in bytes.
-    pub fn on_its_way(&self) -> (u16, u16) {
+    /// Returns the number of bytes in flight, and the current limit for it.
+    pub fn in_flight(&self) -> (u16, u16) {
         (self.allowance.unacknowledged(), self.flight.limit())
     }
 
-    /// Bytes that may wait on a lane before it takes another message that must arrive; large messages do not count.
+    /// Returns the number of bytes that may wait on a lane before the lane accepts another message that must arrive. Large
+    /// messages do not count.
     pub fn backlog_limit_bytes(&self) -> usize {
         backlog::limit_bytes(self.path.rate_bytes_per_s(), self.bounds.backlog)
     }
 
-    /// What was measured of the way to the peer.
+    /// Returns the measured properties of the path to the peer.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
+    /// Decides which SDU is sent next: signals first, then the most urgent batch that may be sent, then the goodbye.
     fn choose(&self) -> Option<Next> {
-        if matches!(self.end, End::Over) {
+        if matches!(self.end, End::Finished) {
             return None;
         }
         if !self.signals.is_empty() {
@@ -374,21 +392,21 @@ impl Scheduler {
         let may_send = |lane: &Lane| {
             let out = &self.lanes[lane.index()];
             let has_room = |cost| {
-                self.allowance.has(cost, out.allowed_rest) && self.flight.has_room(*lane, cost)
+                self.allowance.can_spend(cost, out.reserve) && self.flight.has_room(*lane, cost)
             };
             out.next_cost().is_some_and(has_room)
         };
         let batch = Lane::all().find(may_send).map(Next::Batch);
         let may_end = || matches!(self.end, End::Closing(_)) && self.is_empty();
-        batch.or_else(|| may_end().then_some(Next::Bye))
+        batch.or_else(|| may_end().then_some(Next::Goodbye))
     }
 
     fn sdu_of(&mut self, next: Next) -> Option<&mut [u8]> {
         match next {
             Next::Signal => self.signals.front_mut().map(Vec::as_mut_slice),
-            Next::Bye => match &mut self.end {
-                End::Closing(bye) => Some(bye),
-                End::NotYet | End::Over => None,
+            Next::Goodbye => match &mut self.end {
+                End::Closing(goodbye) => Some(goodbye),
+                End::NotYet | End::Finished => None,
             },
             Next::Batch(lane) => {
                 let waiting = self.lane(lane).queue.front_mut()?;
@@ -401,10 +419,11 @@ impl Scheduler {
         self.lanes.iter().all(|out| out.queue.is_empty())
     }
 
+    /// Returns how many bytes may wait before a droppable message, at the measured rate.
     fn droppable_bytes(&self) -> usize {
-        let in_time = |rate| rate * self.bounds.droppable.as_secs_f64();
+        let within_limit = |rate| rate * self.bounds.droppable.as_secs_f64();
         let rate = self.path.rate_bytes_per_s();
-        rate.map_or(DROPPABLE_AT_FIRST, in_time) as usize
+        rate.map_or(INITIAL_DROPPABLE_BYTES, within_limit) as usize
     }
 
     fn limits(&self, lane: Lane) -> Limits {

@@ -1,4 +1,4 @@
-//! Owns the bytes of an SDU after the opening: head, check, body. Layout: `PROTOCOL.md`.
+//! Encodes and decodes the SDUs of an open link: head, check and body. For the layout see section 4 of `PROTOCOL.md`.
 use super::{
     check::{self, Fault},
     Lane, HEADER,
@@ -8,39 +8,39 @@ const BATCH: u8 = 0;
 const ACK: u8 = 1;
 const STOP: u8 = 2;
 const GO: u8 = 3;
-const BYE: u8 = 4;
+const GOODBYE: u8 = 4;
 
-/// What an SDU says.
+/// The content of an SDU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content<'a> {
     /// One Zenoh batch, never empty.
     Batch(Lane, &'a [u8]),
-    /// The total of what the receiver's reader has taken, see `credits`.
+    /// The total number of bytes that the receiver has read from its socket: see `credits`.
     Ack(u16),
-    /// The receiver holds enough of that lane: nothing more of it until it says so.
+    /// The receiver holds enough of that lane. The sender sends no more of it until [`Content::Go`].
     Stop(Lane),
-    /// It takes more.
+    /// The receiver accepts more of that lane.
     Go(Lane),
-    /// The end of the link, with its reason.
-    Bye(u8),
+    /// The end of the link, with the code of the reason.
+    Goodbye(u8),
 }
 
-/// Why an SDU is none.
+/// Why an SDU was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SduError {
-    /// Shorter than its kind needs, or longer.
+    /// The SDU has a wrong length for its kind.
     #[error("an sdu of {0} bytes")]
     Size(usize),
-    /// Its kind or lane is unknown.
+    /// The kind or the lane in the first byte is unknown.
     #[error("an sdu of unknown kind {0:#04x}")]
     Head(u8),
-    /// It is not the one that was due.
+    /// The check does not match.
     #[error(transparent)]
     Fault(#[from] Fault),
 }
 
 impl Content<'_> {
-    /// As an SDU, its check still open.
+    /// Encodes the content as an SDU whose check is zero: see [`seal`].
     pub fn encode(&self) -> Vec<u8> {
         let with_body = |kind: u8, lane: u8, body: &[u8]| {
             let mut sdu = Vec::with_capacity(HEADER + body.len());
@@ -53,19 +53,22 @@ impl Content<'_> {
             Self::Ack(total) => with_body(ACK, 0, &total.to_le_bytes()),
             Self::Stop(lane) => with_body(STOP, lane.number(), &[]),
             Self::Go(lane) => with_body(GO, lane.number(), &[]),
-            Self::Bye(reason) => with_body(BYE, 0, &[*reason]),
+            Self::Goodbye(reason) => with_body(GOODBYE, 0, &[*reason]),
         }
     }
 }
 
-/// Puts in the check, as the SDU of that number.
+/// Writes the check of an SDU that is sent as the one with that number.
 pub fn seal(number: u32, sdu: &mut [u8]) {
     if let [head, low, high, body @ ..] = sdu {
-        [*low, *high] = check::of(number, *head, body);
+        [*low, *high] = check::compute(number, *head, body);
     }
 }
 
-/// Takes the SDU of that number apart.
+/// Verifies and decodes the SDU with that number.
+///
+/// # Errors
+/// Fails if the check does not match, or if the kind, the lane or the size is not one of the protocol.
 pub fn open(number: u32, sdu: &[u8]) -> Result<Content<'_>, SduError> {
     let [head, low, high, body @ ..] = sdu else {
         return Err(SduError::Size(sdu.len()));
@@ -73,7 +76,7 @@ pub fn open(number: u32, sdu: &[u8]) -> Result<Content<'_>, SduError> {
     check::verify(number, *head, [*low, *high], body)?;
     let lane = Lane::new(head & 0x0f).ok_or(SduError::Head(*head))?;
     let kind = head >> 4;
-    if matches!(kind, ACK | BYE) && lane.number() != 0 {
+    if matches!(kind, ACK | GOODBYE) && lane.number() != 0 {
         return Err(SduError::Head(*head));
     }
     match (kind, body) {
@@ -81,8 +84,8 @@ pub fn open(number: u32, sdu: &[u8]) -> Result<Content<'_>, SduError> {
         (ACK, [low, high]) => Ok(Content::Ack(u16::from_le_bytes([*low, *high]))),
         (STOP, []) => Ok(Content::Stop(lane)),
         (GO, []) => Ok(Content::Go(lane)),
-        (BYE, [reason]) => Ok(Content::Bye(*reason)),
-        (BATCH | ACK | STOP | GO | BYE, _) => Err(SduError::Size(sdu.len())),
+        (GOODBYE, [reason]) => Ok(Content::Goodbye(*reason)),
+        (BATCH | ACK | STOP | GO | GOODBYE, _) => Err(SduError::Size(sdu.len())),
         _ => Err(SduError::Head(*head)),
     }
 }
@@ -97,14 +100,14 @@ mod tests {
     }
 
     #[test]
-    fn every_sdu_reads_back_as_it_was_written() {
+    fn every_sdu_decodes_to_what_was_encoded() {
         let lane = Lane::new(5).expect("valid");
         for (number, content) in [
             Content::Batch(lane, b"x"),
             Content::Ack(4711),
             Content::Stop(lane),
             Content::Go(lane),
-            Content::Bye(3),
+            Content::Goodbye(3),
         ]
         .into_iter()
         .enumerate()
@@ -115,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_sdu_is_refused() {
+    fn malformed_sdu_is_rejected() {
         assert_eq!(open(0, &[]), Err(SduError::Size(0)));
         assert_eq!(open(0, &[0, 0]), Err(SduError::Size(2)));
         for (sdu, error) in [

@@ -1,4 +1,4 @@
-//! Both sides together, over a way that delivers in order, or does not: `cargo test -p zenoh-link-ble lanes`
+//! Tests both sides of a link together, over paths with and without faults: `cargo test -p zenoh-link-ble lanes`
 use std::time::{Duration, Instant};
 
 use rand_pcg::{
@@ -7,12 +7,12 @@ use rand_pcg::{
 };
 
 use super::{
-    backlog::BATCH_PATIENCE,
+    backlog::BATCH_STALL_TIMEOUT,
+    batch_kind::BatchKind,
     check::Fault,
     credits::{cost, largest_batch, CreditError, MIN_WINDOW},
-    piece::Piece,
-    receiver::{Violation, HIGH_MARK},
-    scheduler::{Bounds, Next, OWN_BYTES},
+    receiver::{Violation, HIGH_WATERMARK},
+    scheduler::{Bounds, Next, RESERVED_BYTES_PER_LANE},
     sdu::{self, Content, SduError},
     Change, Lane, Lanes, LANES,
 };
@@ -22,7 +22,7 @@ const MTU: usize = 1000;
 const WINDOW: u16 = 12_000;
 const BOUNDS: Bounds = Bounds {
     bytes: 100_000,
-    // Never reached: what is tested with these bounds is the bound in bytes.
+    // Never reached: the tests with these bounds are about the bound in bytes.
     backlog: Duration::from_secs(600),
     droppable: Duration::from_millis(100),
 };
@@ -31,7 +31,7 @@ fn lane(number: u8) -> Lane {
     Lane::new(number).expect("valid")
 }
 
-/// The next SDU, which goes out.
+/// Takes the next SDU and marks it as sent.
 fn sent(lanes: &mut Lanes, now: Instant) -> Option<Vec<u8>> {
     let (next, sdu) = lanes.peek()?;
     let sdu = sdu.to_vec();
@@ -39,10 +39,10 @@ fn sent(lanes: &mut Lanes, now: Instant) -> Option<Vec<u8>> {
     Some(sdu)
 }
 
-/// A sender, and the receiver at the other end of a way that holds nothing.
+/// A sender and a receiver, without anything in flight between them.
 struct Pair {
-    out: Lanes,
-    into: Lanes,
+    sender: Lanes,
+    receiver: Lanes,
     now: Instant,
 }
 
@@ -53,48 +53,55 @@ impl Pair {
 
     fn with(bounds: Bounds, mtu: usize, window: u16) -> Self {
         Self {
-            out: Lanes::new(bounds, mtu, window, window),
-            into: Lanes::new(bounds, mtu, window, window),
+            sender: Lanes::new(bounds, mtu, window, window),
+            receiver: Lanes::new(bounds, mtu, window, window),
             now: Instant::now(),
         }
     }
 
     fn push(&mut self, number: u8, batch: &[u8]) -> bool {
-        self.out.push(lane(number), batch, self.now)
+        self.sender.push(lane(number), batch, self.now)
     }
 
-    /// Moves one SDU there; tells what it brought.
+    /// Moves one SDU from the sender to the receiver, and returns its effect.
     fn step(&mut self) -> Option<Change> {
-        let sdu = sent(&mut self.out, self.now)?;
-        Some(self.into.on_sdu(&sdu, self.now).expect("all is well"))
+        let sdu = sent(&mut self.sender, self.now)?;
+        Some(self.receiver.on_sdu(&sdu, self.now).expect("a valid SDU"))
     }
 
-    /// Moves one SDU back.
-    fn back(&mut self) -> Option<Change> {
-        let sdu = sent(&mut self.into, self.now)?;
-        Some(self.out.on_sdu(&sdu, self.now).expect("all is well"))
+    /// Moves one SDU from the receiver to the sender, and returns its effect.
+    fn step_back(&mut self) -> Option<Change> {
+        let sdu = sent(&mut self.receiver, self.now)?;
+        Some(self.sender.on_sdu(&sdu, self.now).expect("a valid SDU"))
     }
 
-    /// Moves SDUs both ways until nothing more moves.
+    /// Moves SDUs in both directions until none is left.
     fn settle(&mut self) {
-        while self.step().is_some() || self.back().is_some() {}
+        while self.step().is_some() || self.step_back().is_some() {}
     }
 
     fn take(&mut self, number: u8) -> Option<Vec<u8>> {
-        self.into.take(lane(number))
+        self.receiver.take(lane(number))
     }
 
     fn held(&self, number: u8) -> usize {
-        self.into.lane_report(lane(number), self.now).1.held_bytes
+        self.receiver
+            .lane_report(lane(number), self.now)
+            .1
+            .unread_bytes
     }
 
     fn waiting(&self, number: u8) -> u64 {
-        self.out.lane_report(lane(number), self.now).0.waiting.bytes
+        self.sender
+            .lane_report(lane(number), self.now)
+            .0
+            .waiting
+            .bytes
     }
 }
 
 #[test]
-fn the_most_urgent_goes_first_whatever_came_before() {
+fn most_urgent_batch_is_sent_first_whatever_was_queued_before() {
     let mut pair = Pair::new();
     for number in [7, 5, 5, 1, 0, 5] {
         assert!(pair.push(number, b"x"));
@@ -104,17 +111,17 @@ fn the_most_urgent_goes_first_whatever_came_before() {
 }
 
 #[test]
-fn what_has_not_gone_out_yet_is_overtaken() {
+fn batch_that_was_not_sent_yet_is_overtaken() {
     let mut pair = Pair::new();
     pair.push(5, b"bulk");
-    assert!(matches!(pair.out.peek(), Some((Next::Batch(l), _)) if l == lane(5)));
+    assert!(matches!(pair.sender.peek(), Some((Next::Batch(l), _)) if l == lane(5)));
     pair.push(1, b"stop");
     assert_eq!(pair.step(), Some(Change::Batch(lane(1))));
     assert_eq!(pair.step(), Some(Change::Batch(lane(5))));
 }
 
 #[test]
-fn bulk_leaves_room_for_what_is_urgent_while_nothing_is_acknowledged() {
+fn bulk_leaves_window_for_urgent_batches_while_nothing_is_acknowledged() {
     let mut pair = Pair::new();
     while pair.push(5, &[5; MTU]) {}
     let bulk = std::iter::from_fn(|| pair.step()).count();
@@ -126,32 +133,35 @@ fn bulk_leaves_room_for_what_is_urgent_while_nothing_is_acknowledged() {
 }
 
 #[test]
-fn bulk_has_a_bound_and_takes_no_room_of_what_is_urgent() {
+fn bulk_is_bounded_and_does_not_use_the_room_of_urgent_lanes() {
     let mut pair = Pair::new();
     while pair.push(5, &[5; MTU]) {}
     while pair.push(4, &[4; MTU]) {}
     let waiting: u64 = (0..8).map(|number| pair.waiting(number)).sum();
-    let most = (BOUNDS.bytes + OWN_BYTES) as u64;
-    assert!((BOUNDS.bytes as u64..=most).contains(&waiting), "{waiting}");
+    let max_bytes = (BOUNDS.bytes + RESERVED_BYTES_PER_LANE) as u64;
+    assert!(
+        (BOUNDS.bytes as u64..=max_bytes).contains(&waiting),
+        "{waiting}"
+    );
     let mut urgent = 0;
     while pair.push(1, &[1; MTU]) {
         urgent += MTU;
     }
     assert!(
-        (OWN_BYTES - 5 * MTU..=OWN_BYTES).contains(&urgent),
+        (RESERVED_BYTES_PER_LANE - 5 * MTU..=RESERVED_BYTES_PER_LANE).contains(&urgent),
         "{urgent}"
     );
 }
 
 #[test]
-fn the_bound_holds_for_small_batches_too() {
+fn bound_holds_for_small_batches() {
     let mut pair = Pair::new();
     while pair.push(5, b"x") {}
-    assert!(pair.out.lane_report(lane(5), pair.now).0.waiting.sdus < 3000);
+    assert!(pair.sender.lane_report(lane(5), pair.now).0.waiting.sdus < 3000);
 }
 
 #[test]
-fn a_lane_whose_receiver_takes_nothing_stops_alone() {
+fn lane_that_is_not_read_stops_without_stopping_others() {
     let mut pair = Pair::new();
     let mut pushed = 0;
     while pair.push(4, &[4; MTU]) {
@@ -159,7 +169,7 @@ fn a_lane_whose_receiver_takes_nothing_stops_alone() {
     }
     pair.settle();
     let held = pair.held(4);
-    assert!((HIGH_MARK..=HIGH_MARK + MTU + usize::from(WINDOW)).contains(&held));
+    assert!((HIGH_WATERMARK..=HIGH_WATERMARK + MTU + usize::from(WINDOW)).contains(&held));
     for n in 0..1000_u32 {
         for other in [1, 6] {
             assert!(pair.push(other, &n.to_le_bytes()));
@@ -167,7 +177,7 @@ fn a_lane_whose_receiver_takes_nothing_stops_alone() {
             assert_eq!(pair.take(other), Some(n.to_le_bytes().to_vec()));
         }
     }
-    // It wakes up, and everything is there.
+    // Everything is delivered once the receiver reads again.
     for n in 0..pushed {
         pair.settle();
         assert!(pair.take(4).is_some(), "batch {n} of {pushed}");
@@ -176,23 +186,27 @@ fn a_lane_whose_receiver_takes_nothing_stops_alone() {
 }
 
 #[test]
-fn a_goodbye_goes_when_everything_else_has_gone() {
+fn goodbye_is_sent_after_all_batches() {
     let mut pair = Pair::new();
     pair.push(5, b"first");
-    pair.out.close(0);
+    pair.sender.close(0);
     assert_eq!(pair.step(), Some(Change::Batch(lane(5))));
-    assert_eq!(pair.step(), Some(Change::Bye(0)));
+    assert_eq!(pair.step(), Some(Change::Goodbye(0)));
     assert_eq!(pair.step(), None);
     assert_eq!(pair.take(5), Some(b"first".to_vec()));
-    let more = pair.into.on_sdu(&[0; 10], pair.now);
-    assert_eq!(more, Err(Violation::AfterBye));
+    let more = pair.receiver.on_sdu(&[0; 10], pair.now);
+    assert_eq!(more, Err(Violation::AfterGoodbye));
     assert!(!pair.push(1, b"too late"));
-    assert_eq!(sent(&mut pair.out, pair.now), None, "nothing follows it");
+    assert_eq!(
+        sent(&mut pair.sender, pair.now),
+        None,
+        "nothing follows the goodbye"
+    );
 }
 
-/// Without anything else on the link: a keep-alive of Zenoh's would bring the acknowledgement, seconds later.
+/// Nothing else is sent on the link. Otherwise a keep-alive of Zenoh would cause the acknowledgement, seconds later.
 #[test]
-fn a_lane_never_waits_for_an_acknowledgement_that_is_not_due() {
+fn lane_never_waits_for_an_acknowledgement_that_is_not_due() {
     for mtu in [usize::from(MIN_MTU), 145, 146, 200, MTU] {
         for window in [MIN_WINDOW, 1000, WINDOW] {
             let mtu = mtu.min(usize::from(largest_batch(window)));
@@ -214,25 +228,25 @@ fn a_lane_never_waits_for_an_acknowledgement_that_is_not_due() {
 }
 
 #[test]
-fn an_empty_batch_is_no_sdu() {
+fn empty_batch_is_not_sent() {
     let mut pair = Pair::new();
     assert!(pair.push(5, b""));
     assert_eq!(pair.step(), None);
 }
 
 #[test]
-fn what_is_lost_changed_or_repeated_ends_the_link() {
+fn lost_changed_or_repeated_sdus_end_the_link() {
     let sdus = || {
         let mut pair = Pair::new();
         for n in 0..10 {
             pair.push(n % 8, &[n; 50]);
         }
-        std::iter::from_fn(|| sent(&mut pair.out, pair.now)).collect::<Vec<_>>()
+        std::iter::from_fn(|| sent(&mut pair.sender, pair.now)).collect::<Vec<_>>()
     };
     let end = |sdus: &[Vec<u8>]| {
         let mut pair = Pair::new();
         sdus.iter()
-            .find_map(|sdu| pair.into.on_sdu(sdu, pair.now).err())
+            .find_map(|sdu| pair.receiver.on_sdu(sdu, pair.now).err())
     };
     let fault = |fault| Some(Violation::Sdu(SduError::Fault(fault)));
     assert_eq!(end(&sdus()), None);
@@ -254,8 +268,8 @@ fn what_is_lost_changed_or_repeated_ends_the_link() {
     assert_eq!(end(&cut), fault(Fault::Damaged));
 }
 
-/// Batches as Zenoh makes them of droppable messages: a whole one of a few bytes, and the pieces of a larger one. (Id,
-/// number, QoS extension; then "first fragment"; then a push to a named key with congestion control "drop".)
+/// A push to a named key with congestion control `Drop`, as Zenoh encodes it. In front of it, a batch contains an id, a
+/// sequence number, a QoS extension and, in a first fragment, the extension that marks it.
 const PUSH: [u8; 8] = [0xbd, 0x00, 0x01, b'k', 0x21, 0x05, 0x01, 0x00];
 
 fn droppable(kind: Kind, size: usize) -> Vec<u8> {
@@ -279,32 +293,32 @@ enum Kind {
 }
 
 #[test]
-fn the_batches_of_these_tests_are_what_zenoh_would_send() {
+fn droppable_batches_of_these_tests_have_the_format_of_zenoh() {
     let is_droppable = true;
-    for (kind, piece) in [
-        (Kind::Whole, Piece::Whole { is_droppable }),
-        (Kind::First, Piece::First { is_droppable }),
-        (Kind::Next, Piece::Next),
+    for (kind, expected) in [
+        (Kind::Whole, BatchKind::Whole { is_droppable }),
+        (Kind::First, BatchKind::FirstFragment { is_droppable }),
+        (Kind::Next, BatchKind::NextFragment),
     ] {
-        assert_eq!(Piece::of(&droppable(kind, 100)), piece);
+        assert_eq!(BatchKind::of(&droppable(kind, 100)), expected);
     }
 }
 
 #[test]
-fn a_droppable_message_is_begun_only_while_little_waits_and_then_taken_whole() {
+fn droppable_message_is_accepted_only_while_little_waits_and_then_completely() {
     let mut pair = Pair::new();
     assert!(pair.push(5, &droppable(Kind::First, MTU)));
     let mut taken = 1;
     while pair.waiting(5) < 20_000 {
         assert!(
             pair.push(5, &droppable(Kind::Next, MTU)),
-            "what was begun is taken"
+            "a started message is accepted completely"
         );
         taken += 1;
     }
     assert!(!pair.push(5, &droppable(Kind::First, MTU)));
     assert!(!pair.push(5, &droppable(Kind::Whole, 50)));
-    assert!(pair.push(5, b"what must arrive is taken all the same"));
+    assert!(pair.push(5, b"a message that must arrive is accepted"));
     for _ in 0..taken {
         pair.settle();
         assert!(pair.take(5).is_some());
@@ -312,13 +326,13 @@ fn a_droppable_message_is_begun_only_while_little_waits_and_then_taken_whole() {
     assert!(pair.push(5, &droppable(Kind::First, MTU)));
 }
 
-/// Bounds of a link on which half a second of messages may wait, and of large ones as much as in the other tests.
+/// Bounds with half a second of small messages, and with the same bound in bytes as in the other tests.
 const HALF_A_SECOND: Bounds = Bounds {
     backlog: Duration::from_millis(500),
     ..BOUNDS
 };
 
-/// A batch as Zenoh makes it of messages that must arrive.
+/// Returns a batch of a message that must arrive, as Zenoh encodes it.
 fn must_arrive(kind: Kind, size: usize) -> Vec<u8> {
     let mut batch: Vec<u8> = match kind {
         Kind::Whole => vec![0x25, 0x07],
@@ -326,7 +340,7 @@ fn must_arrive(kind: Kind, size: usize) -> Vec<u8> {
         Kind::Next => vec![0x66, 0x08],
     };
     if !matches!(kind, Kind::Next) {
-        // As `PUSH`, with congestion control "block".
+        // Like `PUSH`, but with congestion control `Block`.
         batch.extend_from_slice(&[0xbd, 0x00, 0x01, b'k', 0x21, 0x0d, 0x01, 0x00]);
     }
     batch.resize(size, 0);
@@ -334,31 +348,34 @@ fn must_arrive(kind: Kind, size: usize) -> Vec<u8> {
 }
 
 impl Pair {
-    /// Offers whole messages to a lane until it takes no more, and returns how many it took.
+    /// Offers whole messages to a lane until it accepts no more, and returns the number of accepted ones.
     fn fill(&mut self, number: u8) -> usize {
         std::iter::repeat_with(|| self.push(number, &must_arrive(Kind::Whole, MTU)))
-            .take_while(|is_taken| *is_taken)
+            .take_while(|is_accepted| *is_accepted)
             .count()
     }
 
-    /// Offers a message of several pieces, all of them at once, and returns whether the lane took its first piece.
-    fn push_message(&mut self, number: u8, pieces: usize) -> bool {
-        let is_taken = self.push(number, &must_arrive(Kind::First, MTU));
-        if is_taken {
-            for piece in 1..pieces {
-                let is_taken = self.push(number, &must_arrive(Kind::Next, MTU));
-                assert!(is_taken, "piece {piece} of a message that was begun");
+    /// Offers all fragments of a message at once, and returns whether the lane accepted the first one.
+    fn push_message(&mut self, number: u8, fragments: usize) -> bool {
+        let is_accepted = self.push(number, &must_arrive(Kind::First, MTU));
+        if is_accepted {
+            for fragment in 1..fragments {
+                let is_accepted = self.push(number, &must_arrive(Kind::Next, MTU));
+                assert!(
+                    is_accepted,
+                    "fragment {fragment} of a message that was started"
+                );
             }
         }
-        is_taken
+        is_accepted
     }
 
     fn backlog(&self, number: u8) -> usize {
-        let (out, _) = self.out.lane_report(lane(number), self.now);
+        let (out, _) = self.sender.lane_report(lane(number), self.now);
         usize::try_from(out.backlog_bytes).expect("small")
     }
 
-    /// Sends what waits at that rate, for that time, to a receiver that reads everything.
+    /// Sends at that rate for that time to a receiver that reads everything.
     fn run(&mut self, bytes_per_s: f64, time: Duration) {
         let end = self.now + time;
         while self.now < end {
@@ -366,7 +383,7 @@ impl Pair {
                 Some(_) => {
                     self.now += Duration::from_secs_f64(MTU as f64 / bytes_per_s);
                     while (0..LANES as u8).any(|number| self.take(number).is_some()) {}
-                    while self.back().is_some() {}
+                    while self.step_back().is_some() {}
                 }
                 None => self.now += Duration::from_millis(1),
             }
@@ -375,23 +392,23 @@ impl Pair {
 }
 
 #[test]
-fn the_batches_of_the_backlog_tests_are_what_zenoh_would_send() {
+fn batches_of_the_backlog_tests_have_the_format_of_zenoh() {
     let is_droppable = false;
-    for (kind, piece) in [
-        (Kind::Whole, Piece::Whole { is_droppable }),
-        (Kind::First, Piece::First { is_droppable }),
-        (Kind::Next, Piece::Next),
+    for (kind, expected) in [
+        (Kind::Whole, BatchKind::Whole { is_droppable }),
+        (Kind::First, BatchKind::FirstFragment { is_droppable }),
+        (Kind::Next, BatchKind::NextFragment),
     ] {
-        assert_eq!(Piece::of(&must_arrive(kind, 100)), piece);
+        assert_eq!(BatchKind::of(&must_arrive(kind, 100)), expected);
     }
 }
 
 #[test]
-fn small_messages_wait_for_no_longer_than_the_backlog_allows() {
+fn small_messages_wait_no_longer_than_the_backlog_allows() {
     for bytes_per_s in [34_000.0, 100_000.0] {
         let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
         pair.fill(5);
-        // The lane is kept full, as by a program that floods it.
+        // The lane is kept full, like the lane of a program that floods it.
         for _ in 0..3000 {
             pair.run(bytes_per_s, Duration::from_millis(1));
             pair.fill(5);
@@ -402,7 +419,7 @@ fn small_messages_wait_for_no_longer_than_the_backlog_allows() {
             "{bytes_per_s} B/s: {wait_s} s"
         );
         assert!(!pair.push(5, &must_arrive(Kind::First, MTU)));
-        // Other lanes have a backlog of their own.
+        // Each lane has a separate backlog.
         assert!(pair.push(6, &must_arrive(Kind::Whole, MTU)));
         pair.run(bytes_per_s, Duration::from_millis(100));
         assert!(pair.push(5, &must_arrive(Kind::Whole, MTU)));
@@ -410,15 +427,15 @@ fn small_messages_wait_for_no_longer_than_the_backlog_allows() {
 }
 
 #[test]
-fn message_that_was_begun_is_taken_whole_and_large_one_does_not_delay_the_next() {
+fn started_message_is_accepted_completely_and_a_large_one_does_not_delay_the_next() {
     let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
-    // 50 kB: a small message, which the next one has to wait for.
+    // 50 kB: a small message, for which the next one has to wait.
     assert!(pair.push_message(5, 50));
     assert!(!pair.push_message(5, 2));
     assert_eq!(pair.fill(5), 0);
     pair.run(34_000.0, Duration::from_secs(2));
     assert_eq!(pair.backlog(5), 0);
-    // 70 kB: once its size shows, it no longer counts.
+    // 70 kB: a message that no longer counts once it is known to be large.
     assert!(pair.push_message(5, 70));
     assert_eq!(pair.backlog(5), 0);
     assert!(pair.waiting(5) > 70_000);
@@ -432,17 +449,17 @@ fn bound_in_bytes_holds_for_large_messages() {
     assert!(pair.push_message(5, 70));
     assert!(pair.push(5, &must_arrive(Kind::First, MTU)));
     let taken = std::iter::repeat_with(|| pair.push(5, &must_arrive(Kind::Next, MTU)));
-    let taken = taken.take_while(|is_taken| *is_taken).count();
+    let taken = taken.take_while(|is_accepted| *is_accepted).count();
     assert!(taken < 30, "{taken}");
     assert!(pair.waiting(5) <= BOUNDS.bytes as u64);
 }
 
 #[test]
-fn backlog_of_a_message_that_zenoh_gave_up_is_given_back() {
+fn backlog_of_an_abandoned_message_is_released() {
     let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
-    for pieces in [10, 70] {
+    for fragments in [10, 70] {
         assert!(pair.push(5, &must_arrive(Kind::Whole, MTU)));
-        assert!(pair.push_message(5, pieces));
+        assert!(pair.push_message(5, fragments));
         assert!(pair.push(5, b""));
         assert_eq!(pair.backlog(5), usize::from(cost(MTU)));
         pair.run(34_000.0, Duration::from_secs(3));
@@ -451,21 +468,21 @@ fn backlog_of_a_message_that_zenoh_gave_up_is_given_back() {
 }
 
 #[test]
-fn lane_on_which_nothing_moves_takes_one_batch_every_two_seconds() {
+fn lane_without_progress_accepts_one_batch_every_two_seconds() {
     for is_stopped in [true, false] {
         let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
-        // Nothing of what counts leaves the lane: it is stopped, or all of it is behind a large message.
+        // No batch that counts can leave the lane: the lane is stopped, or a large message waits before them.
         if is_stopped {
-            pair.out.out.on_stopped(lane(5), true);
+            pair.sender.out.on_stopped(lane(5), true);
         } else {
             assert!(pair.push_message(5, 70));
         }
         pair.fill(5);
         let batch = must_arrive(Kind::Whole, MTU);
         for _ in 0..5 {
-            let at = pair.out.ask_again_at(lane(5), &batch, pair.now);
-            let at = at.expect("there is a time to ask again");
-            assert_eq!(at - pair.now, BATCH_PATIENCE);
+            let at = pair.sender.retry_at(lane(5), &batch, pair.now);
+            let at = at.expect("a time to retry");
+            assert_eq!(at - pair.now, BATCH_STALL_TIMEOUT);
             pair.now = at - Duration::from_millis(1);
             assert!(!pair.push(5, &batch));
             pair.now = at;
@@ -474,21 +491,21 @@ fn lane_on_which_nothing_moves_takes_one_batch_every_two_seconds() {
             assert!(!pair.push(5, &batch));
         }
         let first = must_arrive(Kind::First, MTU);
-        let at = pair.out.ask_again_at(lane(5), &first, pair.now);
-        pair.now = at.expect("there is a time to ask again");
+        let at = pair.sender.retry_at(lane(5), &first, pair.now);
+        pair.now = at.expect("a time to retry");
         assert!(pair.push(5, &first));
     }
 }
 
 #[test]
 fn declarations_have_no_backlog() {
-    // Zenoh sends them on lane 0, and waits for room with its routing tables locked.
+    // Zenoh sends declarations on lane 0, and waits for room with its routing tables locked.
     let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
     assert!(pair.fill(0) > 80);
 }
 
 #[test]
-fn what_waits_of_a_message_that_zenoh_gave_up_is_taken_back() {
+fn waiting_fragments_of_an_abandoned_message_are_withdrawn() {
     let mut pair = Pair::new();
     pair.push(5, b"whole");
     for kind in [Kind::First, Kind::Next, Kind::Next] {
@@ -498,16 +515,19 @@ fn what_waits_of_a_message_that_zenoh_gave_up_is_taken_back() {
     pair.settle();
     assert_eq!(pair.take(5), Some(b"whole".to_vec()));
     assert_eq!(pair.take(5), None);
-    assert_eq!(pair.out.lane_report(lane(5), pair.now).0.given_up_sdus, 3);
+    assert_eq!(
+        pair.sender.lane_report(lane(5), pair.now).0.abandoned_sdus,
+        3
+    );
 }
 
-/// A peer that sends what it likes, rightly sealed.
-struct Rogue {
+/// A peer that sends any content, with correct checks.
+struct MisbehavingPeer {
     pair: Pair,
     number: u32,
 }
 
-impl Rogue {
+impl MisbehavingPeer {
     fn new() -> Self {
         let (pair, number) = (Pair::new(), 0);
         Self { pair, number }
@@ -517,69 +537,69 @@ impl Rogue {
         let mut sdu = content.encode();
         sdu::seal(self.number, &mut sdu);
         self.number += 1;
-        self.pair.into.on_sdu(&sdu, self.pair.now)
+        self.pair.receiver.on_sdu(&sdu, self.pair.now)
     }
 }
 
 #[test]
-fn a_peer_that_ignores_its_credits_is_found_out_within_the_window() {
-    let mut rogue = Rogue::new();
+fn peer_that_ignores_its_credits_is_detected_within_the_window() {
+    let mut peer = MisbehavingPeer::new();
     let batch = Content::Batch(lane(3), &[0; MTU]);
-    let sent = std::iter::from_fn(|| rogue.sends(batch).ok()).count();
+    let sent = std::iter::from_fn(|| peer.sends(batch).ok()).count();
     assert_eq!(sent, usize::from(WINDOW / cost(MTU)));
-    let found = Err(Violation::Credits(CreditError::Overrun));
-    assert_eq!(rogue.sends(batch), found);
+    let expected = Err(Violation::Credits(CreditError::Overrun));
+    assert_eq!(peer.sends(batch), expected);
 }
 
-/// Batches that the receiver has acknowledged no longer count, even if the peer has not read the acknowledgement. Lanes that
-/// are not read have a bound of their own.
+/// Batches that the receiver has acknowledged no longer count, even if the peer has not read the acknowledgement. Unread
+/// lanes are bounded separately.
 #[test]
-fn an_overrun_is_not_noticed_by_a_receiver_that_has_acknowledged() {
-    let mut rogue = Rogue::new();
+fn receiver_that_has_acknowledged_cannot_detect_an_overrun() {
+    let mut peer = MisbehavingPeer::new();
     for n in 0..10 * (WINDOW / cost(MTU)) {
-        let change = rogue.sends(Content::Batch(lane(3), &[0; MTU]));
+        let change = peer.sends(Content::Batch(lane(3), &[0; MTU]));
         assert_eq!(change, Ok(Change::Batch(lane(3))), "batch {n}");
-        assert!(rogue.pair.take(3).is_some());
-        while sent(&mut rogue.pair.into, rogue.pair.now).is_some() {}
+        assert!(peer.pair.take(3).is_some());
+        while sent(&mut peer.pair.receiver, peer.pair.now).is_some() {}
     }
 }
 
 #[test]
-fn a_peer_that_goes_on_with_a_stopped_lane_is_found_out() {
-    let mut rogue = Rogue::new();
+fn peer_that_keeps_sending_on_a_stopped_lane_is_detected() {
+    let mut peer = MisbehavingPeer::new();
     let batch = Content::Batch(lane(3), &[0; MTU]);
     let mut held = 0;
-    let found = loop {
-        // It has its acknowledgements, and takes no notice of the rest.
-        while sent(&mut rogue.pair.into, rogue.pair.now).is_some() {}
-        match rogue.sends(batch) {
+    let violation = loop {
+        // The peer gets its acknowledgements and ignores all other signals.
+        while sent(&mut peer.pair.receiver, peer.pair.now).is_some() {}
+        match peer.sends(batch) {
             Ok(_) => held += MTU,
             Err(violation) => break violation,
         }
-        assert!(held < 100_000, "memory has a bound");
+        assert!(held < 100_000, "memory is bounded");
     };
-    assert_eq!(found, Violation::Stopped(lane(3)));
+    assert_eq!(violation, Violation::Stopped(lane(3)));
 }
 
 #[test]
-fn a_peer_that_acknowledges_what_was_never_sent_is_found_out() {
-    let mut rogue = Rogue::new();
-    let found = Err(Violation::Credits(CreditError::NeverSent));
-    assert_eq!(rogue.sends(Content::Ack(1)), found);
+fn acknowledgement_of_more_than_was_sent_is_detected() {
+    let mut peer = MisbehavingPeer::new();
+    let expected = Err(Violation::Credits(CreditError::ExceedsSent));
+    assert_eq!(peer.sends(Content::Ack(1)), expected);
 }
 
 #[test]
-fn an_sdu_over_the_mtu_ends_the_link() {
-    let mut rogue = Rogue::new();
+fn sdu_over_the_mtu_ends_the_link() {
+    let mut peer = MisbehavingPeer::new();
     let (size, mtu) = (MTU + 1, MTU);
-    let found = Err(Violation::TooLarge { size, mtu });
-    assert_eq!(rogue.sends(Content::Batch(lane(3), &[0; MTU + 1])), found);
+    let expected = Err(Violation::TooLarge { size, mtu });
+    assert_eq!(peer.sends(Content::Batch(lane(3), &[0; MTU + 1])), expected);
 }
 
-/// Any order of pushing, sending, taking and acknowledging, both ways at once: each lane gives out what was put in, in
-/// order, and at the end nothing is left.
+/// For any order of pushing, sending, taking and acknowledging, each lane delivers in order what was pushed, and nothing is
+/// left at the end.
 #[test]
-fn every_lane_delivers_all_in_order_whatever_the_order_of_events() {
+fn every_lane_delivers_everything_in_order_for_any_order_of_events() {
     for seed in 0..200 {
         let mut dice = Pcg32::seed_from_u64(seed);
         let mut pair = Pair::new();
@@ -596,7 +616,7 @@ fn every_lane_delivers_all_in_order_whatever_the_order_of_events() {
             let number = (dice.next_u32() % LANES as u32) as u8;
             match dice.next_u32() % if round < 5000 { 5 } else { 3 } {
                 0 => drop(pair.step()),
-                1 => drop(pair.back()),
+                1 => drop(pair.step_back()),
                 2 => take(&mut pair, number, &mut taken),
                 _ => {
                     let at = usize::from(number);

@@ -1,4 +1,4 @@
-//! Owns the options of a locator: each one's value where it is given, and what a wrong one is told.
+//! Parses the options of a locator, with a description of the valid values for each one.
 use std::{ops::RangeInclusive, path::PathBuf, time::Duration};
 
 use zenoh_protocol::core::EndPoint;
@@ -14,7 +14,7 @@ use crate::{
     radio::Security,
 };
 
-/// What stands behind the `#`: keys and values.
+/// The part of a locator after `#`: keys and values.
 pub(super) struct Options<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Options<'a> {
@@ -42,7 +42,7 @@ impl<'a> Options<'a> {
     fn read<T>(
         &self,
         key: &'static str,
-        wanted: &'static str,
+        expected: &'static str,
         read: impl Fn(&str) -> Option<T>,
     ) -> Result<Option<T>, LocatorError> {
         let Some((_, value)) = self.0.iter().find(|(k, _)| *k == key) else {
@@ -51,14 +51,14 @@ impl<'a> Options<'a> {
         read(value).map(Some).ok_or_else(|| LocatorError::Value {
             key,
             value: (*value).to_owned(),
-            wanted,
+            expected,
         })
     }
 
     pub(super) fn adapter(&self) -> Result<Option<String>, LocatorError> {
         self.read(
             "adapter",
-            "an adapter is named hci0, hci1, ... or sim-...",
+            "the value must be the name of an adapter: hci0, hci1, ... or sim-...",
             |v| is_adapter(v).then(|| v.to_owned()),
         )
     }
@@ -66,7 +66,7 @@ impl<'a> Options<'a> {
     pub(super) fn name(&self) -> Result<Option<String>, LocatorError> {
         self.read(
             "name",
-            "a name has 1 to 29 letters, digits, `-`, `_` or `.`, and is not that of an adapter or an address",
+            "a name must have 1 to 29 letters, digits, `-`, `_` or `.`, and must not be that of an adapter or an address",
             |v| (is_name(v) && !is_adapter(v)).then(|| v.to_owned()),
         )
     }
@@ -74,45 +74,55 @@ impl<'a> Options<'a> {
     pub(super) fn fleet(&self) -> Result<Option<String>, LocatorError> {
         self.read(
             "fleet",
-            "a fleet's name has 1 to 29 letters, digits, `-`, `_` or `.`",
+            "the name of a fleet must have 1 to 29 letters, digits, `-`, `_` or `.`",
             |v| is_name(v).then(|| v.to_owned()),
         )
     }
 
     pub(super) fn psm(&self) -> Result<Option<Psm>, LocatorError> {
-        self.read("psm", "a psm is a number from 128 to 255", |v| {
+        self.read("psm", "the value must be a number from 128 to 255", |v| {
             v.parse().ok().and_then(Psm::new)
         })
     }
 
     pub(super) fn address_kind(&self) -> Result<Option<AddressType>, LocatorError> {
-        self.read("addr_type", "it is public or random", |v| match v {
-            "public" => Some(AddressType::Public),
-            "random" => Some(AddressType::Random),
-            _ => None,
-        })
+        self.read(
+            "addr_type",
+            "the value must be public or random",
+            |v| match v {
+                "public" => Some(AddressType::Public),
+                "random" => Some(AddressType::Random),
+                _ => None,
+            },
+        )
     }
 
     pub(super) fn security(&self) -> Result<Security, LocatorError> {
-        let level = self.read("sec", "it is low, medium or high", |v| match v {
-            "low" => Some(Security::Low),
-            "medium" => Some(Security::Medium),
-            "high" => Some(Security::High),
-            _ => None,
-        })?;
+        let level = self.read(
+            "sec",
+            "the value must be low, medium or high",
+            |v| match v {
+                "low" => Some(Security::Low),
+                "medium" => Some(Security::Medium),
+                "high" => Some(Security::High),
+                _ => None,
+            },
+        )?;
         Ok(level.unwrap_or_default())
     }
 
     pub(super) fn secret(&self) -> Result<Option<PathBuf>, LocatorError> {
-        self.read("secret", "it is the whole path of a file", |v| {
-            v.starts_with('/').then(|| PathBuf::from(v))
-        })
+        self.read(
+            "secret",
+            "the value must be the absolute path of a file",
+            |v| v.starts_with('/').then(|| PathBuf::from(v)),
+        )
     }
 
     pub(super) fn mtu(&self) -> Result<u16, LocatorError> {
         let mtu = self.read(
             "mtu",
-            "it is a number of bytes from 128 (what Zenoh's handshake needs) to 8000",
+            "the value must be a number of bytes from 128 (what Zenoh's handshake needs) to 8000",
             |v| {
                 v.parse()
                     .ok()
@@ -126,22 +136,22 @@ impl<'a> Options<'a> {
         let defaults = Queueing::default();
         let bytes = self.read(
             "queue",
-            "it is a number of bytes from 65536 to 67108864, for the whole link",
+            "the value must be a number of bytes from 65536 to 67108864, for the whole link",
             |v| v.parse().ok().filter(|n| (1 << 16..=1 << 26).contains(n)),
         )?;
         let backlog = self.milliseconds(
             "backlog",
-            "it is a number of milliseconds from 50 to 600000",
+            "the value must be a number of milliseconds from 50 to 600000",
             50..=600_000,
         )?;
         let droppable = self.milliseconds(
             "droppable",
-            "it is a number of milliseconds from 20 to 10000",
+            "the value must be a number of milliseconds from 20 to 10000",
             20..=10_000,
         )?;
         let linger = self.milliseconds(
             "linger",
-            "it is a number of milliseconds from 0 to 60000",
+            "the value must be a number of milliseconds from 0 to 60000",
             0..=60_000,
         )?;
         Ok(Queueing {
@@ -157,7 +167,7 @@ impl<'a> Options<'a> {
     pub(super) fn timeout(&self) -> Result<Duration, LocatorError> {
         let timeout = self.milliseconds(
             "timeout",
-            "it is a number of milliseconds from 100 to 60000",
+            "the value must be a number of milliseconds from 100 to 60000",
             100..=60_000,
         )?;
         Ok(timeout.unwrap_or(DEFAULT_CONNECT_TIMEOUT))
@@ -166,30 +176,32 @@ impl<'a> Options<'a> {
     fn milliseconds(
         &self,
         key: &'static str,
-        wanted: &'static str,
+        expected: &'static str,
         range: RangeInclusive<u64>,
     ) -> Result<Option<Duration>, LocatorError> {
         let in_range = |ms: &u64| range.contains(ms);
         let read = |v: &str| v.parse().ok().filter(in_range).map(Duration::from_millis);
-        self.read(key, wanted, read)
+        self.read(key, expected, read)
     }
 
     pub(super) fn plain(&self) -> Result<Option<bool>, LocatorError> {
-        self.yes_or_no("plain")
+        self.boolean("plain")
     }
 
     pub(super) fn wait(&self) -> Result<bool, LocatorError> {
-        Ok(self.yes_or_no("wait")?.unwrap_or(false))
+        Ok(self.boolean("wait")?.unwrap_or(false))
     }
 
-    fn yes_or_no(&self, key: &'static str) -> Result<Option<bool>, LocatorError> {
-        self.read(key, "it is true or false", |v| v.parse().ok())
+    fn boolean(&self, key: &'static str) -> Result<Option<bool>, LocatorError> {
+        self.read(key, "the value must be true or false", |v| v.parse().ok())
     }
 
     pub(super) fn max_links(&self) -> Result<usize, LocatorError> {
-        let links = self.read("max_links", "it is a number from 1 to 64", |v| {
-            v.parse().ok().filter(|n| (1..=64).contains(n))
-        })?;
+        let links = self.read(
+            "max_links",
+            "the value must be a number from 1 to 64",
+            |v| v.parse().ok().filter(|n| (1..=64).contains(n)),
+        )?;
         Ok(links.unwrap_or(DEFAULT_MAX_LINKS))
     }
 }

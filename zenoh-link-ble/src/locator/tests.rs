@@ -1,4 +1,4 @@
-//! `cargo test -p zenoh-link-ble --lib locator`
+//! Tests the parser of locators: `cargo test -p zenoh-link-ble --lib locator`
 use super::*;
 
 fn connect(text: &str) -> Result<ConnectLocator, LocatorError> {
@@ -10,7 +10,7 @@ fn listen(text: &str) -> Result<ListenLocator, LocatorError> {
 }
 
 #[test]
-fn an_address_with_every_option_is_read() {
+fn address_with_every_option_is_parsed() {
     let read = connect(
         "ble/DC:A6:32:01:02:03#adapter=hci1;psm=128;addr_type=random;sec=medium;mtu=500;timeout=3000;plain=true;queue=100000;backlog=700;droppable=50;linger=1000",
     )
@@ -30,7 +30,7 @@ fn an_address_with_every_option_is_read() {
 }
 
 #[test]
-fn a_bare_name_takes_the_defaults() {
+fn bare_name_uses_the_defaults() {
     let read = connect("ble/wombat-2").expect("valid");
     assert_eq!(read.target, Target::Name("wombat-2".to_owned()));
     assert_eq!((read.psm, read.adapter, read.plain), (None, None, None));
@@ -42,7 +42,7 @@ fn a_bare_name_takes_the_defaults() {
 }
 
 #[test]
-fn a_listener_is_an_adapter_with_a_name() {
+fn listen_locator_has_an_adapter_and_a_name() {
     let read = listen("ble/hci0#name=wombat-1;max_links=3;wait=true").expect("valid");
     assert_eq!(
         (read.adapter.as_str(), read.name.as_deref()),
@@ -53,7 +53,7 @@ fn a_listener_is_an_adapter_with_a_name() {
 }
 
 #[test]
-fn both_sides_of_each_limit() {
+fn limits_of_options_are_enforced_on_both_sides() {
     for good in [
         "psm=128",
         "psm=255",
@@ -113,13 +113,13 @@ fn both_sides_of_each_limit() {
 }
 
 #[test]
-fn a_fleet_goes_with_anyone_and_only_with_it() {
+fn fleet_is_required_for_any_peer_and_rejected_otherwise() {
     let read = connect("ble/*#fleet=lions;adapter=hci1").expect("valid");
     assert_eq!(read.target, Target::Fleet("lions".to_owned()));
     assert_eq!(connect("ble/*"), Err(LocatorError::NoFleet));
     assert_eq!(
         connect("ble/wombat-2#fleet=lions"),
-        Err(LocatorError::FleetOfOne)
+        Err(LocatorError::FleetWithPeer)
     );
     assert!(connect("ble/*#fleet=").is_err() && listen("ble/*#fleet=lions").is_err());
     let read = listen("ble/hci0#fleet=lions").expect("valid");
@@ -127,16 +127,16 @@ fn a_fleet_goes_with_anyone_and_only_with_it() {
 }
 
 #[test]
-fn a_secret_that_nothing_would_prove_is_an_error() {
+fn secret_that_would_not_be_proved_is_rejected() {
     let both = "ble/wombat-2#plain=true;secret=/etc/rect/users";
     assert_eq!(connect(both), Err(LocatorError::PlainWithSecret));
     assert!(connect("ble/wombat-2#plain=false;secret=/etc/rect/users").is_ok());
-    // There it makes the passkey.
+    // With sec=high, the passkey is derived from the secret.
     assert!(connect(&format!("{both};sec=high")).is_ok());
 }
 
 #[test]
-fn an_unknown_option_is_named_with_the_known_ones() {
+fn unknown_option_is_reported_with_the_known_ones() {
     let error = connect("ble/wombat-2#speed=fast")
         .expect_err("unknown")
         .to_string();
@@ -147,7 +147,7 @@ fn an_unknown_option_is_named_with_the_known_ones() {
 }
 
 #[test]
-fn an_adapter_is_no_peer_and_a_peer_no_adapter() {
+fn adapter_is_rejected_as_peer_and_peer_as_adapter() {
     assert!(matches!(
         connect("ble/hci0"),
         Err(LocatorError::AdapterAsTarget { .. })

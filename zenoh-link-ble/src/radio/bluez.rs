@@ -1,13 +1,13 @@
-//! Owns Linux's own Bluetooth stack as a [`Radio`]: bluetoothd over D-Bus for adapters, advertising and scanning,
-//! kernel sockets for channels. This file and its folder are the only ones that name `bluer`.
+//! Implements [`Radio`] with the Bluetooth stack of Linux: bluetoothd over D-Bus for adapters, advertising and
+//! scanning, and kernel sockets for channels. Only this file and its folder use the crate `bluer`.
 mod channel;
 mod errors;
 mod identity;
-mod packets;
 mod pairing;
 mod scan;
+mod scan_recovery;
+mod sdu_socket;
 mod socket;
-mod stuck;
 mod timing;
 mod watch;
 
@@ -23,7 +23,7 @@ use self::{
     identity::Identity,
     pairing::Pairing,
     scan::BluezScan,
-    stuck::Refusals,
+    scan_recovery::ScanRecovery,
     timing::Timing,
     watch::Watch,
 };
@@ -36,22 +36,24 @@ use crate::{
     advertisement::{Advertisement, SERVICE_UUID},
 };
 
-pub use self::timing::is_seen_to as timing_is_seen_to;
+pub use self::timing::is_configured_externally as is_timing_configured;
 
-/// The adapter taken when none is named.
+/// Adapter that is used if none is named.
 const DEFAULT_ADAPTER: &str = "hci0";
-/// How often to advertise. BlueZ's default of 1.28 s would make finding a robot take seconds. bluetoothd takes this from
-/// programs only if it runs with `--experimental`; `config/bluetooth.conf` says the same for all of them.
+/// Minimum and maximum advertising interval. With BlueZ's default of 1.28 s, finding a robot would take seconds.
+/// bluetoothd accepts this value from programs only if it runs with `--experimental`; `config/bluetooth.conf` sets the
+/// same value for all programs.
 const ADVERTISING_INTERVAL: (std::time::Duration, std::time::Duration) = (
     std::time::Duration::from_millis(100),
     std::time::Duration::from_millis(150),
 );
 
-/// How long a turn among several advertisements takes. Linux 5.10 advertises again after a link's end only when the turn
-/// is over, which by default takes 2 s; bluetoothd counts in seconds.
+/// How long bluetoothd transmits one advertisement before it switches to the next one. After a link ends, Linux 5.10
+/// advertises again only when this time has elapsed. The default is 2 s, and bluetoothd accepts whole seconds only.
 const ADVERTISING_TURN: std::time::Duration = std::time::Duration::from_secs(1);
 
-/// The adapter of that name; left out, `hci0`. Nothing is asked of the system before the radio is used.
+/// Returns the adapter of that name, or `hci0` if `name` is `None`. Does not access the system before the radio is
+/// used.
 pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
     Ok(Arc::new(BluezRadio {
         identity: Arc::new(Identity::new(name.unwrap_or(DEFAULT_ADAPTER))),
@@ -59,7 +61,7 @@ pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
         session: OnceCell::new(),
         watch: OnceCell::new(),
         pairing: Pairing::default(),
-        refusals: Refusals::default(),
+        scan_recovery: ScanRecovery::default(),
     }))
 }
 
@@ -69,7 +71,7 @@ struct BluezRadio {
     session: OnceCell<Session>,
     watch: OnceCell<Watch>,
     pairing: Pairing,
-    refusals: Refusals,
+    scan_recovery: ScanRecovery,
 }
 
 impl BluezRadio {
@@ -81,7 +83,7 @@ impl BluezRadio {
             .await
     }
 
-    /// The adapter, known to exist and to be powered.
+    /// Returns the adapter after checking that it exists and is powered on.
     async fn adapter(&self) -> Result<Adapter, RadioError> {
         let session = self.session().await?;
         let found = async {
@@ -103,10 +105,10 @@ impl BluezRadio {
         }
     }
 
-    /// The adapter, ready for channels with these options.
+    /// Returns the adapter after preparing it for channels with these options.
     async fn adapter_for(&self, options: &ChannelOptions) -> Result<Adapter, RadioError> {
         let adapter = self.adapter().await?;
-        self.timing.ask(adapter.name());
+        self.timing.apply(adapter.name());
         let (session, epoch) = (self.session().await?, self.epoch());
         let pairing = &self.pairing;
         (pairing.prepare(session, adapter.name(), epoch, options)).await?;
@@ -117,7 +119,7 @@ impl BluezRadio {
 #[async_trait]
 impl Radio for BluezRadio {
     fn name(&self) -> &str {
-        self.identity.given()
+        self.identity.requested_name()
     }
 
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
@@ -142,13 +144,13 @@ impl Radio for BluezRadio {
             .await;
         match watch {
             Ok(watch) => watch.changed().await,
-            // Nothing can tell: the caller looks again by itself.
+            // Without a watch, changes cannot be detected. The caller polls the state itself.
             Err(_) => std::future::pending().await,
         }
     }
 
     fn epoch(&self) -> u64 {
-        self.watch.get().map_or(0, Watch::epoch) + self.identity.moves()
+        self.watch.get().map_or(0, Watch::epoch) + self.identity.renames()
     }
 
     async fn advertise(
@@ -157,8 +159,9 @@ impl Radio for BluezRadio {
         name: &str,
     ) -> Result<Box<dyn AdvertisingGuard>, RadioError> {
         let adapter = self.adapter().await?;
-        // Linux 5.10 scans under a random address, which it cannot set while it advertises: an adapter that advertised
-        // first would refuse every scan. One scan before leaves an address behind; if it fails, so will the next.
+        // Linux 5.10 scans with a random address, which it cannot set while it advertises. If the adapter advertised
+        // first, every later scan would be refused. One scan before advertising sets the address; if it fails, the
+        // advertisement fails too.
         let _first_scan = BluezScan::start(adapter.clone()).await;
         let data = advertisement.encode().to_vec();
         let advertisement = adv::Advertisement {
@@ -171,7 +174,7 @@ impl Radio for BluezRadio {
             duration: Some(ADVERTISING_TURN),
             ..Default::default()
         };
-        let handle = to_the_end(async move { adapter.advertise(advertisement).await })
+        let handle = run_to_completion(async move { adapter.advertise(advertisement).await })
             .await
             .map_err(dbus_error("advertise"))?;
         Ok(Box::new(BluezAdvertising { _handle: handle }))
@@ -181,17 +184,17 @@ impl Radio for BluezRadio {
         let adapter = self.adapter().await?;
         match BluezScan::start(adapter.clone()).await {
             Ok(scan) => {
-                self.refusals.on_started();
+                self.scan_recovery.on_started();
                 Ok(Box::new(scan))
             }
             Err(error) => {
-                self.refusals.on_failed(&adapter, &error).await;
+                self.scan_recovery.on_failed(&adapter, &error).await;
                 Err(dbus_error("scan")(error))
             }
         }
     }
 
-    async fn name_of(&self, device: DeviceAddress) -> Option<String> {
+    async fn device_name(&self, device: DeviceAddress) -> Option<String> {
         let device = self
             .adapter()
             .await
@@ -224,26 +227,29 @@ impl Radio for BluezRadio {
     }
 
     async fn disconnect(&self, peer: DeviceAddress) {
-        // bluetoothd holds the connection by channels of its own, and the kernel then goes on with what it believes
-        // of the old ones ("Source CID already allocated").
+        // bluetoothd keeps the connection open through its own channels, and the kernel would continue with stale
+        // channel state ("Source CID already allocated").
         let Ok(adapter) = self.adapter().await else {
             return;
         };
         if let Ok(device) = adapter.device(bluer::Address(peer.address.0)) {
             if let Err(error) = device.disconnect().await {
-                tracing::debug!(%peer, %error, "the connection stays");
+                tracing::debug!(%peer, %error, "the connection could not be closed");
             }
         }
     }
 }
 
-/// Runs `asking` to its end even if the caller gives up. bluer forgets what it asked for when it is dropped in the middle:
-/// bluetoothd then scans or advertises for this process for good, and refuses to start a scan that runs already.
-async fn to_the_end<T: Send + 'static>(asking: impl Future<Output = T> + Send + 'static) -> T {
-    match tokio::spawn(asking).await {
+/// Runs `operation` to completion even if the caller drops the future. If a bluer call is dropped halfway, bluer loses
+/// track of the request: bluetoothd then scans or advertises for this process permanently, and refuses to start a scan
+/// that is already running.
+async fn run_to_completion<T: Send + 'static>(
+    operation: impl Future<Output = T> + Send + 'static,
+) -> T {
+    match tokio::spawn(operation).await {
         Ok(answer) => answer,
         Err(error) if error.is_panic() => std::panic::resume_unwind(error.into_panic()),
-        // The runtime ends, and this future with it.
+        // The runtime is shutting down, and this future with it.
         Err(_) => std::future::pending().await,
     }
 }
@@ -258,11 +264,11 @@ async fn own_address(adapter: &Adapter) -> Result<DeviceAddress, RadioError> {
     let address = adapter
         .address()
         .await
-        .map_err(dbus_error("ask the adapter's address"))?;
+        .map_err(dbus_error("read the adapter's address"))?;
     let kind = adapter
         .address_type()
         .await
-        .map_err(dbus_error("ask the adapter's address"))?;
+        .map_err(dbus_error("read the adapter's address"))?;
     Ok(device_address(address, kind))
 }
 

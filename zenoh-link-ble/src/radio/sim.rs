@@ -1,11 +1,12 @@
-//! Owns the simulated air: Bluetooth LE as far as links notice it, without any Bluetooth.
+//! Simulates Bluetooth LE, as far as links can observe it, without Bluetooth hardware.
 //!
-//! The model (`air`, and under it `connection`, `packet`, `channel`, `phy`, `condition`) is told the time and does no I/O. It
-//! works inside one process ([`SimAir`], in virtual time under tokio's paused clock), and between processes over a
-//! Unix socket that `rect air` serves ([`AirServer`], [`radio`]). [`SimRadio`] is the same adapter on either.
+//! The model (`air`, which uses `connection`, `packet`, `channel`, `phy` and `condition`) receives the time as a
+//! parameter and does no I/O. It runs within one process ([`SimAir`], in virtual time if tokio's clock is paused), or
+//! between processes over a Unix socket that `rect air` serves ([`AirServer`], [`radio`]). [`SimRadio`] is the adapter
+//! in both cases.
 //!
-//! Not modelled: pairing and encryption (every security level is granted), advertising and scanning as a load on the
-//! air, drifting clocks, and channel hopping other than as chance.
+//! Not modelled: pairing and encryption (every security level is granted), the airtime of advertising and scanning,
+//! clock drift, and channel hopping other than as a loss probability.
 mod adapter;
 mod air;
 mod attachment;
@@ -13,7 +14,6 @@ mod channel;
 mod channel_handle;
 mod condition;
 mod connection;
-mod dice;
 mod guards;
 mod local;
 mod message;
@@ -22,6 +22,7 @@ mod packet;
 mod phy;
 mod radio;
 mod remote;
+mod rng;
 mod server;
 mod socket;
 mod wire;

@@ -1,4 +1,4 @@
-//! What a radio's advertising, scanning and channels must do.
+//! Contract of a radio's advertising, scanning and channels.
 use std::time::Duration;
 
 use zenoh_link_ble::{
@@ -9,7 +9,7 @@ use zenoh_link_ble::{
 use super::{advertisement, channel_pair, channel_pair_with, World};
 use crate::shared::{listener::OPTIONS, peer::within};
 
-pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World) {
+pub async fn reports_an_advertisement_unchanged_and_repeatedly(world: World) {
     let sent = advertisement(Psm::new(0x91).expect("valid"), "wombat-7");
     let _advertising = world
         .b
@@ -21,9 +21,9 @@ pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World
     for _ in 0..2 {
         let seen = within("seeing the advertisement", async {
             loop {
-                let sighting = scan.next().await.expect("goes on scanning");
-                if sighting.device == device && sighting.advertisement.is_some() {
-                    return sighting;
+                let report = scan.next().await.expect("keeps scanning");
+                if report.device == device && report.advertisement.is_some() {
+                    return report;
                 }
             }
         })
@@ -32,7 +32,7 @@ pub async fn an_advertisement_is_seen_as_it_was_sent_and_seen_again(world: World
     }
 }
 
-pub async fn a_scan_given_up_while_it_starts_leaves_nothing_behind(world: World) {
+pub async fn scan_starts_after_cancelled_scans(world: World) {
     for given_up_after_ms in 0..40 {
         let limit = Duration::from_millis(given_up_after_ms);
         let _ = tokio::time::timeout(limit, world.a.scan()).await;
@@ -42,7 +42,7 @@ pub async fn a_scan_given_up_while_it_starts_leaves_nothing_behind(world: World)
         .expect("the next scan starts");
 }
 
-pub async fn sdus_of_every_size_arrive_whole_and_in_order_both_ways(world: World) {
+pub async fn delivers_sdus_of_every_size_in_order_in_both_directions(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     let limit = near.send_mtu().min(far.send_mtu()).min(4096);
     let sizes: Vec<usize> = (0..60)
@@ -69,7 +69,7 @@ pub async fn sdus_of_every_size_arrive_whole_and_in_order_both_ways(world: World
     }
 }
 
-pub async fn a_closed_channel_ends_the_peers_receive(world: World) {
+pub async fn closing_a_channel_ends_the_peers_receive(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     near.shutdown();
     let ended = within("the end", far.recv(&mut [0; 100])).await;
@@ -79,8 +79,8 @@ pub async fn a_closed_channel_ends_the_peers_receive(world: World) {
     );
 }
 
-/// Also when sending was told the reason first, and nothing is left to tell whoever receives.
-pub async fn a_channel_that_is_down_says_so_however_often_it_is_asked(world: World) {
+/// The error is also returned if a send already returned the reason and the socket has no error left.
+pub async fn channel_stays_down_after_repeated_calls(world: World) {
     let (_near, far, _listener) = channel_pair(&world).await;
     (world.lose_links)();
     within("the end", async { while far.send(b"?").await.is_ok() {} }).await;
@@ -98,7 +98,7 @@ pub async fn a_channel_that_is_down_says_so_however_often_it_is_asked(world: Wor
     }
 }
 
-pub async fn a_dropped_channel_ends_the_peers_receive(world: World) {
+pub async fn dropping_a_channel_ends_the_peers_receive(world: World) {
     let (near, far, _listener) = channel_pair(&world).await;
     drop(near);
     let ended = within("the end", far.recv(&mut [0; 100])).await;
@@ -108,13 +108,13 @@ pub async fn a_dropped_channel_ends_the_peers_receive(world: World) {
     );
 }
 
-pub async fn a_psm_without_a_listener_refuses(world: World) {
+pub async fn refuses_a_psm_without_a_listener(world: World) {
     let listener = world.b.listen(None, OPTIONS).await.expect("listens");
     let free = (Psm::MIN..=Psm::MAX)
         .rev()
         .filter_map(Psm::new)
         .find(|psm| *psm != listener.psm())
-        .expect("there are many");
+        .expect("many are free");
     let _advertising = world
         .b
         .advertise(&advertisement(free, "b"), "b")
@@ -129,14 +129,14 @@ pub async fn a_psm_without_a_listener_refuses(world: World) {
     );
 }
 
-pub async fn a_psm_is_taken_once(world: World) {
+pub async fn refuses_a_second_listener_on_a_psm(world: World) {
     let psm = Psm::new(0xa5).expect("valid");
     let _first = world.b.listen(Some(psm), OPTIONS).await.expect("listens");
     let second = world.b.listen(Some(psm), OPTIONS).await;
     assert!(matches!(second, Err(RadioError::PsmTaken(taken)) if taken == psm));
 }
 
-pub async fn a_connect_that_is_given_up_leaves_nothing_behind(world: World) {
+pub async fn connects_after_cancelled_connects(world: World) {
     let nobody = DeviceAddress {
         address: Address([0xc0, 1, 2, 3, 4, 5]),
         kind: AddressType::Random,
@@ -145,7 +145,7 @@ pub async fn a_connect_that_is_given_up_leaves_nothing_behind(world: World) {
     for _ in 0..2 {
         let attempt = world.a.connect(nobody, psm, OPTIONS);
         let given_up = tokio::time::timeout(Duration::from_millis(300), attempt).await;
-        assert!(given_up.is_err(), "nobody answers");
+        assert!(given_up.is_err(), "no device responds");
     }
     let (near, far, _listener) = channel_pair(&world).await;
     near.send(b"still works").await.expect("sends");
@@ -156,7 +156,7 @@ pub async fn a_connect_that_is_given_up_leaves_nothing_behind(world: World) {
     assert_eq!(&buffer[..size], b"still works");
 }
 
-pub async fn several_channels_live_side_by_side(world: World) {
+pub async fn supports_several_channels_between_two_radios(world: World) {
     let (one, one_far, listener) = channel_pair(&world).await;
     let _advertising = world
         .b
@@ -191,7 +191,7 @@ pub async fn several_channels_live_side_by_side(world: World) {
     assert_eq!(&buffer[..size], b"one again");
 }
 
-pub async fn an_sdu_over_the_channels_limit_is_refused(world: World) {
+pub async fn refuses_an_sdu_above_the_channels_limit(world: World) {
     let (near, _far, _listener) = channel_pair(&world).await;
     let limit = near.send_mtu();
     let refused = near.send(&vec![0; limit + 1]).await;
@@ -201,8 +201,9 @@ pub async fn an_sdu_over_the_channels_limit_is_refused(world: World) {
     );
 }
 
-/// BlueZ's sockets report a connect too early (and bluer with them); a first SDU sent then is refused or lost.
-pub async fn a_connect_that_returns_can_send_at_once(world: World) {
+/// BlueZ's sockets report a connect too early (and bluer with them); an SDU that is sent immediately would be refused
+/// or lost.
+pub async fn can_send_immediately_after_connect(world: World) {
     let listener = world.b.listen(None, OPTIONS).await.expect("listens");
     let _advertising = world
         .b
@@ -225,17 +226,17 @@ pub async fn a_connect_that_returns_can_send_at_once(world: World) {
             let size = far.recv(&mut buffer).await.expect("receives");
             assert_eq!(&buffer[..size], b"hello");
             far.send(b"hello to you").await.expect("sends");
-            // Until the dialler has read it and is gone.
+            // Wait until the dialler has read it and closed the channel.
             let _ = far.recv(&mut buffer).await;
         };
-        within(&format!("first words of round {round}"), async {
+        within(&format!("first exchange of round {round}"), async {
             tokio::join!(dialling, answering)
         })
         .await;
     }
 }
 
-pub async fn two_strangers_pair_where_the_channel_must_be_encrypted(world: World) {
+pub async fn pairs_two_unknown_devices_for_an_encrypted_channel(world: World) {
     let options = ChannelOptions {
         security: Security::Medium,
         ..OPTIONS

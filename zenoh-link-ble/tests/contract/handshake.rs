@@ -1,6 +1,6 @@
-//! How a listener answers the first SDU of a channel, and what the two agree on.
+//! Contract of the handshake: the response of a listener to the first SDU of a channel, and the negotiated values.
 use zenoh_link_ble::{
-    hello::{Hello, Opening, Refusal, MIN_MTU},
+    hello::{HandshakeMessage, Hello, Refusal, MIN_MTU},
     lanes::{
         credits::MIN_WINDOW,
         sdu::{self, Content},
@@ -16,9 +16,9 @@ use crate::shared::{
     raw::{answer_to, hello, raw_channel, raw_channel_with},
 };
 
-/// Neither side has told the other its MTU: Zenoh's handshake does.
-pub async fn the_mtu_of_a_plain_link_is_its_own_and_what_the_channel_carries(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2;mtu=300").await;
+/// A plain link does not exchange MTUs in its handshake; Zenoh's own handshake does.
+pub async fn mtu_of_a_plain_link_is_limited_by_the_channel(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2;mtu=300").await;
     for (recv_mtu, mtu) in [(4096, 300), (200, 200)] {
         let options = ChannelOptions {
             recv_mtu,
@@ -30,13 +30,13 @@ pub async fn the_mtu_of_a_plain_link_is_its_own_and_what_the_channel_carries(wor
     }
 }
 
-pub async fn a_hello_that_cannot_be_read_is_answered_with_the_reason(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
-    let good = Opening::Hello(hello(77, "bad")).encode();
+pub async fn refuses_an_invalid_hello_with_the_reason(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
+    let good = HandshakeMessage::Hello(hello(77, "bad")).encode();
     let with = |change: fn(&mut Hello)| {
         let mut hello = hello(77, "bad");
         change(&mut hello);
-        Opening::Hello(hello).encode()
+        HandshakeMessage::Hello(hello).encode()
     };
     let longer = [good.clone(), vec![0; 129 - good.len()]].concat();
     let not_utf8 = [&good[..good.len() - 1], &[0xff]].concat();
@@ -68,14 +68,17 @@ pub async fn a_hello_that_cannot_be_read_is_answered_with_the_reason(world: Worl
     ] {
         let channel = raw_channel(&world.a, &world.b).await;
         let answer = answer_to(&channel, &first).await;
-        assert_eq!(answer, Some(Opening::Refuse(refusal)), "{what}");
+        assert_eq!(answer, Some(HandshakeMessage::Refuse(refusal)), "{what}");
     }
-    let accept = Opening::Accept(hello(77, "bad")).encode();
+    let accept = HandshakeMessage::Accept(hello(77, "bad")).encode();
     for (what, first) in [
         ("another protocol", b"GET / HTTP/1.1".to_vec()),
         ("an answer", accept.clone()),
         ("half an answer", accept[..20].to_vec()),
-        ("a refusal", Opening::Refuse(Refusal::Full).encode()),
+        (
+            "a refusal",
+            HandshakeMessage::Refuse(Refusal::Full).encode(),
+        ),
     ] {
         let channel = raw_channel(&world.a, &world.b).await;
         assert_eq!(answer_to(&channel, &first).await, None, "{what}");
@@ -83,25 +86,28 @@ pub async fn a_hello_that_cannot_be_read_is_answered_with_the_reason(world: Worl
     assert!(b.no_more_incoming(), "none of them became a link");
 }
 
-pub async fn a_later_version_is_answered_with_the_one_spoken_here(world: World) {
-    let _b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+pub async fn answers_a_later_version_with_its_own_version(world: World) {
+    let _b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let channel = raw_channel(&world.a, &world.b).await;
     let later = Hello {
         version: 200,
         ..hello(77, "later")
     };
-    let answer = answer_to(&channel, &Opening::Hello(later).encode()).await;
+    let answer = answer_to(&channel, &HandshakeMessage::Hello(later).encode()).await;
     assert!(
-        matches!(answer, Some(Opening::Accept(Hello { version: 1, .. }))),
+        matches!(
+            answer,
+            Some(HandshakeMessage::Accept(Hello { version: 1, .. }))
+        ),
         "{answer:?}"
     );
 }
 
-/// The listener cannot tell it from what is sent after ACCEPT.
-pub async fn what_is_sent_before_the_accept_counts_from_number_0(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+/// The listener cannot distinguish it from data that is sent after ACCEPT.
+pub async fn delivers_a_batch_sent_before_the_accept(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let channel = raw_channel(&world.a, &world.b).await;
-    let hello = Opening::Hello(hello(5, "hasty")).encode();
+    let hello = HandshakeMessage::Hello(hello(5, "hasty")).encode();
     channel.send(&hello).await.expect("sends");
     let first = Lane::first();
     let mut early = Content::Batch(first, &[7; 20]).encode();

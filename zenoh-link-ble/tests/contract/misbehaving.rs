@@ -1,10 +1,10 @@
-//! What a peer may do wrong, and that only its own link suffers.
+//! Protocol violations of a peer, which must affect only its own link.
 use std::{sync::Arc, time::Duration};
 
 use tokio::time::Instant;
 use zenoh_link_ble::{
-    bye::Bye,
-    hello::{Hello, Opening},
+    goodbye::Goodbye,
+    hello::{HandshakeMessage, Hello},
     lanes::{credits::cost, sdu::Content, Lane},
     locator::DEFAULT_MTU,
     radio::Channel,
@@ -16,36 +16,48 @@ use zenoh_protocol::core::Priority;
 use super::{advertisement, World};
 use crate::shared::{
     listener::OPTIONS,
-    peer::{says, within, Peer},
+    peer::{assert_delivers, within, Peer},
     raw::{hello, raw_channel, RawPeer},
 };
 
-/// How soon a link's owner is told what its peer did: a radio's supervision timeout, and some for a slow machine.
-const TOLD: Duration = Duration::from_secs(5);
+/// Maximum time until the owner of a link learns of a violation: a radio's supervision timeout, plus a margin for slow
+/// machines.
+const END_LIMIT: Duration = Duration::from_secs(5);
 
-/// A link with a peer that can do as it likes.
-async fn odd_peer(world: &World) -> (RawPeer, LinkUnicast, Peer) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
-    let odd = RawPeer::dials(&world.a, &world.b, "odd").await;
+/// Returns a link with a peer that can violate the protocol.
+async fn raw_peer(world: &World) -> (RawPeer, LinkUnicast, Peer) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
+    let raw = RawPeer::dial(&world.a, &world.b, "raw").await;
     let far = b.incoming().await;
-    (odd, far, b)
+    (raw, far, b)
 }
 
-/// The link's owner is told the reason, and so is the peer.
-async fn ends_for(odd: &mut RawPeer, far: &LinkUnicast, reason: &str, bye: Bye) {
+/// Asserts that the link ends with `reason` for its owner, and with the goodbye `expected_goodbye` for the peer.
+async fn assert_link_ends(
+    raw: &mut RawPeer,
+    far: &LinkUnicast,
+    reason: &str,
+    expected_goodbye: Goodbye,
+) {
     let reading = async { while far.read(&mut [0; 9000], None).await.is_ok() {} };
-    // A peer that does not listen meanwhile may miss the goodbye: a kernel tells of the end first.
-    let (told, goodbye) = tokio::join!(tokio::time::timeout(TOLD, reading), odd.hears_goodbye());
-    told.unwrap_or_else(|_| panic!("nobody is told within {TOLD:?} that {reason}"));
+    // The goodbye must be read concurrently: a kernel reports the end of the channel before unread data.
+    let (ended, goodbye) = tokio::join!(
+        tokio::time::timeout(END_LIMIT, reading),
+        raw.receive_goodbye()
+    );
+    ended.unwrap_or_else(|_| panic!("the link did not end within {END_LIMIT:?}: {reason}"));
     let error = far.read(&mut [0; 9000], None).await.expect_err("it ended");
     let error = error.to_string();
     assert!(error.contains(reason), "{error}");
-    assert_eq!(goodbye, Some(bye.code()), "{error}");
-    assert!(far.write_all(b"more", None).await.is_err(), "it is over");
+    assert_eq!(goodbye, Some(expected_goodbye.code()), "{error}");
+    assert!(
+        far.write_all(b"more", None).await.is_err(),
+        "the link has ended"
+    );
 }
 
 fn lane(number: u8) -> Lane {
-    Lane::new(number).expect("there are eight")
+    Lane::new(number).expect("there are eight lanes")
 }
 
 fn batch(size: usize) -> Vec<u8> {
@@ -59,10 +71,10 @@ async fn is_dropped(channel: &Arc<dyn Channel>) {
     .await;
 }
 
-pub async fn a_plain_peer_without_hello_is_served(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+pub async fn accepts_a_plain_peer_without_a_hello(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let channel = raw_channel(&world.a, &world.b).await;
-    // Looks like Zenoh's InitSyn: message id 1.
+    // Starts like Zenoh's InitSyn: message id 1.
     let init = [0x01, 0x09, 0x02, 0x03];
     channel.send(&init).await.expect("sends");
     let far = b.incoming().await;
@@ -83,29 +95,29 @@ pub async fn a_plain_peer_without_hello_is_served(world: World) {
     assert_eq!(&buffer[..size], b"answer");
 }
 
-pub async fn a_handshake_of_zenoh_on_another_lane_ends_the_link_with_its_reason(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+pub async fn zenoh_handshake_on_another_lane_ends_the_link(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let init = [0x01, 9, 9];
     for (before, on) in [(0, 1), (0, 7), (1, 5)] {
-        let mut odd = RawPeer::dials(&world.a, &world.b, "odd").await;
+        let mut raw = RawPeer::dial(&world.a, &world.b, "raw").await;
         let far = b.incoming().await;
         for _ in 0..before {
-            odd.says(Content::Batch(lane(0), &init)).await;
+            raw.send(Content::Batch(lane(0), &init)).await;
         }
-        odd.says(Content::Batch(lane(on), &init)).await;
+        raw.send(Content::Batch(lane(on), &init)).await;
         let start = Instant::now();
-        let reason = format!("a batch came on lane {on} during Zenoh's handshake");
-        ends_for(&mut odd, &far, &reason, Bye::ProtocolError).await;
-        assert!(start.elapsed() < TOLD, "{:?}", start.elapsed());
+        let reason = format!("a batch arrived on lane {on} during Zenoh's handshake");
+        assert_link_ends(&mut raw, &far, &reason, Goodbye::ProtocolError).await;
+        assert!(start.elapsed() < END_LIMIT, "{:?}", start.elapsed());
     }
 }
 
-/// As a peer does that goes on to send as soon as it has answered Zenoh's handshake.
-pub async fn the_other_lanes_may_follow_the_handshake_of_zenoh_at_once(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
-    odd.says(Content::Batch(lane(0), b"its last part")).await;
-    odd.says(Content::Batch(lane(5), b"data")).await;
-    odd.says(Content::Batch(lane(1), b"urgent")).await;
+/// The peer sends data as soon as it has answered Zenoh's handshake.
+pub async fn accepts_all_lanes_after_the_zenoh_handshake(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
+    raw.send(Content::Batch(lane(0), b"its last part")).await;
+    raw.send(Content::Batch(lane(5), b"data")).await;
+    raw.send(Content::Batch(lane(1), b"urgent")).await;
     let mut buffer = [0; 100];
     for (priority, batch) in [
         (None, &b"its last part"[..]),
@@ -117,50 +129,50 @@ pub async fn the_other_lanes_may_follow_the_handshake_of_zenoh_at_once(world: Wo
     }
 }
 
-pub async fn the_goodbye_of_a_replaced_link_says_so_on_both_sides(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=replacing").await;
+pub async fn replaced_link_reports_the_replacement_on_both_sides(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=replacing").await;
     let last_end = || {
         let nodes = status::nodes()
             .into_iter()
             .filter(|node| node.name == "replacing");
         let peers = nodes
             .flat_map(|node| node.peers)
-            .filter(|peer| peer.peer == "odd");
+            .filter(|peer| peer.peer == "raw");
         peers
             .filter_map(|peer| peer.last_end)
             .next_back()
             .map(|end| end.reason)
     };
-    let mut old = RawPeer::dials(&world.a, &world.b, "odd").await;
+    let mut old = RawPeer::dial(&world.a, &world.b, "raw").await;
     let ended = b.incoming().await;
     // The same node dials again without having closed its link.
-    let dialling = RawPeer::dials(&world.a, &world.b, "odd");
+    let dialling = RawPeer::dial(&world.a, &world.b, "raw");
     let mut buffer = [0; 100];
     let reading = ended.read(&mut buffer, None);
-    let (new, goodbye, read) = tokio::join!(dialling, old.hears_goodbye(), reading);
-    assert_eq!(goodbye, Some(Bye::Replaced.code()));
-    let reason = "a newer link with odd replaced this one";
+    let (new, goodbye, read) = tokio::join!(dialling, old.receive_goodbye(), reading);
+    assert_eq!(goodbye, Some(Goodbye::Replaced.code()));
+    let reason = "a newer link with raw replaced this one";
     let error = read.expect_err("it ended").to_string();
     assert!(error.contains(reason), "{error}");
     assert_eq!(last_end().as_deref(), Some(reason));
 
-    // The other way round.
+    // The peer replaces the link.
     ended.close().await.expect("closes");
     let (mut new, replaced) = (new, b.incoming().await);
-    new.says(Content::Bye(Bye::Replaced.code())).await;
+    new.send(Content::Goodbye(Goodbye::Replaced.code())).await;
     let read = within("the end", replaced.read(&mut [0; 100], None)).await;
-    let reason = "odd closed the link: a newer link between the two replaces it";
+    let reason = "raw closed the link: a newer link between the two replaces it";
     let error = read.expect_err("it ended").to_string();
     assert!(error.contains(reason), "{error}");
     assert_eq!(last_end().as_deref(), Some(reason));
 }
 
-pub async fn garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_notice(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+pub async fn drops_garbage_and_silent_peers_without_affecting_others(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let good = Peer::on(&world.a);
-    let near = good.dials("ble/wombat-2").await.expect("dials");
+    let near = good.dial("ble/wombat-2").await.expect("dials");
     let far = b.incoming().await;
-    let whole = Opening::Hello(hello(77, "bad")).encode();
+    let whole = HandshakeMessage::Hello(hello(77, "bad")).encode();
     for first in [
         b"GET / HTTP/1.1".to_vec(),
         whole[..9].to_vec(),
@@ -169,41 +181,47 @@ pub async fn garbage_half_a_hello_and_silence_are_dropped_and_others_do_not_noti
         let channel = raw_channel(&world.a, &world.b).await;
         channel.send(&first).await.expect("sends");
         is_dropped(&channel).await;
-        says(&near, &far, b"the good link does not notice").await;
+        assert_delivers(&near, &far, b"the good link is not affected").await;
     }
     let silent = raw_channel(&world.a, &world.b).await;
     is_dropped(&silent).await;
-    says(&far, &near, b"still there").await;
+    assert_delivers(&far, &near, b"still there").await;
     assert!(b.no_more_incoming(), "none of them became a link");
 }
 
-/// The other way round: who takes the channel, and then answers wrongly or not at all.
-pub async fn a_listener_that_answers_wrongly_or_not_at_all_is_given_up(world: World) {
+/// The opposite direction: a listener accepts the channel, and then sends an invalid response or none.
+pub async fn dial_fails_on_an_invalid_or_missing_response(world: World) {
     let later = Hello {
         version: 2,
-        ..hello(6, "odd")
+        ..hello(6, "raw")
     };
     let answers: [(Vec<u8>, &str); 5] = [
-        (Vec::new(), "waiting for the peer's hello took longer"),
+        (
+            Vec::new(),
+            "waiting for the peer in the handshake took longer",
+        ),
         (
             b"HTTP/1.1 200 OK".to_vec(),
             "does not follow the link protocol",
         ),
         (
-            Opening::Accept(hello(6, "odd")).encode()[..12].to_vec(),
+            HandshakeMessage::Accept(hello(6, "raw")).encode()[..12].to_vec(),
             "does not follow the link protocol",
         ),
         (
-            Opening::Hello(hello(6, "odd")).encode(),
-            "a hello in answer to a hello",
+            HandshakeMessage::Hello(hello(6, "raw")).encode(),
+            "it answered a hello with a hello",
         ),
-        (Opening::Accept(later).encode(), "it chose version 2 of 1"),
+        (
+            HandshakeMessage::Accept(later).encode(),
+            "it chose version 2, and this side offered at most 1",
+        ),
     ];
     let a = Peer::on(&world.a);
     for (answer, reason) in answers {
         let listener = world.b.listen(None, OPTIONS).await.expect("listens");
-        let advertised = advertisement(listener.psm(), "odd");
-        let _advertising = world.b.advertise(&advertised, "odd").await;
+        let advertised = advertisement(listener.psm(), "raw");
+        let _advertising = world.b.advertise(&advertised, "raw").await;
         let answering = async {
             let channel = listener.accept().await.expect("accepts");
             channel.recv(&mut [0; 200]).await.expect("a hello");
@@ -213,47 +231,47 @@ pub async fn a_listener_that_answers_wrongly_or_not_at_all_is_given_up(world: Wo
             let more = within("the end", channel.recv(&mut [0; 200])).await;
             assert!(more.is_err(), "a dialler answers nothing");
         };
-        let (dialled, ()) = tokio::join!(a.dials("ble/odd"), answering);
-        let error = dialled.expect_err("that is no link").to_string();
+        let (dialled, ()) = tokio::join!(a.dial("ble/raw"), answering);
+        let error = dialled.expect_err("the dial fails").to_string();
         assert!(error.contains(reason), "{error}");
     }
 }
 
-pub async fn an_oversize_batch_ends_the_link_with_its_reason(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+pub async fn oversize_batch_ends_the_link(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let just_over = usize::from(DEFAULT_MTU) + 1;
     for size in [just_over, 3000] {
-        let mut odd = RawPeer::dials(&world.a, &world.b, "odd").await;
+        let mut raw = RawPeer::dial(&world.a, &world.b, "raw").await;
         let far = b.incoming().await;
-        odd.says_bytes(batch(size)).await;
+        raw.send_sdu(batch(size)).await;
         let reason = format!("is over the mtu of {DEFAULT_MTU}");
-        ends_for(&mut odd, &far, &reason, Bye::ProtocolError).await;
+        assert_link_ends(&mut raw, &far, &reason, Goodbye::ProtocolError).await;
     }
 }
 
-pub async fn a_repeated_sdu_ends_the_link_with_its_reason(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
+pub async fn repeated_sdu_ends_the_link(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
     let mut sdu = batch(20);
     zenoh_link_ble::lanes::sdu::seal(0, &mut sdu);
-    odd.sends(&sdu).await;
-    odd.sends(&sdu).await;
+    raw.send_raw(&sdu).await;
+    raw.send_raw(&sdu).await;
     let mut buffer = [0; 100];
     let size = far.read(&mut buffer, None).await.expect("the first one");
     assert_eq!(&buffer[..size], [7; 20]);
-    ends_for(&mut odd, &far, "damaged or twice", Bye::Unverified).await;
+    assert_link_ends(&mut raw, &far, "damaged or twice", Goodbye::LostOrDamaged).await;
 }
 
-pub async fn a_skipped_sdu_ends_the_link_with_its_reason(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
-    odd.says_bytes(batch(20)).await;
-    odd.said += 2;
-    odd.says_bytes(batch(20)).await;
+pub async fn skipped_sdu_ends_the_link(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
+    raw.send_sdu(batch(20)).await;
+    raw.sent += 2;
+    raw.send_sdu(batch(20)).await;
     let reason = "2 sdus were lost on the way";
-    ends_for(&mut odd, &far, reason, Bye::Unverified).await;
+    assert_link_ends(&mut raw, &far, reason, Goodbye::LostOrDamaged).await;
 }
 
-pub async fn an_unknown_kind_lane_or_size_ends_the_link_with_its_reason(world: World) {
-    let b = Peer::on(&world.b).listens_as("name=wombat-2").await;
+pub async fn malformed_sdu_ends_the_link(world: World) {
+    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     for (sdu, reason) in [
         (vec![0x08, 0, 0, 1], "an sdu of unknown kind 0x08"),
         (vec![0x50, 0, 0, 1], "an sdu of unknown kind 0x50"),
@@ -263,54 +281,60 @@ pub async fn an_unknown_kind_lane_or_size_ends_the_link_with_its_reason(world: W
         (vec![0x20, 0, 0, 1], "an sdu of 4 bytes"),
         (vec![0x00], "an sdu of 1 bytes"),
     ] {
-        let mut odd = RawPeer::dials(&world.a, &world.b, "odd").await;
+        let mut raw = RawPeer::dial(&world.a, &world.b, "raw").await;
         let far = b.incoming().await;
-        odd.says_bytes(sdu).await;
-        ends_for(&mut odd, &far, reason, Bye::ProtocolError).await;
+        raw.send_sdu(sdu).await;
+        assert_link_ends(&mut raw, &far, reason, Goodbye::ProtocolError).await;
     }
 }
 
-pub async fn an_acknowledgement_of_what_was_never_sent_ends_the_link(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
+pub async fn acknowledging_unsent_data_ends_the_link(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
     far.write_all(&[7; 500], None).await.expect("writes");
-    odd.says(Content::Ack(cost(500) + 1)).await;
-    let reason = "acknowledged what was never sent";
-    ends_for(&mut odd, &far, reason, Bye::ProtocolError).await;
+    raw.send(Content::Ack(cost(500) + 1)).await;
+    let reason = "acknowledged more than was sent";
+    assert_link_ends(&mut raw, &far, reason, Goodbye::ProtocolError).await;
 }
 
-pub async fn an_acknowledgement_taken_back_ends_the_link(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
+pub async fn decreasing_acknowledgement_ends_the_link(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
     far.write_all(&[7; 500], None).await.expect("writes");
-    assert!(matches!(odd.hears().await, Some(Content::Batch(..))));
-    odd.says(Content::Ack(cost(500))).await;
-    odd.says(Content::Ack(cost(500) - 1)).await;
-    let reason = "took an acknowledgement back";
-    ends_for(&mut odd, &far, reason, Bye::ProtocolError).await;
+    assert!(matches!(raw.receive().await, Some(Content::Batch(..))));
+    raw.send(Content::Ack(cost(500))).await;
+    raw.send(Content::Ack(cost(500) - 1)).await;
+    let reason = "acknowledged less than before";
+    assert_link_ends(&mut raw, &far, reason, Goodbye::ProtocolError).await;
 }
 
-pub async fn what_comes_after_a_goodbye_is_not_delivered(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
-    odd.says_bytes(batch(20)).await;
-    odd.says(Content::Bye(Bye::Closing.code())).await;
-    odd.says_bytes(batch(30)).await;
+pub async fn ignores_data_after_a_goodbye(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
+    raw.send_sdu(batch(20)).await;
+    raw.send(Content::Goodbye(Goodbye::Closing.code())).await;
+    raw.send_sdu(batch(30)).await;
     let mut buffer = [0; 100];
     let size = within("the batch before", far.read(&mut buffer, None)).await;
     assert_eq!(size.expect("came in time"), 20);
-    let end = tokio::time::timeout(TOLD, far.read(&mut buffer, None)).await;
-    let error = end.expect("is told").expect_err("it is over").to_string();
-    assert!(error.contains("closed the link: it is done"), "{error}");
-    assert_eq!(odd.hears_goodbye().await, None, "the channel is down");
+    let end = tokio::time::timeout(END_LIMIT, far.read(&mut buffer, None)).await;
+    let error = end
+        .expect("the read ends")
+        .expect_err("the link has ended")
+        .to_string();
+    assert!(
+        error.contains("closed the link: it has finished"),
+        "{error}"
+    );
+    assert_eq!(raw.receive_goodbye().await, None, "the channel is down");
 }
 
-/// Whoever closes waits for the peer to close too, but not for ever.
-pub async fn a_peer_that_talks_on_after_this_sides_goodbye_does_not_hold_up_the_end(world: World) {
-    let (mut odd, far, _b) = odd_peer(&world).await;
+/// The closing side waits for the peer to close too, but not forever.
+pub async fn close_completes_if_the_peer_keeps_sending(world: World) {
+    let (mut raw, far, _b) = raw_peer(&world).await;
     let talking = async {
-        assert_eq!(odd.hears_goodbye().await, Some(Bye::Closing.code()));
+        assert_eq!(raw.receive_goodbye().await, Some(Goodbye::Closing.code()));
         for _ in 0..3 {
-            odd.says_bytes(batch(20)).await;
+            raw.send_sdu(batch(20)).await;
         }
-        assert!(odd.hears().await.is_none(), "the channel is down");
+        assert!(raw.receive().await.is_none(), "the channel is down");
     };
     let (closed, ()) = within("closing", async { tokio::join!(far.close(), talking) }).await;
     closed.expect("closes");

@@ -1,4 +1,4 @@
-//! A day of two robots that say little, on a bad day for radios.
+//! Tests two robots with little traffic and many radio faults for 24 hours of virtual time.
 use std::{cell::Cell, time::Duration};
 
 use rand_pcg::{
@@ -12,43 +12,43 @@ use zenoh_protocol::core::Priority;
 
 use crate::shared::{
     heap::live_bytes,
-    pair::{Pair, BACK, SUPERVISION},
+    pair::{Pair, RECONNECT_LIMIT, SUPERVISION},
 };
 
 const HOURS: u32 = 24;
 const HOUR: Duration = Duration::from_secs(3600);
-/// Zenoh's keep-alive: a quarter of its lease of 10 s.
+/// Interval of Zenoh's keep-alive: a quarter of its lease of 10 s.
 const KEEP_ALIVE: Duration = Duration::from_millis(2500);
-/// `config/robot.json5`: Zenoh dials again after so long, then after twice as long, up to a second.
+/// Initial pause between dials, from `config/robot.json5`. Zenoh doubles it after each failure, up to `LONGEST_RETRY`.
 const RETRY: Duration = Duration::from_millis(200);
 const LONGEST_RETRY: Duration = Duration::from_secs(1);
-/// The heap may grow by that: less than a byte for each reconnect.
+/// Allowed growth of the heap in bytes: less than one byte per reconnect.
 const SLACK: isize = 1_024;
 
-/// Two robots, and what became of them so far.
+/// Two robots, and the statistics of their links.
 struct Robots {
     pair: Pair,
-    /// Since when both are there and hear each other well enough; `None` while a fault lasts.
+    /// Time since which both are on and in range; `None` during a fault.
     reachable_since: Cell<Option<Instant>>,
-    /// Since when there is no link, as both know; `None` while there is one.
+    /// Time since which both sides know that there is no link; `None` while there is one.
     apart_since: Cell<Option<Instant>>,
-    /// A fault has struck since the link was made.
-    has_reason_to_end: Cell<bool>,
+    /// Whether a fault occurred since the link was established.
+    fault_occurred: Cell<bool>,
     links: Cell<u32>,
     batches: Cell<u64>,
-    /// The longest that a dial took with a peer it could reach.
+    /// Longest duration of a dial to a reachable peer.
     slowest_dial: Cell<Duration>,
-    /// The longest that two robots were apart which could reach each other; Zenoh's wait between dials comes in.
+    /// Longest time without a link while both robots were reachable, including Zenoh's pause between dials.
     longest_apart: Cell<Duration>,
 }
 
 impl Robots {
-    /// Dials as Zenoh does, and talks as long as the link lives.
+    /// Dials as Zenoh does, and exchanges batches until the link ends; repeats forever.
     async fn stay_linked(&self) {
         let mut wait = RETRY;
         loop {
             let dialling_since = Instant::now();
-            let Ok(near) = self.pair.near.dials("ble/far").await else {
+            let Ok(near) = self.pair.near.dial("ble/far").await else {
                 sleep(wait).await;
                 wait = (2 * wait).min(LONGEST_RETRY);
                 continue;
@@ -59,21 +59,22 @@ impl Robots {
             };
             self.on_linked(dialling_since);
             tokio::join!(self.talk(&near, &far), self.talk(&far, &near));
-            assert!(self.has_reason_to_end.get(), "the link ended by itself");
+            assert!(self.fault_occurred.get(), "the link ended by itself");
             self.apart_since.set(Some(Instant::now()));
         }
     }
 
-    /// The incoming link that brings what `near` says. Links that were lost while they were made come in before.
+    /// Returns the incoming link whose first batch came from `near`. Links that were lost during the handshake arrive
+    /// before it.
     async fn other_end(&self, near: &LinkUnicast) -> Option<LinkUnicast> {
         let word = near.get_src().as_str().as_bytes();
         near.write_all(word, Some(Priority::Control)).await.ok()?;
         let finding = async {
             loop {
                 let far = self.pair.far.incoming().await;
-                let mut heard = [0; 100];
-                let read = far.read(&mut heard, Some(Priority::Control)).await;
-                if read.is_ok_and(|size| heard[..size] == *word) {
+                let mut received = [0; 100];
+                let read = far.read(&mut received, Some(Priority::Control)).await;
+                if read.is_ok_and(|size| received[..size] == *word) {
                     return far;
                 }
             }
@@ -87,7 +88,7 @@ impl Robots {
 
     fn on_linked(&self, dialling_since: Instant) {
         self.links.set(self.links.get() + 1);
-        self.has_reason_to_end
+        self.fault_occurred
             .set(self.reachable_since.get().is_none());
         let apart = self.apart_since.take();
         if let (Some(apart), Some(reachable)) = (apart, self.reachable_since.get()) {
@@ -99,7 +100,7 @@ impl Robots {
         }
     }
 
-    /// One direction: a batch now and then, each of which must be the next to arrive, until the link ends.
+    /// Sends batches in one direction until the link ends, and checks that they arrive in order.
     async fn talk(&self, from: &LinkUnicast, to: &LinkUnicast) {
         let size = |number: u32| 8 + (number as usize * 37) % 700;
         let sent = Cell::new(0_u32);
@@ -119,99 +120,99 @@ impl Robots {
             let mut buffer = [0; 1000];
             let mut received = 0_u32;
             while let Ok(got) = to.read(&mut buffer, Some(Priority::Data)).await {
-                assert_eq!(buffer[..4], received.to_le_bytes(), "the next one");
+                assert_eq!(buffer[..4], received.to_le_bytes(), "the next batch");
                 assert_eq!(got, size(received));
                 received += 1;
-                // What was sent before the supervision timeout has come, or the link has ended.
+                // Everything sent before the last supervision timeout has arrived, unless the link has ended.
                 let late = sent.get() - received;
-                assert!(late <= 1, "{late} batches are not there");
+                assert!(late <= 1, "{late} batches are missing");
             }
             self.batches.set(self.batches.get() + u64::from(received));
         };
         tokio::join!(writing, reading);
     }
 
-    /// A fault begins, lasts and is over.
-    async fn suffer(&self, dice: &mut Pcg32) {
+    /// Runs one random fault from its start to its end.
+    async fn run_fault(&self, rng: &mut Pcg32) {
         let air = &self.pair.air;
-        let name = ["sim-near", "sim-far"][dice.next_u32() as usize % 2];
-        let lasts = Duration::from_millis(u64::from(dice.next_u32()) % 30_000);
-        self.has_reason_to_end.set(true);
+        let name = ["sim-near", "sim-far"][rng.next_u32() as usize % 2];
+        let lasts = Duration::from_millis(u64::from(rng.next_u32()) % 30_000);
+        self.fault_occurred.set(true);
         self.reachable_since.set(None);
-        match dice.next_u32() % 8 {
+        match rng.next_u32() % 8 {
             0 => air.set_condition(Condition::EdgeOfRange),
             1 => air.set_condition(Condition::CrowdedHall),
             2 => air.cut(),
-            // As behind a wall: about as long as the supervision timeout.
+            // A short shadow, as behind a wall: about as long as the supervision timeout.
             3 | 4 => {
                 air.cut();
                 sleep(lasts / 12).await;
                 air.restore();
             }
-            5 => air.power(name, false).expect("is there"),
-            6 => air.remove(name).expect("is there"),
+            5 => air.power(name, false).expect("is attached"),
+            6 => air.remove(name).expect("is attached"),
             _ => {
-                air.power(name, false).expect("is there");
-                air.power(name, true).expect("is there");
+                air.power(name, false).expect("is attached");
+                air.power(name, true).expect("is attached");
             }
         }
         sleep(lasts).await;
         air.restore();
         air.set_condition(Condition::Room);
         for name in ["sim-near", "sim-far"] {
-            air.power(name, true).expect("is there");
+            air.power(name, true).expect("is attached");
         }
         self.reachable_since.set(Some(Instant::now()));
     }
 
-    /// Faults for an hour; in the end the two are linked.
-    async fn an_hour(&self, dice: &mut Pcg32) {
+    /// Runs faults for an hour, and checks that the robots are linked at the end.
+    async fn run_hour(&self, rng: &mut Pcg32) {
         let start = Instant::now();
         while start.elapsed() < HOUR {
-            sleep(Duration::from_millis(u64::from(dice.next_u32()) % 120_000)).await;
-            self.suffer(dice).await;
+            sleep(Duration::from_millis(u64::from(rng.next_u32()) % 120_000)).await;
+            self.run_fault(rng).await;
         }
-        sleep(SUPERVISION + LONGEST_RETRY + BACK).await;
+        sleep(SUPERVISION + LONGEST_RETRY + RECONNECT_LIMIT).await;
         assert_eq!(self.apart_since.get(), None, "they are linked");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_robots_find_each_other_again_all_day_long() {
+async fn two_robots_reconnect_after_every_fault_for_a_day() {
     let robots = Robots {
         pair: Pair::on(Condition::Room, 1).await,
         reachable_since: Cell::new(Some(Instant::now())),
         apart_since: Cell::new(Some(Instant::now())),
-        has_reason_to_end: Cell::new(false),
+        fault_occurred: Cell::new(false),
         links: Cell::new(0),
         batches: Cell::new(0),
         slowest_dial: Cell::new(Duration::ZERO),
         longest_apart: Cell::new(Duration::ZERO),
     };
-    let mut dice = Pcg32::seed_from_u64(24);
+    let mut rng = Pcg32::seed_from_u64(24);
     let mut bytes = Vec::new();
     let day = async {
         for _ in 0..HOURS {
-            robots.an_hour(&mut dice).await;
+            robots.run_hour(&mut rng).await;
             bytes.push(live_bytes());
         }
     };
     let day = timeout(2 * HOURS * HOUR, day);
     tokio::select! {
-        in_time = day => in_time.expect("a day has an end"),
-        () = robots.stay_linked() => unreachable!("they never give up"),
+        in_time = day => in_time.expect("the day ends in time"),
+        () = robots.stay_linked() => unreachable!("they dial forever"),
     }
     println!(
-        "{HOURS} h: {} links, {} batches; with a peer in reach the slowest dial took {:?}, the longest they were apart was \
+        "{HOURS} h: {} links, {} batches; with a reachable peer, the slowest dial took {:?}; the longest time without a link was \
          {:?}; bytes on the heap after each hour: {bytes:?}",
         robots.links.get(),
         robots.batches.get(),
         robots.slowest_dial.get(),
         robots.longest_apart.get(),
     );
-    assert!(robots.links.get() > 20 * HOURS, "there were faults enough");
-    assert!(robots.slowest_dial.get() <= BACK);
-    assert!(robots.longest_apart.get() <= BACK + LONGEST_RETRY);
+    assert!(robots.links.get() > 20 * HOURS, "enough faults occurred");
+    assert!(robots.slowest_dial.get() <= RECONNECT_LIMIT);
+    assert!(robots.longest_apart.get() <= RECONNECT_LIMIT + LONGEST_RETRY);
     let settled = bytes[..3].iter().max().expect("three hours");
     let last = bytes.last().expect("the last hour");
     assert!(*last <= settled + SLACK, "{bytes:?}");

@@ -1,4 +1,4 @@
-//! Ten thousand links between the same two nodes, ended in every way there is, leave nothing behind.
+//! Tests that ten thousand links between two nodes, ended in every possible way, leak no resources.
 use std::time::Duration;
 
 use tokio::time::{sleep, Instant};
@@ -8,34 +8,34 @@ use zenoh_protocol::core::Priority;
 
 use crate::shared::{
     heap::live_bytes,
-    pair::{Leftovers, Pair},
+    pair::{Pair, Resources},
     peer::within,
 };
 
 const RECONNECTS: usize = 10_000;
-/// By now every table has grown to the size it needs.
+/// Number of reconnects after which every table has reached its final size.
 const WARM: usize = 1_000;
-/// Bytes that a table may still grow by: far less than a byte for each reconnect.
+/// Allowed growth of the heap in bytes: far less than one byte per reconnect.
 const SLACK: isize = 4_096;
 
-/// How a link ends.
+/// Ends a link in one of ten ways.
 async fn end(pair: &Pair, way: usize, near: &LinkUnicast, far: &LinkUnicast) {
     let name = ["sim-near", "sim-far"][way % 2];
     match way % 10 {
-        // In good order, by either side.
+        // Closed by either side.
         0 => drop(tokio::join!(near.close(), until_it_ends(far))),
         1 => drop(tokio::join!(far.close(), until_it_ends(near))),
-        // With traffic still under way.
+        // Cut with batches in flight.
         2 | 3 => {
             let _ = near.write_all(&[1; 700], Some(Priority::Data)).await;
             let _ = far.write_all(&[2; 700], Some(Priority::Data)).await;
             pair.air.cut();
         }
-        4 | 5 => pair.air.power(name, false).expect("is there"),
-        6 | 7 => pair.air.remove(name).expect("is there"),
+        4 | 5 => pair.air.power(name, false).expect("is attached"),
+        6 | 7 => pair.air.remove(name).expect("is attached"),
         8 => {
-            pair.air.power(name, false).expect("is there");
-            pair.air.power(name, true).expect("is there");
+            pair.air.power(name, false).expect("is attached");
+            pair.air.power(name, true).expect("is attached");
         }
         // Dropped, as by a program that is killed.
         _ => return,
@@ -46,7 +46,7 @@ async fn end(pair: &Pair, way: usize, near: &LinkUnicast, far: &LinkUnicast) {
     .await;
     pair.air.restore();
     for name in ["sim-near", "sim-far"] {
-        pair.air.power(name, true).expect("is there");
+        pair.air.power(name, true).expect("is attached");
     }
 }
 
@@ -58,23 +58,23 @@ async fn until_it_ends(link: &LinkUnicast) {
 }
 
 fn open_files() -> usize {
-    let files = std::fs::read_dir("/proc/self/fd").expect("is there on Linux");
+    let files = std::fs::read_dir("/proc/self/fd").expect("exists on Linux");
     files.count()
 }
 
-/// Everything that could be left behind.
-async fn account(pair: &Pair) -> (Leftovers, isize, usize) {
+/// Returns all resources that could leak.
+async fn measure_resources(pair: &Pair) -> (Resources, isize, usize) {
     (
-        pair.leftovers_in_the_end().await,
+        pair.resources_after_cleanup().await,
         live_bytes(),
         open_files(),
     )
 }
 
 #[tokio::test(start_paused = true)]
-async fn ten_thousand_reconnects_leave_nothing_behind() {
+async fn ten_thousand_reconnects_leak_no_resources() {
     let pair = Pair::on(Condition::Room, 1).await;
-    let (leftovers_at_first, _, files_at_first) = account(&pair).await;
+    let (initial_resources, _, files_at_first) = measure_resources(&pair).await;
     let mut bytes_when_warm = 0;
     let mut slowest = Duration::ZERO;
     for n in 1..=RECONNECTS {
@@ -83,20 +83,20 @@ async fn ten_thousand_reconnects_leave_nothing_behind() {
         slowest = slowest.max(start.elapsed());
         end(&pair, n, &near, &far).await;
         drop((near, far));
-        // Until the radios have let go of it.
+        // Wait until the radios have released the connection.
         sleep(Duration::from_millis(300)).await;
         if n == WARM {
-            bytes_when_warm = account(&pair).await.1;
+            bytes_when_warm = measure_resources(&pair).await.1;
         }
     }
-    let (leftovers, bytes, files) = account(&pair).await;
+    let (resources, bytes, files) = measure_resources(&pair).await;
     println!(
         "{RECONNECTS} reconnects in {:?} of the air's time, the slowest in {slowest:?}: \
-         {bytes_when_warm} bytes after {WARM}, {bytes} in the end, {leftovers:?}, {files} open files",
+         {bytes_when_warm} bytes after {WARM}, {bytes} in the end, {resources:?}, {files} open files",
         pair.air.elapsed()
     );
-    assert_eq!(leftovers, leftovers_at_first);
+    assert_eq!(resources, initial_resources);
     assert!(bytes <= bytes_when_warm + SLACK, "{bytes} bytes");
-    // The tests beside this one have an event loop each.
+    // Concurrent tests have an event loop each.
     assert!(files <= files_at_first + 8, "{files} open files");
 }

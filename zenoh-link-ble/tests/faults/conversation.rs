@@ -1,5 +1,5 @@
-//! A fixed conversation over a link: batches of many sizes on four lanes both ways, then a close. Each side writes down
-//! what it got, so that what was delivered can be compared with what was sent, however the conversation ended.
+//! Runs a fixed conversation over a link: batches of many sizes on four lanes in both directions, then a close. Each
+//! side records the received batches, so that they can be compared with the sent ones however the conversation ended.
 use futures::future::join_all;
 use tokio::time::{timeout, Duration};
 use zenoh_link_ble::locator::DEFAULT_MTU;
@@ -14,48 +14,49 @@ const LANES: [Priority; 4] = [
     Priority::Data,
     Priority::Background,
 ];
-/// The batches of a lane, in bytes: alone in a packet, in one packet exactly, in several, the largest.
+/// Sizes of the batches of a lane, in bytes: part of a packet, the maximum, exactly one packet, one more part, several
+/// packets.
 const SIZES: [usize; 5] = [5, DEFAULT_MTU as usize, 237, 20, 600];
 
-/// The batches that one side got on each lane.
-pub type Got = Vec<Vec<Vec<u8>>>;
+/// Batches received by one side, by lane.
+pub type Received = Vec<Vec<Vec<u8>>>;
 
-/// How a conversation ended.
+/// Result of a conversation.
 pub struct Outcome {
-    /// What each side got, if there was a link: `near`'s, then `far`'s.
-    pub got: [Got; 2],
-    /// Why each side's link ended: every reason that a reader or writer was told.
+    /// Batches received by each side if there was a link: those of `near`, then those of `far`.
+    pub received: [Received; 2],
+    /// Reasons for the end of the links, as returned to every reader and writer.
     pub reasons: Vec<String>,
-    /// Whether all was said, and the close went through.
+    /// Whether everything was exchanged and the link was closed in order.
     pub is_whole: bool,
 }
 
-/// The `n`th batch of a lane from one side: nobody else's.
+/// Returns the `n`th batch of a lane from one side. All batches differ.
 fn batch(from: u8, lane: usize, n: usize) -> Vec<u8> {
     let mut batch = vec![from, lane as u8, n as u8];
     batch.resize(SIZES[n], from ^ (lane * 16 + n) as u8);
     batch
 }
 
-/// All that a side sends on each lane.
-pub fn sent(from: u8) -> Got {
+/// Returns the batches that a side sends on each lane.
+pub fn sent(from: u8) -> Received {
     let lane = |lane| (0..SIZES.len()).map(|n| batch(from, lane, n)).collect();
     (0..LANES.len()).map(lane).collect()
 }
 
-type Side = (Got, Vec<String>, bool);
+type Side = (Received, Vec<String>, bool);
 
-/// Dials, talks and closes.
-pub async fn held(pair: &Pair) -> Outcome {
+/// Dials, exchanges all batches and closes.
+pub async fn converse(pair: &Pair) -> Outcome {
     let dialling = async {
-        // A dial that a fault meets is given up by Zenoh's own limit at the latest; here sooner, as time is short.
-        match pair.near.dials("ble/far#timeout=5000").await {
+        // Shorter than the default of Zenoh, to save time when a fault prevents the dial.
+        match pair.near.dial("ble/far#timeout=5000").await {
             Ok(near) => talk(&near, 0, true).await,
             Err(error) => (Vec::new(), vec![error.to_string()], false),
         }
     };
     let answering = async {
-        // Longer than a dial may take: what comes in after it belongs to the dial.
+        // Longer than the timeout of the dial: a link that arrives later belongs to the next dial.
         match timeout(Duration::from_secs(6), pair.far.incoming()).await {
             Ok(far) => talk(&far, 1, false).await,
             Err(_) => (Vec::new(), Vec::new(), false),
@@ -64,8 +65,8 @@ pub async fn held(pair: &Pair) -> Outcome {
     outcome(tokio::join!(dialling, answering))
 }
 
-/// The same on a link that is there.
-pub async fn held_on(near: &LinkUnicast, far: &LinkUnicast) -> Outcome {
+/// Runs the conversation on an existing link.
+pub async fn converse_on(near: &LinkUnicast, far: &LinkUnicast) -> Outcome {
     outcome(tokio::join!(talk(near, 0, true), talk(far, 1, false)))
 }
 
@@ -73,13 +74,14 @@ fn outcome((near, far): (Side, Side)) -> Outcome {
     let ((near_got, mut reasons, near_whole), (far_got, far_reasons, far_whole)) = (near, far);
     reasons.extend(far_reasons);
     Outcome {
-        got: [near_got, far_got],
+        received: [near_got, far_got],
         reasons,
         is_whole: near_whole && far_whole,
     }
 }
 
-/// One side of it: says everything and reads until the end, or until it has all when it is the one to close.
+/// Runs one side: sends all batches and reads until the link ends, or until everything has arrived if it is the side
+/// that closes.
 async fn talk(link: &LinkUnicast, from: u8, closes: bool) -> Side {
     let writing = join_all(LANES.iter().enumerate().map(async |(lane, priority)| {
         for n in 0..SIZES.len() {
@@ -90,23 +92,23 @@ async fn talk(link: &LinkUnicast, from: u8, closes: bool) -> Side {
         }
         None
     }));
-    let wanted = if closes { SIZES.len() } else { usize::MAX };
+    let expected = if closes { SIZES.len() } else { usize::MAX };
     let reading = join_all(LANES.iter().map(async |priority| {
-        let mut got = Vec::new();
+        let mut received = Vec::new();
         let mut buffer = [0; 1000];
-        while got.len() < wanted {
+        while received.len() < expected {
             match link.read(&mut buffer, Some(*priority)).await {
-                Ok(size) => got.push(buffer[..size].to_vec()),
-                Err(error) => return (got, Some(error.to_string())),
+                Ok(size) => received.push(buffer[..size].to_vec()),
+                Err(error) => return (received, Some(error.to_string())),
             }
         }
-        (got, None)
+        (received, None)
     }));
     let (written, read) = tokio::join!(writing, reading);
-    let (got, read_errors): (Got, Vec<_>) = read.into_iter().unzip();
+    let (received, read_errors): (Received, Vec<_>) = read.into_iter().unzip();
     let mut errors: Vec<_> = written.into_iter().chain(read_errors).flatten().collect();
     link.close().await.expect("closing never fails");
-    let is_whole = got == sent(1 - from) && (errors.is_empty() || !closes);
+    let is_whole = received == sent(1 - from) && (errors.is_empty() || !closes);
     errors.dedup();
-    (got, errors, is_whole)
+    (received, errors, is_whole)
 }

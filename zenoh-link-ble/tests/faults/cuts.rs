@@ -1,51 +1,54 @@
-//! The air is cut after every single packet of a fixed conversation: of the opening, of batches on several lanes both ways
-//! with their credits, of the close.
+//! Cuts the radio contact after every single packet of a fixed conversation: of the handshake, of batches on several
+//! lanes in both directions with their credits, and of the close.
 use std::time::Duration;
 
 use tokio::time::{timeout, Instant};
 use zenoh_link_ble::radio::sim::Condition;
 
-use super::conversation::{held, sent, Got};
+use super::conversation::{converse, sent, Received};
 use crate::shared::pair::{Pair, SUPERVISION};
 
-/// Beside the supervision timeout: the last connection event before, and the one in which the end is told.
+/// Margin besides the supervision timeout: the last connection event before it, and the event that reports the end.
 pub const EVENTS: Duration = Duration::from_millis(100);
-/// How long a conversation may take, whenever it is cut: itself less than 2 s; a dial of 5 s and what came in after it, or
-/// an end noticed after the supervision timeout.
+/// Maximum duration of a conversation, whenever it is cut: it takes less than 2 s itself, plus a dial of 5 s and its
+/// incoming link, or an end detected by the supervision timeout.
 const ENDED: Duration = Duration::from_secs(8);
 
-fn is_prefix(got: &Got, all: &Got) -> bool {
-    got.iter().zip(all).all(|(got, all)| all.starts_with(got))
+fn is_prefix(received: &Received, all: &Received) -> bool {
+    received
+        .iter()
+        .zip(all)
+        .all(|(received, all)| all.starts_with(received))
 }
 
-/// `false`: the conversation was over before the cut.
+/// Runs a conversation that is cut after a number of packets. Returns `false` if the conversation ended before the cut.
 async fn cut_after(packets: u64, condition: Condition, seed: u64) -> bool {
     let what = format!("{condition}, seed {seed}, cut after {packets} packets");
     let pair = Pair::on(condition, seed).await;
-    let before = pair.leftovers();
+    let before = pair.resources();
     pair.air.cut_after(packets);
-    let outcome = timeout(ENDED, held(&pair)).await;
-    let outcome = outcome.unwrap_or_else(|_| panic!("{what}: somebody waits for ever"));
+    let outcome = timeout(ENDED, converse(&pair)).await;
+    let outcome = outcome.unwrap_or_else(|_| panic!("{what}: a side waits forever"));
     let was_cut = pair.air.status().is_cut;
-    for (got, from) in outcome.got.iter().zip([1, 0]) {
+    for (received, from) in outcome.received.iter().zip([1, 0]) {
         assert!(
-            is_prefix(got, &sent(from)),
-            "{what}: {from} did not say that: {got:?}"
+            is_prefix(received, &sent(from)),
+            "{what}: not sent by {from}: {received:?}"
         );
     }
     assert!(outcome.is_whole || was_cut, "{what}: {:?}", outcome.reasons);
     assert!(
         outcome.is_whole || !outcome.reasons.is_empty(),
-        "{what}: nobody is told why"
+        "{what}: no reason was reported"
     );
     pair.air.restore();
     let (near, far) = pair.link_again(Instant::now(), &what).await;
     let mut buffer = [0; 100];
     let (closed, ended) = tokio::join!(near.close(), far.read(&mut buffer, None));
     closed.expect("closes");
-    ended.expect_err("the other side is told");
+    ended.expect_err("the other side detects the end");
     drop((near, far));
-    assert_eq!(pair.leftovers_in_the_end().await, before, "{what}");
+    assert_eq!(pair.resources_after_cleanup().await, before, "{what}");
     was_cut
 }
 
@@ -55,44 +58,45 @@ async fn cut_everywhere(condition: Condition, seed: u64) {
         packets += 1;
     }
     println!("{condition}, seed {seed}: the conversation has {packets} packets");
-    assert!(packets > 50, "{packets} packets are no conversation");
+    assert!(packets > 50, "{packets} packets are too few");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cut_after_any_packet_of_a_conversation_ends_both_sides_and_a_dial_works_again() {
+async fn reconnects_after_a_cut_at_any_packet() {
     cut_everywhere(Condition::Desk, 1).await;
 }
 
-/// With repeats, in which the two sides do not know the same.
+/// With retransmissions, during which the two sides have different information.
 #[tokio::test(start_paused = true)]
-async fn the_same_where_packets_are_lost_besides() {
+async fn reconnects_after_a_cut_at_any_packet_with_packet_loss() {
     for seed in 1..=3 {
         cut_everywhere(Condition::Wall, seed).await;
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_cuts_in_a_row_while_the_link_opens_do_no_more_harm_than_one() {
-    // The opening has four packets: asking for a channel, the answer, both hellos. Beyond it the first batches are cut.
+async fn reconnects_after_two_cuts_during_the_handshake() {
+    // The handshake has four packets: the channel request and response, and both hellos. Later cuts hit the first
+    // batches.
     for (first, second) in (0..8).flat_map(|first| (0..8).map(move |second| (first, second))) {
         let what = format!("cut after {first} packets, and then after {second}");
         let pair = Pair::on(Condition::Desk, 1).await;
-        let before = pair.leftovers();
+        let before = pair.resources();
         for packets in [first, second] {
             pair.air.cut_after(packets);
-            timeout(ENDED, held(&pair))
+            timeout(ENDED, converse(&pair))
                 .await
-                .unwrap_or_else(|_| panic!("{what}: somebody waits for ever"));
+                .unwrap_or_else(|_| panic!("{what}: a side waits forever"));
             assert!(pair.air.status().is_cut, "{what}: too late");
             pair.air.restore();
         }
         drop(pair.link_again(Instant::now(), &what).await);
-        assert_eq!(pair.leftovers_in_the_end().await, before, "{what}");
+        assert_eq!(pair.resources_after_cleanup().await, before, "{what}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn both_sides_are_told_of_a_cut_within_the_supervision_timeout() {
+async fn both_sides_detect_a_cut_within_the_supervision_timeout() {
     for seed in 0..20 {
         let pair = Pair::on(Condition::Room, seed).await;
         let (near, far) = pair.link().await;
@@ -109,9 +113,9 @@ async fn both_sides_are_told_of_a_cut_within_the_supervision_timeout() {
     }
 }
 
-/// A robot that turns behind a wall for a moment: shorter than the supervision timeout.
+/// As when a robot passes behind a wall for less than the supervision timeout.
 #[tokio::test(start_paused = true)]
-async fn a_cut_shorter_than_the_supervision_timeout_costs_nothing_but_time() {
+async fn short_cuts_lose_no_batches() {
     for seed in 0..20 {
         let pair = Pair::on(Condition::Room, seed).await;
         let (near, far) = pair.link().await;

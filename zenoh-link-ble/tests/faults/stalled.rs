@@ -1,13 +1,13 @@
-//! A peer that is there, but takes nothing, or slowly, or speaks and does not hear.
+//! Tests a connected peer that reads nothing, or slowly, or sends without reading.
 use std::time::Duration;
 
 use tokio::time::{sleep, timeout, Instant};
 use zenoh_link_ble::{
-    bye::Bye,
+    goodbye::Goodbye,
     lanes::{
         ack_timer::ACK_TIMEOUT,
         credits::{cost, Acks},
-        receiver::HIGH_MARK,
+        receiver::HIGH_WATERMARK,
         sdu::Content,
         Lane, LANES,
     },
@@ -25,19 +25,19 @@ use crate::shared::{
     heap::live_bytes,
     pair::{Pair, SUPERVISION},
     peer::within,
-    raw::{Heard, RawPeer, WINDOW},
+    raw::{FloodEnd, RawPeer, WINDOW},
 };
 
-/// How often Zenoh sends a keep-alive where nothing else is sent.
+/// Interval at which Zenoh sends keep-alives on an idle link.
 const KEEP_ALIVE: Duration = Duration::from_millis(2500);
 const MTU: usize = DEFAULT_MTU as usize;
 const BATCH: [u8; MTU] = [7; MTU];
 
 async fn with_raw_peer(seed: u64) -> (Pair, RawPeer, LinkUnicast) {
     let pair = Pair::on(Condition::Room, seed).await;
-    let near: std::sync::Arc<dyn Radio> = pair.air.radio("sim-near").await.expect("is there");
-    let far: std::sync::Arc<dyn Radio> = pair.air.radio("sim-far").await.expect("is there");
-    let raw = RawPeer::dials(&near, &far, "raw").await;
+    let near: std::sync::Arc<dyn Radio> = pair.air.radio("sim-near").await.expect("is attached");
+    let far: std::sync::Arc<dyn Radio> = pair.air.radio("sim-far").await.expect("is attached");
+    let raw = RawPeer::dial(&near, &far, "raw").await;
     let link = pair.far.incoming().await;
     (pair, raw, link)
 }
@@ -50,9 +50,9 @@ async fn writes_until_it_fails(link: &LinkUnicast) -> String {
     }
 }
 
-/// Its radio answers, so that no supervision timeout ends the link.
+/// The peer's radio responds, so no supervision timeout ends the link.
 #[tokio::test(start_paused = true)]
-async fn a_frozen_peer_is_given_up_and_readers_and_writers_are_told() {
+async fn ends_the_link_with_a_frozen_peer_for_readers_and_writers() {
     let (pair, raw, link) = with_raw_peer(1).await;
     let start = Instant::now();
     let limit = ACK_TIMEOUT + SUPERVISION;
@@ -60,26 +60,26 @@ async fn a_frozen_peer_is_given_up_and_readers_and_writers_are_told() {
     let ended = timeout(limit, async {
         tokio::join!(writes_until_it_fails(&link), link.read(&mut buffer, None))
     });
-    let (written, read) = ended.await.expect("both are told");
-    let read = read.expect_err("it is over").to_string();
+    let (written, read) = ended.await.expect("both end in time");
+    let read = read.expect_err("the link ended").to_string();
     for error in [&written, &read] {
         let reason = "raw has acknowledged nothing for 20 s";
         assert!(error.contains(reason), "{error}");
     }
     assert!(start.elapsed() >= ACK_TIMEOUT, "too soon");
-    assert_eq!(pair.far.manager.census().links, 0);
+    assert_eq!(pair.far.manager.link_counts().links, 0);
     drop(raw);
 }
 
-/// Its program reads and sends, so that neither a supervision timeout nor Zenoh's lease ends the link.
+/// The peer's program reads and sends, so neither a supervision timeout nor Zenoh's lease ends the link.
 #[tokio::test(start_paused = true)]
-async fn a_peer_that_stops_acknowledging_is_given_up_whatever_keep_alives_do() {
+async fn ends_the_link_with_a_peer_that_stops_acknowledging() {
     for batches in [1, 3, 40] {
         let (pair, mut raw, link) = with_raw_peer(7).await;
         let start = Instant::now();
         let bulk = async {
             for _ in 0..batches {
-                // More than the window waits here until the link ends.
+                // Batches beyond the window wait here until the link ends.
                 if link.write_all(&BATCH, Some(Priority::Data)).await.is_err() {
                     break;
                 }
@@ -90,77 +90,80 @@ async fn a_peer_that_stops_acknowledging_is_given_up_whatever_keep_alives_do() {
                 sleep(KEEP_ALIVE).await;
             }
         };
-        let ended = async { tokio::join!(bulk, keep_alives, raw.hears_goodbye()).2 };
+        let ended = async { tokio::join!(bulk, keep_alives, raw.receive_goodbye()).2 };
         let goodbye = timeout(ACK_TIMEOUT + KEEP_ALIVE + SUPERVISION, ended).await;
-        let goodbye = goodbye.unwrap_or_else(|_| panic!("{batches} batches: it lives on"));
-        assert_eq!(goodbye, Some(Bye::Unacknowledged.code()));
+        let goodbye = goodbye.unwrap_or_else(|_| panic!("{batches} batches: the link did not end"));
+        assert_eq!(goodbye, Some(Goodbye::Unacknowledged.code()));
         assert!(start.elapsed() >= ACK_TIMEOUT, "too soon");
-        let error = link.read(&mut [0; 10], None).await.expect_err("it is over");
+        let error = link
+            .read(&mut [0; 10], None)
+            .await
+            .expect_err("the link ended");
         let error = error.to_string();
         assert!(error.contains("raw has acknowledged nothing"), "{error}");
-        assert_eq!(pair.far.manager.census().links, 0);
+        assert_eq!(pair.far.manager.link_counts().links, 0);
     }
 }
 
-/// Nobody owes an acknowledgement of a few bytes.
+/// A few bytes need not be acknowledged.
 #[tokio::test(start_paused = true)]
-async fn a_link_with_nothing_but_keep_alives_lives_on() {
+async fn keeps_a_link_with_only_keep_alives() {
     let pair = Pair::on(Condition::Room, 8).await;
     let (near, far) = pair.link().await;
     let mut buffer = [0; 10];
     for _ in 0..100 {
         near.write_all(&[4], Some(Priority::Control))
             .await
-            .expect("lives");
+            .expect("the link is open");
         sleep(KEEP_ALIVE).await;
         let size = far.read(&mut buffer, Some(Priority::Control)).await;
-        assert_eq!(size.expect("lives"), 1);
+        assert_eq!(size.expect("the link is open"), 1);
     }
 }
 
-/// A peer whose reader takes an SDU a second is slow, not gone.
+/// A peer that reads one SDU per second is slow, but not lost.
 #[tokio::test(start_paused = true)]
-async fn a_slow_peer_gets_everything_however_long_it_takes() {
+async fn delivers_everything_to_a_slow_peer() {
     const BATCHES: usize = 120;
     let (_pair, mut raw, link) = with_raw_peer(2).await;
     let mut acks = Acks::new(WINDOW);
     let writing = async {
         for _ in 0..BATCHES {
             let written = link.write_all(&BATCH, Some(Priority::Data)).await;
-            written.expect("the link lives");
+            written.expect("the link is open");
         }
     };
     let reading = async {
         for n in 0..BATCHES {
             sleep(Duration::from_secs(1)).await;
-            let heard = raw.hears().await;
+            let received = raw.receive().await;
             assert!(
-                matches!(heard, Some(Content::Batch(_, batch)) if batch == BATCH),
+                matches!(received, Some(Content::Batch(_, batch)) if batch == BATCH),
                 "{n}"
             );
             acks.on_received(cost(BATCH.len())).expect("in the window");
             if let Some(total) = acks.due() {
-                raw.says(Content::Ack(total)).await;
+                raw.send(Content::Ack(total)).await;
             }
         }
     };
     tokio::join!(writing, reading);
-    let (closed, bye) = within("closing", async {
+    let (closed, code) = within("closing", async {
         let goodbye = async {
-            let bye = raw.hears_goodbye().await;
+            let code = raw.receive_goodbye().await;
             drop(raw);
-            bye
+            code
         };
         tokio::join!(link.close(), goodbye)
     })
     .await;
     closed.expect("closes");
-    assert_eq!(bye, Some(Bye::Closing.code()));
+    assert_eq!(code, Some(Goodbye::Closing.code()));
 }
 
-/// It hears no acknowledgement, and so has no right to more than its window.
+/// The peer reads no acknowledgements, so it may send no more than its window.
 #[tokio::test(start_paused = true)]
-async fn a_peer_that_overruns_its_credits_is_ended_with_that_reason() {
+async fn ends_the_link_with_a_peer_that_exceeds_its_credits() {
     let (_pair, mut raw, link) = with_raw_peer(3).await;
     let reading = async {
         let mut buffer = BATCH;
@@ -176,14 +179,15 @@ async fn a_peer_that_overruns_its_credits_is_ended_with_that_reason() {
     let talking = async {
         loop {
             let lane = Lane::of(Priority::Data);
-            raw.says(Content::Batch(lane, &BATCH)).await;
+            raw.send(Content::Batch(lane, &BATCH)).await;
         }
     };
     let (batches, error) = tokio::select! {
         ended = reading => ended,
-        () = talking => unreachable!("it talks for ever"),
+        () = talking => unreachable!("it sends forever"),
     };
-    // Both controllers hold acknowledgements that it has not read; each is for a quarter of the window and a batch.
+    // Both controllers hold acknowledgements that the peer has not read, each for a quarter of the window plus one
+    // batch.
     let acknowledged = RECEIVE_BUFFER_BYTES / 247 * window / 4;
     assert!(
         batches * BATCH.len() < 3 * acknowledged,
@@ -192,9 +196,9 @@ async fn a_peer_that_overruns_its_credits_is_ended_with_that_reason() {
     assert!(error.contains("more than its credits allow"), "{error}");
 }
 
-/// A program that does not read holds up its own lane only.
+/// A program that does not read blocks only its own lane.
 #[tokio::test(start_paused = true)]
-async fn a_lane_nobody_reads_holds_up_no_other_and_loses_nothing() {
+async fn an_unread_lane_does_not_block_others_or_lose_batches() {
     const BATCHES: usize = 100;
     let pair = Pair::on(Condition::Room, 4).await;
     let (near, far) = pair.link().await;
@@ -225,38 +229,40 @@ async fn a_lane_nobody_reads_holds_up_no_other_and_loses_nothing() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn all_who_wait_on_one_lane_are_told_of_the_end() {
+async fn all_readers_of_a_lane_receive_the_end() {
     let pair = Pair::on(Condition::Room, 5).await;
     let (near, far) = pair.link().await;
     let readers = [(); 3].map(|()| async { near.read(&mut [0; 100], None).await.map(drop) });
     let cutting = async { far.close().await };
     let ended = async { tokio::join!(futures::future::join_all(readers), cutting).0 };
-    for told in within("the end", ended).await {
-        let error = told.expect_err("it is over").to_string();
-        assert!(error.contains("closed the link: it is done"), "{error}");
+    for result in within("the end", ended).await {
+        let error = result.expect_err("the link ended").to_string();
+        assert!(
+            error.contains("closed the link: it has finished"),
+            "{error}"
+        );
     }
 }
 
-/// Small batches cost the most: what a queue needs for each counts too.
+/// Small batches cost the most: the overhead of the queue for each batch counts too.
 #[tokio::test(start_paused = true)]
-async fn what_a_peer_makes_this_side_hold_has_a_bound_on_the_heap_whatever_the_size_of_its_batches()
-{
+async fn bounds_the_memory_a_peer_can_use_for_any_batch_size() {
     for size in [1, 20, MTU] {
         let (_pair, mut raw, link) = with_raw_peer(6).await;
         let mut credits = raw.credits();
         let before = live_bytes();
         for lane in Lane::all() {
-            let heard = raw.floods(&mut credits, lane, &BATCH[..size], true).await;
-            assert_eq!(heard, Heard::Stop);
+            let received = raw.flood(&mut credits, lane, &BATCH[..size], true).await;
+            assert_eq!(received, FloodEnd::Stop);
         }
         let held = live_bytes() - before;
-        let documented = LANES * (HIGH_MARK + MTU + usize::from(credits.window()));
-        println!("batches of {size}: {held} bytes held, {documented} documented");
+        let documented = LANES * (HIGH_WATERMARK + MTU + usize::from(credits.window()));
+        println!("batches of {size}: {held} bytes in use, {documented} documented");
         assert!(
-            held > LANES as isize * HIGH_MARK as isize / 2,
+            held > LANES as isize * HIGH_WATERMARK as isize / 2,
             "{held} bytes"
         );
-        // A queue has up to twice the room that it needs.
+        // A queue has up to twice the capacity that it needs.
         assert!(
             held <= 2 * documented as isize,
             "{held} of {documented} bytes"

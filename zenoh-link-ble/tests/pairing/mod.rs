@@ -1,4 +1,5 @@
-//! Pairing by a passkey that both sides know. Only on a real stack: the simulated air pairs with nobody.
+//! Tests pairing with a passkey that both sides know. Runs only on a real Bluetooth stack: the simulated air does not
+//! pair.
 use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 use zenoh_link_ble::radio::{ChannelOptions, Security};
@@ -11,14 +12,14 @@ use crate::{
     },
     shared::{
         listener::OPTIONS,
-        peer::{says, within, Peer},
+        peer::{assert_delivers, within, Peer},
     },
 };
 
-/// Where bluetoothd keeps whom it has paired with.
+/// Folder in which bluetoothd keeps the keys of paired devices.
 const BONDS: &str = "/var/lib/bluetooth";
-/// Both adapters have one bluetoothd here, whose agent is asked by one of them at a time; on a slow radio they ask one after
-/// the other.
+/// Rate of the radios in bytes per second. Both adapters share one bluetoothd, whose agent handles one request at a
+/// time; on a slow radio, the two adapters request the passkey one after the other.
 const PACE: &str = "1500";
 
 fn run(program: &str, arguments: &[&str]) {
@@ -29,10 +30,10 @@ fn run(program: &str, arguments: &[&str]) {
     );
 }
 
-/// Two radios that have never met, and are slow until it is dropped.
-struct Strangers<'a>(&'a World);
+/// Two radios without keys for each other. Their rate is limited until this value is dropped.
+struct UnpairedRadios<'a>(&'a World);
 
-impl<'a> Strangers<'a> {
+impl<'a> UnpairedRadios<'a> {
     fn of(world: &'a World) -> Self {
         for radio in [&world.a, &world.b] {
             run("adapter", &["forget", radio.name()]);
@@ -43,7 +44,7 @@ impl<'a> Strangers<'a> {
     }
 }
 
-impl Drop for Strangers<'_> {
+impl Drop for UnpairedRadios<'_> {
     fn drop(&mut self) {
         for radio in [&self.0.a, &self.0.b] {
             run("room", &["pace", radio.name(), "0"]);
@@ -51,7 +52,7 @@ impl Drop for Strangers<'_> {
     }
 }
 
-/// The keys of all that are paired, by the file they are in.
+/// Returns the keys of all paired devices, by the file that contains them.
 fn keys() -> BTreeMap<String, Vec<String>> {
     let read = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten();
     let mut keys = BTreeMap::new();
@@ -69,7 +70,7 @@ fn keys() -> BTreeMap<String, Vec<String>> {
     keys
 }
 
-/// Whether there is a channel for which the two type in these.
+/// Returns whether a channel opens if the two sides enter these passkeys.
 async fn channel_with(world: &World, passkeys: [u32; 2]) -> bool {
     let options = |passkey| ChannelOptions {
         security: Security::High,
@@ -87,47 +88,54 @@ async fn channel_with(world: &World, passkeys: [u32; 2]) -> bool {
     connected
 }
 
-pub async fn a_wrong_passkey_is_refused_and_the_right_one_pairs(world: World) {
-    let _strangers = Strangers::of(&world);
+pub async fn refuses_a_wrong_passkey_and_pairs_with_the_right_one(world: World) {
+    let _unpaired = UnpairedRadios::of(&world);
     assert!(!channel_with(&world, [123_456, 123_457]).await);
-    assert!(keys().is_empty(), "they are paired all the same");
+    assert!(
+        keys().is_empty(),
+        "the radios are paired with a wrong passkey"
+    );
     assert!(channel_with(&world, [123_456, 123_456]).await);
-    assert_eq!(keys().len(), 2, "both remember the other");
+    assert_eq!(keys().len(), 2, "both store the key of the other");
 }
 
-pub async fn with_the_same_secret_two_are_paired_once_and_linked_again_after_that(world: World) {
-    let _strangers = Strangers::of(&world);
+pub async fn pairs_once_with_a_shared_secret_and_reconnects(world: World) {
+    let _unpaired = UnpairedRadios::of(&world);
     let file = File::with(OURS);
     let listener = format!("name=wombat-2;sec=high;{}", file.option());
-    let b = Peer::on(&world.b).listens_as(&listener).await;
+    let b = Peer::on(&world.b).listen_as(&listener).await;
     let a = Peer::on(&world.a);
     let locator = format!("ble/wombat-2#sec=high;{}", file.option());
     let mut paired = None;
     for round in 0..3 {
-        let near = a.dials(&locator).await.expect("dials");
+        let near = a.dial(&locator).await.expect("dials");
         let far = b.incoming().await;
-        says(&near, &far, b"in private").await;
+        assert_delivers(&near, &far, b"in private").await;
         near.close().await.expect("closes");
         drop((near, far));
-        // Lost altogether, so that the next one is encrypted anew, with the keys that are there.
+        // The connection is dropped, so that the next one is encrypted with the existing keys.
         (world.lose_links)();
         let now = keys();
-        assert_eq!(now.len(), 2, "round {round}: both remember the other");
+        assert_eq!(
+            now.len(),
+            2,
+            "round {round}: both store the key of the other"
+        );
         let before = paired.get_or_insert_with(|| now.clone());
-        assert_eq!(*before, now, "round {round}: they were paired anew");
+        assert_eq!(*before, now, "round {round}: they were paired again");
     }
 }
 
-pub async fn with_another_secret_two_are_not_paired(world: World) {
-    let _strangers = Strangers::of(&world);
+pub async fn does_not_pair_with_a_different_secret(world: World) {
+    let _unpaired = UnpairedRadios::of(&world);
     let (ours, theirs) = (File::with(OURS), File::with(THEIRS));
     let listener = format!("name=wombat-2;sec=high;{}", ours.option());
-    let b = Peer::on(&world.b).listens_as(&listener).await;
+    let b = Peer::on(&world.b).listen_as(&listener).await;
     let a = Peer::on(&world.a);
     let locator = format!("ble/wombat-2#sec=high;{}", theirs.option());
-    let refused = a.dials(&locator).await.err().map(|error| error.to_string());
+    let refused = a.dial(&locator).await.err().map(|error| error.to_string());
     println!("refused: {refused:?}");
-    let says_so = |why: &String| why.contains("could not be paired");
-    assert!(refused.as_ref().is_some_and(says_so), "{refused:?}");
+    let names_the_cause = |why: &String| why.contains("could not be paired");
+    assert!(refused.as_ref().is_some_and(names_the_cause), "{refused:?}");
     assert!(b.no_more_incoming() && keys().is_empty());
 }

@@ -1,5 +1,5 @@
-//! Counts the bytes that this thread holds on the heap. A test in virtual time runs on one thread, so that what the tests
-//! beside it hold does not count.
+//! Counts the bytes that this thread holds on the heap. A test in virtual time runs on one thread, so memory of other
+//! tests is not counted.
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     cell::Cell,
@@ -8,7 +8,7 @@ use std::{
 struct Counting;
 
 thread_local! {
-    // Neither lazy nor dropped: it may be counted in at any time of a thread's life.
+    // Neither lazy nor dropped, because it may be accessed at any time in a thread's life.
     static LIVE_BYTES: Cell<isize> = const { Cell::new(0) };
 }
 
@@ -19,28 +19,28 @@ fn count(bytes: isize) {
     LIVE_BYTES.set(LIVE_BYTES.get() + bytes);
 }
 
-/// Bytes on the heap that this thread asked for and has not given back.
+/// Returns the number of heap bytes that this thread allocated and has not freed.
 pub fn live_bytes() -> isize {
     LIVE_BYTES.get()
 }
 
-// SAFETY: all is left to the system's allocator; counting allocates nothing.
+// SAFETY: every call is forwarded to the system's allocator; counting does not allocate.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as isize);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees the conditions.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
         count(-(layout.size() as isize));
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees the conditions.
         unsafe { System.dealloc(at, layout) }
     }
 
     unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size as isize - layout.size() as isize);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees the conditions.
         unsafe { System.realloc(at, layout, size) }
     }
 }

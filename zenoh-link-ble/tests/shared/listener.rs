@@ -1,4 +1,4 @@
-//! How a test finds a listener and opens a channel to it by hand.
+//! Finds a listener and its PSM, for tests that open channels directly.
 use std::sync::Arc;
 
 use zenoh_link_ble::{
@@ -8,7 +8,7 @@ use zenoh_link_ble::{
 
 use super::peer::within;
 
-/// Larger than the link's MTU, so that a peer can send what is over it.
+/// Options with an MTU above that of the link, so that a peer can send oversize SDUs.
 pub const OPTIONS: ChannelOptions = ChannelOptions {
     recv_mtu: 4096,
     security: Security::Low,
@@ -20,8 +20,8 @@ pub async fn psm_of(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>) -> Psm {
     let mut scan = from.scan().await.expect("scans");
     within("seeing the listener", async {
         loop {
-            let sighting = scan.next().await.expect("goes on scanning");
-            if let (true, Some(advertisement)) = (sighting.device == to, sighting.advertisement) {
+            let report = scan.next().await.expect("keeps scanning");
+            if let (true, Some(advertisement)) = (report.device == to, report.advertisement) {
                 return advertisement.psm;
             }
         }

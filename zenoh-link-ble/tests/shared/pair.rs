@@ -1,9 +1,9 @@
-//! Two nodes on an air of their own, and what must be left of them when their links are over.
+//! Provides two nodes on a separate air, and measures the resources that remain after their links ended.
 use std::{sync::Arc, time::Duration};
 
 use tokio::{runtime::Handle, time::Instant};
 use zenoh_link_ble::{
-    links::Census,
+    link::table::LinkCounts,
     radio::{
         sim::{AirOptions, Condition, SimAir},
         Radio,
@@ -11,25 +11,26 @@ use zenoh_link_ble::{
 };
 use zenoh_link_commons::LinkUnicast;
 
-use crate::shared::peer::{says, Peer};
+use crate::shared::peer::{assert_delivers, Peer};
 
-/// When a radio gives up a connection on which it hears nothing.
+/// Supervision timeout of the radios.
 pub const SUPERVISION: Duration = Duration::from_secs(2);
-/// From the end of a fault to a link that works: a second, of which the air needs about half: a sighting, an advertisement to
-/// answer, three events to set the connection up, and the round trips of the channel and of the hellos.
-pub const BACK: Duration = Duration::from_secs(1);
-/// `near` dials, `far` listens.
+/// Maximum time from the end of a fault to a working link. The air needs about half of it: an advertising report, an
+/// advertisement to respond to, three events to set the connection up, and the round trips of the channel and the
+/// handshake.
+pub const RECONNECT_LIMIT: Duration = Duration::from_secs(1);
+/// Two nodes: `near` dials, `far` listens.
 pub struct Pair {
     pub air: SimAir,
     pub near: Peer,
     pub far: Peer,
 }
 
-/// What there is while nobody is linked.
+/// Resources in use while the nodes are not linked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Leftovers {
+pub struct Resources {
     tasks: usize,
-    censuses: [Census; 2],
+    link_counts: [LinkCounts; 2],
     connections: usize,
 }
 
@@ -44,44 +45,48 @@ impl Pair {
         let far: Arc<dyn Radio> = air.radio("sim-far").await.expect("attaches");
         let near: Arc<dyn Radio> = air.radio("sim-near").await.expect("attaches");
         let (near, far) = (Peer::on(&near), Peer::on(&far));
-        let far = far.listens_as("name=far").await;
-        // Until the listener has done looking for another one of its name.
+        let far = far.listen_as("name=far").await;
+        // Wait until the listener has finished its check for name conflicts.
         tokio::time::sleep(Duration::from_secs(3)).await;
         Self { air, near, far }
     }
 
-    /// Links the two and tries the link both ways.
+    /// Links the two nodes and checks the link in both directions.
     pub async fn link(&self) -> (LinkUnicast, LinkUnicast) {
-        let near = self.near.dials("ble/far").await.expect("dials");
+        let near = self.near.dial("ble/far").await.expect("dials");
         let far = self.far.incoming().await;
-        says(&near, &far, b"there").await;
-        says(&far, &near, b"and back").await;
+        assert_delivers(&near, &far, b"there").await;
+        assert_delivers(&far, &near, b"and back").await;
         (near, far)
     }
 
-    /// The same after a fault that is over since `since`.
+    /// Links the nodes again after a fault that ended at `since`, and checks how long it took.
     pub async fn link_again(&self, since: Instant, what: &str) -> (LinkUnicast, LinkUnicast) {
         let linked = self.link().await;
         let took = since.elapsed();
-        assert!(took <= BACK, "{what}: linked again after {took:?}");
         assert!(
-            self.far.no_more_incoming(),
-            "{what}: there is a second link"
+            took <= RECONNECT_LIMIT,
+            "{what}: linked again after {took:?}"
         );
+        assert!(self.far.no_more_incoming(), "{what}: a second link exists");
         linked
     }
 
-    pub fn leftovers(&self) -> Leftovers {
-        Leftovers {
+    pub fn resources(&self) -> Resources {
+        Resources {
             tasks: Handle::current().metrics().num_alive_tasks(),
-            censuses: [self.near.manager.census(), self.far.manager.census()],
+            link_counts: [
+                self.near.manager.link_counts(),
+                self.far.manager.link_counts(),
+            ],
             connections: self.air.status().links.len(),
         }
     }
 
-    /// The same once all that goes by itself is gone: a silent peer's greeting, a connection without a channel.
-    pub async fn leftovers_in_the_end(&self) -> Leftovers {
+    /// Returns the resources after everything that ends by timeout is released: a pending handshake, a connection
+    /// without a channel.
+    pub async fn resources_after_cleanup(&self) -> Resources {
         tokio::time::sleep(2 * SUPERVISION).await;
-        self.leftovers()
+        self.resources()
     }
 }

@@ -1,4 +1,4 @@
-//! A node as Zenoh has one, for tests: it listens, dials and takes what comes in, each step under a limit.
+//! Provides a node as Zenoh uses it: it listens, dials and accepts links. Each step has a timeout.
 use std::{cell::Cell, future::Future, sync::Arc, time::Duration};
 
 use tokio::runtime::Handle;
@@ -6,7 +6,7 @@ use zenoh_link_ble::{hello::NodeId, radio::Radio, LinkManagerUnicastBle};
 use zenoh_link_commons::{LinkManagerUnicastTrait, LinkUnicast};
 use zenoh_result::ZResult;
 
-/// Bounds a step, so that a hang is a failure that says where.
+/// Applies a timeout to a step, so that a hang becomes a failure that names the step.
 pub async fn within<T>(what: &str, step: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(20), step)
         .await
@@ -14,11 +14,12 @@ pub async fn within<T>(what: &str, step: impl Future<Output = T>) -> T {
 }
 
 thread_local! {
-    /// The nodes of this thread, which is to say of one test.
+    /// Number of nodes of this thread, that is, of one test.
     static NODES: Cell<u64> = const { Cell::new(0) };
 }
 
-/// On a simulated radio the same in every run of a test; on a real one no earlier run's.
+/// Returns the next node id. On a simulated radio, the ids are the same in every run; on a real radio, they differ from
+/// those of earlier runs.
 fn next_node(radio: &str) -> NodeId {
     let node = NODES.get() + 1;
     NODES.set(node);
@@ -29,7 +30,7 @@ fn next_node(radio: &str) -> NodeId {
     NodeId(u64::from(run) << 32 | node)
 }
 
-/// A node as Zenoh has one: a link manager, and the links that came in.
+/// A node as Zenoh uses it: a link manager, and the accepted links.
 pub struct Peer {
     pub manager: Arc<LinkManagerUnicastBle>,
     incoming: flume::Receiver<LinkUnicast>,
@@ -48,8 +49,8 @@ impl Peer {
         }
     }
 
-    /// Listens on the radio that it was made with, whatever its name.
-    pub async fn listens_as(self, options: &str) -> Self {
+    /// Listens on the node's radio, whatever its name.
+    pub async fn listen_as(self, options: &str) -> Self {
         self.try_listen(options).await.expect("listens");
         self
     }
@@ -61,7 +62,7 @@ impl Peer {
             .map(|_| ())
     }
 
-    pub async fn dials(&self, locator: &str) -> ZResult<LinkUnicast> {
+    pub async fn dial(&self, locator: &str) -> ZResult<LinkUnicast> {
         let endpoint = locator.parse().expect("an endpoint");
         within("dialling", self.manager.new_link(endpoint)).await
     }
@@ -69,7 +70,7 @@ impl Peer {
     pub async fn incoming(&self) -> LinkUnicast {
         within("the incoming link", self.incoming.recv_async())
             .await
-            .expect("the manager lives")
+            .expect("the manager is running")
     }
 
     pub fn no_more_incoming(&self) -> bool {
@@ -77,7 +78,8 @@ impl Peer {
     }
 }
 
-pub async fn says(from: &LinkUnicast, to: &LinkUnicast, batch: &[u8]) {
+/// Asserts that a batch written at `from` is read at `to`.
+pub async fn assert_delivers(from: &LinkUnicast, to: &LinkUnicast, batch: &[u8]) {
     within("writing", from.write_all(batch, None))
         .await
         .expect("writes");

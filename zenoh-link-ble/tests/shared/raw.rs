@@ -1,8 +1,8 @@
-//! A peer below the link, for tests: it keeps to the protocol only where it likes.
+//! Provides a peer that works directly on a channel and can violate the link protocol.
 use std::sync::Arc;
 
 use zenoh_link_ble::{
-    hello::{Hello, NodeId, Opening},
+    hello::{HandshakeMessage, Hello, NodeId},
     lanes::{
         credits::{cost, Allowance},
         sdu::{self, Content},
@@ -17,15 +17,15 @@ use super::{
     peer::within,
 };
 
-/// What the raw peer takes unacknowledged, in bytes.
+/// Receive window of the raw peer, in bytes.
 pub const WINDOW: u16 = 12_000;
 
-/// Dials a listener by hand.
+/// Opens a channel to a listener, without a handshake.
 pub async fn raw_channel(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>) -> Arc<dyn Channel> {
     raw_channel_with(from, to, OPTIONS).await
 }
 
-/// Dials a listener by hand, with options.
+/// Opens a channel to a listener with the given options, without a handshake.
 pub async fn raw_channel_with(
     from: &Arc<dyn Radio>,
     to: &Arc<dyn Radio>,
@@ -38,7 +38,7 @@ pub async fn raw_channel_with(
         .expect("connects")
 }
 
-/// What it says of itself.
+/// Returns a valid hello.
 pub fn hello(node: u64, name: &str) -> Hello {
     Hello {
         version: 1,
@@ -51,113 +51,119 @@ pub fn hello(node: u64, name: &str) -> Hello {
 }
 
 /// Receives the answer to a first SDU; `None` if the channel is closed without one.
-pub async fn answer_to(channel: &Arc<dyn Channel>, first: &[u8]) -> Option<Opening> {
+pub async fn answer_to(channel: &Arc<dyn Channel>, first: &[u8]) -> Option<HandshakeMessage> {
     channel.send(first).await.expect("sends");
     let mut buffer = [0; 2000];
     let received = within("the answer", channel.recv(&mut buffer)).await;
     received
         .ok()
-        .map(|size| Opening::decode(&buffer[..size]).expect("an opening message"))
+        .map(|size| HandshakeMessage::decode(&buffer[..size]).expect("a handshake message"))
 }
 
-/// What a peer that floods hears in the end.
+/// Message that ends a flood.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Heard {
-    /// Nothing more of that lane.
+pub enum FloodEnd {
+    /// The link stopped the lane.
     Stop,
-    /// The goodbye, with its code.
-    Bye(u8),
+    /// The link sent a goodbye with this code.
+    Goodbye(u8),
 }
 
-/// One end of an open link, by hand.
+/// One end of an open link, controlled by the test.
 pub struct RawPeer {
     channel: Arc<dyn Channel>,
-    /// What the link takes unacknowledged, in bytes.
+    /// Receive window of the link, in bytes.
     window: u16,
-    /// SDUs that it has sent, or should have.
-    pub said: u32,
-    heard: u32,
+    /// Sequence number of the next SDU.
+    pub sent: u32,
+    received: u32,
     buffer: Vec<u8>,
 }
 
 impl RawPeer {
-    /// Dials a listener and is accepted.
-    pub async fn dials(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>, name: &str) -> Self {
+    /// Dials a listener and completes the handshake.
+    pub async fn dial(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>, name: &str) -> Self {
         let channel = raw_channel(from, to).await;
-        let hello = Opening::Hello(hello(5, name)).encode();
+        let hello = HandshakeMessage::Hello(hello(5, name)).encode();
         let answer = answer_to(&channel, &hello).await;
-        let Some(Opening::Accept(Hello { window, .. })) = answer else {
+        let Some(HandshakeMessage::Accept(Hello { window, .. })) = answer else {
             panic!("{answer:?}");
         };
         Self {
             channel,
             window,
-            said: 0,
-            heard: 0,
+            sent: 0,
+            received: 0,
             buffer: vec![0; 20_000],
         }
     }
 
-    /// What it may send.
+    /// Returns the credits for sending.
     pub fn credits(&self) -> Allowance {
         Allowance::new(self.window)
     }
 
-    /// The next SDU as it should be.
-    pub async fn says(&mut self, content: Content<'_>) {
-        self.says_bytes(content.encode()).await;
+    /// Sends the next SDU, correctly sealed.
+    pub async fn send(&mut self, content: Content<'_>) {
+        self.send_sdu(content.encode()).await;
     }
 
-    /// An SDU with the check of the next one, whatever it says.
-    pub async fn says_bytes(&mut self, mut sdu: Vec<u8>) {
-        sdu::seal(self.said, &mut sdu);
-        self.said += 1;
-        self.sends(&sdu).await;
+    /// Seals any bytes as the next SDU and sends them.
+    pub async fn send_sdu(&mut self, mut sdu: Vec<u8>) {
+        sdu::seal(self.sent, &mut sdu);
+        self.sent += 1;
+        self.send_raw(&sdu).await;
     }
 
-    /// Any bytes. The channel may be down by then.
-    pub async fn sends(&self, sdu: &[u8]) {
+    /// Sends any bytes without a check. Ignores errors, because the channel may already be down.
+    pub async fn send_raw(&self, sdu: &[u8]) {
         let _ = within("sending", self.channel.send(sdu)).await;
     }
 
-    /// What comes next; `None` when the channel is down.
-    pub async fn hears(&mut self) -> Option<Content<'_>> {
-        let received = within("hearing", self.channel.recv(&mut self.buffer)).await;
+    /// Receives the next message; `None` when the channel is down.
+    pub async fn receive(&mut self) -> Option<Content<'_>> {
+        let received = within("receiving", self.channel.recv(&mut self.buffer)).await;
         let size = received.ok()?;
-        let content = sdu::open(self.heard, &self.buffer[..size]).expect("follows the protocol");
-        self.heard += 1;
+        let content = sdu::open(self.received, &self.buffer[..size]).expect("follows the protocol");
+        self.received += 1;
         Some(content)
     }
 
-    /// The code of the goodbye, if there is one before the channel is down.
-    pub async fn hears_goodbye(&mut self) -> Option<u8> {
+    /// Returns the code of the goodbye, if one arrives before the channel is down.
+    pub async fn receive_goodbye(&mut self) -> Option<u8> {
         loop {
-            if let Content::Bye(code) = self.hears().await? {
+            if let Content::Goodbye(code) = self.receive().await? {
                 return Some(code);
             }
         }
     }
 
-    /// Sends that batch on a lane as often as the credits allow, until it hears of it.
-    pub async fn floods(
+    /// Sends a batch on a lane as often as the credits allow, until the link stops the lane or ends.
+    pub async fn flood(
         &mut self,
         credits: &mut Allowance,
         lane: Lane,
         batch: &[u8],
-        minds_stop: bool,
-    ) -> Heard {
+        obeys_stop: bool,
+    ) -> FloodEnd {
         loop {
-            while credits.has(cost(batch.len()), 0) {
-                self.says(Content::Batch(lane, batch)).await;
+            while credits.can_spend(cost(batch.len()), 0) {
+                self.send(Content::Batch(lane, batch)).await;
                 credits.spend(cost(batch.len()));
             }
-            match self.hears().await.expect("a goodbye before the end") {
-                Content::Ack(total) => drop(credits.on_ack(total).expect("true")),
-                Content::Stop(stopped) if minds_stop => {
-                    assert_eq!(stopped, lane);
-                    return Heard::Stop;
+            match self
+                .receive()
+                .await
+                .expect("a message before the channel closes")
+            {
+                Content::Ack(total) => {
+                    let _ = credits.on_ack(total).expect("a valid acknowledgement");
                 }
-                Content::Bye(code) => return Heard::Bye(code),
+                Content::Stop(stopped) if obeys_stop => {
+                    assert_eq!(stopped, lane);
+                    return FloodEnd::Stop;
+                }
+                Content::Goodbye(code) => return FloodEnd::Goodbye(code),
                 Content::Stop(_) => {}
                 other => panic!("{other:?}"),
             }

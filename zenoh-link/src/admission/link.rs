@@ -1,4 +1,4 @@
-//! An accepted link that holds a place until Zenoh drops it.
+//! Wraps an accepted link so that it holds a permit until Zenoh drops it.
 
 use std::{
     future::Future,
@@ -19,35 +19,35 @@ use zenoh_protocol::{
 };
 use zenoh_result::{bail, ZResult};
 
-use super::Place;
+use super::Permit;
 
-/// The second message that the accepting side sends, `OpenAck`, completes the handshake: Zenoh sends it once the peer has
-/// proved its login. (A refusal may be the second message as well; the link is closed right after it.)
-const COMPLETE: u8 = 2;
+/// Number of messages that the accepting side sends in a handshake. Zenoh sends the second one, `OpenAck`, once the
+/// peer has proved its login. (The second message may also be a refusal; the link is closed right after it.)
+const HANDSHAKE_MESSAGES: u8 = 2;
 
-/// A link that Zenoh accepts, and its place.
+/// An accepted link with its permit.
 pub(super) struct AdmittedLink {
     link: Arc<dyn LinkUnicastTrait>,
-    place: Place,
-    /// Messages sent, up to [`COMPLETE`].
+    permit: Permit,
+    /// Number of messages sent, up to [`HANDSHAKE_MESSAGES`].
     sent: AtomicU8,
-    /// Cancelled when the handshake has to end.
+    /// Cancelled when the handshake must end.
     handshake: CancellationToken,
     deadline: Instant,
 }
 
 impl AdmittedLink {
-    /// Makes the link hold `place`.
+    /// Returns the link, holding `permit`.
     pub(super) fn wrap(
         link: LinkUnicast,
-        place: Place,
+        permit: Permit,
         handshake: CancellationToken,
         timeout: Duration,
     ) -> LinkUnicast {
         let wrap = |link| -> Arc<dyn LinkUnicastTrait> {
             Arc::new(Self {
                 link,
-                place,
+                permit,
                 sent: AtomicU8::new(0),
                 handshake,
                 deadline: Instant::now() + timeout,
@@ -55,7 +55,7 @@ impl AdmittedLink {
         };
         LinkUnicast(match link.0 {
             NewLink::Single(link) => NewLink::Single(wrap(link)),
-            // The handshake is done on the reliable one, and both end together.
+            // The handshake runs on the reliable link, and both links end together.
             NewLink::MixedReliability {
                 reliable,
                 best_effort,
@@ -67,24 +67,24 @@ impl AdmittedLink {
     }
 
     fn is_complete(&self) -> bool {
-        self.sent.load(Ordering::Acquire) >= COMPLETE
+        self.sent.load(Ordering::Acquire) >= HANDSHAKE_MESSAGES
     }
 
-    /// Waits for a step of the handshake, as long as it may take.
+    /// Waits for a step of the handshake, until the handshake is cancelled or times out.
     async fn step<T>(&self, step: impl Future<Output = ZResult<T>>) -> ZResult<T> {
         tokio::select! {
             biased;
-            () = self.handshake.cancelled() => bail!("the handshake is ended in favour of a new connection"),
-            () = tokio::time::sleep_until(self.deadline) => bail!("the handshake takes too long"),
+            () = self.handshake.cancelled() => bail!("the handshake was ended to make room for a new connection"),
+            () = tokio::time::sleep_until(self.deadline) => bail!("the handshake timed out"),
             done = step => done,
         }
     }
 
-    /// Takes note that a message is about to be sent.
+    /// Counts a message that is about to be sent.
     fn before_message(&self) -> ZResult<()> {
         let sent = self.sent.load(Ordering::Acquire) + 1;
-        if sent == COMPLETE {
-            self.place.establish()?;
+        if sent == HANDSHAKE_MESSAGES {
+            self.permit.establish()?;
         }
         self.sent.store(sent, Ordering::Release);
         Ok(())

@@ -1,4 +1,4 @@
-//! What the protocol tests need of the machine: certificates, a serial cable, free ports.
+//! Provides the resources of the protocol tests: certificates, a serial cable, free ports.
 
 use std::{
     fs::{self, File},
@@ -18,7 +18,7 @@ use nix::{
 };
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 
-/// Files of a certificate authority and of a server `localhost` that it vouches for.
+/// Files of a certificate authority and of a server `localhost` with a certificate of it.
 pub struct Certificates {
     dir: tempfile::TempDir,
 }
@@ -48,7 +48,7 @@ impl Certificates {
         Self { dir }
     }
 
-    /// The section `transport/link/tls` of a config that listens, or connects, with these.
+    /// Returns the section `transport/link/tls` of a config that listens or connects with these certificates.
     pub fn settings(&self) -> String {
         let path = |name: &str| self.dir.path().join(name).display().to_string();
         format!(
@@ -63,7 +63,7 @@ impl Certificates {
 /// Two serial ports with a cable between them.
 pub struct SerialCable {
     pub ends: [PathBuf; 2],
-    // Held open: a port that nobody holds is gone.
+    // Kept open: a port disappears when it is closed.
     _ports: [std::os::fd::OwnedFd; 2],
 }
 
@@ -122,7 +122,7 @@ pub fn path_in(dir: &Path, name: &str) -> String {
     dir.join(name).display().to_string()
 }
 
-/// Why this machine can't talk to itself over vsock, if it can't.
+/// Returns why vsock loopback is not available on this machine; `None` if it is.
 pub fn no_vsock_loopback() -> Option<String> {
     let opened = socket(
         AddressFamily::Vsock,

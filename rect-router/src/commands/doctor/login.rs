@@ -1,4 +1,4 @@
-//! Owns what can be wrong with the login file of this computer.
+//! Checks the login file of this computer.
 use std::{io::ErrorKind, path::Path};
 
 use rect::core::login::logins;
@@ -17,7 +17,7 @@ pub fn findings(file: &Path) -> Vec<Finding> {
         Err(error) => {
             let advice = match error.kind() {
                 ErrorKind::PermissionDenied => "`sudo usermod -aG rect $USER`, and log in again",
-                _ => "name the team's login file with --users",
+                _ => "give the team's login file with --users",
             };
             return vec![Finding::poor(
                 ABOUT,
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn a_private_file_with_a_login_is_good() {
+    fn accepts_a_private_file_with_a_login() {
         let found = verdicts("fleet:secret\n", 0o640);
         assert!(
             matches!(&found[..], [(Verdict::Good, what)] if what.contains("as fleet")),
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_every_user_can_read_or_write_is_reported() {
+    fn reports_a_file_that_every_user_can_read_or_write() {
         for mode in [0o644, 0o642] {
             let found = verdicts("fleet:secret\n", mode);
             assert!(
@@ -82,14 +82,14 @@ mod tests {
     }
 
     #[test]
-    fn a_file_without_a_login_is_wrong_and_a_missing_file_is_not_reported() {
+    fn reports_a_file_without_a_login_but_not_a_missing_file() {
         let found = verdicts("no login\n", 0o640);
         assert!(matches!(&found[..], [(Verdict::Wrong, _)]), "{found:?}");
         assert_eq!(findings(Path::new("/nowhere/users")), []);
     }
 
     #[test]
-    fn a_pipe_in_place_of_the_file_is_reported_at_once() {
+    fn reports_a_pipe_without_blocking() {
         let folder = tempfile::tempdir().expect("a folder");
         let pipe = folder.path().join("users");
         mkfifo(&pipe, Mode::S_IRWXU).expect("a pipe");

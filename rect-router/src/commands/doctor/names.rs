@@ -1,4 +1,4 @@
-//! Owns the finding that two robots of a fleet have the same name.
+//! Detects robots of a fleet that have the same name.
 use serde_json::Value;
 
 use super::Finding;
@@ -19,8 +19,8 @@ pub fn findings(statuses: &[(String, Value)]) -> Vec<Finding> {
                 status["id"].as_str().unwrap_or("?"),
                 others.join(", ")
             );
-            let advice = "give one of them another name (`rect-router init`, or `robot` under plugins/rect): messages \
-                          and answers of the two get mixed up";
+            let advice = "give one of them another name (`rect-router init`, or `robot` under plugins/rect): other \
+                          robots cannot distinguish their messages and replies";
             findings.push(Finding::wrong("name", what, advice));
         }
     }
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_that_two_robots_have_is_wrong() {
+    fn reports_a_name_that_two_robots_share() {
         let statuses = [
             (
                 "wombat-1".to_owned(),

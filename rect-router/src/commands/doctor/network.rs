@@ -1,7 +1,7 @@
-//! Owns what can be wrong between this computer and the others: its router, its peers, their clocks.
+//! Checks the connections of this computer: its router, its peers and their clocks.
 use std::{collections::BTreeSet, time::Duration};
 
-use rect::core::{display, named_connection::CONFIG, wording::short_reason};
+use rect::core::{display, humanize::short_reason, named_connection::CONFIG};
 use serde_json::Value;
 use zenoh::{Session, Wait};
 
@@ -15,12 +15,13 @@ use crate::{
     registry::now_s,
 };
 
-/// Zenoh drops nothing for it by default, but what was when can't be told any more.
+/// Maximum difference between clocks in seconds. Zenoh drops no messages for a larger one by default, but the times of
+/// messages cannot be compared.
 const SKEW: f64 = 2.0;
-/// How long to wait for liveliness tokens.
+/// Timeout for liveliness tokens.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Of the login file, the router, and all that it knows.
+/// Checks the login file, the router, and everything that the router knows about the network.
 pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     let mut findings = login::findings(&args.router.users);
     let session = match session(&args.router) {
@@ -32,7 +33,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     };
     findings.push(Finding::good(
         "router",
-        format!("it answers at {}", args.router.router),
+        format!("the router answers at {}", args.router.router),
     ));
     let robot = robot_of_router(&session, &args.fleet);
     findings.push(is_robot(args, robot.as_deref()));
@@ -46,7 +47,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     findings
 }
 
-/// The robot whose router this session is connected to.
+/// Returns the robot whose router this session is connected to.
 fn robot_of_router(session: &Session, fleet: &str) -> Option<String> {
     let routers: Vec<_> = session
         .info()
@@ -66,7 +67,7 @@ fn robot_of_router(session: &Session, fleet: &str) -> Option<String> {
         .map(|(robot, _)| robot)
 }
 
-/// Whether the router is that of the robot as which programs here publish.
+/// Checks that the router belongs to the robot under whose name programs on this computer publish.
 fn is_robot(args: &DoctorArgs, robot: Option<&str>) -> Finding {
     const ABOUT: &str = "robot";
     let (router, fleet) = (&args.router.router, &args.fleet);
@@ -78,27 +79,27 @@ fn is_robot(args: &DoctorArgs, robot: Option<&str>) -> Finding {
         (Some(robot), Some(named)) => Finding::wrong(
             ABOUT,
             format!(
-                "the router at {router} is that of {robot}, not of {named}: what a program here publishes as {named} may reach nobody"
+                "the router at {router} is that of {robot}, not of {named}: messages that a program here publishes as {named} may not reach any robot"
             ),
-            format!("use the name {robot} in programs here, or name the router of {named} with --router"),
+            format!("use the name {robot} in programs here, or give the endpoint of {named}'s router with --router"),
         ),
         (None, _) => Finding::poor(
             ABOUT,
-            format!("the router at {router} is that of no robot of the fleet {fleet}"),
-            "name the robot in the router's configuration (plugins/rect/robot), or the fleet with --fleet",
+            format!("the router at {router} does not belong to a robot of the fleet {fleet}"),
+            "set the robot's name in the router's configuration (plugins/rect/robot), or give its fleet with --fleet",
         ),
     }
 }
 
-/// Whether the router can take the file of connections as it is now.
+/// Checks that the connections file of the router's robot has no mistake.
 fn connections_file(session: &Session, fleet: &str, robot: &str) -> Option<Finding> {
     const ABOUT: &str = "connections";
     let answers = replies(session, &format!("{fleet}/{robot}/@rect/{CONFIG}"));
     let (_, answer) = answers.into_iter().next()?;
     let limits = Limits {
         robot: robot.to_owned(),
-        // How many there may be is the router's setting, which it does not tell.
-        most: usize::MAX,
+        // The limit is a setting of the router that it does not report.
+        max_connections: usize::MAX,
     };
     Some(match file::parse(answer["text"].as_str()?, &limits) {
         Ok(_) => Finding::good(
@@ -108,12 +109,12 @@ fn connections_file(session: &Session, fleet: &str, robot: &str) -> Option<Findi
         Err(mistake) => Finding::wrong(
             ABOUT,
             format!("the router of {robot} rejects its connections file: {mistake}"),
-            "correct the file; the router takes it as soon as it is saved",
+            "correct the file; the router applies it as soon as it is saved",
         ),
     })
 }
 
-/// The other robots of the fleet.
+/// Checks that other robots of the fleet are present.
 fn others(session: &Session, fleet: &str, own: &str) -> Finding {
     const ABOUT: &str = "fleet";
     let tokens = session.liveliness().get(format!("{fleet}/*/@rect/alive/*"));
@@ -133,18 +134,21 @@ fn others(session: &Session, fleet: &str, own: &str) -> Finding {
     robots.remove(own);
     if robots.is_empty() {
         let advice =
-            "switch one on, in range; `rect scan` shows whether its advertisements are received";
+            "switch one on within range; `rect scan` shows whether its advertisements are received";
         return Finding::poor(
             ABOUT,
-            format!("no other robot of the fleet {fleet} is there"),
+            format!("no other robot of the fleet {fleet} is present"),
             advice,
         );
     }
     let robots: Vec<_> = robots.into_iter().collect();
-    Finding::good(ABOUT, format!("other robots there: {}", robots.join(", ")))
+    Finding::good(
+        ABOUT,
+        format!("other robots present: {}", robots.join(", ")),
+    )
 }
 
-/// Connections that are wanted and not there.
+/// Reports named connections that are not connected.
 fn peers(session: &Session) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (robot, waiting) in replies(session, "*/*/@rect/connections?state=connecting") {
@@ -160,37 +164,37 @@ fn peers(session: &Session) -> Vec<Finding> {
                 text(&one["address"]),
                 short_reason(why)
             );
-            let advice = "is it switched on, in range, and called so? `rect connections` shows what there is";
+            let advice = "is the robot switched on and in range, and is its name correct? `rect connections` shows all connections";
             findings.push(Finding::wrong("peer", what, advice));
         }
     }
     findings
 }
 
-/// Robots whose clock is not this computer's.
+/// Reports robots whose clock differs from this computer's.
 fn clocks(session: &Session) -> Vec<Finding> {
     let asked = now_s();
     let mut findings = Vec::new();
     for (robot, clock) in replies(session, "*/*/@rect/clock") {
-        // It was read at some time between the question and now.
+        // The clock was read at some time between the query and now.
         let (Some(theirs), answered) = (clock["unix_s"].as_f64(), now_s()) else {
             continue;
         };
         let skew = (theirs - answered).max(0.0) + (theirs - asked).min(0.0);
         if skew.abs() > SKEW {
             let what = format!(
-                "the clock of {robot} is {:+.0} s from this computer's",
+                "the clock of {robot} differs from this computer's by {:+.0} s",
                 skew
             );
             let advice =
-                "set it (`sudo timedatectl set-ntp true`, or `sudo date -s ...` without a network)";
+                "set the clock (`sudo timedatectl set-ntp true`, or `sudo date -s ...` without a network)";
             findings.push(Finding::poor("clock", what, advice));
         }
     }
     findings
 }
 
-/// Returns the robots' replies. The lack of a reply is no error.
+/// Returns the replies of robots by name. A missing reply is not an error.
 fn replies(session: &Session, selector: &str) -> Vec<(String, Value)> {
     let mut replies = answers(session, selector).unwrap_or_default();
     for (robot, _) in &mut replies {

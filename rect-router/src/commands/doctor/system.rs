@@ -1,4 +1,4 @@
-//! Owns what can be wrong with this computer's Bluetooth: read from the files in which Linux shows it.
+//! Checks the Bluetooth of this computer by reading the files of Linux that describe it.
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -8,7 +8,7 @@ use zenoh_link::ble::radio::bluez;
 
 use super::Finding;
 
-/// `root`: where the file system begins.
+/// Runs all checks. `root` is the root of the file system, which tests replace.
 pub fn findings(root: &Path) -> Vec<Finding> {
     let system = System { root };
     let mut findings = vec![system.kernel()];
@@ -38,7 +38,7 @@ impl System<'_> {
             .split(|c: char| !c.is_ascii_digit())
             .map_while(|number| number.parse().ok())
             .collect();
-        let advice = "take another kernel (config/README.md, \"Kernels to avoid\")";
+        let advice = "install another kernel (config/README.md, \"Kernels to avoid\")";
         match *numbers.as_slice() {
             [6, 1, 192, ..] => Finding::wrong(
                 "kernel",
@@ -53,7 +53,7 @@ impl System<'_> {
             [major, minor, ..] if (major, minor) < (5, 10) => Finding::poor(
                 "kernel",
                 format!("Linux {release} is older than what RECT is tested with, 5.10"),
-                "update the system, if the link does not hold",
+                "update the system if links are unstable",
             ),
             _ => Finding::good("kernel", format!("Linux {release}")),
         }
@@ -61,7 +61,7 @@ impl System<'_> {
 
     fn adapters(&self) -> Vec<String> {
         let mut adapters = self.names("sys/class/bluetooth");
-        // A link of hci0 is shown as hci0:64.
+        // The folder also contains links, such as hci0:64.
         adapters.retain(|name| name.starts_with("hci") && !name.contains(':'));
         adapters.sort();
         adapters
@@ -89,8 +89,8 @@ impl System<'_> {
         Finding::wrong(
             ABOUT,
             "there is no Bluetooth adapter",
-            "plug one in; `dmesg | grep -i bluetooth` says what became of it. Without one, adapters named sim-... use \
-             the simulated air (`rect air`)",
+            "plug one in; `dmesg | grep -i bluetooth` shows whether the kernel recognises it. Without one, use an adapter \
+             of the simulated air (`rect air`), named sim-...",
         )
     }
 
@@ -105,8 +105,8 @@ impl System<'_> {
             if is("hard", "1") {
                 findings.push(Finding::wrong(
                     "rfkill",
-                    "Bluetooth is switched off by a switch of the computer",
-                    "switch it on there",
+                    "Bluetooth is switched off by a hardware switch",
+                    "turn on the switch of the computer",
                 ));
             } else if is("soft", "1") {
                 findings.push(Finding::wrong(
@@ -126,11 +126,11 @@ impl System<'_> {
             is_process && self.text(format!("proc/{process}/comm")).trim() == "bluetoothd"
         });
         if runs {
-            return Finding::good(ABOUT, "it runs");
+            return Finding::good(ABOUT, "bluetoothd is running");
         }
         Finding::wrong(
             ABOUT,
-            "it does not run",
+            "bluetoothd is not running",
             "`sudo apt install bluez`, then `sudo systemctl enable --now bluetooth`",
         )
     }
@@ -143,7 +143,7 @@ impl System<'_> {
             let numbers = line.unwrap_or_default().split_whitespace();
             numbers.filter_map(|number| number.parse().ok()).collect()
         };
-        // Real, effective, saved, file system.
+        // The IDs are real, effective, saved and file system; the second one counts.
         if numbers("Uid:").get(1) == Some(&0) {
             return Finding::good(ABOUT, "root may use Bluetooth");
         }
@@ -168,7 +168,7 @@ impl System<'_> {
         const ABOUT: &str = "timing";
         let not_set = adapters
             .iter()
-            .find(|adapter| !bluez::timing_is_seen_to(self.root, adapter));
+            .find(|adapter| !bluez::is_timing_configured(self.root, adapter));
         let Some(adapter) = not_set else {
             return Finding::good(ABOUT, "connection interval and supervision timeout are set");
         };
@@ -178,13 +178,16 @@ impl System<'_> {
             .join("usr/lib/systemd/system/rect-bluetooth@.service")
             .exists()
         {
-            format!("`sudo systemctl restart {by_service}`; `systemctl status {by_service}` says what went wrong")
+            format!("`sudo systemctl restart {by_service}`; `systemctl status {by_service}` shows what failed")
         } else {
             "`sudo cp config/bluetooth.conf /etc/bluetooth/main.conf && sudo systemctl restart bluetooth`".to_owned()
         };
         Finding::poor(
             ABOUT,
-            format!("{adapter}: connection interval and supervision timeout are BlueZ's own: links answer slower and hold worse"),
+            format!(
+                "{adapter}: connection interval and supervision timeout have BlueZ's defaults: links are slower and less \
+                 stable"
+            ),
             advice,
         )
     }
@@ -206,7 +209,7 @@ impl System<'_> {
 mod tests {
     use super::{super::Verdict, *};
 
-    /// A computer as its files show it.
+    /// Returns the findings on a healthy computer with these files changed.
     fn computer(files: &[(&str, &str)]) -> Vec<Finding> {
         let root = tempfile::tempdir().expect("a folder");
         let healthy = [
@@ -231,7 +234,7 @@ mod tests {
             fs::create_dir_all(path.parent().expect("a folder")).expect("made");
             fs::write(path, text).expect("written");
         }
-        // A file of this text stands for one that is not there.
+        // The text `(none)` stands for a missing file.
         for (path, _) in files.iter().filter(|(_, text)| *text == "(none)") {
             fs::remove_file(root.path().join(path)).expect("removed");
             let folder = root.path().join(path);
@@ -254,12 +257,12 @@ mod tests {
     }
 
     #[test]
-    fn a_healthy_computer_has_nothing_wrong() {
+    fn finds_no_problem_on_a_healthy_computer() {
         assert_eq!(not_good(&computer(&[])), Vec::<String>::new());
     }
 
     #[test]
-    fn each_trouble_has_its_advice() {
+    fn reports_each_problem_with_advice() {
         let none = ("sys/class/bluetooth/hci0/type", "(none)");
         let wombat = (
             "boot/config.txt",
@@ -291,7 +294,7 @@ mod tests {
             (
                 vec![("sys/class/rfkill/rfkill0/hard", "1")],
                 "rfkill",
-                "switch it on",
+                "turn on the switch",
             ),
             (vec![("proc/321/comm", "bash")], "bluetoothd", "systemctl"),
             (
@@ -324,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn timing_by_the_service_is_as_good_as_by_bluetoothd() {
+    fn accepts_timing_set_by_the_service() {
         let by_service = [
             ("etc/bluetooth/main.conf", ""),
             ("run/rect-bluetooth/hci0", ""),
@@ -333,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn root_needs_no_group() {
+    fn accepts_root_without_the_group() {
         let root = ("proc/self/status", "Uid:\t0\t0\t0\t0\nGroups:\t0 \n");
         assert_eq!(not_good(&computer(&[root])), Vec::<String>::new());
     }

@@ -1,4 +1,4 @@
-//! Owns the simulated air of `rect sim`, served to the routers and to `rect air`.
+//! Serves the simulated air of `rect sim` to the routers and to `rect air`.
 use std::path::{Path, PathBuf};
 
 use tokio::runtime::{Builder, Runtime};
@@ -6,28 +6,31 @@ use zenoh_link::ble::radio::sim::{self, AirOptions, AirServer, Condition};
 
 use super::Failure;
 
-/// An air that is served until it is dropped.
+/// A simulated air that is served until it is dropped.
 pub struct Air {
-    /// Ends what runs in it when it is dropped, and with that the socket's file.
+    /// Runs the server. Dropping it stops the server, which removes the socket file.
     _runtime: Runtime,
     socket: PathBuf,
 }
 
 impl Air {
-    /// Serves an air at the usual place, or in `folder` if another air is there.
+    /// Serves an air at the default socket, or at a socket in `folder` if another air uses the default one.
+    ///
+    /// # Errors
+    /// Fails if neither socket can be opened.
     pub fn start(condition: Condition, folder: &Path) -> Result<Self, Failure> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
             .build()?;
-        let (usual, own) = (sim::socket_path(), folder.join("air.sock"));
+        let (default, own) = (sim::socket_path(), folder.join("air.sock"));
         let options = || AirOptions {
             condition,
             ..AirOptions::default()
         };
         let server = {
             let _in_runtime = runtime.enter();
-            AirServer::bind(&usual, options()).or_else(|_| AirServer::bind(&own, options()))?
+            AirServer::bind(&default, options()).or_else(|_| AirServer::bind(&own, options()))?
         };
         let socket = server.path().to_owned();
         runtime.spawn(server.serve());
@@ -37,13 +40,13 @@ impl Air {
         })
     }
 
-    /// Where it is served.
+    /// Returns the path of its socket.
     pub fn socket(&self) -> &Path {
         &self.socket
     }
 
-    /// The same, if programs do not find it by themselves.
-    pub fn other_socket(&self) -> Option<&Path> {
+    /// Returns the path of its socket if that is not the default, so that programs need `RECT_AIR` to find it.
+    pub fn non_default_socket(&self) -> Option<&Path> {
         (self.socket != sim::socket_path()).then_some(&self.socket)
     }
 }

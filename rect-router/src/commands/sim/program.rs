@@ -1,4 +1,4 @@
-//! Owns the program of a simulated robot: it publishes the angle of an arm and serves the state of a battery.
+//! Runs the program of a simulated robot: it publishes the angle of an arm and serves the state of a battery.
 use std::{
     sync::mpsc::{self, RecvTimeoutError, Sender},
     thread::{self, JoinHandle},
@@ -15,12 +15,12 @@ use zenoh::{bytes::Encoding, query::Query, Session, Wait};
 use super::Failure;
 use crate::registry::now_s;
 
-/// How often the angle is published.
-const EVERY: Duration = Duration::from_secs(1);
-/// How long to wait for the liveliness tokens of the other robots.
+/// Interval at which the angle is published.
+const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
+/// Timeout for the liveliness tokens of the other robots.
 const TOKENS_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// A running program. It ends when it is dropped.
+/// A running program. Dropping it stops it.
 pub struct Program {
     session: Session,
     fleet: Name,
@@ -28,7 +28,10 @@ pub struct Program {
 }
 
 impl Program {
-    /// Starts the program of a robot. One that is not `active` publishes and serves nothing.
+    /// Starts the program of a robot. If it is not `active`, it publishes and serves nothing.
+    ///
+    /// # Errors
+    /// Fails if the publisher or the service cannot be declared.
     pub fn start(
         session: Session,
         fleet: &Name,
@@ -48,18 +51,18 @@ impl Program {
         })
     }
 
-    /// Returns whether that many other robots are present.
+    /// Returns whether at least `count` other robots are present.
     pub fn has_peers(&self, count: usize) -> bool {
         let tokens = self
             .session
             .liveliness()
             .get(format!("{}/*/@rect/alive/*", self.fleet));
         let tokens = tokens.timeout(TOKENS_TIMEOUT).wait();
-        let there = tokens
+        let present = tokens
             .into_iter()
             .flatten()
             .filter(|reply| reply.result().is_ok());
-        there.count() > count
+        present.count() > count
     }
 }
 
@@ -87,10 +90,10 @@ fn publish(
     let source = u16::try_from(std::process::id() & 0xffff).unwrap_or_default();
     let work = move || {
         for sequence in 0.. {
-            if stopped.recv_timeout(EVERY) != Err(RecvTimeoutError::Timeout) {
+            if stopped.recv_timeout(PUBLISH_INTERVAL) != Err(RecvTimeoutError::Timeout) {
                 return;
             }
-            // Up and down once in ten seconds.
+            // One period takes ten seconds.
             let degrees =
                 45.0 * (start.elapsed().as_secs_f64() * std::f64::consts::TAU / 10.0).sin();
             let attachment = Attachment {
@@ -121,7 +124,7 @@ fn serve(session: &Session, fleet: &Name, robot: &str) -> Result<(), Failure> {
         let reply = query
             .reply(&key_of_answer, battery)
             .encoding(Encoding::APPLICATION_JSON);
-        // The one who asked may be gone.
+        // Sending fails if the requester has disconnected.
         let _ = reply.wait();
     };
     let queryable = session.declare_queryable(key).callback(answer);

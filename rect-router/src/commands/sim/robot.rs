@@ -1,4 +1,4 @@
-//! Owns one simulated robot: its router as a child process, with a configuration and a log in the simulation's folder.
+//! Runs the router of one simulated robot as a child process, with a configuration and a log in the simulation's folder.
 use std::{
     env, fs,
     net::TcpListener,
@@ -23,23 +23,26 @@ use crate::commands::{client, RouterArgs};
 
 /// The shipped configuration of simulated robots.
 const CONFIGURATION: &str = include_str!("../../../../config/simulation.json5");
-/// How long routers have to end by themselves.
+/// Time for which routers may end by themselves before they are killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(8);
-/// How much of a log is shown.
+/// Number of lines of a log that are shown.
 const LOG_LINES: usize = 5;
 
-/// A robot whose router is started.
-pub struct Robot {
-    /// Its name.
+/// A simulated robot. Dropping it kills its router.
+pub struct SimulatedRobot {
+    /// Name of the robot.
     pub name: String,
-    /// Where its programs reach its router.
+    /// Endpoint of its router for programs.
     pub endpoint: String,
     log: PathBuf,
     child: Child,
 }
 
-impl Robot {
-    /// Starts the router of the robot with that number; all but the first connect to the first by name.
+impl SimulatedRobot {
+    /// Starts the router of the robot with this number, from 1. All robots except the first connect to the first by name.
+    ///
+    /// # Errors
+    /// Fails if the configuration cannot be written or the router cannot be started.
     pub fn start(number: u16, args: &SimArgs, air: &Air, folder: &Path) -> Result<Self, Failure> {
         let name = format!("wombat-{number}");
         let endpoint = format!("tcp/127.0.0.1:{}", free_port(args.port, number - 1)?);
@@ -64,7 +67,7 @@ impl Robot {
             .stdin(Stdio::null())
             .stdout(file.try_clone()?)
             .stderr(file)
-            // Ctrl-C is for this command, which then ends the routers.
+            // A process group of its own keeps Ctrl-C from the routers; this command stops them.
             .process_group(0);
         let child = command.spawn()?;
         Ok(Self {
@@ -75,7 +78,10 @@ impl Robot {
         })
     }
 
-    /// A session with its router.
+    /// Opens a session with the robot's router.
+    ///
+    /// # Errors
+    /// Fails if the router does not answer.
     pub fn session(&self) -> Result<Session, Failure> {
         Ok(client::session(&RouterArgs {
             router: self.endpoint.clone(),
@@ -83,36 +89,39 @@ impl Robot {
         })?)
     }
 
-    /// Whether programs that name no router reach this one.
+    /// Returns whether programs that name no router connect to this one.
     pub fn has_default_endpoint(&self) -> bool {
         self.endpoint == endpoint::DEFAULT_ROUTER
     }
 
-    /// The end of its log.
+    /// Returns the last lines of the router's log.
     pub fn log_tail(&self) -> String {
         let log = fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<_> = log.lines().collect();
         lines[lines.len().saturating_sub(LOG_LINES)..].join("\n")
     }
 
-    fn ask_to_end(&self) {
+    fn terminate(&self) {
         let Ok(id) = i32::try_from(self.child.id()) else {
             return;
         };
-        // One that has ended already needs no signal.
+        // Sending fails if the router has ended already.
         let _ = kill(Pid::from_raw(id), Signal::SIGTERM);
     }
 }
 
-impl Drop for Robot {
+impl Drop for SimulatedRobot {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// An error for a router that has ended by itself.
-pub fn all_run(robots: &mut [Robot]) -> Result<(), Failure> {
+/// Checks that all routers are running.
+///
+/// # Errors
+/// Fails with the log of a router that has ended.
+pub fn check_running(robots: &mut [SimulatedRobot]) -> Result<(), Failure> {
     for robot in robots {
         if let Some(status) = robot.child.try_wait()? {
             let (name, log) = (&robot.name, robot.log_tail());
@@ -122,10 +131,10 @@ pub fn all_run(robots: &mut [Robot]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Ends all routers together; one that does not end by itself is killed.
-pub fn stop(mut robots: Vec<Robot>) {
+/// Stops all routers at the same time. A router that does not end in time is killed.
+pub fn stop(mut robots: Vec<SimulatedRobot>) {
     for robot in &robots {
-        robot.ask_to_end();
+        robot.terminate();
     }
     let deadline = Instant::now() + STOP_TIMEOUT;
     for robot in &mut robots {
@@ -135,14 +144,14 @@ pub fn stop(mut robots: Vec<Robot>) {
     }
 }
 
-/// Returns the port at that offset from the first, or any free one if that is taken or the first is 0.
-fn free_port(first: u16, after: u16) -> Result<u16, Failure> {
-    let wanted = if first == 0 {
+/// Returns the port `first + offset`, or any free port if that one is in use or `first` is 0.
+fn free_port(first: u16, offset: u16) -> Result<u16, Failure> {
+    let preferred = if first == 0 {
         0
     } else {
-        first.saturating_add(after)
+        first.saturating_add(offset)
     };
     let free = |port| TcpListener::bind(("127.0.0.1", port));
-    let listener = free(wanted).or_else(|_| free(0))?;
+    let listener = free(preferred).or_else(|_| free(0))?;
     Ok(listener.local_addr()?.port())
 }

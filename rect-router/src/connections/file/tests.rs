@@ -1,22 +1,22 @@
-//! `cargo test -p rect-router --lib connections::file`
+//! Tests of the parser of connections files: `cargo test -p rect-router --lib connections::file`
 use std::{fs::File, io::Write};
 
 use super::*;
 
-const MOST: usize = 3;
+const MAX_CONNECTIONS: usize = 3;
 
 fn limits() -> Limits {
     Limits {
         robot: "me".to_owned(),
-        most: MOST,
+        max_connections: MAX_CONNECTIONS,
     }
 }
 
 fn mistake(text: &str) -> String {
-    parse(text, &limits()).expect_err("wrong").to_string()
+    parse(text, &limits()).expect_err("invalid").to_string()
 }
 
-/// Connections as a file of them, the first in line 2.
+/// Returns the text of a file with these connections, one per line, the first in line 2.
 fn file(connections: &[&str]) -> String {
     format!("{{\"connections\": [\n{}\n]}}", connections.join(",\n"))
 }
@@ -24,7 +24,7 @@ fn file(connections: &[&str]) -> String {
 const BASE: &str = r#"{"name": "base", "method": "tcp", "address": "10.0.0.1", "port": 7447}"#;
 
 #[test]
-fn comments_and_a_last_comma_are_fine() {
+fn accepts_comments_and_trailing_commas() {
     let text = r#"// our robots
     {
       "$schema": "connections.schema.json",
@@ -33,22 +33,25 @@ fn comments_and_a_last_comma_are_fine() {
         { "name": "wombat-2", "method": "ble", "address": "wombat-2", "options": { "mtu": 500 } },
       ],
     }"#;
-    let wanted = parse(text, &limits()).expect("valid");
+    let contents = parse(text, &limits()).expect("valid");
     assert_eq!(
-        wanted.connections[0].endpoint.to_string(),
+        contents.connections[0].endpoint.to_string(),
         "ble/wombat-2#mtu=500"
     );
-    assert_eq!(parse(&file(&[]), &limits()), Ok(Wanted::default()));
+    assert_eq!(parse(&file(&[]), &limits()), Ok(FileContents::default()));
 }
 
 #[test]
-fn each_mistake_has_its_place() {
+fn reports_each_mistake_with_its_position() {
     for (text, place) in [
-        ("", "1:1: the file holds"),
-        ("[]", "1:1: the file holds"),
-        ("{}", "1:1: the file holds"),
-        ("{\n  \"connections\": {}}", "2:18: connections is a list"),
-        ("{\"connections\": [\n  1]}", "2:3: a connection is"),
+        ("", "1:1: the file must contain"),
+        ("[]", "1:1: the file must contain"),
+        ("{}", "1:1: the file must contain"),
+        (
+            "{\n  \"connections\": {}}",
+            "2:18: connections must be a list",
+        ),
+        ("{\"connections\": [\n  1]}", "2:3: a connection must be"),
         (
             "{\"connections\": [], \"more\": 1}",
             "1:21: `more` is unknown",
@@ -61,15 +64,15 @@ fn each_mistake_has_its_place() {
     }
     for (connection, place) in [
         (r#"{"name": "a"}"#, "2:1: method is missing"),
-        (r#"{"name": 1}"#, "2:10: name is text"),
-        (r#"{"name": "a", "name": "b"}"#, "2:15: name is there twice"),
+        (r#"{"name": 1}"#, "2:10: name must be a string"),
+        (r#"{"name": "a", "name": "b"}"#, "2:15: name is given twice"),
         (
             r#"{"name": "a", "port": 70000, "method": "tcp", "address": "h"}"#,
-            "2:23: port is",
+            "2:23: port must be",
         ),
         (
             r#"{"name": "a", "port": 1.5, "method": "tcp", "address": "h"}"#,
-            "2:23: port is",
+            "2:23: port must be",
         ),
         (
             r#"{"name": "a b", "method": "ble", "address": "h"}"#,
@@ -82,7 +85,7 @@ fn each_mistake_has_its_place() {
         (r#"{"name": "a", "prot": 1}"#, "2:15: `prot` is unknown"),
         (
             r#"{"name": "a", "method": "ble", "address": "b", "options": {"mtu": []}}"#,
-            "2:67: an option is",
+            "2:67: an option must be",
         ),
     ] {
         let mistake = mistake(&file(&[connection]));
@@ -91,45 +94,47 @@ fn each_mistake_has_its_place() {
 }
 
 #[test]
-fn a_name_or_a_target_twice_names_the_first() {
-    assert!(mistake(&file(&[BASE, BASE])).starts_with("3:1: base is in line 2"));
+fn a_duplicate_name_or_peer_is_reported_with_the_first_line() {
+    assert!(
+        mistake(&file(&[BASE, BASE])).starts_with("3:1: the name base is already used in line 2")
+    );
     let other = BASE.replace("base", "other");
-    assert!(mistake(&file(&[BASE, &other])).starts_with("3:1: other leads where"));
+    assert!(mistake(&file(&[BASE, &other])).starts_with("3:1: other leads to the same peer"));
 }
 
 #[test]
-fn a_connection_to_the_robot_itself_is_a_mistake() {
+fn rejects_a_connection_to_the_robot_itself() {
     let own = r#"{"name": "a", "method": "ble", "address": "me"}"#;
     let mistake = mistake(&file(&[BASE, own]));
     assert_eq!(mistake, "3:1: a leads to this robot itself");
 }
 
 #[test]
-fn a_file_may_have_a_rule_of_its_own() {
+fn a_file_may_override_the_rule_for_automatic_connections() {
     let text = r#"{"auto_connect": "fleet", "auto_links": 2, "connections": []}"#;
-    let wanted = parse(text, &limits()).expect("valid");
-    assert_eq!(wanted.auto_connect, Some(AutoConnect::Fleet));
-    assert_eq!(wanted.auto_links, Some(2));
+    let contents = parse(text, &limits()).expect("valid");
+    assert_eq!(contents.auto_connect, Some(AutoConnect::Fleet));
+    assert_eq!(contents.auto_links, Some(2));
     for (text, place) in [
         (
             r#"{"auto_connect": "all", "connections": []}"#,
-            "1:18: auto_connect is",
+            "1:18: auto_connect must be",
         ),
         (
             r#"{"auto_connect": 1, "connections": []}"#,
-            "1:18: auto_connect is",
+            "1:18: auto_connect must be",
         ),
         (
             r#"{"auto_links": 0, "connections": []}"#,
-            "1:16: auto_links is 1 to 7",
+            "1:16: auto_links must be 1 to 7",
         ),
         (
             r#"{"auto_links": 8, "connections": []}"#,
-            "1:16: auto_links is 1 to 7",
+            "1:16: auto_links must be 1 to 7",
         ),
         (
             r#"{"auto_links": "2", "connections": []}"#,
-            "1:16: auto_links is",
+            "1:16: auto_links must be",
         ),
     ] {
         let mistake = mistake(text);
@@ -137,9 +142,9 @@ fn a_file_may_have_a_rule_of_its_own() {
     }
 }
 
-/// An editor that knows the schema and the router agree.
+/// An editor that uses the schema accepts the same files as the router.
 #[test]
-fn the_schema_says_the_same() {
+fn the_schema_and_the_parser_agree() {
     let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
     let text = |name| std::fs::read_to_string(config.join(name)).expect("a file");
     let schema = serde_json::from_str(&text("connections.schema.json")).expect("JSON");
@@ -197,18 +202,18 @@ fn the_schema_says_the_same() {
 }
 
 #[test]
-fn both_sides_of_the_limits() {
-    let many: Vec<_> = (0..=MOST)
+fn enforces_the_limits_at_their_boundaries() {
+    let many: Vec<_> = (0..=MAX_CONNECTIONS)
         .map(|n| format!(r#"{{"name": "r{n}", "method": "ble", "address": "r{n}"}}"#))
         .collect();
     let many: Vec<_> = many.iter().map(String::as_str).collect();
     assert_eq!(
-        (parse(&file(&many[..MOST]), &limits()).expect("valid"))
+        (parse(&file(&many[..MAX_CONNECTIONS]), &limits()).expect("valid"))
             .connections
             .len(),
-        MOST
+        MAX_CONNECTIONS
     );
-    assert!(mistake(&file(&many)).starts_with("5:1: one connection too many"));
+    assert!(mistake(&file(&many)).starts_with("5:1: too many connections"));
 
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("connections.json");
@@ -217,22 +222,22 @@ fn both_sides_of_the_limits() {
             .and_then(|mut file| file.write_all(bytes))
             .expect("written");
         read(&path, &limits())
-            .map(|wanted| wanted.connections.len())
+            .map(|contents| contents.connections.len())
             .map_err(|error| error.to_string())
     };
     assert_eq!(written(file(&[BASE]).as_bytes()), Ok(1));
-    assert!(written(b"{\n\xff").is_err_and(|e| e.ends_with(":2:1: this is no text (UTF-8)")));
+    assert!(written(b"{\n\xff").is_err_and(|e| e.ends_with(":2:1: this is not valid UTF-8 text")));
     let blanks = vec![b' '; MAX_BYTES as usize + 1];
     assert!(written(&blanks).is_err_and(|e| e.contains("larger")));
-    assert!(written(&blanks[1..]).is_err_and(|e| e.contains("the file holds")));
+    assert!(written(&blanks[1..]).is_err_and(|e| e.contains("the file must contain")));
     let deep = "[".repeat(100_000);
     assert!(written(deep.as_bytes()).is_err_and(|e| e.contains("depth")));
-    let nowhere = read(&folder.path().join("nowhere"), &limits()).expect_err("not there");
+    let nowhere = read(&folder.path().join("nowhere"), &limits()).expect_err("missing");
     assert!(nowhere.to_string().contains("nowhere"));
 }
 
 #[test]
-fn a_pipe_in_its_place_is_refused_at_once() {
+fn rejects_a_pipe_without_blocking() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("connections.json");
     nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");

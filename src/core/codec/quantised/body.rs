@@ -1,12 +1,11 @@
-//! Owns the body of a quantised array: the exceptions, then the residuals.
+//! Encodes and decodes the body of a quantised array: the exceptions, then the residuals.
 use super::{
-    cut,
     levels::{self, Float, Past, Prediction},
-    varint, FORMAT,
+    truncated, varint, FORMAT,
 };
 use crate::core::codec::{damaged, CodecError};
 
-/// The body of these numbers; those without a level are exceptions.
+/// Encodes the body. Numbers without a level are exceptions.
 pub fn write<T: Float>(numbers: &[T], levels: &[Option<i64>], prediction: Prediction) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(numbers.len() + 16);
     let mut between = 0;
@@ -29,7 +28,7 @@ pub fn write<T: Float>(numbers: &[T], levels: &[Option<i64>], prediction: Predic
     bytes
 }
 
-/// A body that a peer sent, and what its head says of it.
+/// An untrusted body with the values of its header.
 pub struct Body<'a> {
     pub bytes: &'a [u8],
     pub count: usize,
@@ -39,18 +38,18 @@ pub struct Body<'a> {
 }
 
 impl Body<'_> {
-    /// The numbers, little endian.
+    /// Decodes the numbers, little endian.
     ///
     /// # Errors
-    /// It is cut off, or there is more in it than its head says.
+    /// Returns an error if the body is truncated, or longer than its header states.
     pub fn read<T: Float>(&self) -> Result<Vec<u8>, CodecError> {
         let mut residuals = self.bytes;
         for _ in 0..self.exceptions {
             self.exception::<T>(&mut residuals)?;
         }
-        // Each takes a byte at least: before what they need is allocated.
+        // Each residual takes at least one byte. This is checked before memory is allocated.
         if residuals.len() < self.count - self.exceptions {
-            return Err(cut());
+            return Err(truncated());
         }
         let mut exceptions = self.bytes;
         let mut left = self.exceptions;
@@ -64,14 +63,14 @@ impl Body<'_> {
                 next = self.next::<T>(&mut exceptions, &mut left)?;
                 continue;
             }
-            let residual = varint::read(&mut residuals).ok_or_else(cut)?;
+            let residual = varint::read(&mut residuals).ok_or_else(truncated)?;
             let level = past.prediction().wrapping_add(varint::unzigzag(residual));
             levels::number::<T>(level, self.step).write(&mut numbers);
             past.push(Some(level));
             next = next.map(|(between, number)| (between - 1, number));
         }
         if next.is_some() || !residuals.is_empty() {
-            return Err(damaged(FORMAT, "there is more in it than it says"));
+            return Err(damaged(FORMAT, "it is longer than its header states"));
         }
         Ok(numbers)
     }
@@ -88,11 +87,13 @@ impl Body<'_> {
         self.exception(exceptions).map(Some)
     }
 
-    /// How many numbers lie before it, and the exception.
+    /// Reads how many numbers precede an exception, and the exception.
     fn exception<T: Float>(&self, bytes: &mut &[u8]) -> Result<(u64, T), CodecError> {
-        let between = varint::read(bytes).ok_or_else(cut)?;
-        let (number, rest) = bytes.split_at_checked(T::ELEMENT.bytes()).ok_or_else(cut)?;
+        let between = varint::read(bytes).ok_or_else(truncated)?;
+        let (number, rest) = bytes
+            .split_at_checked(T::ELEMENT.bytes())
+            .ok_or_else(truncated)?;
         *bytes = rest;
-        Ok((between, T::read(number).ok_or_else(cut)?))
+        Ok((between, T::read(number).ok_or_else(truncated)?))
     }
 }

@@ -1,19 +1,20 @@
-//! Owns levels: which whole number of steps stands for a number, and which one is to be expected after those before it.
+//! Converts numbers to levels (whole numbers of steps) and back, and predicts levels from the previous ones.
 use std::collections::VecDeque;
 
 use super::varint;
 use crate::core::array::Number;
 
-/// Levels beyond are exceptions: up to here every whole number is an `f64`, and differences of differences fit 64 bits.
+/// The largest level; larger numbers are exceptions. Up to here, every whole number is an `f64`, and differences of
+/// differences fit 64 bits.
 const MOST: f64 = (1u64 << 51) as f64;
 
-/// The floats.
+/// The floating-point types.
 pub trait Float: Number {
-    /// Half of the gap between two neighbours near 1: what rounding to the type may add.
+    /// Half of the gap between two adjacent values near 1: the largest rounding error of the type.
     const HALF_GAP: f64;
-    /// Exactly.
+    /// Converts without loss.
     fn wide(self) -> f64;
-    /// The nearest.
+    /// Converts to the nearest value.
     fn narrow(wide: f64) -> Self;
 }
 
@@ -41,7 +42,7 @@ impl Float for f64 {
     }
 }
 
-/// The step with which hardly a number is off by more than `error`: a little less than twice that, for what rounding adds.
+/// Returns the step for which hardly any number is off by more than `error`: twice that, reduced by the rounding error.
 pub fn step<T: Float>(numbers: &[T], error: f64) -> f32 {
     let sizes = numbers.iter().map(|number| number.wide().abs());
     let largest = sizes.filter(|size| size.is_finite()).fold(0.0, f64::max);
@@ -51,42 +52,42 @@ pub fn step<T: Float>(numbers: &[T], error: f64) -> f32 {
     } else {
         error
     };
-    let wanted = left * (2.0 - 1e-9);
-    let step = wanted as f32;
-    if f64::from(step) > wanted {
-        // The next smaller one; it is positive and far from 0.
+    let exact = left * (2.0 - 1e-9);
+    let step = exact as f32;
+    if f64::from(step) > exact {
+        // The next smaller value. The step is positive and far from 0.
         return f32::from_bits(step.to_bits() - 1);
     }
     step
 }
 
-/// The number of a level.
+/// Returns the number that a level stands for.
 pub fn number<T: Float>(level: i64, step: f32) -> T {
     T::narrow(level as f64 * f64::from(step))
 }
 
-/// The level of a number; `None`: none is near enough.
-pub fn level<T: Float>(wanted: T, step: f32, error: f64) -> Option<i64> {
-    let steps = (wanted.wide() / f64::from(step)).round();
+/// Returns the level of a number. `None` if none is close enough.
+pub fn level<T: Float>(value: T, step: f32, error: f64) -> Option<i64> {
+    let steps = (value.wide() / f64::from(step)).round();
     if steps.is_nan() || steps.abs() > MOST {
         return None;
     }
     let level = steps as i64;
-    let off = (number::<T>(level, step).wide() - wanted.wide()).abs();
+    let off = (number::<T>(level, step).wide() - value.wide()).abs();
     (off <= error).then_some(level)
 }
 
-/// How a level is guessed from those before it.
+/// How a level is predicted from the previous ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Prediction {
-    /// 0: it is 0; 1: it is as that before; 2: it goes on as it went.
+    /// 0 predicts 0, 1 the previous level, 2 a constant slope.
     pub order: u8,
-    /// Which one is the one before: 1, or as far as a row is long, where rows or channels look alike.
+    /// How far back the previous level is: 1, or the length of a row if rows or channels resemble each other.
     pub distance: usize,
 }
 
 impl Prediction {
-    /// The one that leaves least to say.
+    /// Returns the prediction with the smallest residuals.
     pub fn best(levels: &[Option<i64>], shape: &[usize]) -> Self {
         let row = shape.last().copied().unwrap_or(1);
         let row = (1 < row && row < levels.len()).then_some(row);
@@ -113,20 +114,20 @@ impl Prediction {
     }
 }
 
-/// The levels that the next one is guessed from.
+/// The previous levels, from which the next one is predicted.
 pub struct Past {
     prediction: Prediction,
     levels: VecDeque<i64>,
 }
 
 impl Past {
-    /// Nothing yet.
+    /// Creates an empty history.
     pub fn new(prediction: Prediction) -> Self {
         let levels = VecDeque::new();
         Self { prediction, levels }
     }
 
-    /// What the next one is guessed to be.
+    /// Returns the prediction of the next level.
     pub fn prediction(&self) -> i64 {
         match self.prediction.order {
             0 => 0,
@@ -139,7 +140,7 @@ impl Past {
         }
     }
 
-    /// What it was; an exception counts as the one before it.
+    /// Adds a level. An exception (`None`) repeats the level at the prediction's distance.
     pub fn push(&mut self, level: Option<i64>) {
         let level = level.or_else(|| self.before(1)).unwrap_or(0);
         if self.levels.len() == self.prediction.distance.saturating_mul(2) {

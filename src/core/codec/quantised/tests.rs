@@ -1,4 +1,4 @@
-//! The bound holds for every number, and the form is small where it is said to be.
+//! Tests that the error bound holds for every number, and that the encoded arrays are small.
 use proptest::prelude::*;
 
 use super::*;
@@ -9,7 +9,7 @@ const LIMITS: Limits = Limits {
     max_pixels: 1,
 };
 
-fn there_and_back<T: Float>(error: f64, shape: &[usize], numbers: &[T]) -> (usize, Vec<T>) {
+fn round_trip<T: Float>(error: f64, shape: &[usize], numbers: &[T]) -> (usize, Vec<T>) {
     let array = Array::of(shape, numbers).expect("an array").payload();
     let codec = Quantised::new(error).expect("an error");
     let small = codec.encode(&array).expect("written");
@@ -27,7 +27,7 @@ fn near<T: Float>(a: T, b: T, error: f64) -> bool {
 }
 
 fn all_near<T: Float>(error: f64, shape: &[usize], numbers: &[T]) -> usize {
-    let (bytes, back) = there_and_back(error, shape, numbers);
+    let (bytes, back) = round_trip(error, shape, numbers);
     for (n, (&a, &b)) in numbers.iter().zip(&back).enumerate() {
         assert!(near(a, b, error), "{n}: {} became {}", a.wide(), b.wide());
     }
@@ -36,12 +36,12 @@ fn all_near<T: Float>(error: f64, shape: &[usize], numbers: &[T]) -> usize {
 }
 
 #[test]
-fn smooth_data_takes_less_than_a_byte_a_number() {
+fn smooth_data_takes_less_than_a_byte_per_number() {
     let n = 3000;
     let wave: Vec<f32> = (0..n).map(|i| (i as f32 / 60.0).sin() * 9.81).collect();
     let bytes = all_near(0.01, &[n], &wave);
     assert!(bytes < n, "{bytes} bytes for {n} numbers");
-    // Three channels by turns: the row is the distance.
+    // Three interleaved channels: the distance is the length of a row.
     let turns: Vec<f64> = (0..n)
         .map(|i| (i as f64 / 90.0).sin() + [0.0, 9.81, -40.0][i % 3])
         .collect();
@@ -50,14 +50,14 @@ fn smooth_data_takes_less_than_a_byte_a_number() {
 }
 
 #[test]
-fn a_handful_of_numbers_is_no_larger_than_raw_and_its_head() {
+fn few_numbers_take_no_more_than_raw_ones_and_the_header() {
     let bytes = all_near(0.01, &[6], &[1.5f32, -2.0, 0.0, 90.0, 45.25, 3.0]);
     assert!(bytes <= 3 + 24, "{bytes}");
     assert_eq!(all_near(0.01, &[0], &[0f32; 0]), 3, "an empty one");
 }
 
 #[test]
-fn what_no_level_comes_near_stays_as_it_is() {
+fn exceptions_are_exact() {
     let odd = [
         f64::NAN,
         f64::INFINITY,
@@ -71,11 +71,11 @@ fn what_no_level_comes_near_stays_as_it_is() {
     for error in [1e-30, 1e-9, 0.5, 1e30] {
         all_near(error, &[8], &odd);
         all_near(error, &[2, 4], &odd);
-        let (_, back) = there_and_back(error, &[8], &odd);
+        let (_, back) = round_trip(error, &[8], &odd);
         assert_eq!(back[5], 1e300, "beyond all levels");
         all_near(error, &[8], &odd.map(|wide| wide as f32));
     }
-    // Many of them in smooth data: a laser that sees nothing here and there.
+    // Many exceptions in smooth data, like a laser scanner without echoes in some directions.
     let scan: Vec<f32> = (0..720)
         .map(|i| {
             if i % 9 < 2 {
@@ -89,9 +89,9 @@ fn what_no_level_comes_near_stays_as_it_is() {
     assert!(bytes < 720, "{bytes}");
 }
 
-/// Found by fuzzing: residuals of more bytes than the numbers have, all alike.
+/// A regression found by fuzzing: all residuals take more bytes than the numbers.
 #[test]
-fn what_takes_more_bytes_in_levels_goes_as_it_is() {
+fn arrays_that_do_not_shrink_are_stored_raw() {
     let far: Vec<f32> = (0..120)
         .map(|n| if n % 2 == 0 { 4e9 } else { -4e9 })
         .collect();
@@ -100,7 +100,7 @@ fn what_takes_more_bytes_in_levels_goes_as_it_is() {
 }
 
 #[test]
-fn every_cut_is_an_error_that_names_the_format() {
+fn truncated_arrays_are_errors_that_name_the_format() {
     let numbers: Vec<f32> = (0..8)
         .map(|i| if i == 7 { f32::NAN } else { (i * i) as f32 })
         .collect();
@@ -109,7 +109,7 @@ fn every_cut_is_an_error_that_names_the_format() {
     let noise = Array::of(&[40], &noise).expect("an array").payload();
     let long: Vec<f64> = (0..1000).map(f64::from).collect();
     let long = Array::of(&[1000], &long).expect("an array").payload();
-    for (array, kind) in [(array, PLAIN), (noise, RAW), (long, PACKED)] {
+    for (array, kind) in [(array, PLAIN), (noise, RAW), (long, COMPRESSED)] {
         let small = Quantised::new(0.1)
             .expect("an error")
             .encode(&array)
@@ -118,11 +118,14 @@ fn every_cut_is_an_error_that_names_the_format() {
         for cut in 0..small.bytes.len() {
             let cut = Payload::new(small.bytes.slice(..cut), small.encoding.clone());
             let error = cut.array(&LIMITS).expect_err("cut").to_string();
-            let named = ["quantised array", "zstd", "this is no valid array"];
+            let named = ["quantised array", "zstd", "invalid array"];
             assert!(named.iter().any(|name| error.contains(name)), "{error}");
         }
         let more = [&small.bytes[..], &[0]].concat();
-        assert!(read(&more, &LIMITS).is_err(), "more than it says");
+        assert!(
+            read(&more, &LIMITS).is_err(),
+            "longer than its header states"
+        );
         for n in 0..small.bytes.len() {
             for flip in [1, 0x80, 0xff] {
                 let mut wrong = small.bytes.to_vec();
@@ -134,7 +137,7 @@ fn every_cut_is_an_error_that_names_the_format() {
 }
 
 #[test]
-fn a_head_that_promises_more_than_may_be_is_refused() {
+fn headers_beyond_the_limits_are_rejected() {
     let step = 1f32.to_le_bytes();
     let huge = [
         &[0x12, 0][..],
@@ -145,7 +148,7 @@ fn a_head_that_promises_more_than_may_be_is_refused() {
     .concat();
     let error = read(&huge, &LIMITS).expect_err("huge");
     assert!(matches!(error, CodecError::TooLarge { .. }), "{error}");
-    // Within the limit, and then there is nothing.
+    // The size is within the limit, but the body is missing.
     let empty = [&[0x11, 0][..], &[0x80, 0x80, 0x08], &step, &[1, 0]].concat();
     assert!(matches!(
         read(&empty, &LIMITS),
@@ -198,7 +201,7 @@ proptest! {
     }
 
     #[test]
-    fn the_bound_holds_for_sensors(
+    fn the_bound_holds_for_sensor_data(
         start in -1e4..1e4f64, steps in prop::collection::vec(-0.3..0.3f64, 6..300), error in 1e-4..0.5f64
     ) {
         let mut value = start;

@@ -1,6 +1,6 @@
-//! Owns whole numbers of as many bytes as they need: LEB128, and zigzag for signed ones.
+//! Encodes whole numbers in as few bytes as possible: LEB128, with zigzag for signed numbers.
 
-/// Appends it: 7 bits a byte, the lowest first.
+/// Appends a number, 7 bits per byte, the lowest bits first.
 pub fn write(bytes: &mut Vec<u8>, mut number: u64) {
     while number >= 0x80 {
         bytes.push(number as u8 | 0x80);
@@ -9,7 +9,7 @@ pub fn write(bytes: &mut Vec<u8>, mut number: u64) {
     bytes.push(number as u8);
 }
 
-/// Takes one off the front; `None`: it is cut off, or longer than 64 bits.
+/// Reads a number and advances the slice. `None` if it is truncated or has more than 64 bits.
 pub fn read(bytes: &mut &[u8]) -> Option<u64> {
     let mut number = 0;
     for shift in (0..70).step_by(7) {
@@ -26,12 +26,12 @@ pub fn read(bytes: &mut &[u8]) -> Option<u64> {
     None
 }
 
-/// Small ones of either sign become small ones: 0, -1, 1, -2 become 0, 1, 2, 3.
+/// Maps signed to unsigned numbers such that small ones stay small: 0, -1, 1, -2 become 0, 1, 2, 3.
 pub fn zigzag(number: i64) -> u64 {
     (number << 1 ^ number >> 63) as u64
 }
 
-/// And back.
+/// Reverts [`zigzag`].
 pub fn unzigzag(number: u64) -> i64 {
     (number >> 1) as i64 ^ -((number & 1) as i64)
 }
@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_come_back() {
+    fn numbers_round_trip() {
         for number in [0, 1, -1, 63, -64, 64, i64::MAX, i64::MIN] {
             let mut bytes = Vec::new();
             write(&mut bytes, zigzag(number));
@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_longer_than_64_bits_is_none() {
+    fn numbers_of_more_than_64_bits_are_rejected() {
         assert_eq!(read(&mut [0xff; 11].as_slice()), None);
         let mut two = [0xff; 10];
         two[9] = 2;

@@ -1,8 +1,8 @@
-//! Tests of the offer.
+//! Tests of offers.
 use super::*;
 
 #[test]
-fn an_offer_comes_back_as_it_was_and_no_part_of_it_does() {
+fn offers_round_trip_and_truncated_ones_are_rejected() {
     for size in [0, 1, 34_000, u64::MAX] {
         let offer = sample(size);
         let bytes = offer.encode();
@@ -21,11 +21,11 @@ fn an_offer_comes_back_as_it_was_and_no_part_of_it_does() {
 }
 
 #[test]
-fn the_longest_offer_has_room() {
+fn the_longest_offer_is_accepted() {
     let offer = Offer {
-        from: Name::new(&"n".repeat(29)).expect("a name"),
-        topic: Topic::new(&"t".repeat(topic::MAX_BYTES)).expect("a topic"),
-        name: FileName::new(&"f".repeat(MAX_NAME_BYTES)).expect("a file's name"),
+        sender: Name::new(&"n".repeat(29)).expect("valid name"),
+        topic: Topic::new(&"t".repeat(topic::MAX_BYTES)).expect("valid topic"),
+        name: FileName::new(&"f".repeat(MAX_NAME_BYTES)).expect("valid file name"),
         encoding: Encoding::new("e".repeat(encoding::MAX_BYTES)),
         ..sample(u64::MAX)
     };
@@ -33,7 +33,7 @@ fn the_longest_offer_has_room() {
 }
 
 #[test]
-fn a_name_leads_nowhere_else() {
+fn file_names_cannot_refer_to_other_folders() {
     for good in ["", "a", "map of the kitchen.pcd", "ä.txt", "a..b"] {
         assert_eq!(FileName::new(good).expect(good).as_str(), good);
     }
@@ -58,9 +58,12 @@ fn a_name_leads_nowhere_else() {
 }
 
 #[test]
-fn a_robots_name_leads_nowhere_else() {
-    let from = Name::new(".x").expect("a name, elsewhere");
-    let offer = Offer { from, ..sample(1) };
+fn sender_names_cannot_refer_to_other_folders() {
+    let sender = Name::new(".x").expect("valid as the name of a robot");
+    let offer = Offer {
+        sender,
+        ..sample(1)
+    };
     assert_eq!(
         Offer::decode(&offer.encode()),
         Err(OfferError::Malformed("sender"))
@@ -68,10 +71,10 @@ fn a_robots_name_leads_nowhere_else() {
 }
 
 #[test]
-fn the_id_is_of_the_content_and_the_receiver_and_not_of_the_call() {
+fn the_id_depends_on_content_and_receiver_but_not_on_the_call() {
     let (a, b) = (
-        Name::new("a").expect("a name"),
-        Name::new("b").expect("a name"),
+        Name::new("a").expect("valid name"),
+        Name::new("b").expect("valid name"),
     );
     let offer = sample(5);
     let again = Offer {

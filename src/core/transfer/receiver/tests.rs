@@ -2,7 +2,7 @@
 use super::*;
 
 const SIZE: u64 = 10_000;
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 struct Bench {
     receiver: Receiver,
@@ -12,24 +12,24 @@ struct Bench {
 impl Bench {
     fn new(size: u64) -> Self {
         let now = Instant::now();
-        let receiver = Receiver::new(now, size, Ranges::default(), PATIENCE);
+        let receiver = Receiver::new(now, size, Ranges::default(), TIMEOUT);
         Self { receiver, now }
     }
 
-    fn asks(&mut self) -> Vec<Ask> {
-        let mut asks = Vec::new();
-        while let Step::Ask(ask) = self.receiver.poll(self.now) {
-            asks.push(ask);
+    fn requests(&mut self) -> Vec<PieceRequest> {
+        let mut requests = Vec::new();
+        while let Step::Request(request) = self.receiver.poll(self.now) {
+            requests.push(request);
         }
-        asks
+        requests
     }
 
-    fn comes(&mut self, ask: &Ask) -> bool {
-        let kept = self
-            .receiver
-            .on_reply(self.now, ask, ask.range.end - ask.range.start);
+    fn reply(&mut self, request: &PieceRequest) -> bool {
+        let kept =
+            self.receiver
+                .on_reply(self.now, request, request.range.end - request.range.start);
         if kept {
-            self.receiver.on_kept(ask.range.clone());
+            self.receiver.on_written(request.range.clone());
         }
         kept
     }
@@ -41,7 +41,7 @@ impl Bench {
     fn finish(&mut self) -> Step {
         loop {
             match self.receiver.poll(self.now) {
-                Step::Ask(ask) => drop(self.comes(&ask)),
+                Step::Request(request) => drop(self.reply(&request)),
                 Step::Wait(until) => self.now = until,
                 step => return step,
             }
@@ -51,24 +51,24 @@ impl Bench {
 
 fn state(name: &str) -> Bench {
     let mut bench = Bench::new(SIZE);
-    let asks = match name {
-        "checking" | "over" => Vec::new(),
-        _ => bench.asks(),
+    let requests = match name {
+        "checking" | "failed" => Vec::new(),
+        _ => bench.requests(),
     };
     match name {
-        "pulling" => {}
-        "doubting" => bench.receiver.on_silence(bench.now, asks[0].ticket),
-        "pausing" | "trying" => {
-            for ask in &asks {
-                bench.receiver.on_silence(bench.now, ask.ticket);
+        "requesting" => {}
+        "suspecting" => bench.receiver.on_no_reply(bench.now, requests[0].id),
+        "pausing" | "probing" => {
+            for request in &requests {
+                bench.receiver.on_no_reply(bench.now, request.id);
             }
-            if name == "trying" {
+            if name == "probing" {
                 bench.pass(FIRST_PAUSE);
-                assert_eq!(bench.asks().len(), 1, "one, to see");
+                assert_eq!(bench.requests().len(), 1, "a single one");
             }
         }
         "checking" => assert_eq!(bench.finish(), Step::Check),
-        "over" => bench.receiver.end(Fault::Stopped),
+        "failed" => bench.receiver.end(Fault::Stopped),
         _ => unreachable!("{name}"),
     }
     bench
@@ -76,51 +76,50 @@ fn state(name: &str) -> Bench {
 
 fn name(state: &State) -> &'static str {
     match state {
-        State::Pulling => "pulling",
-        State::Doubting => "doubting",
+        State::Requesting => "requesting",
+        State::Suspecting => "suspecting",
         State::Pausing { .. } => "pausing",
-        State::Trying { .. } => "trying",
+        State::Probing { .. } => "probing",
         State::Checking => "checking",
-        State::Over(Ok(())) => "done",
-        State::Over(Err(_)) => "over",
+        State::Finished(Ok(())) => "done",
+        State::Finished(Err(_)) => "failed",
     }
 }
 
 #[test]
-fn every_state_knows_every_event() {
+fn every_state_handles_every_event() {
     type Event = fn(&mut Bench);
     let events: [(&str, Event); 8] = [
         ("reply", |b| {
-            let ticket = b.receiver.out.keys().last().copied().unwrap_or(0);
+            let id = b.receiver.in_flight.keys().last().copied().unwrap_or(0);
             let range = b
                 .receiver
-                .out
-                .get(&ticket)
-                .map_or(0..2048, |out| out.range.clone());
-            let (request, timeout) = (Request::Ended, PATIENCE);
-            b.comes(&Ask {
-                ticket,
+                .in_flight
+                .get(&id)
+                .map_or(0..2048, |in_flight| in_flight.range.clone());
+            let (request, timeout) = (Request::Ended, TIMEOUT);
+            b.reply(&PieceRequest {
+                id,
                 range,
                 request,
                 timeout,
             });
         }),
-        ("silence", |b| {
-            let ticket = b.receiver.out.keys().last().copied().unwrap_or(0);
-            b.receiver.on_silence(b.now, ticket);
+        ("no reply", |b| {
+            let id = b.receiver.in_flight.keys().last().copied().unwrap_or(0);
+            b.receiver.on_no_reply(b.now, id);
         }),
         ("fault", |b| {
-            let ticket = b.receiver.out.keys().last().copied().unwrap_or(0);
-            b.receiver
-                .on_fault(ticket, Fault::Unreadable(String::new()));
+            let id = b.receiver.in_flight.keys().last().copied().unwrap_or(0);
+            b.receiver.on_fault(id, Fault::Unreadable(String::new()));
         }),
         ("offered", |b| {
             b.receiver.on_offered(b.now);
             b.receiver.poll(b.now);
         }),
-        ("right", |b| b.receiver.on_checked(true)),
-        ("wrong", |b| b.receiver.on_checked(false)),
-        ("not kept", |b| b.receiver.on_not_kept("full".into())),
+        ("checksum correct", |b| b.receiver.on_checked(true)),
+        ("checksum wrong", |b| b.receiver.on_checked(false)),
+        ("not stored", |b| b.receiver.on_write_failed("full".into())),
         ("time", |b| {
             b.pass(Duration::from_secs(5));
             b.receiver.poll(b.now);
@@ -128,36 +127,65 @@ fn every_state_knows_every_event() {
     ];
     let table = [
         (
-            "pulling",
+            "requesting",
             [
-                "pulling", "doubting", "over", "pulling", "pulling", "pulling", "over", "pausing",
+                "requesting",
+                "suspecting",
+                "failed",
+                "requesting",
+                "requesting",
+                "requesting",
+                "failed",
+                "pausing",
             ],
         ),
         (
-            "doubting",
+            "suspecting",
             [
-                "pulling", "pausing", "over", "doubting", "doubting", "doubting", "over", "pausing",
+                "requesting",
+                "pausing",
+                "failed",
+                "suspecting",
+                "suspecting",
+                "suspecting",
+                "failed",
+                "pausing",
             ],
         ),
         (
             "pausing",
             [
-                "pulling", "pausing", "pausing", "trying", "pausing", "pausing", "over", "trying",
+                "requesting",
+                "pausing",
+                "pausing",
+                "probing",
+                "pausing",
+                "pausing",
+                "failed",
+                "probing",
             ],
         ),
         (
-            "trying",
+            "probing",
             [
-                "pulling", "pausing", "over", "trying", "trying", "trying", "over", "pausing",
+                "requesting",
+                "pausing",
+                "failed",
+                "probing",
+                "probing",
+                "probing",
+                "failed",
+                "pausing",
             ],
         ),
         (
             "checking",
             [
-                "checking", "checking", "checking", "checking", "done", "over", "over", "checking",
+                "checking", "checking", "checking", "checking", "done", "failed", "failed",
+                "checking",
             ],
         ),
-        ("over", ["over"; 8]),
+        ("failed", ["failed"; 8]),
     ];
     for (from, expected) in table {
         for ((event, happens), to) in events.iter().zip(expected) {
@@ -170,110 +198,123 @@ fn every_state_knows_every_event() {
 }
 
 #[test]
-fn of_nothing_there_is_nothing_to_ask() {
+fn an_empty_transfer_needs_no_requests() {
     let mut bench = Bench::new(0);
     assert_eq!(bench.receiver.poll(bench.now), Step::Check);
     bench.receiver.on_checked(true);
-    assert_eq!(bench.receiver.poll(bench.now), Step::Over(Ok(())));
+    assert_eq!(bench.receiver.poll(bench.now), Step::Finished(Ok(())));
 }
 
 #[test]
-fn all_of_it_is_asked_for_once_and_in_order() {
+fn requests_everything_once_and_in_order() {
     let mut bench = Bench::new(SIZE);
     let mut next = 0;
     while bench.receiver.progress().fraction() < 1.0 {
-        for ask in bench.asks() {
-            assert_eq!(ask.range.start, next);
-            next = ask.range.end;
-            assert!(bench.comes(&ask));
-            assert!(!bench.comes(&ask), "the same again is not kept");
+        for request in bench.requests() {
+            assert_eq!(request.range.start, next);
+            next = request.range.end;
+            assert!(bench.reply(&request));
+            assert!(!bench.reply(&request), "duplicates are not stored");
         }
     }
     assert_eq!((next, bench.finish()), (SIZE, Step::Check));
 }
 
 #[test]
-fn a_reply_of_another_length_ends_it() {
+fn a_reply_of_another_length_is_a_fault() {
     for bytes in [0, 1, 2047, 2049, u64::MAX] {
         let mut bench = Bench::new(SIZE);
-        let ask = bench.asks().remove(0);
-        assert!(!bench.receiver.on_reply(bench.now, &ask, bytes));
-        let over = bench.receiver.poll(bench.now);
+        let request = bench.requests().remove(0);
+        assert!(!bench.receiver.on_reply(bench.now, &request, bytes));
+        let step = bench.receiver.poll(bench.now);
         assert!(
-            matches!(over, Step::Over(Err(Fault::Protocol(_)))),
-            "{over:?}"
+            matches!(step, Step::Finished(Err(Fault::Protocol(_)))),
+            "{step:?}"
         );
     }
 }
 
 #[test]
-fn a_late_reply_is_of_use() {
+fn uses_late_replies() {
     let mut bench = Bench::new(SIZE);
-    let asks = bench.asks();
-    bench.pass(asks[0].timeout);
-    assert!(bench.asks().is_empty(), "given up, and a pause");
-    assert!(bench.comes(&asks[0]), "kept");
+    let requests = bench.requests();
+    bench.pass(requests[0].timeout);
+    assert!(bench.requests().is_empty(), "timed out, so it pauses");
+    assert!(bench.reply(&requests[0]), "stored");
     assert_eq!(
-        bench.asks()[0].range.start,
-        asks[0].range.end,
-        "and not asked for again"
+        bench.requests()[0].range.start,
+        requests[0].range.end,
+        "not requested again"
     );
 }
 
 #[test]
-fn a_wrong_checksum_begins_anew_only_where_something_was_there_before() {
+fn a_wrong_checksum_restarts_only_resumed_transfers() {
     let mut bench = Bench::new(SIZE);
     assert_eq!(bench.finish(), Step::Check);
     bench.receiver.on_checked(false);
-    assert_eq!(bench.finish(), Step::Over(Err(Fault::Checksum)));
+    assert_eq!(bench.finish(), Step::Finished(Err(Fault::Checksum)));
 
     let mut held = Ranges::default();
     held.insert(0..5000);
     let now = Instant::now();
-    let receiver = Receiver::new(now, SIZE, held, PATIENCE);
+    let receiver = Receiver::new(now, SIZE, held, TIMEOUT);
     let mut bench = Bench { receiver, now };
     assert_eq!(bench.finish(), Step::Check);
     bench.receiver.on_checked(false);
-    assert_eq!(bench.receiver.progress().held_bytes, 0, "all of it again");
+    assert_eq!(
+        bench.receiver.progress().received_bytes,
+        0,
+        "everything is requested again"
+    );
     assert_eq!(bench.finish(), Step::Check);
     bench.receiver.on_checked(false);
-    assert_eq!(bench.finish(), Step::Over(Err(Fault::Checksum)), "once");
+    assert_eq!(
+        bench.finish(),
+        Step::Finished(Err(Fault::Checksum)),
+        "only once"
+    );
 }
 
 #[test]
-fn nothing_for_too_long_ends_it_and_a_jump_of_the_clock_does_not() {
+fn times_out_but_not_because_of_a_jump_of_the_clock() {
     let mut bench = Bench::new(SIZE);
-    for ask in bench.asks() {
-        bench.receiver.on_silence(bench.now, ask.ticket);
+    for request in bench.requests() {
+        bench.receiver.on_no_reply(bench.now, request.id);
     }
-    bench.pass(PATIENCE * 100);
-    let ask = bench.asks().remove(0);
-    bench.receiver.on_silence(bench.now, ask.ticket);
-    assert!(!matches!(bench.receiver.poll(bench.now), Step::Over(_)));
+    bench.pass(TIMEOUT * 100);
+    let request = bench.requests().remove(0);
+    bench.receiver.on_no_reply(bench.now, request.id);
+    assert!(!matches!(bench.receiver.poll(bench.now), Step::Finished(_)));
     let end = loop {
         match bench.receiver.poll(bench.now) {
-            Step::Ask(ask) => bench.receiver.on_silence(bench.now, ask.ticket),
+            Step::Request(request) => bench.receiver.on_no_reply(bench.now, request.id),
             Step::Wait(until) => bench.now = until,
             step => break step,
         }
     };
-    assert!(matches!(end, Step::Over(Err(Fault::Silence(_)))), "{end:?}");
+    assert!(
+        matches!(end, Step::Finished(Err(Fault::TimedOut(_)))),
+        "{end:?}"
+    );
 }
 
 #[test]
 fn an_offer_ends_the_pause() {
     let mut bench = state("pausing");
-    assert!(bench.asks().is_empty());
+    assert!(bench.requests().is_empty());
     bench.receiver.on_offered(bench.now);
-    assert_eq!(bench.asks().len(), 1);
+    assert_eq!(bench.requests().len(), 1);
 }
 
 #[test]
-fn a_clock_that_goes_back_costs_nothing() {
+fn tolerates_a_clock_that_goes_back() {
     let mut bench = Bench::new(100_000);
     bench.now += Duration::from_secs(100);
-    let asks = bench.asks();
+    let requests = bench.requests();
     bench.now -= Duration::from_secs(50);
-    asks.iter().for_each(|ask| assert!(bench.comes(ask)));
+    requests
+        .iter()
+        .for_each(|request| assert!(bench.reply(request)));
     assert_eq!(bench.finish(), Step::Check);
 }

@@ -1,20 +1,20 @@
 //! Tests of the sender.
 use super::*;
 
-fn sender(patience: Option<Duration>) -> (Sender, Instant) {
+fn sender(timeout: Option<Duration>) -> (Sender, Instant) {
     let now = Instant::now();
-    (Sender::new(now, 1000, patience, 42), now)
+    (Sender::new(now, 1000, timeout, 42), now)
 }
 
-fn range(offset: u64, held_bytes: u64) -> Request {
+fn range(offset: u64, received_bytes: u64) -> Request {
     Request::Range {
         offset,
         length: 100,
-        held_bytes,
+        received_bytes,
     }
 }
 
-/// When it offers next.
+/// Returns when it repeats the offer.
 fn offers_at(sender: &mut Sender, now: Instant) -> Instant {
     match sender.poll(now) {
         Step::Wait(until) => until,
@@ -23,7 +23,7 @@ fn offers_at(sender: &mut Sender, now: Instant) -> Instant {
 }
 
 #[test]
-fn it_offers_less_and_less_often_where_nobody_answers() {
+fn the_pause_between_unanswered_offers_grows() {
     let (mut sender, mut now) = sender(None);
     let mut pauses = Vec::new();
     for _ in 0..20 {
@@ -42,15 +42,15 @@ fn it_offers_less_and_less_often_where_nobody_answers() {
     );
     assert!(
         pauses[19] >= LAST_PAUSE && pauses[19] != pauses[18],
-        "they vary: {pauses:?}"
+        "pauses vary: {pauses:?}"
     );
 }
 
 #[test]
-fn it_does_not_ask_while_the_receiver_works() {
+fn does_not_repeat_the_offer_while_the_receiver_is_active() {
     let (mut sender, mut now) = sender(None);
     sender.poll(now);
-    sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+    sender.on_answers(now, &[Answer::Running { received_bytes: 0 }]);
     for n in 0..10 {
         now += Duration::from_secs(1);
         assert_eq!(
@@ -59,7 +59,7 @@ fn it_does_not_ask_while_the_receiver_works() {
         );
         assert_eq!(offers_at(&mut sender, now), now + QUIET);
     }
-    assert_eq!(sender.progress().held_bytes, 900);
+    assert_eq!(sender.progress().received_bytes, 900);
     now += QUIET;
     assert!(
         matches!(sender.poll(now), Step::Offer(_)),
@@ -68,57 +68,66 @@ fn it_does_not_ask_while_the_receiver_works() {
 }
 
 #[test]
-fn told_that_it_ended_it_asks_how_at_once() {
+fn asks_for_the_outcome_as_soon_as_the_receiver_has_finished() {
     let (mut sender, now) = sender(None);
     sender.poll(now);
     assert!(sender.on_request(now, &Request::Ended).is_ok());
-    sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+    sender.on_answers(now, &[Answer::Running { received_bytes: 0 }]);
     assert!(
         matches!(sender.poll(now), Step::Offer(_)),
-        "told while an offer was out"
+        "reported while an offer was in flight"
     );
-    sender.on_answers(now, &[Answer::Running { held_bytes: 900 }]);
+    sender.on_answers(
+        now,
+        &[Answer::Running {
+            received_bytes: 900,
+        }],
+    );
     assert!(sender.on_request(now, &Request::Ended).is_ok());
     assert!(
         matches!(sender.poll(now), Step::Offer(_)),
-        "told while it waited"
+        "reported while it waited"
     );
     sender.on_answers(now, &[Answer::Done]);
-    assert_eq!(sender.poll(now), Step::Over(Outcome::Done));
+    assert_eq!(sender.poll(now), Step::Finished(Outcome::Done));
     assert_eq!(sender.progress().fraction(), 1.0);
     assert!(
         sender.on_request(now, &range(0, 0)).is_ok(),
-        "a late one is answered"
+        "late requests are answered"
     );
     sender.on_fault(Fault::Checksum);
-    assert_eq!(sender.poll(now), Step::Over(Outcome::Done), "over is over");
+    assert_eq!(
+        sender.poll(now),
+        Step::Finished(Outcome::Done),
+        "the outcome is final"
+    );
 }
 
 #[test]
-fn of_several_answers_the_one_that_works_on_it_counts() {
-    let running = Answer::Running { held_bytes: 1 };
+fn a_running_program_takes_precedence_over_other_answers() {
+    let running = Answer::Running { received_bytes: 1 };
     let failed = || Answer::Failed(Fault::Checksum);
-    let not_wanted = || Answer::Refused(Refusal::NotWanted);
+    let not_accepted = || Answer::Refused(Refusal::NotAccepted);
     let too_large = || Answer::Refused(Refusal::TooLarge { limit_bytes: 1 });
     let cases = [
         (vec![], None),
         (vec![Answer::Done, running], None),
-        (vec![not_wanted(), Answer::Busy], None),
+        (vec![not_accepted(), Answer::Busy], None),
         (
-            vec![not_wanted(), Answer::Done, failed()],
+            vec![not_accepted(), Answer::Done, failed()],
             Some(Outcome::Done),
         ),
         (
-            vec![not_wanted(), failed()],
+            vec![not_accepted(), failed()],
             Some(Outcome::Failed(Fault::Checksum)),
         ),
         (
-            vec![not_wanted(), too_large()],
+            vec![not_accepted(), too_large()],
             Some(Outcome::Refused(Refusal::TooLarge { limit_bytes: 1 })),
         ),
         (
-            vec![not_wanted()],
-            Some(Outcome::Refused(Refusal::NotWanted)),
+            vec![not_accepted()],
+            Some(Outcome::Refused(Refusal::NotAccepted)),
         ),
     ];
     for (answers, expected) in cases {
@@ -127,51 +136,55 @@ fn of_several_answers_the_one_that_works_on_it_counts() {
 }
 
 #[test]
-fn it_waits_as_long_as_it_is_told_to() {
-    let patience = Duration::from_secs(30);
-    let (mut sender, start) = sender(Some(patience));
+fn fails_after_the_timeout() {
+    let timeout = Duration::from_secs(30);
+    let (mut sender, start) = sender(Some(timeout));
     let mut now = start;
     let outcome = loop {
         match sender.poll(now) {
             Step::Offer(_) => sender.on_answers(now, &[]),
             Step::Wait(until) => now = until,
-            Step::Over(outcome) => break outcome,
+            Step::Finished(outcome) => break outcome,
         }
     };
-    assert!(matches!(outcome, Outcome::Unanswered(silent) if silent > patience));
-    assert!(now < start + patience + LAST_PAUSE * 2);
+    assert!(matches!(outcome, Outcome::NoAnswer(silent) if silent > timeout));
+    assert!(now < start + timeout + LAST_PAUSE * 2);
 }
 
 #[test]
-fn an_offer_that_is_never_answered_is_given_up() {
+fn an_offer_without_answers_times_out() {
     let (mut sender, now) = sender(None);
     assert!(matches!(sender.poll(now), Step::Offer(_)));
     let until = offers_at(&mut sender, now);
     assert_eq!(until, now + ANSWER);
     assert!(
         offers_at(&mut sender, until) > until,
-        "as if nobody had answered"
+        "like an offer without answers"
     );
     sender.on_answers(until, &[Answer::Done]);
     assert!(
-        !matches!(sender.poll(until), Step::Over(_)),
-        "an answer to no offer"
+        !matches!(sender.poll(until), Step::Finished(_)),
+        "an answer without an offer"
     );
 }
 
 #[test]
-fn what_is_not_there_can_not_be_asked_for() {
+fn rejects_requests_beyond_the_end() {
     let (mut sender, now) = sender(None);
     assert!(matches!(
         sender.on_request(now, &range(950, 0)),
         Err(Fault::Protocol(_))
     ));
     assert!(sender.on_request(now, &range(900, u64::MAX)).is_ok());
-    assert_eq!(sender.progress().held_bytes, 1000, "no more than there is");
+    assert_eq!(
+        sender.progress().received_bytes,
+        1000,
+        "limited to the size"
+    );
 }
 
 #[test]
-fn confirms_its_offer_until_it_is_over() {
+fn confirms_its_offer_until_it_has_finished() {
     let (mut sender, now) = sender(None);
     sender.poll(now);
     let confirm = Request::Confirm;
@@ -181,15 +194,15 @@ fn confirms_its_offer_until_it_is_over() {
 }
 
 #[test]
-fn a_receivers_end_is_held_until_a_later_offer_is_answered() {
+fn holds_the_reply_to_an_end_until_a_later_offer_is_answered() {
     let (mut sender, now) = sender(None);
     sender.poll(now);
     // The first offer may have been answered before the transfer ended.
     let held = sender.on_request(now, &Request::Ended);
     assert_eq!(held, Ok(Response::AfterOffer(2)));
-    sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+    sender.on_answers(now, &[Answer::Running { received_bytes: 0 }]);
     assert!(matches!(sender.poll(now), Step::Offer(_)), "the second");
-    sender.on_answers(now, &[Answer::Running { held_bytes: 0 }]);
+    sender.on_answers(now, &[Answer::Running { received_bytes: 0 }]);
     let held = sender.on_request(now, &Request::Ended);
     assert_eq!(held, Ok(Response::AfterOffer(3)));
 }

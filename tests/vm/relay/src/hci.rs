@@ -1,4 +1,5 @@
-//! HCI packets in H4 framing, as far as the relay must understand them. Everything read here is checked for length.
+//! Parses and builds HCI packets in H4 framing, as far as the relay needs them. All received data is checked for its
+//! length.
 
 use std::time::Duration;
 
@@ -8,12 +9,12 @@ use thiserror::Error;
 pub const COMMAND: u8 = 0x01;
 pub const ACL: u8 = 0x02;
 pub const EVENT: u8 = 0x04;
-/// vhci's own type: creates a device and tells its index.
+/// Packet type of vhci: creates a device and reports its index.
 pub const VENDOR: u8 = 0xff;
 
-/// An ACL packet's H4 type and header.
+/// Size of an ACL packet's H4 type and header.
 pub const ACL_HEADER_BYTES: usize = 5;
-/// No emulated controller sends more than this in one packet.
+/// Maximum size of a packet of an emulated controller.
 const MAX_PACKET_BYTES: usize = 2048;
 
 const HCI_RESET: u16 = 0x0c03;
@@ -30,17 +31,17 @@ const COMMAND_STATUS: u8 = 0x0f;
 const NUMBER_OF_COMPLETED_PACKETS: u8 = 0x13;
 const LE_META: u8 = 0x3e;
 
-/// Why a link ended: nothing was heard for the supervision timeout.
+/// Reason of a disconnection: the supervision timeout expired.
 pub const CONNECTION_TIMEOUT: u8 = 0x08;
 
-/// HCI Reset, and its answer.
+/// HCI Reset, and its response.
 pub const RESET: [u8; 4] = [COMMAND, 0x03, 0x0c, 0];
 pub const RESET_COMPLETE: [u8; 7] = [EVENT, COMMAND_COMPLETE, 4, 1, 0x03, 0x0c, 0];
 
 pub type Address = [u8; 6];
 pub type Handle = u16;
 
-/// What the peer of a socket sent is not HCI.
+/// The received data is not HCI.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum HciError {
     #[error("unknown packet type {0:#04x}")]
@@ -49,7 +50,7 @@ pub enum HciError {
     TooLong(usize),
 }
 
-/// Length of the packet that `bytes` begins with, once its header is there.
+/// Returns the length of the packet at the start of `bytes`, once its header is complete.
 pub fn packet_bytes(bytes: &[u8]) -> Result<Option<usize>, HciError> {
     let total = match *bytes {
         [] => return Ok(None),
@@ -67,14 +68,14 @@ pub fn packet_bytes(bytes: &[u8]) -> Result<Option<usize>, HciError> {
     Ok(Some(total))
 }
 
-/// What the relay wants to know of a command that the kernel sends.
+/// Commands of the kernel that are relevant to the relay.
 #[derive(Debug, PartialEq, Eq)]
 pub enum HostCommand {
-    /// The controller forgets everything.
+    /// Resets the controller.
     Reset,
     Disconnect,
     SetRandomAddress(Address),
-    /// The longest time between two advertising events.
+    /// Maximum time between two advertising events.
     SetAdvertisingInterval(Duration),
     Other,
 }
@@ -104,11 +105,11 @@ pub enum Role {
     Peripheral,
 }
 
-/// What the relay wants to know of an event that the emulated controller sends.
+/// Events of the emulated controller that are relevant to the relay.
 #[derive(Debug, PartialEq, Eq)]
 pub enum ControllerEvent {
     OwnAddress(Address),
-    /// The answer to LE Read Buffer Size, both versions; the figures are at fixed places.
+    /// Response to LE Read Buffer Size, both versions; the values are at fixed positions.
     BufferSize,
     DisconnectStatus,
     Connected {
@@ -119,7 +120,7 @@ pub enum ControllerEvent {
     Disconnected {
         handle: Handle,
     },
-    /// Somebody advertises; the address of the first report (btvirt sends one per event).
+    /// An advertisement was received. Contains the address of the first report (btvirt sends one per event).
     AdvertisingReport {
         from: Address,
     },
@@ -148,7 +149,8 @@ pub fn controller_event(packet: &[u8]) -> ControllerEvent {
         (DISCONNECTION_COMPLETE, [0, low, high, _]) => ControllerEvent::Disconnected {
             handle: u16::from_le_bytes([*low, *high]),
         },
-        // LE Connection Complete and its enhanced form begin alike: status, handle, role, peer's address type, address.
+        // LE Connection Complete and its enhanced form start with the same fields: status, handle, role, peer's address
+        // type, address.
         (LE_META, [0x01 | 0x0a, 0, low, high, role, _, a, b, c, d, e, f, ..]) => {
             ControllerEvent::Connected {
                 handle: u16::from_le_bytes([*low, *high]),
@@ -171,7 +173,7 @@ pub fn controller_event(packet: &[u8]) -> ControllerEvent {
     }
 }
 
-/// Puts other figures into the answer to LE Read Buffer Size; 0 leaves what is there.
+/// Replaces the values in the response to LE Read Buffer Size; 0 keeps a value.
 pub fn set_buffer_size(packet: &mut [u8], acl_bytes: u16, buffers: u8) {
     let Some([low, high, count, ..]) = packet.get_mut(7..) else {
         return;
@@ -184,7 +186,7 @@ pub fn set_buffer_size(packet: &mut [u8], acl_bytes: u16, buffers: u8) {
     }
 }
 
-/// Puts another handle into LE Connection Complete.
+/// Replaces the handle in LE Connection Complete.
 pub fn set_connected_handle(packet: &mut [u8], handle: Handle) {
     if let Some(field) = packet.get_mut(5..7) {
         field.copy_from_slice(&handle.to_le_bytes());
@@ -203,8 +205,8 @@ pub fn acl_handle(packet: &[u8]) -> Option<Handle> {
     }
 }
 
-/// The packet as the peer's controller hands it over: its own handle, and "first, not flushable", which only a host
-/// may send, becomes "first".
+/// Returns the packet as the peer's controller delivers it: with the peer's handle, and with "first, not flushable",
+/// which only a host may send, replaced by "first".
 pub fn acl_for_peer(mut packet: Vec<u8>, handle: Handle) -> Vec<u8> {
     if let [ACL, low, high, ..] = packet.as_mut_slice() {
         let continuing = u16::from_le_bytes([*low, *high]) & 0x3000 == 0x1000;
@@ -229,7 +231,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_packet_s_length_is_known_once_its_header_is_there() {
+    fn determines_the_packet_length_from_the_header() {
         assert_eq!(packet_bytes(&[]), Ok(None));
         assert_eq!(packet_bytes(&[EVENT, 0x0e]), Ok(None));
         assert_eq!(packet_bytes(&[EVENT, 0x0e, 4]), Ok(Some(7)));
@@ -237,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn rejects_invalid_packets() {
         assert_eq!(packet_bytes(&[9]), Err(HciError::Type(9)));
         assert_eq!(
             packet_bytes(&[ACL, 0, 0, 0xff, 0xff]),
@@ -246,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn events_cut_short_are_other_events() {
+    fn ignores_truncated_events() {
         let connected = [
             EVENT, LE_META, 19, 1, 0, 42, 0, 0, 0, 1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0,
         ];
@@ -268,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn the_buffer_size_is_rewritten_in_place() {
+    fn replaces_the_buffer_size_in_place() {
         let mut packet = [EVENT, COMMAND_COMPLETE, 7, 1, 0x02, 0x20, 0, 192, 0, 1];
         assert_eq!(controller_event(&packet), ControllerEvent::BufferSize);
         set_buffer_size(&mut packet, 251, 0);
@@ -278,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_s_first_packet_arrives_as_a_controller_s_first_packet() {
+    fn converts_the_first_packet_of_a_host_for_the_peer() {
         assert_eq!(
             acl_for_peer(vec![ACL, 42, 0x00, 1, 0, 7], 43),
             [ACL, 43, 0x20, 1, 0, 7]

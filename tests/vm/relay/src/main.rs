@@ -1,10 +1,11 @@
-//! `ble-relay`: gives the guest's kernel Bluetooth controllers whose radio has a pace and can be made to fail.
+//! Provides the guest's kernel with Bluetooth controllers whose radio has a rate limit and injectable faults.
 //!
-//! Each controller is a `/dev/vhci` device towards the kernel and a connection to `btvirt -s` towards the emulation.
-//! btvirt does advertising, scanning, connecting and pairing; ACL data goes from one kernel device to the other in here,
-//! because btvirt (5.66) has no pace and delivers under the sender's handle, which mixes up an adapter's links as soon
-//! as it has two of them. `room.rs` decides, `hci.rs` reads and writes packets, `serve.rs` moves bytes, `ctl.rs` talks
-//! to a running relay. Started in the guest by `tests/vm/guest/room`; unit tests: `cargo test -p ble-relay`.
+//! Each controller consists of a `/dev/vhci` device towards the kernel and a connection to `btvirt -s` towards the
+//! emulation. btvirt handles advertising, scanning, connecting and pairing. This program carries ACL data from one
+//! kernel device to the other, because btvirt (5.66) has no rate limit and delivers data under the sender's handle,
+//! which confuses the links of an adapter that has two of them. `room.rs` contains the logic, `hci.rs` parses and
+//! builds packets, `serve.rs` moves bytes, and `ctl.rs` sends requests to a running relay. Started in the guest by
+//! `tests/vm/guest/room`; unit tests: `cargo test -p ble-relay`.
 
 mod ctl;
 mod hci;
@@ -15,11 +16,11 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 
-/// Emulated LE controllers with a radio's pace and faults on request.
+/// Emulates LE controllers with a rate limit and injectable faults.
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Where requests are taken.
+    /// Path of the control socket.
     #[arg(long, global = true, default_value = "/run/ble-relay")]
     control: PathBuf,
     #[command(subcommand)]
@@ -30,9 +31,9 @@ struct Args {
 enum Command {
     /// Run the relay until it is killed.
     Serve(serve::Options),
-    /// Send one request to a running relay and print its answer: `add`, `remove hciN`, `swap hciN hciM` (both pulled, and
-    /// plugged in the other way round), `list`, `freeze hciN` (radio silence), `thaw hciN`, `drop hciN` (its links are
-    /// lost: supervision timeout at both ends), `pace hciN BYTES_PER_S`.
+    /// Send one request to a running relay and print its reply: `add`, `remove hciN`, `swap hciN hciM` (unplugs both
+    /// and plugs them in in the opposite order), `list`, `freeze hciN` (radio silence), `thaw hciN`, `drop hciN` (ends
+    /// its links with a supervision timeout at both ends), `pace hciN BYTES_PER_S` (rate limit).
     Ctl { request: Vec<String> },
 }
 

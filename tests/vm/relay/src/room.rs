@@ -1,7 +1,8 @@
-//! What the relay does with each packet, without I/O: which links exist, how fast data goes, which faults are on.
+//! Decides what happens to each packet, without I/O: keeps track of the links, the rate limits and the injected faults.
 //!
-//! A controller sends one packet at a time; the packet arrives when its airtime at the set pace is over. The kernel
-//! learns only then that the buffer is free, so its own flow control follows the pace. Other packets pass at once.
+//! A controller sends one packet at a time. The packet arrives when its airtime at the configured rate has elapsed. Only
+//! then does the kernel learn that the buffer is free, so its own flow control follows the rate. All other packets are
+//! forwarded immediately.
 
 mod advertising;
 mod controller;
@@ -18,16 +19,16 @@ use std::{
 use self::controller::Controller;
 use crate::hci::{self, ControllerEvent, Handle, HostCommand, Role};
 
-/// After a pause of the machine a sender may catch up on this much, so that the mean stays at the pace.
+/// Amount of time that a sender may catch up after a pause of the machine, so that the mean rate stays at the limit.
 const CATCH_UP: Duration = Duration::from_millis(10);
-/// btvirt counts a controller's handles from here and gives out the lowest free one.
+/// First handle that btvirt assigns to a controller; it assigns the lowest free handle.
 const FIRST_HANDLE: Handle = 42;
 
-/// One controller, for as long as it exists.
+/// Identifies a controller while it exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Id(pub u32);
 
-/// What the shell has to send.
+/// Packets to be sent.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Output {
     /// To the kernel.
@@ -36,20 +37,20 @@ pub enum Output {
     Controller(Id, Vec<u8>),
 }
 
-/// Buffers that the kernel is told of, instead of btvirt's one of 192 bytes. 0: leave the figure alone.
+/// Buffers that are reported to the kernel, instead of btvirt's one buffer of 192 bytes. 0 keeps the value of btvirt.
 #[derive(Debug, Clone, Copy)]
 pub struct Buffers {
     pub count: u8,
     pub acl_bytes: u16,
 }
 
-/// All controllers that hear each other.
+/// Controllers in range of each other.
 #[derive(Debug)]
 pub struct Room {
     controllers: BTreeMap<Id, Controller>,
     buffers: Buffers,
     outputs: VecDeque<Output>,
-    /// Advertising reports on their way, with the time each is heard, in order.
+    /// Advertising reports in flight with the times of their delivery, in order.
     reports: VecDeque<(Instant, Id, Vec<u8>)>,
     next_id: u32,
 }
@@ -72,7 +73,7 @@ impl Room {
         id
     }
 
-    /// The controller is gone. Its peers hear no more of it, which btvirt does not tell them.
+    /// Removes a controller. Its peers receive supervision timeouts, because btvirt does not report the loss.
     pub fn remove(&mut self, id: Id) {
         self.forget_links(id);
         self.controllers.remove(&id);
@@ -85,8 +86,8 @@ impl Room {
         self.on_time(now);
     }
 
-    /// Radio silence: nothing is heard of this controller and it hears nothing; nothing is lost either, as a radio
-    /// repeats until the supervision timeout. That is `drop_links`, for whoever models it.
+    /// Silences the radio of a controller: it neither sends nor receives. No data is lost, because a radio retransmits
+    /// until the supervision timeout; use `drop_links` to model the timeout.
     pub fn freeze(&mut self, id: Id) {
         if let Some(controller) = self.controllers.get_mut(&id) {
             controller.frozen = true;
@@ -100,7 +101,7 @@ impl Room {
         self.on_time(now);
     }
 
-    /// All links of this controller end with a supervision timeout, at both ends. Returns how many there were.
+    /// Ends all links of this controller with a supervision timeout at both ends. Returns their number.
     pub fn drop_links(&mut self, id: Id) -> usize {
         let Some(controller) = self.controllers.get_mut(&id) else {
             return 0;
@@ -115,7 +116,7 @@ impl Room {
         controller.links.len()
     }
 
-    /// For people: links, data sent, faults.
+    /// Returns a readable description: links, bytes sent, faults.
     pub fn describe(&self, id: Id) -> String {
         let Some(c) = self.controllers.get(&id) else {
             return String::new();
@@ -129,13 +130,14 @@ impl Room {
         )
     }
 
-    /// The kernel sent this.
+    /// Handles a packet of the kernel.
     pub fn on_host_packet(&mut self, id: Id, packet: Vec<u8>, now: Instant) {
         let Some(controller) = self.controllers.get_mut(&id) else {
             return;
         };
         if packet.first() == Some(&hci::ACL) {
-            // The kernel sends for known links and no more than there are buffers, so this queue is bounded by it.
+            // The kernel sends only on known links and only as many packets as there are buffers, which bounds this
+            // queue.
             controller.waiting.push_back(packet);
             self.on_time(now);
             return;
@@ -155,7 +157,7 @@ impl Room {
         self.outputs.push_back(Output::Controller(id, packet));
     }
 
-    /// The emulated controller sent this.
+    /// Handles a packet of the emulated controller.
     pub fn on_controller_packet(&mut self, id: Id, mut packet: Vec<u8>, now: Instant) {
         if !self.controllers.contains_key(&id) {
             return;
@@ -172,7 +174,8 @@ impl Room {
                 self.edit(id, |c| pass = c.disconnects.pop_front() != Some(true));
             }
             ControllerEvent::Connected { handle, role, peer } => {
-                // btvirt tells the dialled end the dialler's handle, not its own; they differ once one has two links.
+                // btvirt reports the dialler's handle to the dialled end. The handles differ as soon as one end has two
+                // links.
                 let handle = match role {
                     Role::Central => handle,
                     Role::Peripheral => self.lowest_free_handle(id),
@@ -193,9 +196,9 @@ impl Room {
         self.on_time(now);
     }
 
-    /// Sends on what is due.
+    /// Delivers everything that is due.
     pub fn on_time(&mut self, now: Instant) {
-        self.hear_reports(now);
+        self.deliver_reports(now);
         let ids: Vec<Id> = self.controllers.keys().copied().collect();
         for id in ids {
             self.transmit_next(id, now);
@@ -205,11 +208,11 @@ impl Room {
         }
     }
 
-    /// When `on_time` has something to do again.
+    /// Returns the next time at which `on_time` must be called.
     pub fn deadline(&self) -> Option<Instant> {
         let speaking = self.controllers.values().filter(|c| !c.frozen);
         let data = speaking.filter_map(|c| c.on_air.as_ref().map(|t| t.ends));
-        data.chain(self.reports.front().map(|(heard, ..)| *heard))
+        data.chain(self.reports.front().map(|(delivery, ..)| *delivery))
             .min()
     }
 

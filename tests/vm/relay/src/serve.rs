@@ -1,4 +1,4 @@
-//! The relay's shell: one thread, `ppoll` over the vhci devices, the connections to btvirt and the control socket.
+//! Runs the relay: one thread that polls the vhci devices, the connections to btvirt and the control socket.
 
 use std::{
     collections::BTreeMap,
@@ -22,7 +22,7 @@ use crate::{
 };
 
 const VHCI: &str = "/dev/vhci";
-/// The largest packet that the kernel writes to vhci, with room to spare.
+/// Size of the read buffer: more than the largest packet that the kernel writes to vhci.
 const READ_BYTES: usize = 4096;
 const EARLY_PACKETS: usize = 16;
 const WAKE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -31,34 +31,34 @@ const CONTROL_LINE_BYTES: u64 = 256;
 
 #[derive(Args)]
 pub struct Options {
-    /// btvirt's socket for LE controllers.
+    /// Path of btvirt's socket for LE controllers.
     #[arg(long, default_value = "/tmp/bt-server-le")]
     btvirt: PathBuf,
-    /// How many controllers to begin with.
+    /// Initial number of controllers.
     #[arg(long, default_value_t = 2)]
     controllers: u8,
-    /// ACL bytes per second that each controller sends; 0: as fast as it goes.
+    /// Rate limit of each controller, in ACL bytes per second; 0: no limit.
     #[arg(long, default_value_t = 0)]
     pace: u32,
-    /// ACL buffers that a controller tells the kernel of; 0: btvirt's own figure.
+    /// Number of ACL buffers that a controller reports to the kernel; 0: the value of btvirt.
     #[arg(long, default_value_t = 8)]
     buffers: u8,
-    /// Size of such a buffer; 0: btvirt's own figure.
+    /// Size of an ACL buffer in bytes; 0: the value of btvirt.
     #[arg(long, default_value_t = 251)]
     acl_bytes: u16,
 }
 
-/// Why the relay cannot go on.
+/// Errors that end the relay.
 #[derive(Debug, Error)]
 pub enum RelayError {
-    #[error("{path} cannot be opened (module hci_vhci loaded?): {source}")]
+    #[error("cannot open {path}: {source}. Is the module hci_vhci loaded?")]
     Vhci {
         path: &'static str,
         source: io::Error,
     },
-    #[error("btvirt does not answer at {path} (started with -s?): {source}")]
+    #[error("btvirt does not respond at {path}: {source}. Was it started with -s?")]
     Btvirt { path: PathBuf, source: io::Error },
-    #[error("{path} cannot be listened on: {source}")]
+    #[error("cannot listen on {path}: {source}")]
     Control { path: PathBuf, source: io::Error },
     #[error("{name}: the kernel's side failed: {source}")]
     Host { name: String, source: io::Error },
@@ -74,7 +74,7 @@ struct Device {
     name: String,
     vhci: File,
     btvirt: UnixStream,
-    /// What btvirt sent of a packet that is not complete yet.
+    /// Received part of an incomplete packet of btvirt.
     pending: Vec<u8>,
 }
 
@@ -84,7 +84,7 @@ struct Relay<'a> {
     devices: BTreeMap<Id, Device>,
 }
 
-/// Serves until it fails or is killed.
+/// Runs the relay until it fails or is killed.
 pub fn serve(options: &Options, control: &Path) -> Result<(), RelayError> {
     let room = Room::new(Buffers {
         count: options.buffers,
@@ -112,8 +112,8 @@ pub fn serve(options: &Options, control: &Path) -> Result<(), RelayError> {
     }
 }
 
-/// Lets the emulated controller answer once before the kernel, which gives up after 2 s, asks it: a busy machine may take
-/// longer than that to load btvirt's code and the ciphers it uses.
+/// Waits until the emulated controller has responded once, before the kernel sends requests with a timeout of 2 s: a
+/// busy machine may take longer than that to load btvirt's code and the ciphers it uses.
 fn wake(btvirt: &UnixStream) -> io::Result<()> {
     btvirt.set_read_timeout(Some(WAKE_TIMEOUT))?;
     let mut socket = btvirt;
@@ -123,7 +123,7 @@ fn wake(btvirt: &UnixStream) -> io::Result<()> {
     btvirt.set_read_timeout(None)?;
     if answer != hci::RESET_COMPLETE {
         return Err(io::Error::other(format!(
-            "the answer to HCI Reset is {answer:02x?}"
+            "the response to HCI Reset is {answer:02x?}"
         )));
     }
     Ok(())
@@ -136,14 +136,14 @@ enum Ready {
 }
 
 impl Relay<'_> {
-    /// Creates one more controller and its kernel device; returns its name.
+    /// Creates another controller and its kernel device. Returns its name.
     fn add(&mut self) -> Result<String, RelayError> {
         let connected = UnixStream::connect(&self.options.btvirt);
         self.plug(connected.map_err(|source| self.btvirt_error(source))?)
     }
 
-    /// Two controllers lose their kernel devices and get new ones, each under the other's number where the kernel gives out
-    /// the lowest. Returns the names of what was `one` and `other`.
+    /// Replaces the kernel devices of two controllers, each with the number of the other if the kernel assigns the
+    /// lowest free number. Returns the new names of `one` and `other`.
     fn swap(&mut self, one: Id, other: Id) -> Result<String, RelayError> {
         let mut unplug = |id| {
             self.room.remove(id);
@@ -165,7 +165,7 @@ impl Relay<'_> {
         }
     }
 
-    /// Creates a kernel device for a controller; returns its name.
+    /// Creates a kernel device for a controller. Returns its name.
     fn plug(&mut self, btvirt: UnixStream) -> Result<String, RelayError> {
         let vhci_error = |source| RelayError::Vhci { path: VHCI, source };
         wake(&btvirt).map_err(|source| self.btvirt_error(source))?;
@@ -175,7 +175,7 @@ impl Relay<'_> {
             .open(VHCI)
             .map_err(vhci_error)?;
         (&vhci).write_all(&[hci::VENDOR, 0]).map_err(vhci_error)?;
-        // The answer says which device it is; the kernel's first commands may already be there before it.
+        // The response contains the index of the device. The kernel's first commands may arrive before it.
         let mut early = Vec::new();
         let index = loop {
             let mut answer = vec![0; READ_BYTES];
@@ -186,13 +186,13 @@ impl Relay<'_> {
                 _ if early.len() < EARLY_PACKETS => early.push(answer),
                 _ => {
                     return Err(vhci_error(io::Error::other(
-                        "the kernel does not say which device it made",
+                        "the kernel did not report the index of the new device",
                     )))
                 }
             }
         };
         let name = format!("hci{index}");
-        println!("{name} is there");
+        println!("{name} was added");
         let id = self.room.add(self.options.pace);
         self.devices.insert(
             id,
@@ -214,7 +214,7 @@ impl Relay<'_> {
         for ready in self.wait(listener)? {
             match ready {
                 Ready::Control => {
-                    // Somebody who asks and goes away, or asks nothing, is no reason to stop.
+                    // A client that disconnects without a request, or before the reply, must not stop the relay.
                     if let Err(e) = self.answer(listener) {
                         eprintln!("request not answered: {e}");
                     }
@@ -295,7 +295,7 @@ impl Relay<'_> {
             Ok(0) => {
                 return failed(
                     &device.name,
-                    io::Error::new(ErrorKind::UnexpectedEof, "btvirt is gone"),
+                    io::Error::new(ErrorKind::UnexpectedEof, "btvirt closed the connection"),
                 )
             }
             Ok(n) => device.pending.extend_from_slice(&bytes[..n]),
@@ -325,7 +325,7 @@ impl Relay<'_> {
                     let Some(device) = self.devices.get(&id) else {
                         continue;
                     };
-                    // The kernel refuses packets while the device is down: nobody is there to hear them.
+                    // The kernel refuses packets while the device is down; they are lost, as on a real radio.
                     match (&device.vhci).write_all(&packet) {
                         Err(e)
                             if rustix::io::Errno::from_io_error(&e)

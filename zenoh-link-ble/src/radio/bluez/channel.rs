@@ -1,4 +1,4 @@
-//! Owns channels on kernel sockets: taking them, opening them, moving SDUs.
+//! Implements channels on kernel sockets: listening, connecting, sending and receiving SDUs.
 use std::sync::Arc;
 
 use async_trait::async_trait;
@@ -7,19 +7,20 @@ use bluer::l2cap::{SeqPacket, SeqPacketListener};
 use super::{
     device_address,
     errors::{connect_error, socket_error},
-    packets::Packets,
-    socket::{bound, connect},
+    sdu_socket::SduSocket,
+    socket::{bind, connect},
 };
 use crate::{
     address::{DeviceAddress, Psm},
     radio::{Channel, ChannelListener, ChannelOptions, RadioError},
 };
 
-/// Incoming channels the kernel holds until they are taken.
+/// Incoming channels that the kernel holds until they are accepted.
 const BACKLOG: u32 = 8;
-/// How much of a socket's receive buffer a byte of an SDU takes at most, where it is counted with 24 bytes more
-/// (`PER_SDU`): the kernel takes some 770 bytes for a K-frame, and K-frames have 23 bytes where packets have 27.
-const BUFFER_PER_BYTE: usize = 34;
+/// Receive buffer space, in bytes, that one byte of an SDU takes at most, if each SDU is counted with 24 additional
+/// bytes (`PER_SDU`). The kernel takes about 770 bytes for a K-frame, and a K-frame carries 23 bytes if packets have
+/// 27.
+const BUFFER_BYTES_PER_SDU_BYTE: usize = 34;
 
 pub(super) struct BluezListener {
     adapter: String,
@@ -35,7 +36,7 @@ impl BluezListener {
         options: ChannelOptions,
     ) -> Result<Self, RadioError> {
         let failed = socket_error("listen", adapter, psm);
-        let socket = bound(own, psm, options)
+        let socket = bind(own, psm, options)
             .and_then(|socket| socket.listen(BACKLOG))
             .map_err(&failed)?;
         let taken = socket.as_ref().local_addr().map_err(&failed)?;
@@ -58,14 +59,16 @@ impl ChannelListener for BluezListener {
     }
 
     async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError> {
-        let failed = socket_error("take a channel", &self.adapter, None);
+        let failed = socket_error("accept a channel", &self.adapter, None);
         loop {
             let (socket, from) = self.socket.accept().await.map_err(&failed)?;
             let peer = device_address(from.addr, from.addr_type);
             match BluezChannel::new(&self.adapter, peer, &socket) {
                 Ok(channel) => return Ok(Arc::new(channel)),
-                // It does not concern the listener that one peer has closed its channel again.
-                Err(error) => tracing::debug!("ble: {peer} closed its channel at once: {error}"),
+                // A peer that has already closed its channel does not affect the listener.
+                Err(error) => {
+                    tracing::debug!("ble: {peer} closed its channel immediately: {error}")
+                }
             }
         }
     }
@@ -75,8 +78,8 @@ pub(super) struct BluezChannel {
     adapter: String,
     peer: DeviceAddress,
     send_mtu: usize,
-    kept_unread_bytes: usize,
-    packets: Packets,
+    receive_capacity_bytes: usize,
+    packets: SduSocket,
 }
 
 impl BluezChannel {
@@ -87,7 +90,7 @@ impl BluezChannel {
         psm: Psm,
         options: ChannelOptions,
     ) -> Result<Self, RadioError> {
-        let socket = bound(own, None, options).map_err(socket_error("connect", adapter, None))?;
+        let socket = bind(own, None, options).map_err(socket_error("connect", adapter, None))?;
         let socket = connect(socket, peer, psm)
             .await
             .map_err(|error| connect_error(peer, psm, error))?;
@@ -96,7 +99,7 @@ impl BluezChannel {
 
     fn new(adapter: &str, peer: DeviceAddress, socket: &SeqPacket) -> Result<Self, RadioError> {
         let send_mtu = socket.send_mtu().map_err(|error| down(peer, error))?;
-        let packets = Packets::of(socket).map_err(|error| down(peer, error))?;
+        let packets = SduSocket::new(socket).map_err(|error| down(peer, error))?;
         let receive_buffer_bytes = packets
             .widen_receive_buffer()
             .map_err(|error| down(peer, error))?;
@@ -104,7 +107,7 @@ impl BluezChannel {
             adapter: adapter.to_owned(),
             peer,
             send_mtu,
-            kept_unread_bytes: receive_buffer_bytes / BUFFER_PER_BYTE,
+            receive_capacity_bytes: receive_buffer_bytes / BUFFER_BYTES_PER_SDU_BYTE,
             packets,
         })
     }
@@ -124,8 +127,8 @@ impl Channel for BluezChannel {
         self.send_mtu
     }
 
-    fn kept_unread_bytes(&self) -> usize {
-        self.kept_unread_bytes
+    fn receive_capacity_bytes(&self) -> usize {
+        self.receive_capacity_bytes
     }
 
     fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError> {
@@ -138,16 +141,16 @@ impl Channel for BluezChannel {
         match self.packets.try_send(sdu) {
             Ok(sent) if sent == sdu.len() => Ok(true),
             Ok(sent) => {
-                let cut = format!("{sent} of {} bytes of an sdu sent", sdu.len());
-                Err(down(self.peer, std::io::Error::other(cut)))
+                let partial = format!("{sent} of {} bytes of an sdu were sent", sdu.len());
+                Err(down(self.peer, std::io::Error::other(partial)))
             }
             Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => Ok(false),
             Err(error) => Err(down(self.peer, error)),
         }
     }
 
-    async fn has_room(&self) {
-        self.packets.has_room().await;
+    async fn writable(&self) {
+        self.packets.writable().await;
     }
 
     async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError> {

@@ -1,4 +1,4 @@
-//! Owns what BlueZ's and the kernel's errors mean to a user, and what to do about them.
+//! Maps errors of BlueZ and the kernel to [`RadioError`], with advice for the user.
 use bluer::{ErrorKind, Session};
 
 use crate::{
@@ -6,7 +6,7 @@ use crate::{
     radio::RadioError,
 };
 
-/// Turns a D-Bus error of `action` into its reason.
+/// Maps a D-Bus error of `action` to a [`RadioError`].
 pub(super) fn dbus_error(action: &'static str) -> impl Fn(bluer::Error) -> RadioError {
     move |error| {
         let text = error.to_string();
@@ -49,19 +49,19 @@ fn no_bluetoothd() -> RadioError {
     }
 }
 
-/// Why there is no such adapter, with what there is.
+/// Returns the error for a missing adapter. It lists the available adapters.
 pub(super) async fn no_adapter(name: &str, session: &Session) -> RadioError {
-    let mut there = match session.adapter_names().await {
-        Ok(there) => there,
+    let mut adapters = match session.adapter_names().await {
+        Ok(adapters) => adapters,
         Err(_) => return no_bluetoothd(),
     };
-    there.sort();
-    let advice = if !there.is_empty() {
-        format!("there is {}", there.join(", "))
+    adapters.sort();
+    let advice = if !adapters.is_empty() {
+        format!("available adapters: {}", adapters.join(", "))
     } else if is_raspberry_pi() {
-        "none at all. On a KIPR Wombat `dtoverlay=pi3-disable-bt` in /boot/config.txt switches it off: plug in a USB Bluetooth dongle, or replace that line by `dtoverlay=pi3-miniuart-bt` and reboot".to_owned()
+        "no Bluetooth adapter was found. On a KIPR Wombat, the line `dtoverlay=pi3-disable-bt` in /boot/config.txt disables the built-in adapter: plug in a USB Bluetooth dongle, or replace that line with `dtoverlay=pi3-miniuart-bt` and reboot".to_owned()
     } else {
-        "none at all: plug one in, or check `rfkill list` and `dmesg | grep -i bluetooth`; without Bluetooth, adapters named sim-... use the simulated air (`rect air`)".to_owned()
+        "no Bluetooth adapter was found: plug one in, or check `rfkill list` and `dmesg | grep -i bluetooth`. Without Bluetooth, use an adapter named sim-... on the simulated air (`rect air`)".to_owned()
     };
     RadioError::NoAdapter {
         adapter: name.to_owned(),
@@ -73,23 +73,24 @@ fn is_raspberry_pi() -> bool {
     std::fs::read("/proc/device-tree/model").is_ok_and(|model| model.starts_with(b"Raspberry Pi"))
 }
 
-/// Turns an error of a listening or unconnected socket into its reason.
+/// Maps an error of a listening or unconnected socket to a [`RadioError`].
 pub(super) fn socket_error(
     action: &'static str,
     adapter: &str,
     psm: Option<Psm>,
 ) -> impl Fn(std::io::Error) -> RadioError {
     let adapter = adapter.to_owned();
-    move |error| match (error.raw_os_error(), psm) {
+    move |error| {
+        match (error.raw_os_error(), psm) {
         (Some(libc::EAFNOSUPPORT | libc::EPROTONOSUPPORT), _) => RadioError::NoAdapter {
             adapter: adapter.clone(),
-            advice: "this kernel has no Bluetooth (`sudo modprobe bluetooth`)".to_owned(),
+            advice: "this kernel does not support Bluetooth; load the module with `sudo modprobe bluetooth`".to_owned(),
         },
         (Some(libc::EADDRINUSE), Some(psm)) => RadioError::PsmTaken(psm),
         (Some(libc::EACCES | libc::EPERM), _) => RadioError::NotPermitted {
             action,
             advice:
-                "run as a user who may use Bluetooth sockets; in a container they must be let in"
+                "run as a user who may use Bluetooth sockets; a container must be allowed to use them"
                     .to_owned(),
         },
         (Some(libc::ENODEV | libc::EADDRNOTAVAIL | libc::EHOSTUNREACH), _) => {
@@ -102,17 +103,18 @@ pub(super) fn socket_error(
             source: Box::new(error),
         },
     }
+    }
 }
 
-/// Turns the error with which a connect ended into its reason.
+/// Maps the error of a failed connect to a [`RadioError`].
 pub(super) fn connect_error(peer: DeviceAddress, psm: Psm, error: std::io::Error) -> RadioError {
     match error.raw_os_error() {
         Some(libc::ECONNREFUSED) => RadioError::Refused { peer, psm },
         Some(libc::EACCES | libc::EPERM) => RadioError::NotPermitted {
             action: "open a channel with that sec=",
             advice: format!(
-                "the two could not be paired, or paired so; the same sec= and secret= belong on both, and \
-                 `bluetoothctl remove {}` on either side forgets an old pairing",
+                "the two devices could not be paired at this security level; use the same sec= and secret= on both. \
+                 `bluetoothctl remove {}` on either side removes an old pairing",
                 peer.address
             ),
         },

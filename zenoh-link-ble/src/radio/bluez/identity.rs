@@ -1,48 +1,51 @@
-//! Owns which of the system's adapters is meant: the one of the name given, and from then on the one of its address, as
-//! the kernel numbers adapters anew when they are reset or plugged in again.
+//! Keeps track of which system adapter is used. The first lookup selects the adapter by the requested name; later
+//! lookups select it by its address, because the kernel renumbers adapters when they are reset or plugged in again.
 use bluer::{Adapter, Address, Session};
 use parking_lot::Mutex;
 
 pub(super) struct Identity {
-    /// As the user wrote it.
-    given: String,
-    now: Mutex<Now>,
+    /// Name as the user wrote it.
+    requested_name: String,
+    current: Mutex<Current>,
 }
 
-struct Now {
+struct Current {
     name: String,
-    /// The address of the first adapter found.
+    /// Address of the first adapter found.
     address: Option<Address>,
-    /// Counts how often the adapter was found under another name.
-    moves: u64,
+    /// Number of times the adapter was found under another name.
+    renames: u64,
 }
 
 impl Identity {
-    pub(super) fn new(given: &str) -> Self {
+    pub(super) fn new(requested_name: &str) -> Self {
         Self {
-            given: given.to_owned(),
-            now: Mutex::new(Now {
-                name: given.to_owned(),
+            requested_name: requested_name.to_owned(),
+            current: Mutex::new(Current {
+                name: requested_name.to_owned(),
                 address: None,
-                moves: 0,
+                renames: 0,
             }),
         }
     }
 
-    pub(super) fn given(&self) -> &str {
-        &self.given
+    pub(super) fn requested_name(&self) -> &str {
+        &self.requested_name
     }
 
-    /// The name it was last seen under.
+    /// Returns the name under which the adapter was last found.
     pub(super) fn name(&self) -> String {
-        self.now.lock().name.clone()
+        self.current.lock().name.clone()
     }
 
-    pub(super) fn moves(&self) -> u64 {
-        self.now.lock().moves
+    pub(super) fn renames(&self) -> u64 {
+        self.current.lock().renames
     }
 
-    /// The adapter; an error where it is missing.
+    /// Returns the adapter.
+    ///
+    /// # Errors
+    /// Fails if the adapter is missing.
     pub(super) async fn find(&self, session: &Session) -> bluer::Result<Adapter> {
         if let Some(adapter) = self.check(session, &self.name()).await {
             return Ok(adapter);
@@ -52,33 +55,33 @@ impl Identity {
                 return Ok(adapter);
             }
         }
-        // Another dongle in its place has its name and an address of its own.
-        let adapter = session.adapter(&self.given)?;
-        self.found(&self.given, adapter.address().await?);
+        // A different dongle that replaced the adapter has the requested name, but another address.
+        let adapter = session.adapter(&self.requested_name)?;
+        self.on_found(&self.requested_name, adapter.address().await?);
         Ok(adapter)
     }
 
-    /// The adapter of that name, if it is the one meant.
+    /// Returns the adapter of that name if it is the selected one.
     async fn check(&self, session: &Session, name: &str) -> Option<Adapter> {
         let adapter = session.adapter(name).ok()?;
         let address = adapter.address().await.ok()?;
-        let is_it = match self.now.lock().address {
+        let is_same = match self.current.lock().address {
             Some(known) => known == address,
-            None => name == self.given,
+            None => name == self.requested_name,
         };
-        is_it.then(|| {
-            self.found(name, address);
+        is_same.then(|| {
+            self.on_found(name, address);
             adapter
         })
     }
 
-    fn found(&self, name: &str, address: Address) {
-        let mut now = self.now.lock();
-        now.address.get_or_insert(address);
-        if now.name != name {
-            tracing::info!("ble: {} is {name} now", now.name);
-            name.clone_into(&mut now.name);
-            now.moves += 1;
+    fn on_found(&self, name: &str, address: Address) {
+        let mut current = self.current.lock();
+        current.address.get_or_insert(address);
+        if current.name != name {
+            tracing::info!("ble: {} is now {name}", current.name);
+            name.clone_into(&mut current.name);
+            current.renames += 1;
         }
     }
 }
@@ -88,15 +91,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_new_name_counts_and_the_first_address_stays() {
+    fn counts_renames_and_keeps_the_first_address() {
         let identity = Identity::new("hci0");
         let (first, other) = (Address([1; 6]), Address([2; 6]));
-        identity.found("hci0", first);
-        assert_eq!((identity.name().as_str(), identity.moves()), ("hci0", 0));
-        identity.found("hci1", first);
-        assert_eq!((identity.name().as_str(), identity.moves()), ("hci1", 1));
-        identity.found("hci0", other);
-        assert_eq!(identity.now.lock().address, Some(first));
-        assert_eq!((identity.given(), identity.moves()), ("hci0", 2));
+        identity.on_found("hci0", first);
+        assert_eq!((identity.name().as_str(), identity.renames()), ("hci0", 0));
+        identity.on_found("hci1", first);
+        assert_eq!((identity.name().as_str(), identity.renames()), ("hci1", 1));
+        identity.on_found("hci0", other);
+        assert_eq!(identity.current.lock().address, Some(first));
+        assert_eq!((identity.requested_name(), identity.renames()), ("hci0", 2));
     }
 }

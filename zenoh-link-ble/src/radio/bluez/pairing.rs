@@ -1,5 +1,6 @@
-//! Owns pairing: what bluetoothd is told when the kernel pairs two devices for `sec=medium` or `high`. bluetoothd asks one
-//! agent, the last that came, about all adapters; so the passkeys of this process are in one place.
+//! Answers the pairing requests of bluetoothd when the kernel pairs two devices for `sec=medium` or `sec=high`.
+//! bluetoothd sends the requests for all adapters to one agent, the one registered last. The passkeys of this process
+//! are therefore kept in one place.
 use std::collections::BTreeMap;
 
 use bluer::{
@@ -12,22 +13,23 @@ use tokio::sync::Mutex;
 use super::errors::dbus_error;
 use crate::radio::{ChannelOptions, RadioError, Security};
 
-/// What is typed in on each adapter.
+/// Passkey of each adapter.
 static PASSKEYS: Lock<BTreeMap<String, u32>> = Lock::new(BTreeMap::new());
 
-/// A radio's agent, without which BlueZ refuses to pair.
+/// Pairing agent of a radio. BlueZ does not pair without one.
 #[derive(Default)]
 pub(super) struct Pairing(Mutex<Option<Registered>>);
 
 struct Registered {
-    types_in: bool,
-    /// bluetoothd forgets it when it is restarted.
+    enters_passkey: bool,
+    /// Epoch of the radio at the registration. A restarted bluetoothd has lost the agent.
     epoch: u64,
     _handle: AgentHandle,
 }
 
 impl Pairing {
-    /// Makes sure that there is an agent where the kernel may pair for these options; `epoch`: the radio's.
+    /// Registers an agent if the kernel may pair for these options and no suitable agent is registered. `epoch` is the
+    /// radio's current epoch.
     pub(super) async fn prepare(
         &self,
         session: &Session,
@@ -35,7 +37,7 @@ impl Pairing {
         epoch: u64,
         options: &ChannelOptions,
     ) -> Result<(), RadioError> {
-        let types_in = match options.security {
+        let enters_passkey = match options.security {
             Security::Low => return Ok(()),
             Security::Medium => false,
             Security::High => true,
@@ -44,16 +46,22 @@ impl Pairing {
             PASSKEYS.lock().insert(adapter.to_owned(), passkey);
         }
         let mut registered = self.0.lock().await;
-        // One that types in stays where `medium` is asked for: it is there for `high`.
-        let serves = |there: &Registered| there.epoch == epoch && there.types_in >= types_in;
-        if registered.as_ref().is_some_and(serves) {
+        // An agent that enters passkeys also stays registered for `medium`: it is still needed for `high`.
+        let is_sufficient = |registered: &Registered| {
+            registered.epoch == epoch && registered.enters_passkey >= enters_passkey
+        };
+        if registered.as_ref().is_some_and(is_sufficient) {
             return Ok(());
         }
         *registered = None;
-        let agent = if types_in { typing() } else { confirming() };
+        let agent = if enters_passkey {
+            passkey_agent()
+        } else {
+            confirmation_agent()
+        };
         let handle = session.register_agent(agent).await;
         *registered = Some(Registered {
-            types_in,
+            enters_passkey,
             epoch,
             _handle: handle.map_err(dbus_error("register a pairing agent"))?,
         });
@@ -61,29 +69,37 @@ impl Pairing {
     }
 }
 
-/// Confirms what a headless robot can: the two sides' numbers are not compared by anyone. For `medium`, which keeps
-/// listeners out, not impostors at the moment of pairing.
-fn confirming() -> Agent {
+/// Returns an agent that confirms every pairing, because nobody can compare the two numbers on a headless robot. Used
+/// for `medium`, which protects against eavesdropping, but not against an impostor during pairing.
+fn confirmation_agent() -> Agent {
     Agent {
         request_default: true,
         request_confirmation: Some(Box::new(|_| Box::pin(async { Ok(()) }))),
-        request_authorization: Some(Box::new(|asked| {
-            tracing::info!("ble: pairs {} with {}", asked.adapter, asked.device);
+        request_authorization: Some(Box::new(|request| {
+            tracing::info!(
+                "ble: {} is pairing with {}",
+                request.adapter,
+                request.device
+            );
             Box::pin(async { Ok(()) })
         })),
         ..Default::default()
     }
 }
 
-/// Types in the passkey, for `high`. It can do nothing else, so that the kernel takes no other way of pairing: of two that
-/// can only type, both do.
-fn typing() -> Agent {
+/// Returns an agent that enters the passkey, for `high`. It declares no other capability, so that the kernel uses no
+/// other pairing method: if both sides have only a keyboard, both enter the passkey.
+fn passkey_agent() -> Agent {
     Agent {
         request_default: true,
-        request_passkey: Some(Box::new(|asked| {
-            tracing::info!("ble: pairs {} with {}", asked.adapter, asked.device);
-            let passkey = PASSKEYS.lock().get(&asked.adapter).copied();
-            // An adapter that this process does not use is somebody else's.
+        request_passkey: Some(Box::new(|request| {
+            tracing::info!(
+                "ble: {} is pairing with {}",
+                request.adapter,
+                request.device
+            );
+            let passkey = PASSKEYS.lock().get(&request.adapter).copied();
+            // An adapter without a passkey is not used by this process, but by another one.
             Box::pin(async move { passkey.ok_or(ReqError::Rejected) })
         })),
         ..Default::default()

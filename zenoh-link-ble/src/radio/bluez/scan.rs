@@ -1,4 +1,4 @@
-//! Owns scanning through bluetoothd: turns its device objects and their changes into fresh sightings.
+//! Scans through bluetoothd: turns its device objects and their property changes into advertising reports.
 use std::{
     collections::HashMap,
     time::{Duration, Instant},
@@ -11,20 +11,22 @@ use futures::{
     StreamExt,
 };
 
-use super::{device_address, errors::dbus_error, to_the_end};
+use super::{device_address, errors::dbus_error, run_to_completion};
 use crate::{
     advertisement::{Advertisement, SERVICE_UUID},
-    radio::{RadioError, Scan, Sighting},
+    radio::{AdvertisingReport, RadioError, Scan},
 };
 
-/// Each look at a device is a D-Bus round trip; in a hall full of devices they add up.
-const PER_DEVICE: Duration = Duration::from_millis(150);
-/// Devices remembered for that.
-const REMEMBERED: usize = 1024;
-/// The controller reports an unchanged advertisement once per scan: a new scan hears everybody again.
-const RESCAN: Duration = Duration::from_millis(600);
+/// Minimum time between two reads of one device. Each read is a D-Bus round trip, which adds up if many devices are in
+/// range.
+const MIN_READ_INTERVAL: Duration = Duration::from_millis(150);
+/// Number of devices for which the time of the last read is kept.
+const MAX_DEVICES: usize = 1024;
+/// Time after which the discovery is restarted. The controller reports an unchanged advertisement once per scan; a new
+/// scan reports every device again.
+const RESCAN_INTERVAL: Duration = Duration::from_millis(600);
 
-/// One run of bluetoothd's discovery. Dropping it stops the discovery, and the next one waits for that.
+/// One run of bluetoothd's discovery. Dropping it stops the discovery; the next run waits until it has stopped.
 struct Discovery {
     adapter: Adapter,
     found: BoxStream<'static, AdapterEvent>,
@@ -35,7 +37,7 @@ struct Discovery {
 impl Discovery {
     async fn start(adapter: &Adapter) -> bluer::Result<Self> {
         let adapter = adapter.clone();
-        to_the_end(async move {
+        run_to_completion(async move {
             let found = adapter.discover_devices().await?.boxed();
             Ok(Self {
                 adapter,
@@ -47,7 +49,7 @@ impl Discovery {
         .await
     }
 
-    /// The next device found or changed; `None` when bluetoothd ended the discovery.
+    /// Returns the next device that was found or changed; `None` if bluetoothd ended the discovery.
     async fn next(&mut self) -> Option<Address> {
         loop {
             tokio::select! {
@@ -72,7 +74,7 @@ impl Discovery {
 pub(super) struct BluezScan {
     adapter: Adapter,
     discovery: Option<Discovery>,
-    looked_at: HashMap<Address, Instant>,
+    last_read: HashMap<Address, Instant>,
 }
 
 impl BluezScan {
@@ -82,19 +84,19 @@ impl BluezScan {
             duplicate_data: true,
             ..Default::default()
         };
-        // Another scan of this process may run with the same filter; it can't be set again then.
+        // Another scan of this process may be running with the same filter, which cannot be set again then.
         if let Err(error) = adapter.set_discovery_filter(filter).await {
-            tracing::debug!(%error, "the discovery filter stays as it is");
+            tracing::debug!(%error, "the discovery filter could not be set");
         }
         let discovery = Discovery::start(&adapter).await?;
         Ok(Self {
             adapter,
             discovery: Some(discovery),
-            looked_at: HashMap::new(),
+            last_read: HashMap::new(),
         })
     }
 
-    /// The next device found or changed; starts the discovery anew when it is time to.
+    /// Returns the next device that was found or changed. Restarts the discovery when it is due.
     async fn next_device(&mut self) -> Result<Address, RadioError> {
         loop {
             let discovery = match &mut self.discovery {
@@ -104,13 +106,13 @@ impl BluezScan {
                     stopped.insert(started.map_err(dbus_error("scan"))?)
                 }
             };
-            let left = RESCAN.saturating_sub(discovery.started.elapsed());
-            match tokio::time::timeout(left, discovery.next()).await {
+            let remaining = RESCAN_INTERVAL.saturating_sub(discovery.started.elapsed());
+            match tokio::time::timeout(remaining, discovery.next()).await {
                 Ok(Some(address)) => return Ok(address),
                 Ok(None) => {
                     return Err(RadioError::NoService {
                         service: "bluetoothd",
-                        advice: "it ended the scan; the scan starts again by itself".to_owned(),
+                        advice: "it ended the scan, which is restarted automatically".to_owned(),
                     })
                 }
                 Err(_) => self.discovery = None,
@@ -118,47 +120,48 @@ impl BluezScan {
         }
     }
 
-    /// What bluetoothd knows of a device, if it was heard in this scan: a device remembered from earlier has no RSSI.
-    async fn look_at(adapter: &Adapter, address: Address) -> Option<Sighting> {
+    /// Reads the properties of a device if it was received in this scan: a device remembered from earlier has no RSSI.
+    async fn read_device(adapter: &Adapter, address: Address) -> Option<AdvertisingReport> {
         let device = adapter.device(address).ok()?;
-        let (heard, data, kind) =
+        let (rssi, data, kind) =
             tokio::join!(device.rssi(), device.service_data(), device.address_type());
-        let rssi_dbm = heard.ok()??;
+        let rssi_dbm = rssi.ok()??;
         let data = data.ok().flatten().unwrap_or_default();
         let advertisement = data
             .get(&Uuid::from_u128(SERVICE_UUID))
             .and_then(|data| Advertisement::decode(data).ok());
-        Some(Sighting {
+        Some(AdvertisingReport {
             device: device_address(address, kind.ok()?),
             advertisement,
-            // 127 means "not known" (Core Specification, Vol 4, Part E, 7.7.65.2); heard it was all the same.
+            // 127 means "not available" (Core Specification, Vol 4, Part E, 7.7.65.2); the advertisement was still
+            // received.
             rssi_dbm: Some(rssi_dbm).filter(|rssi| *rssi != 127),
         })
     }
 
     fn is_due(&self, address: Address) -> bool {
-        let last = self.looked_at.get(&address);
-        last.is_none_or(|last| last.elapsed() >= PER_DEVICE)
+        let last = self.last_read.get(&address);
+        last.is_none_or(|last| last.elapsed() >= MIN_READ_INTERVAL)
     }
 
-    fn on_seen(&mut self, address: Address) {
-        if self.looked_at.len() >= REMEMBERED {
-            self.looked_at.clear();
+    fn on_read(&mut self, address: Address) {
+        if self.last_read.len() >= MAX_DEVICES {
+            self.last_read.clear();
         }
-        self.looked_at.insert(address, Instant::now());
+        self.last_read.insert(address, Instant::now());
     }
 }
 
 #[async_trait]
 impl Scan for BluezScan {
-    async fn next(&mut self) -> Result<Sighting, RadioError> {
+    async fn next(&mut self) -> Result<AdvertisingReport, RadioError> {
         loop {
             let address = self.next_device().await?;
             if self.is_due(address) {
                 let adapter = self.adapter.clone();
-                if let Some(sighting) = Self::look_at(&adapter, address).await {
-                    self.on_seen(address);
-                    return Ok(sighting);
+                if let Some(report) = Self::read_device(&adapter, address).await {
+                    self.on_read(address);
+                    return Ok(report);
                 }
             }
         }

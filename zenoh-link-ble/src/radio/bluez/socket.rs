@@ -1,8 +1,8 @@
-//! Owns the opening of L2CAP sockets, with the pitfalls of the kernel and of bluer around it.
+//! Opens L2CAP sockets, and works around pitfalls of the kernel and of bluer.
 //!
-//! bluer's own `connect` registers the socket before it connects; the readiness of the unconnected socket then reads
-//! as success, so it returns while the channel is still being made, and the flag for "hung up" stays for good. Here a
-//! socket is registered once it is connecting, and handed to bluer anew once it is connected.
+//! The `connect` method of bluer registers the socket before it connects. It takes the readiness of the unconnected
+//! socket for success and returns while the channel is still being established, and the "hung up" flag is never
+//! cleared. Here, a socket is registered while it is connecting, and registered with bluer again once it is connected.
 use std::{
     io,
     os::fd::{AsRawFd, FromRawFd, IntoRawFd},
@@ -11,13 +11,13 @@ use std::{
 use bluer::l2cap::{FlowControl, SeqPacket, Socket, SocketAddr};
 use tokio::io::{unix::AsyncFd, Interest};
 
-use super::packets::{is_hung_up, is_writable};
+use super::sdu_socket::{is_hung_up, is_writable};
 use crate::{
     address::{AddressType, DeviceAddress, Psm},
     radio::{ChannelOptions, Security},
 };
 
-/// The kernel's `struct sockaddr_l2` (include/net/bluetooth/l2cap.h).
+/// `struct sockaddr_l2` of the kernel (include/net/bluetooth/l2cap.h).
 #[repr(C)]
 struct SockaddrL2 {
     family: libc::sa_family_t,
@@ -30,8 +30,9 @@ struct SockaddrL2 {
 const BDADDR_LE_PUBLIC: u8 = 1;
 const BDADDR_LE_RANDOM: u8 = 2;
 
-/// A socket bound to the local adapter. Binding an LE address comes first: the options after it depend on it.
-pub(super) fn bound(
+/// Returns a socket that is bound to the local adapter. The LE address must be bound first: the other options depend on
+/// it.
+pub(super) fn bind(
     own: DeviceAddress,
     psm: Option<Psm>,
     options: ChannelOptions,
@@ -43,7 +44,7 @@ pub(super) fn bound(
         bluer_kind(own.kind),
         psm,
     ))?;
-    // Old kernels know no mode for LE sockets and use the right one anyway.
+    // Old kernels have no such option for LE sockets and always use the right mode.
     let _ = socket.set_flow_control(FlowControl::Le);
     socket.set_recv_mtu(options.recv_mtu)?;
     let level = match options.security {
@@ -55,13 +56,13 @@ pub(super) fn bound(
     Ok(socket)
 }
 
-/// Connects. Dropping the future closes the socket, which cancels the attempt in the kernel.
+/// Connects the socket. Dropping the future closes the socket, which cancels the attempt in the kernel.
 pub(super) async fn connect(
     socket: Socket<SeqPacket>,
     peer: DeviceAddress,
     psm: Psm,
 ) -> io::Result<SeqPacket> {
-    // SAFETY: `into_raw_fd` gives up the descriptor, which is open and owned by nobody else.
+    // SAFETY: `into_raw_fd` releases the descriptor, which is open and has no other owner.
     let socket = unsafe { socket2::Socket::from_raw_fd(socket.into_raw_fd()) };
     start_connect(&socket, peer, psm)?;
     // SAFETY: `socket` owns its descriptor and keeps the same one until it is taken back below.
@@ -74,7 +75,7 @@ pub(super) async fn connect(
     };
     connecting.async_io(Interest::WRITABLE, connected).await?;
     let socket = connecting.into_inner();
-    // SAFETY: the descriptor is given up here and owned by the new `SeqPacket` alone.
+    // SAFETY: the descriptor is released here and owned only by the new `SeqPacket`.
     unsafe { SeqPacket::from_raw_fd(socket.into_raw_fd()) }
 }
 
@@ -91,7 +92,7 @@ fn start_connect(socket: &socket2::Socket, peer: DeviceAddress, psm: Psm) -> io:
             AddressType::Random => BDADDR_LE_RANDOM,
         },
     };
-    // SAFETY: `to` is a valid sockaddr_l2 of the size told, and lives through the call.
+    // SAFETY: `to` is a valid sockaddr_l2 of the given size and outlives the call.
     let result = unsafe {
         libc::connect(
             socket.as_raw_fd(),

@@ -1,4 +1,4 @@
-//! Owns the watch over an adapter: its power, its coming and going, and restarts of bluetoothd.
+//! Watches an adapter: its power, its presence, and restarts of bluetoothd.
 use std::sync::Arc;
 
 use bluer::{AdapterEvent, AdapterProperty, Session, SessionEvent};
@@ -9,7 +9,7 @@ use super::{errors::dbus_error, identity::Identity};
 use crate::radio::RadioError;
 
 pub(super) struct Watch {
-    /// Counts how often the adapter's object came or went.
+    /// Number of times the adapter's D-Bus object appeared or disappeared.
     changes: watch::Receiver<u64>,
     task: JoinHandle<()>,
 }
@@ -19,7 +19,7 @@ impl Watch {
         session: Session,
         identity: Arc<Identity>,
     ) -> Result<Self, RadioError> {
-        let mut of_session = session
+        let mut session_events = session
             .events()
             .await
             .map_err(dbus_error("watch the adapters"))?
@@ -27,7 +27,7 @@ impl Watch {
         let (sender, changes) = watch::channel(0);
         let task = tokio::spawn(async move {
             loop {
-                let mut of_adapter = match session.adapter(&identity.name()) {
+                let mut adapter_events = match session.adapter(&identity.name()) {
                     Ok(adapter) => match adapter.events().await {
                         Ok(events) => events.boxed(),
                         Err(_) => futures::stream::pending().boxed(),
@@ -36,11 +36,11 @@ impl Watch {
                 };
                 loop {
                     tokio::select! {
-                        event = of_session.next() => match event {
+                        event = session_events.next() => match event {
                             Some(SessionEvent::AdapterAdded(name)) => {
                                 let is_ours = name == identity.name();
                                 sender.send_modify(|epoch| *epoch += u64::from(is_ours));
-                                // A new object, of that name or of another: watch it instead of the old one.
+                                // A new object with this or another name: watch it instead of the old one.
                                 break;
                             }
                             Some(SessionEvent::AdapterRemoved(name)) if name == identity.name() => {
@@ -49,12 +49,12 @@ impl Watch {
                             Some(_) => {}
                             None => return,
                         },
-                        event = of_adapter.next() => match event {
+                        event = adapter_events.next() => match event {
                             Some(AdapterEvent::PropertyChanged(AdapterProperty::Powered(_))) => {
                                 sender.send_modify(|_| ());
                             }
                             Some(_) => {}
-                            None => of_adapter = futures::stream::pending().boxed(),
+                            None => adapter_events = futures::stream::pending().boxed(),
                         },
                     }
                 }
@@ -71,7 +71,7 @@ impl Watch {
         let mut changes = self.changes.clone();
         changes.mark_unchanged();
         if changes.changed().await.is_err() {
-            // The watch ended with its session: the caller looks again by itself.
+            // The watch ended with its session. The caller polls the state itself.
             std::future::pending::<()>().await;
         }
     }

@@ -1,4 +1,4 @@
-//! Owns one adapter of the simulated air: its name and address, and what it is doing besides its connections.
+//! Describes one adapter of the simulated air: its name, its address, and its activities apart from connections.
 use std::{collections::BTreeMap, time::Duration};
 
 use serde::{Deserialize, Serialize};
@@ -10,23 +10,26 @@ use crate::{
     radio::AdapterState,
 };
 
-/// How the name of every simulated adapter begins.
+/// Prefix of the name of every simulated adapter.
 pub const NAME_PREFIX: &str = "sim";
 
-/// The longest name of an adapter, in bytes.
+/// Maximum length of an adapter's name, in bytes.
 pub const MAX_ADAPTER_NAME_BYTES: usize = 32;
 
-/// The most of each kind of request that one adapter may have pending: far above what one robot needs.
+/// Maximum number of pending requests of each kind per adapter: far more than one robot needs.
 pub(super) const MAX_REQUESTS: usize = 128;
 
-/// The text cannot be a simulated adapter's name.
+/// The text is not a valid name of a simulated adapter.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error(
-    "{0:?} cannot be a simulated adapter: its name is `sim` and then letters, digits, - or _, at most 32 bytes in all"
+    "{0:?} is not a valid name of a simulated adapter: use `sim` followed by letters, digits, - or _, at most 32 bytes in total"
 )]
 pub struct AdapterNameError(pub String);
 
-/// Whether the text can be a simulated adapter's name.
+/// Checks that the text is a valid name of a simulated adapter.
+///
+/// # Errors
+/// Returns [`AdapterNameError`] if it is not.
 pub fn check_name(name: &str) -> Result<(), AdapterNameError> {
     let is_good = name.len() <= MAX_ADAPTER_NAME_BYTES
         && name.strip_prefix(NAME_PREFIX).is_some_and(|rest| {
@@ -40,7 +43,8 @@ pub fn check_name(name: &str) -> Result<(), AdapterNameError> {
     }
 }
 
-/// The address of the adapter of that name: static random, so its two top bits are set (Vol 6, Part B, 1.3.2.1).
+/// Returns the address of the adapter with this name: a static random address, so its two top bits are set (Vol 6, Part
+/// B, 1.3.2.1).
 pub fn address_of(name: &str) -> DeviceAddress {
     let [a, b, c, d] = crc32fast::hash(name.as_bytes()).to_be_bytes();
     let mut salted = crc32fast::Hasher::new();
@@ -59,9 +63,9 @@ pub(super) struct Adapter {
     pub(super) address: DeviceAddress,
     pub(super) state: AdapterState,
     pub(super) advertisements: BTreeMap<RequestId, Advertising>,
-    /// While it scans: when each advertisement was last reported.
+    /// While it scans: the time at which each advertisement was last reported.
     pub(super) scan: Option<BTreeMap<(AdapterId, RequestId), Duration>>,
-    /// The receive MTU of each listener.
+    /// Receive MTU of each listener, by PSM.
     pub(super) listeners: BTreeMap<u16, u16>,
     pub(super) dials: BTreeMap<RequestId, Dial>,
     pub(super) stats: AdapterStats,
@@ -74,7 +78,7 @@ pub(super) struct Advertising {
     pub(super) next: Duration,
 }
 
-/// A connect that waits for its peer's advertisement.
+/// A connect that is waiting for the peer's advertisement.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dial {
     pub(super) peer: DeviceAddress,
@@ -82,20 +86,20 @@ pub(super) struct Dial {
     pub(super) recv_mtu: u16,
 }
 
-/// What an adapter has sent so far.
+/// Traffic that an adapter has sent since it was attached.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdapterStats {
-    /// SDUs that its channels took.
+    /// Number of SDUs that its channels accepted.
     pub sdus: u64,
-    /// Their bytes, without what L2CAP and the link layer add.
+    /// Size of these SDUs in bytes, without the headers of L2CAP and the link layer.
     pub sdu_bytes: u64,
-    /// Bytes of its packets, headers included.
+    /// Size of its link-layer packets in bytes, headers included.
     pub bytes_on_air: u64,
-    /// Packets, repeats included.
+    /// Number of link-layer packets, retransmissions included.
     pub pdus: u64,
-    /// Packets that had to be sent again.
+    /// Number of retransmitted packets.
     pub repeats: u64,
-    /// Time its radio was taken by connection events; in seconds where it is written.
+    /// Time for which its radio was busy with connection events. Serialized in seconds.
     #[serde(rename = "busy_s", with = "seconds")]
     pub busy: Duration,
 }
@@ -115,8 +119,8 @@ mod seconds {
 }
 
 impl Adapter {
-    /// Whether it has an ear for advertisements.
-    pub(super) fn listens(&self) -> bool {
+    /// Returns whether the adapter receives advertisements: it scans or waits to connect.
+    pub(super) fn receives_advertisements(&self) -> bool {
         self.scan.is_some() || !self.dials.is_empty()
     }
 
@@ -137,7 +141,7 @@ impl Adapter {
         self.state == AdapterState::On
     }
 
-    /// Forgets all it was doing, as an adapter does that loses its power.
+    /// Ends all activities, as an adapter does when it loses power.
     pub(super) fn stop(&mut self) {
         self.advertisements.clear();
         self.scan = None;
@@ -151,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_begin_with_sim_and_are_short_and_plain() {
+    fn accepts_only_short_names_with_the_prefix_sim() {
         for good in ["sim", "sim0", "sim-wombat-1", "sim_A"] {
             assert_eq!(check_name(good), Ok(()), "{good}");
         }
@@ -167,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_static_random_and_belongs_to_the_name() {
+    fn derives_a_static_random_address_from_the_name() {
         let a = address_of("sim-a");
         assert_eq!(a, address_of("sim-a"));
         assert_ne!(a, address_of("sim-b"));

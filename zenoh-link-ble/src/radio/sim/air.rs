@@ -1,15 +1,15 @@
-//! Owns the simulated air: who is on it, what is due next, and the faults a test can inject. It does no I/O and has no
-//! clock: it is told the time, which counts from its start.
+//! Models the simulated air: the attached adapters, the next timer, and the faults that a test can inject. The model
+//! does no I/O and has no clock. Every call passes the time since the model's start.
 //!
-//! What is due when is in [`due`], how it does it in the other parts: [`commands`] (what adapters ask for),
-//! [`advertising`] (advertisements and the connections that come of them), [`exchange`] (packets of connections),
-//! [`delivery`] (what arrives).
+//! [`timers`] determines what happens next. The other parts implement it: [`commands`] (requests of adapters),
+//! [`advertising`] (advertisements and the connections that result from them), [`exchange`] (packets of connections),
+//! and [`delivery`] (received packets).
 mod advertising;
 mod commands;
 mod delivery;
-mod due;
 mod exchange;
 mod status;
+mod timers;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -22,34 +22,34 @@ use super::{
     adapter::{check_name, Adapter, AdapterNameError},
     condition::{Condition, Figures},
     connection::Connection,
-    dice::Dice,
     message::{ChannelId, Event},
     options::AirOptions,
+    rng::SimRng,
 };
 use crate::radio::AdapterState;
 
-use self::due::{Agenda, Due};
 pub use self::status::{AdapterStatus, AirStatus, LinkStatus};
+use self::timers::{Timer, TimerQueue};
 
-/// An adapter while it is attached.
+/// Identifies an adapter while it is attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct AdapterId(pub u32);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct ConnectionId(u32);
 
-/// Why an adapter cannot be attached.
+/// Reasons why an adapter cannot be attached.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum AttachError {
-    /// The name is none of a simulated adapter.
+    /// The name is not a valid name of a simulated adapter.
     #[error(transparent)]
     Name(#[from] AdapterNameError),
-    /// Somebody has attached an adapter of that name.
-    #[error("{0} is attached by another program already: choose another name")]
+    /// An adapter of that name is already attached.
+    #[error("{0} is already attached by another program: choose another name")]
     InUse(String),
 }
 
-/// There is no adapter of that name on the air.
+/// No adapter of that name is attached to the air.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error("there is no adapter {0} on the air: `rect air status` lists them")]
 pub struct NoSuchAdapter(pub String);
@@ -59,67 +59,67 @@ pub struct NoSuchAdapter(pub String);
 pub struct Air {
     options: AirOptions,
     figures: Figures,
-    dice: Dice,
+    rng: SimRng,
     now: Duration,
     adapters: BTreeMap<AdapterId, Adapter>,
     connections: BTreeMap<ConnectionId, Connection>,
-    homes: BTreeMap<ChannelId, ConnectionId>,
+    channel_connections: BTreeMap<ChannelId, ConnectionId>,
     last_adapter: u32,
     last_connection: u32,
     last_channel: u64,
     is_cut: bool,
-    /// Packets that still arrive before everything is cut.
+    /// Number of packets that still arrive before all radio contact is cut.
     cut_after: Option<u64>,
-    /// Who does not hear whom, by name: both ways round.
+    /// Pairs of adapters that are out of range of each other, by name, stored in both directions.
     cuts: BTreeMap<String, BTreeSet<String>>,
-    agenda: Agenda,
-    events: Vec<Happened>,
+    timers: TimerQueue,
+    events: Vec<TimedEvent>,
 }
 
-/// An event, with whom it is for and when it happened.
+/// An event with its time and the adapter it is for.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Happened {
-    /// When.
+pub struct TimedEvent {
+    /// Time of the event, since the start of the air.
     pub at: Duration,
-    /// For whom.
+    /// Adapter that receives the event.
     pub adapter: AdapterId,
-    /// What.
+    /// The event.
     pub event: Event,
 }
 
 impl Air {
-    /// An empty air. Options that no link could have are brought to the nearest that one could.
+    /// Returns an air without adapters. Options outside the range of Bluetooth are clamped to it.
     pub fn new(options: AirOptions) -> Self {
         let options = options.clamped();
         Self {
             figures: options.condition.figures(),
-            dice: Dice::new(options.seed),
+            rng: SimRng::new(options.seed),
             options,
             now: Duration::ZERO,
             adapters: BTreeMap::new(),
             connections: BTreeMap::new(),
-            homes: BTreeMap::new(),
+            channel_connections: BTreeMap::new(),
             last_adapter: 0,
             last_connection: 0,
             last_channel: 0,
             is_cut: false,
             cut_after: None,
             cuts: BTreeMap::new(),
-            agenda: Agenda::default(),
+            timers: TimerQueue::default(),
             events: Vec::new(),
         }
     }
 
-    /// Does all that is due until `now`.
+    /// Handles all timers that expire until `now`.
     pub fn poll(&mut self, now: Duration) {
-        while let Some((at, due)) = self.next_due().filter(|(at, _)| *at <= now) {
+        while let Some((at, timer)) = self.next_timer().filter(|(at, _)| *at <= now) {
             self.now = self.now.max(at);
-            match due {
-                Due::ExchangeEnd(id) => self.finish_exchange(id),
-                Due::GiveUp(id, side) => self.drop_side(id, side),
-                Due::Anchor(id) => self.on_anchor(id),
-                Due::Advertise(adapter, request) => self.on_advertise(adapter, request),
-                Due::LingerEnd(id) => {
+            match timer {
+                Timer::ExchangeEnd(id) => self.finish_exchange(id),
+                Timer::SupervisionTimeout(id, side) => self.drop_side(id, side),
+                Timer::Anchor(id) => self.on_anchor(id),
+                Timer::Advertise(adapter, request) => self.on_advertise(adapter, request),
+                Timer::LingerEnd(id) => {
                     self.connections.remove(&id);
                 }
             }
@@ -127,12 +127,12 @@ impl Air {
         self.now = self.now.max(now);
     }
 
-    /// What has happened since the last call, in order.
-    pub fn drain(&mut self) -> Vec<Happened> {
+    /// Returns the events since the last call, in order.
+    pub fn drain(&mut self) -> Vec<TimedEvent> {
         std::mem::take(&mut self.events)
     }
 
-    /// Brings an adapter on the air, powered on.
+    /// Attaches an adapter to the air, powered on.
     pub fn attach(&mut self, name: &str, now: Duration) -> Result<AdapterId, AttachError> {
         self.poll(now);
         check_name(name)?;
@@ -145,14 +145,14 @@ impl Air {
         Ok(id)
     }
 
-    /// Takes an adapter off the air; its peers are told, as when a program ends.
+    /// Detaches an adapter from the air. Its peers receive a termination, as when a program ends.
     pub fn detach(&mut self, id: AdapterId, now: Duration) {
         self.poll(now);
-        self.leave(id, true);
+        self.leave_connections(id, true);
         self.adapters.remove(&id);
     }
 
-    /// Switches an adapter on (also one that was removed) or off. Its peers are told, as BlueZ does.
+    /// Switches an adapter on (also a removed one) or off. Its peers receive a termination, as with BlueZ.
     pub fn power(&mut self, name: &str, on: bool, now: Duration) -> Result<(), NoSuchAdapter> {
         let state = if on {
             AdapterState::On
@@ -162,7 +162,8 @@ impl Air {
         self.set_state(name, state, now)
     }
 
-    /// Pulls an adapter out; its peers find out by hearing nothing.
+    /// Removes an adapter without notice, as when a dongle is unplugged. Its peers detect it by their supervision
+    /// timeout.
     pub fn remove(&mut self, name: &str, now: Duration) -> Result<(), NoSuchAdapter> {
         self.set_state(name, AdapterState::Missing, now)
     }
@@ -184,36 +185,37 @@ impl Air {
         adapter.state = state;
         if state != AdapterState::On {
             adapter.stop();
-            self.leave(id, state == AdapterState::Off);
+            self.leave_connections(id, state == AdapterState::Off);
         }
-        self.tell(id, Event::State(state));
+        self.emit(id, Event::State(state));
         Ok(())
     }
 
-    /// Nobody hears anybody any more.
+    /// Cuts the radio contact between all adapters.
     pub fn cut(&mut self, now: Duration) {
         self.poll(now);
         self.is_cut = true;
     }
 
-    /// As [`Air::cut`], at the moment when so many more packets with data have arrived (0: now). A packet counts once,
-    /// whatever it carries: a part of an SDU, or a command of L2CAP. The answer in the same exchange is not heard.
+    /// Cuts the radio contact as [`Air::cut`] does, once `packets` more packets with data have arrived (0:
+    /// immediately). Each packet counts once, whether it carries a part of an SDU or an L2CAP command. The response in
+    /// the same exchange is lost.
     pub fn cut_after(&mut self, packets: u64, now: Duration) {
         self.poll(now);
         self.is_cut |= packets == 0;
         self.cut_after = Some(packets).filter(|packets| *packets > 0);
     }
 
-    /// These two do not hear each other any more. They need not be on the air yet.
+    /// Cuts the radio contact between two adapters. They need not be attached yet.
     pub fn cut_between(&mut self, a: &str, b: &str, now: Duration) {
         self.poll(now);
         for (one, other) in [(a, b), (b, a)] {
-            let deaf_to = self.cuts.entry(one.to_owned()).or_default();
-            deaf_to.insert(other.to_owned());
+            let blocked = self.cuts.entry(one.to_owned()).or_default();
+            blocked.insert(other.to_owned());
         }
     }
 
-    /// Everybody hears everybody again.
+    /// Restores the radio contact between all adapters.
     pub fn restore(&mut self, now: Duration) {
         self.poll(now);
         self.is_cut = false;
@@ -221,7 +223,7 @@ impl Air {
         self.cuts.clear();
     }
 
-    /// Changes how good the air is.
+    /// Changes the radio condition.
     pub fn set_condition(&mut self, condition: Condition, now: Duration) {
         self.poll(now);
         self.options.condition = condition;
@@ -236,7 +238,7 @@ impl Air {
             .ok_or_else(|| NoSuchAdapter(name.to_owned()))
     }
 
-    /// Whether two adapters can hear each other at all.
+    /// Returns whether two adapters are on and in range of each other.
     fn is_in_range(&self, a: AdapterId, b: AdapterId) -> bool {
         let (Some(a), Some(b)) = (self.adapters.get(&a), self.adapters.get(&b)) else {
             return false;
@@ -244,13 +246,13 @@ impl Air {
         a.is_on() && b.is_on() && !self.is_cut && !self.is_cut_between(&a.name, &b.name)
     }
 
-    /// Whether what one sends does not get to the other, wherever they are and whether they are on.
+    /// Returns whether the contact between two adapters was cut, whether or not they are attached and on.
     fn is_cut_between(&self, a: &str, b: &str) -> bool {
-        self.cuts.get(a).is_some_and(|deaf_to| deaf_to.contains(b))
+        self.cuts.get(a).is_some_and(|blocked| blocked.contains(b))
     }
 
-    fn tell(&mut self, adapter: AdapterId, event: Event) {
-        self.events.push(Happened {
+    fn emit(&mut self, adapter: AdapterId, event: Event) {
+        self.events.push(TimedEvent {
             at: self.now,
             adapter,
             event,

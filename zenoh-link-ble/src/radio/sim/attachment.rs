@@ -1,5 +1,5 @@
-//! Owns an adapter's place on the air: who waits for what, and the sorting of what the air says to them. How commands
-//! and events travel is a [`Carrier`]'s business: in this process (`local`) or over a socket (`remote`).
+//! Keeps track of an adapter's pending operations on the air, and dispatches the air's events to them. An
+//! [`AirConnection`] transports the commands and events: within this process (`local`) or over a socket (`remote`).
 use std::{collections::HashMap, sync::Arc};
 
 use parking_lot::{Mutex, MutexGuard};
@@ -9,89 +9,92 @@ use super::{
     channel_handle::{ChannelFlow, SimChannel},
     guards::SimListener,
     message::{
-        ChannelId, Command, ConnectFailure, Event, Heard, ListenFailure, RequestId, SendLimits,
+        ChannelId, Command, ConnectFailure, Event, ListenFailure, ReceivedAdvertisement, RequestId,
+        SendLimits,
     },
 };
 use crate::{
     address::{DeviceAddress, Psm},
-    radio::{AdapterState, RadioError, Sighting},
+    radio::{AdapterState, AdvertisingReport, RadioError},
 };
 
-/// How an adapter's commands get to the air.
-pub(super) trait Carrier: Send + Sync {
-    /// Sends a command; it is lost when the air is not there.
+/// Transports an adapter's commands to the air.
+pub(super) trait AirConnection: Send + Sync {
+    /// Sends a command. The command is lost if the air cannot be reached.
     fn command(&self, command: Command);
 
-    /// Why the adapter is missing.
-    fn absence(&self, adapter: &str) -> RadioError;
+    /// Returns the error that explains why the adapter is missing.
+    fn missing_error(&self, adapter: &str) -> RadioError;
 }
 
-/// An adapter's place on the air, shared by the radio and all that was made with it. It goes when the last goes.
+/// The attachment of one adapter to the air, shared by the radio and everything created with it. The adapter is
+/// detached when the last reference is dropped.
 pub(super) struct Attachment {
     pub(super) name: String,
     pub(super) address: DeviceAddress,
-    carrier: Box<dyn Carrier>,
+    air: Box<dyn AirConnection>,
     pub(super) state: watch::Sender<AdapterState>,
-    /// Whether the first attempt to attach is over.
+    /// Whether the first attempt to attach has completed.
     is_ready: watch::Sender<bool>,
-    book: Mutex<Book>,
+    registrations: Mutex<Registrations>,
 }
 
-/// How many devices' names are remembered.
+/// Maximum number of device names that are kept.
 const MAX_NAMES: usize = 256;
 
-/// Who waits for what.
+/// Pending operations and open resources of the adapter.
 #[derive(Default)]
-pub(super) struct Book {
+pub(super) struct Registrations {
     last_request: u32,
-    pub(super) scans: HashMap<RequestId, mpsc::Sender<Sighting>>,
-    /// What devices that were heard call themselves.
+    pub(super) scans: HashMap<RequestId, mpsc::Sender<AdvertisingReport>>,
+    /// Names of the devices whose advertisements were received.
     names: HashMap<DeviceAddress, String>,
     pub(super) listening: HashMap<RequestId, oneshot::Sender<Result<SimListener, ListenFailure>>>,
     listeners: HashMap<Psm, (RequestId, mpsc::UnboundedSender<SimChannel>)>,
-    pub(super) dials: HashMap<RequestId, Dialling>,
+    pub(super) dials: HashMap<RequestId, PendingDial>,
     flows: HashMap<ChannelId, Arc<ChannelFlow>>,
 }
 
-pub(super) struct Dialling {
+pub(super) struct PendingDial {
     pub(super) peer: DeviceAddress,
     pub(super) answer: oneshot::Sender<Result<SimChannel, ConnectFailure>>,
 }
 
 impl Attachment {
-    pub(super) fn new(name: &str, address: DeviceAddress, carrier: Box<dyn Carrier>) -> Self {
+    pub(super) fn new(name: &str, address: DeviceAddress, air: Box<dyn AirConnection>) -> Self {
         Self {
             name: name.to_owned(),
             address,
-            carrier,
+            air,
             state: watch::Sender::new(AdapterState::On),
             is_ready: watch::Sender::new(true),
-            book: Mutex::default(),
+            registrations: Mutex::default(),
         }
     }
 
-    /// The same while it is being attached.
-    pub(super) fn not_yet(self) -> Self {
+    /// Returns the attachment in the state before the first attempt to attach.
+    pub(super) fn attaching(self) -> Self {
         self.state.send_replace(AdapterState::Missing);
         self.is_ready.send_replace(false);
         self
     }
 
-    /// The first attempt to attach is over, well or not.
-    pub(super) fn ready(&self) {
+    /// Marks the first attempt to attach as completed, successful or not.
+    pub(super) fn set_ready(&self) {
         self.is_ready.send_replace(true);
     }
 
-    pub(super) async fn until_ready(&self) {
+    pub(super) async fn wait_until_ready(&self) {
         // The sender lives as long as this borrow.
         let _ = self.is_ready.subscribe().wait_for(|is| *is).await;
     }
 
-    /// Sorts what the air says. Called by the carrier's task only, so events keep their order.
+    /// Dispatches an event of the air. Called only by the task that receives the events, so that their order is
+    /// preserved.
     pub(super) fn on_event(self: &Arc<Self>, event: Event) {
         match event {
-            Event::State(state) => self.on_state(state),
-            Event::Sighting(heard) => self.on_heard(heard),
+            Event::State(state) => self.on_adapter_state(state),
+            Event::AdvertisementReceived(received) => self.on_advertisement(received),
             Event::Listening { request, psm } => self.on_listening(request, psm),
             Event::Incoming {
                 channel,
@@ -99,9 +102,9 @@ impl Attachment {
                 peer,
                 limits,
             } => {
-                let incoming = self.opened(channel, peer, limits);
-                let listener = self.book.lock().listeners.get(&psm).cloned();
-                // Without a listener (any more) the channel is dropped, which closes it.
+                let incoming = self.new_channel(channel, peer, limits);
+                let listener = self.registrations.lock().listeners.get(&psm).cloned();
+                // If there is no listener (any more), the channel is dropped, which closes it.
                 if let Some((_, listener)) = listener {
                     let _ = listener.send(incoming);
                 }
@@ -111,18 +114,18 @@ impl Attachment {
                 channel,
                 limits,
             } => {
-                let dialling = self.book.lock().dials.remove(&request);
-                match dialling {
-                    Some(Dialling { peer, answer }) => {
-                        // Dropped, and so closed, when nobody waits any more.
-                        let _ = answer.send(Ok(self.opened(channel, peer, limits)));
+                let dial = self.registrations.lock().dials.remove(&request);
+                match dial {
+                    Some(PendingDial { peer, answer }) => {
+                        // If the caller no longer waits, the channel is dropped, which closes it.
+                        let _ = answer.send(Ok(self.new_channel(channel, peer, limits)));
                     }
                     None => self.command(Command::Close { channel }),
                 }
             }
             Event::ConnectFailed { request, why } => {
-                if let Some(dialling) = self.book.lock().dials.remove(&request) {
-                    let _ = dialling.answer.send(Err(why));
+                if let Some(dial) = self.registrations.lock().dials.remove(&request) {
+                    let _ = dial.answer.send(Err(why));
                 }
             }
             Event::Sent { channel, bytes } => {
@@ -143,155 +146,165 @@ impl Attachment {
         }
     }
 
-    /// The adapter's state changed; without power all that it did is over.
-    pub(super) fn on_state(&self, state: AdapterState) {
-        let mut book = self.book.lock();
-        // Told while the book is held, so that nothing begins on an adapter that has just gone.
+    /// Applies a new state of the adapter. If the adapter is no longer on, all its operations end.
+    pub(super) fn on_adapter_state(&self, state: AdapterState) {
+        let mut registrations = self.registrations.lock();
+        // Set while the lock is held, so that nothing is started on an adapter that has just been switched off.
         self.state
-            .send_if_modified(|there| std::mem::replace(there, state) != state);
+            .send_if_modified(|current| std::mem::replace(current, state) != state);
         if state == AdapterState::On {
             return;
         }
-        let last_request = book.last_request;
-        let ended = std::mem::replace(
-            &mut *book,
-            Book {
+        let last_request = registrations.last_request;
+        let previous = std::mem::replace(
+            &mut *registrations,
+            Registrations {
                 last_request,
-                ..Book::default()
+                ..Registrations::default()
             },
         );
-        drop(book);
-        for flow in ended.flows.values() {
+        drop(registrations);
+        for flow in previous.flows.values() {
             flow.on_closed();
         }
     }
 
-    fn on_heard(&self, heard: Heard) {
-        let sighting = Sighting {
-            device: heard.device,
-            advertisement: Some(heard.advertisement),
-            rssi_dbm: Some(heard.rssi_dbm),
+    fn on_advertisement(&self, received: ReceivedAdvertisement) {
+        let report = AdvertisingReport {
+            device: received.device,
+            advertisement: Some(received.advertisement),
+            rssi_dbm: Some(received.rssi_dbm),
         };
-        let mut book = self.book.lock();
-        if book.names.len() >= MAX_NAMES {
-            book.names.clear();
+        let mut registrations = self.registrations.lock();
+        if registrations.names.len() >= MAX_NAMES {
+            registrations.names.clear();
         }
-        book.names.insert(heard.device, heard.name);
-        for scan in book.scans.values() {
-            let _ = scan.try_send(sighting.clone());
+        registrations.names.insert(received.device, received.name);
+        for scan in registrations.scans.values() {
+            let _ = scan.try_send(report.clone());
         }
     }
 
-    pub(super) fn name_of(&self, device: DeviceAddress) -> Option<String> {
-        self.book.lock().names.get(&device).cloned()
+    pub(super) fn device_name(&self, device: DeviceAddress) -> Option<String> {
+        self.registrations.lock().names.get(&device).cloned()
     }
 
     fn on_listening(self: &Arc<Self>, request: RequestId, psm: Result<Psm, ListenFailure>) {
         let listener = psm.map(|psm| {
-            // Made here, so that it is there before the next event, which may be a call.
-            let (sender, calls) = mpsc::unbounded_channel();
-            self.book.lock().listeners.insert(psm, (request, sender));
-            SimListener::new(Arc::clone(self), request, psm, calls)
+            // Created here, so that it exists before the next event, which may be an incoming channel.
+            let (sender, incoming) = mpsc::unbounded_channel();
+            self.registrations
+                .lock()
+                .listeners
+                .insert(psm, (request, sender));
+            SimListener::new(Arc::clone(self), request, psm, incoming)
         });
-        let waiting = self.book.lock().listening.remove(&request);
-        // A listener that nobody waits for any more is dropped, which gives its PSM back.
+        let waiting = self.registrations.lock().listening.remove(&request);
+        // If the caller no longer waits, the listener is dropped, which releases its PSM.
         if let Some(waiting) = waiting {
             let _ = waiting.send(listener);
         }
     }
 
-    fn opened(
+    fn new_channel(
         self: &Arc<Self>,
         id: ChannelId,
         peer: DeviceAddress,
         limits: SendLimits,
     ) -> SimChannel {
         let flow = Arc::new(ChannelFlow::default());
-        self.book.lock().flows.insert(id, Arc::clone(&flow));
+        self.registrations
+            .lock()
+            .flows
+            .insert(id, Arc::clone(&flow));
         SimChannel::new(Arc::clone(self), id, peer, limits, flow)
     }
 
     fn flow(&self, channel: ChannelId) -> Option<Arc<ChannelFlow>> {
-        self.book.lock().flows.get(&channel).cloned()
+        self.registrations.lock().flows.get(&channel).cloned()
     }
 
     pub(super) fn command(&self, command: Command) {
-        self.carrier.command(command);
+        self.air.command(command);
     }
 
     pub(super) fn state(&self) -> AdapterState {
         *self.state.borrow()
     }
 
-    pub(super) fn book_if_on(&self) -> Result<MutexGuard<'_, Book>, RadioError> {
-        let book = self.book.lock();
+    pub(super) fn registrations_if_on(&self) -> Result<MutexGuard<'_, Registrations>, RadioError> {
+        let registrations = self.registrations.lock();
         match self.state() {
-            AdapterState::On => Ok(book),
+            AdapterState::On => Ok(registrations),
             AdapterState::Off | AdapterState::Missing => Err(self.unavailable()),
         }
     }
 
-    /// Why something ended, or cannot begin.
+    /// Returns the error for an operation that ended or cannot start.
     pub(super) fn unavailable(&self) -> RadioError {
         match self.state() {
-            AdapterState::Missing => self.carrier.absence(&self.name),
-            // On again already: it was off in between.
+            AdapterState::Missing => self.air.missing_error(&self.name),
+            // `On`: the adapter was off in between and is on again.
             AdapterState::Off | AdapterState::On => RadioError::AdapterOff {
                 adapter: self.name.clone(),
             },
         }
     }
 
-    /// Ends a listener, unless the adapter's power did.
+    /// Ends a listener, unless the loss of power already ended it.
     pub(super) fn end_listener(&self, request: RequestId, psm: Psm) {
-        let mut book = self.book.lock();
-        if book.listeners.get(&psm).is_some_and(|(r, _)| *r == request) {
-            book.listeners.remove(&psm);
-            drop(book);
+        let mut registrations = self.registrations.lock();
+        if registrations
+            .listeners
+            .get(&psm)
+            .is_some_and(|(r, _)| *r == request)
+        {
+            registrations.listeners.remove(&psm);
+            drop(registrations);
             self.command(Command::Unlisten { psm });
         }
     }
 
-    /// Takes a connect back.
+    /// Cancels a connect.
     pub(super) fn end_dial(&self, request: RequestId) {
-        let waiting = self.book.lock().dials.remove(&request);
+        let waiting = self.registrations.lock().dials.remove(&request);
         if waiting.is_some() {
             self.command(Command::CancelConnect { request });
         }
     }
 
-    /// Forgets a channel and closes it, unless the adapter's power or its owner did.
+    /// Closes and removes a channel, unless the adapter's state or the channel's owner already did.
     pub(super) fn end_channel(&self, id: ChannelId, flow: &Arc<ChannelFlow>) {
-        let mut book = self.book.lock();
-        // The number may be another channel's by now, if the air was started anew.
-        if book
+        let mut registrations = self.registrations.lock();
+        // The id may already belong to another channel, if the air was restarted.
+        if registrations
             .flows
             .get(&id)
-            .is_some_and(|there| Arc::ptr_eq(there, flow))
+            .is_some_and(|current| Arc::ptr_eq(current, flow))
         {
-            book.flows.remove(&id);
-            drop(book);
+            registrations.flows.remove(&id);
+            drop(registrations);
             self.command(Command::Close { channel: id });
         }
     }
 
-    /// Ends a scan; the air is told when it was the last.
+    /// Ends a scan. The air stops scanning if it was the last one.
     pub(super) fn end_scan(&self, request: RequestId) {
         let was_last = {
-            let mut book = self.book.lock();
-            book.scans.remove(&request).is_some() && book.scans.is_empty()
+            let mut registrations = self.registrations.lock();
+            registrations.scans.remove(&request).is_some() && registrations.scans.is_empty()
         };
         if was_last {
             self.command(Command::Scan(false));
-            // Another may have begun just before that.
-            if !self.book.lock().scans.is_empty() {
+            // Another scan may have started just before the command.
+            if !self.registrations.lock().scans.is_empty() {
                 self.command(Command::Scan(true));
             }
         }
     }
 }
 
-impl Book {
+impl Registrations {
     pub(super) fn next_request(&mut self) -> RequestId {
         self.last_request = self.last_request.wrapping_add(1);
         RequestId(self.last_request)

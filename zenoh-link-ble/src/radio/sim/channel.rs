@@ -1,6 +1,7 @@
-//! Owns one L2CAP channel: the queue at each sender, the credits and the buffer at each receiver (Vol 3, Part A, 10.1).
+//! Models one L2CAP channel: the send queue of each end, and the credits and the receive buffer of each end (Vol 3,
+//! Part A, 10.1).
 //!
-//! It moves whole SDUs and counts their bytes; which packet carries which byte is the connection's business.
+//! The channel moves complete SDUs and counts their bytes. The connection decides which packet carries which bytes.
 use std::collections::VecDeque;
 
 use super::{
@@ -8,10 +9,10 @@ use super::{
     options::RECEIVE_BUFFER_BYTES,
 };
 
-/// Every SDU begins with its length.
+/// Size of the length field at the start of every SDU.
 const SDU_HEADER_BYTES: usize = 2;
 
-/// A channel with its two ends: 0 at the central, 1 at the peripheral.
+/// A channel with its two ends: index 0 at the central, index 1 at the peripheral.
 #[derive(Debug)]
 pub(super) struct Channel {
     pub(super) ends: [ChannelEnd; 2],
@@ -28,23 +29,23 @@ pub(super) struct ChannelEnd {
     receiving: ReceiveBuffer,
 }
 
-/// What one end knows of the channel.
+/// State of the channel from the view of one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EndState {
-    /// It asked, and waits for the answer.
+    /// The end requested the channel and waits for the response.
     Opening(RequestId),
-    /// It has not been asked yet.
+    /// The request has not arrived yet.
     Unaware,
-    /// It is open.
+    /// The channel is open.
     Open,
-    /// It is closed, by its owner or by the link's end.
+    /// The channel was closed by its owner or by the end of the connection.
     Closed,
 }
 
 #[derive(Debug, Default)]
 struct SendQueue {
     sdus: VecDeque<Outgoing>,
-    /// Bytes of SDUs that are not acknowledged, those in `sdus` included.
+    /// Bytes of unacknowledged SDUs, including those in `sdus`.
     unacknowledged_bytes: usize,
     credits: u32,
 }
@@ -52,20 +53,20 @@ struct SendQueue {
 #[derive(Debug)]
 struct Outgoing {
     sdu: Vec<u8>,
-    /// What is not cut into frames yet, the header included.
+    /// Bytes not yet cut into frames, including the header.
     left_bytes: usize,
 }
 
-/// Counts in frames: a credit is leave for one frame, full or not.
+/// Counts in frames: one credit permits one frame, full or not.
 #[derive(Debug)]
 struct ReceiveBuffer {
-    /// Frames it has room for altogether.
+    /// Total capacity in frames.
     size: u32,
-    /// Credits the sender has, or that are under way to it.
+    /// Credits that the sender has, or that are in flight to it.
     granted: u32,
-    /// Frames of the SDU that is not whole yet.
+    /// Frames of the SDU that is not complete yet.
     partial: u32,
-    /// Frames of each SDU that its owner has not read, oldest first.
+    /// Number of frames of each SDU that its owner has not read, oldest first.
     unread: VecDeque<u32>,
 }
 
@@ -73,14 +74,14 @@ struct ReceiveBuffer {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Piece {
     pub(super) bytes: usize,
-    /// How many of them are the SDU's own, not its header's.
+    /// Bytes of the piece that belong to the SDU itself, without the header.
     pub(super) sdu_bytes: usize,
-    /// The SDU, with its last piece.
+    /// The complete SDU; set only in its last piece.
     pub(super) sdu: Option<Vec<u8>>,
 }
 
 impl Channel {
-    /// A channel that the end on `side` asks for.
+    /// Returns a channel that the end on `side` requests.
     pub(super) fn opening(
         side: usize,
         request: RequestId,
@@ -103,23 +104,26 @@ impl Channel {
         }
     }
 
-    /// The end on `side` takes the channel; the other will hear of it.
+    /// Accepts the channel at `side`. The other end learns of it by the response.
     pub(super) fn accept(&mut self, side: usize, recv_mtu: u16) {
         let mps = u16::try_from(self.mps).unwrap_or(u16::MAX);
         self.ends[side].state = EndState::Open;
         self.ends[side].recv_mtu = recv_mtu;
         self.ends[side].receiving = ReceiveBuffer::new(recv_mtu, mps);
-        // The request carried the asking end's credits.
+        // The request carried the credits of the requesting end.
         self.ends[side].sending.credits = self.ends[1 - side].receiving.grant_all();
     }
 
-    /// The end on `side` asked and was answered with yes.
+    /// Opens the end on `side`, whose request was accepted.
     pub(super) fn confirm(&mut self, side: usize) {
         self.ends[side].state = EndState::Open;
         self.ends[side].sending.credits = self.ends[1 - side].receiving.grant_all();
     }
 
     /// Queues an SDU at `side`.
+    ///
+    /// # Errors
+    /// Fails if the peer cannot receive an SDU of this size, or if the send queue is full.
     pub(super) fn queue(&mut self, side: usize, sdu: Vec<u8>) -> Result<(), Violation> {
         if sdu.is_empty() || sdu.len() > usize::from(self.ends[1 - side].recv_mtu) {
             return Err(Violation::SduSize);
@@ -137,13 +141,13 @@ impl Channel {
         Ok(())
     }
 
-    /// Whether `side` has a frame to send and a credit for it.
+    /// Returns whether `side` has a frame to send and a credit for it.
     pub(super) fn is_ready(&self, side: usize) -> bool {
         let sending = &self.ends[side].sending;
         sending.credits > 0 && !sending.sdus.is_empty()
     }
 
-    /// Cuts the next frame's piece off the oldest SDU, for one credit.
+    /// Cuts the piece for the next frame off the oldest SDU, and spends one credit.
     pub(super) fn cut(&mut self, side: usize) -> Option<Piece> {
         let sending = &mut self.ends[side].sending;
         let credits = sending.credits.checked_sub(1)?;
@@ -165,15 +169,16 @@ impl Channel {
         })
     }
 
-    /// So many bytes of SDUs from `side` were acknowledged. False when nobody waits for it any more.
-    pub(super) fn acknowledged(&mut self, side: usize, bytes: usize) -> bool {
+    /// Handles the acknowledgement of `bytes` of the SDUs from `side`. Returns `false` if that end is no longer open.
+    pub(super) fn on_acknowledged(&mut self, side: usize, bytes: usize) -> bool {
         let end = &mut self.ends[side];
         end.sending.unacknowledged_bytes = end.sending.unacknowledged_bytes.saturating_sub(bytes);
         end.state == EndState::Open
     }
 
-    /// A frame came in at `side`, the last of its SDU or not. False when the end is closed and the frame is dropped.
-    pub(super) fn received(&mut self, side: usize, is_last: bool) -> bool {
+    /// Handles a frame that arrived at `side`; `is_last` marks the last frame of an SDU. Returns `false` if that end is
+    /// closed and the frame is dropped.
+    pub(super) fn on_frame(&mut self, side: usize, is_last: bool) -> bool {
         let end = &mut self.ends[side];
         if end.state != EndState::Open {
             return false;
@@ -187,17 +192,17 @@ impl Channel {
         true
     }
 
-    /// The owner of `side` read its oldest SDU.
-    pub(super) fn took(&mut self, side: usize) -> Result<(), Violation> {
+    /// Handles that the owner of `side` read its oldest SDU.
+    pub(super) fn on_sdu_read(&mut self, side: usize) -> Result<(), Violation> {
         let end = &mut self.ends[side];
         match end.receiving.unread.pop_front() {
             Some(_) => Ok(()),
             None if end.state == EndState::Closed => Ok(()),
-            None => Err(Violation::NothingToTake),
+            None => Err(Violation::NothingToRead),
         }
     }
 
-    /// The credits that `side` should send now, if it is worth a packet.
+    /// Returns the credits that `side` should send now, if they are worth a packet.
     pub(super) fn due_credits(&mut self, side: usize) -> Option<u32> {
         let end = &mut self.ends[side];
         if end.state != EndState::Open {
@@ -206,42 +211,42 @@ impl Channel {
         end.receiving.due()
     }
 
-    /// Credits came in at `side`.
-    pub(super) fn credited(&mut self, side: usize, frames: u32) {
+    /// Handles credits that arrived at `side`.
+    pub(super) fn on_credits(&mut self, side: usize, frames: u32) {
         let sending = &mut self.ends[side].sending;
         sending.credits = sending.credits.saturating_add(frames);
     }
 
-    /// Closes the end on `side` and throws away what it still had to send. Tells what it was.
+    /// Closes the end on `side`, discards its send queue, and returns its previous state.
     pub(super) fn close(&mut self, side: usize) -> EndState {
         let end = &mut self.ends[side];
         end.sending = SendQueue::default();
         std::mem::replace(&mut end.state, EndState::Closed)
     }
 
-    /// Whether neither end has any use for it.
-    pub(super) fn is_over(&self) -> bool {
+    /// Returns whether neither end uses the channel any more.
+    pub(super) fn is_finished(&self) -> bool {
         self.ends
             .iter()
             .all(|end| matches!(end.state, EndState::Closed | EndState::Unaware))
     }
 
-    /// Whether the end on `side` waits for the answer to that request.
+    /// Returns whether the end on `side` waits for the response to that request.
     pub(super) fn is_opening(&self, side: usize, request: RequestId) -> bool {
         self.ends[side].state == EndState::Opening(request)
     }
 
-    /// Whether the end on `side` can send and receive.
+    /// Returns whether the end on `side` can send and receive.
     pub(super) fn is_open(&self, side: usize) -> bool {
         self.ends[side].state == EndState::Open
     }
 
-    /// Whether the end on `side` is closed.
+    /// Returns whether the end on `side` is closed.
     pub(super) fn is_closed(&self, side: usize) -> bool {
         self.ends[side].state == EndState::Closed
     }
 
-    /// What `side` may send.
+    /// Returns the limits for SDUs sent by `side`.
     pub(super) fn send_limits(&self, side: usize) -> SendLimits {
         SendLimits {
             sdu_bytes: self.ends[1 - side].recv_mtu,
@@ -249,7 +254,7 @@ impl Channel {
         }
     }
 
-    /// Bytes queued at `side`, for the status.
+    /// Returns the number of bytes queued at `side`, for the status.
     pub(super) fn queued_bytes(&self, side: usize) -> usize {
         self.ends[side].sending.unacknowledged_bytes
     }
@@ -279,7 +284,8 @@ impl ReceiveBuffer {
         free
     }
 
-    /// Half the buffer at a time, so that credits cost next to no air; at once when the sender has none left.
+    /// Grants half of the buffer at a time, so that credits take little airtime, or immediately if the sender has no
+    /// credits left.
     fn due(&mut self) -> Option<u32> {
         let free = self.free();
         if free >= self.size / 2 || (self.granted == 0 && free > 0) {
@@ -302,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn an_sdu_is_cut_into_frames_with_its_length_in_front() {
+    fn splits_an_sdu_into_frames_after_its_length_field() {
         let mut channel = open(100, 1000);
         channel.queue(0, vec![7; 250]).expect("room");
         let pieces: Vec<_> = std::iter::from_fn(|| channel.cut(0)).collect();
@@ -314,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_peer_does_not_take_is_refused() {
+    fn refuses_sdus_larger_than_the_peers_mtu() {
         let mut channel = open(247, 100);
         assert_eq!(channel.queue(0, vec![0; 101]), Err(Violation::SduSize));
         assert_eq!(channel.queue(0, vec![]), Err(Violation::SduSize));
@@ -322,16 +328,16 @@ mod tests {
     }
 
     #[test]
-    fn the_send_queue_is_bounded_but_one_large_sdu_always_fits() {
+    fn bounds_the_send_queue_but_accepts_one_large_sdu() {
         let mut channel = open(247, 60000);
         channel.queue(0, vec![0; 60000]).expect("alone");
         assert_eq!(channel.queue(0, vec![0; 1]), Err(Violation::NoRoom));
-        assert!(channel.acknowledged(0, 60000));
+        assert!(channel.on_acknowledged(0, 60000));
         channel.queue(0, vec![0; 2000]).expect("room again");
     }
 
     #[test]
-    fn a_reader_that_does_not_read_stops_the_sender_and_reading_starts_it_again() {
+    fn blocks_the_sender_until_the_receiver_reads() {
         let mut channel = open(247, 1000);
         let mut arrived = 0;
         loop {
@@ -339,31 +345,31 @@ mod tests {
                 .queue(0, vec![0; 245])
                 .expect("acknowledged at once");
             let Some(piece) = channel.cut(0) else { break };
-            assert!(channel.received(1, piece.sdu.is_some()));
-            channel.acknowledged(0, 245);
+            assert!(channel.on_frame(1, piece.sdu.is_some()));
+            channel.on_acknowledged(0, 245);
             assert_eq!(channel.due_credits(1), None);
             arrived += 1;
         }
         assert_eq!(arrived, RECEIVE_BUFFER_BYTES / 247);
-        channel.took(1).expect("there is one");
+        channel.on_sdu_read(1).expect("there is one");
         assert_eq!(channel.due_credits(1), Some(1));
-        channel.credited(0, 1);
+        channel.on_credits(0, 1);
         assert!(channel.cut(0).is_some());
     }
 
     #[test]
-    fn reading_what_never_came_is_a_violation() {
+    fn reading_a_missing_sdu_is_a_violation() {
         let mut channel = open(247, 1000);
-        assert_eq!(channel.took(0), Err(Violation::NothingToTake));
+        assert_eq!(channel.on_sdu_read(0), Err(Violation::NothingToRead));
     }
 
     #[test]
-    fn a_closed_end_drops_what_comes() {
+    fn drops_frames_that_arrive_at_a_closed_end() {
         let mut channel = open(247, 1000);
         assert_eq!(channel.close(1), EndState::Open);
-        assert!(!channel.received(1, true));
-        assert!(!channel.is_over());
+        assert!(!channel.on_frame(1, true));
+        assert!(!channel.is_finished());
         channel.close(0);
-        assert!(channel.is_over());
+        assert!(channel.is_finished());
     }
 }

@@ -1,4 +1,4 @@
-//! Owns an open channel as the link sees it: room to send, SDUs to read, and the end.
+//! Implements [`Channel`] for the simulated air: backpressure, received SDUs, and the end of the channel.
 use std::{collections::VecDeque, sync::Arc};
 
 use async_trait::async_trait;
@@ -8,7 +8,7 @@ use tokio::sync::Notify;
 use super::{
     attachment::Attachment,
     message::{ChannelId, Command, SendLimits},
-    options::KEPT_UNREAD_BYTES,
+    options::GUARANTEED_RECEIVE_BYTES,
 };
 use crate::{
     address::DeviceAddress,
@@ -24,7 +24,7 @@ pub(super) struct SimChannel {
     flow: Arc<ChannelFlow>,
 }
 
-/// What the air says of a channel, and those who wait for it.
+/// State of a channel as reported by the air, and a wake-up for the tasks that wait for a change.
 #[derive(Default)]
 pub(super) struct ChannelFlow {
     inner: Mutex<Flow>,
@@ -52,8 +52,8 @@ impl Channel for SimChannel {
         usize::from(self.limits.sdu_bytes)
     }
 
-    fn kept_unread_bytes(&self) -> usize {
-        KEPT_UNREAD_BYTES
+    fn receive_capacity_bytes(&self) -> usize {
+        GUARANTEED_RECEIVE_BYTES
     }
 
     fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError> {
@@ -81,7 +81,7 @@ impl Channel for SimChannel {
         Ok(has_room)
     }
 
-    async fn has_room(&self) {
+    async fn writable(&self) {
         let has_room = |flow: &mut Flow| {
             (flow.is_down || self.limits.has_room(flow.queued_bytes)).then_some(())
         };
@@ -92,7 +92,7 @@ impl Channel for SimChannel {
         let (size, is_down) = self
             .flow
             .wait(|flow| {
-                // What came before the end is still read.
+                // SDUs that arrived before the end can still be read.
                 match flow.unread.front() {
                     Some(sdu) if sdu.len() > buffer.len() => Some(Err(RadioError::SduTooLarge {
                         size: sdu.len(),
@@ -108,13 +108,14 @@ impl Channel for SimChannel {
             })
             .await?;
         if !is_down {
-            self.attachment.command(Command::Took { channel: self.id });
+            self.attachment
+                .command(Command::SduRead { channel: self.id });
         }
         Ok(size)
     }
 
     fn shutdown(&self) {
-        self.flow.shut();
+        self.flow.close();
         self.attachment.end_channel(self.id, &self.flow);
     }
 }
@@ -151,7 +152,7 @@ impl SimChannel {
 }
 
 impl ChannelFlow {
-    /// The oldest SDU sent has arrived.
+    /// Handles that `bytes` of the oldest queued SDU have arrived at the peer.
     pub(super) fn on_sent(&self, bytes: usize) {
         let mut flow = self.inner.lock();
         flow.queued_bytes = flow.queued_bytes.saturating_sub(bytes);
@@ -159,7 +160,7 @@ impl ChannelFlow {
         self.changed.notify_waiters();
     }
 
-    /// An SDU came in.
+    /// Handles a received SDU.
     pub(super) fn on_received(&self, sdu: Vec<u8>) {
         let mut flow = self.inner.lock();
         if !flow.is_down {
@@ -169,14 +170,14 @@ impl ChannelFlow {
         self.changed.notify_waiters();
     }
 
-    /// The channel is down; what came before can still be read.
+    /// Marks the channel as down. SDUs that arrived before can still be read.
     pub(super) fn on_closed(&self) {
         self.inner.lock().is_down = true;
         self.changed.notify_waiters();
     }
 
-    /// This end is closed: what is unread is of no use any more.
-    fn shut(&self) {
+    /// Closes this end and discards unread SDUs.
+    fn close(&self) {
         let mut flow = self.inner.lock();
         flow.is_down = true;
         flow.unread.clear();
@@ -184,14 +185,15 @@ impl ChannelFlow {
         self.changed.notify_waiters();
     }
 
-    /// Waits until `look` finds something. It may be dropped at any time: `look` has either found it or done nothing.
-    async fn wait<T>(&self, mut look: impl FnMut(&mut Flow) -> Option<T>) -> T {
+    /// Waits until `condition` returns a value. Cancel-safe: `condition` has either returned its value or changed
+    /// nothing.
+    async fn wait<T>(&self, mut condition: impl FnMut(&mut Flow) -> Option<T>) -> T {
         loop {
-            // Registered before looking, so that a change in between is not missed.
+            // Registered before the check, so that a change in between is not missed.
             let changed = self.changed.notified();
             tokio::pin!(changed);
             changed.as_mut().enable();
-            if let Some(found) = look(&mut self.inner.lock()) {
+            if let Some(found) = condition(&mut self.inner.lock()) {
                 return found;
             }
             changed.await;

@@ -1,5 +1,5 @@
-//! Owns one LE connection between two adapters: what each side has to send, cut into link-layer packets, and which
-//! packet is next. When packets meet on the air, and what becomes of them, is the air's business.
+//! Models one LE connection between two adapters: the data that each side has to send, cut into link-layer packets, and
+//! the next packet of each side. The air decides when packets are exchanged and which of them are lost.
 use std::{
     collections::{BTreeMap, VecDeque},
     time::Duration,
@@ -13,9 +13,9 @@ use super::{
     packet::{Frame, Packet, Signal},
 };
 
-/// The central's side of a connection: it sends first in every event.
+/// The central's side of a connection. The central sends first in every event.
 pub(super) const CENTRAL: usize = 0;
-/// The peripheral's side.
+/// The peripheral's side of a connection.
 pub(super) const PERIPHERAL: usize = 1;
 
 /// An LE connection.
@@ -23,23 +23,23 @@ pub(super) const PERIPHERAL: usize = 1;
 pub(super) struct Connection {
     pub(super) sides: [Side; 2],
     pub(super) channels: BTreeMap<ChannelId, Channel>,
-    /// When its first event began.
-    born: Duration,
-    /// When the next event begins.
+    /// Time of the first connection event.
+    created_at: Duration,
+    /// Time of the next connection event.
     pub(super) anchor: Duration,
-    /// The exchange that is on the air now.
+    /// Exchange in progress.
     pub(super) exchange: Option<Exchange>,
-    /// When its last event began.
-    pub(super) last_turn: Duration,
-    /// Interference covers the event under way.
-    pub(super) event_hit: bool,
-    /// Packets lost in a row in the event under way; the second ends it.
+    /// Time at which the last connection event started.
+    pub(super) last_event: Duration,
+    /// Whether interference covers the current event.
+    pub(super) is_event_lost: bool,
+    /// Number of consecutive packets lost in the current event. The second one ends the event.
     pub(super) losses_in_row: u8,
-    /// Events that still go to the controllers' own procedures.
+    /// Number of remaining events that the controllers use for their own set-up procedures.
     setup_events_left: u8,
-    /// Since when it has had no channel.
+    /// Time since which the connection has had no channel.
     pub(super) idle_since: Option<Duration>,
-    /// One side left in good order; the other is told at the next event that works.
+    /// Whether one side terminated the connection; the other side learns of it at the next successful event.
     pub(super) is_terminating: bool,
 }
 
@@ -47,36 +47,36 @@ pub(super) struct Connection {
 #[derive(Debug)]
 pub(super) struct Side {
     pub(super) adapter: AdapterId,
-    /// Whether this side still holds the connection.
+    /// Whether this side still keeps the connection.
     pub(super) is_up: bool,
-    heard: Option<Duration>,
+    last_received: Option<Duration>,
     signals: VecDeque<Signal>,
     frame: Option<Frame>,
-    /// The packet sent last, until it is known to have arrived.
+    /// The packet sent last, until its acknowledgement is received.
     pub(super) in_flight: Option<Packet>,
-    /// The channel served last; the next one has its turn.
-    served: ChannelId,
+    /// The channel that sent last. Channels take turns.
+    last_served: ChannelId,
 }
 
-/// Two packets on the air.
+/// A packet of the central and the response of the peripheral.
 #[derive(Debug)]
 pub(super) struct Exchange {
     pub(super) ends_at: Duration,
-    /// Whether each side's packet is heard by the other.
-    pub(super) is_heard: [bool; 2],
+    /// Whether the packet of each side is received by the other.
+    pub(super) is_received: [bool; 2],
 }
 
 impl Connection {
-    /// A connection whose first event is at `anchor`.
+    /// Returns a connection whose first event is at `anchor`.
     pub(super) fn new(central: AdapterId, peripheral: AdapterId, anchor: Duration) -> Self {
         Self {
             sides: [Side::new(central), Side::new(peripheral)],
             channels: BTreeMap::new(),
-            born: anchor,
+            created_at: anchor,
             anchor,
             exchange: None,
-            last_turn: Duration::ZERO,
-            event_hit: false,
+            last_event: Duration::ZERO,
+            is_event_lost: false,
             losses_in_row: 0,
             setup_events_left: SETUP_EVENTS,
             idle_since: None,
@@ -84,42 +84,42 @@ impl Connection {
         }
     }
 
-    /// The side of that adapter.
+    /// Returns the side of that adapter.
     pub(super) fn side_of(&self, adapter: AdapterId) -> Option<usize> {
         self.sides.iter().position(|side| side.adapter == adapter)
     }
 
-    /// Whether one of the two radios is one of the other connection's.
+    /// Returns whether the two connections use a common adapter.
     pub(super) fn shares_radio(&self, other: &Self) -> bool {
         self.sides
             .iter()
             .any(|side| other.side_of(side.adapter).is_some())
     }
 
-    /// When `side` gives the connection up, if it hears nothing until then.
-    pub(super) fn gives_up_at(&self, side: usize, options: &AirOptions) -> Duration {
-        match self.sides[side].heard {
-            Some(heard) => heard + options.supervision_timeout,
-            None => self.born + ESTABLISH_INTERVALS * options.interval,
+    /// Returns the time at which `side` drops the connection unless it receives a packet before.
+    pub(super) fn supervision_ends_at(&self, side: usize, options: &AirOptions) -> Duration {
+        match self.sides[side].last_received {
+            Some(last_received) => last_received + options.supervision_timeout,
+            None => self.created_at + ESTABLISH_INTERVALS * options.interval,
         }
     }
 
-    /// `side` heard the other at `now`.
-    pub(super) fn on_heard(&mut self, side: usize, now: Duration) {
-        self.sides[side].heard = Some(now);
+    /// Records that `side` received a packet at `now`.
+    pub(super) fn on_received(&mut self, side: usize, now: Duration) {
+        self.sides[side].last_received = Some(now);
     }
 
-    /// An event in which the central heard its peripheral is over.
+    /// Handles the end of an event in which the central received a packet of the peripheral.
     pub(super) fn on_good_event(&mut self) {
         self.setup_events_left = self.setup_events_left.saturating_sub(1);
     }
 
-    /// Queues a signalling command at `side`; it goes before data.
+    /// Queues a signalling command at `side`. Signalling commands are sent before data.
     pub(super) fn signal(&mut self, side: usize, signal: Signal) {
         self.sides[side].signals.push_back(signal);
     }
 
-    /// Sends credits for a channel from `side`, if it is time to.
+    /// Queues credits for a channel at `side`, if they are due.
     pub(super) fn return_credits(&mut self, side: usize, channel: ChannelId) {
         let due = self
             .channels
@@ -130,17 +130,17 @@ impl Connection {
         }
     }
 
-    /// Whether `side` has a packet that is not known to have arrived, or more to send.
+    /// Returns whether `side` has an unacknowledged packet or more to send.
     pub(super) fn has_data(&self, side: usize) -> bool {
         match &self.sides[side].in_flight {
-            // The central cannot know that its packet arrived before the answer was heard; the peripheral hears it in
-            // the next event at the latest, for which alone no event goes on.
+            // The central knows that its packet arrived only when it receives the response. The peripheral learns it in
+            // the next event at the latest; an event does not continue for that alone.
             Some(packet) if side == CENTRAL || !packet.is_delivered => true,
             _ => self.has_more(side),
         }
     }
 
-    /// Whether nothing is on its way or waits for it, so that events bring nothing but that both are still there.
+    /// Returns whether nothing is in flight or queued, so that events only confirm that both sides are in range.
     pub(super) fn is_quiet(&self) -> bool {
         let has_nothing = |side: usize| {
             let this = &self.sides[side];
@@ -152,7 +152,7 @@ impl Connection {
         !self.is_terminating && has_nothing(CENTRAL) && has_nothing(PERIPHERAL)
     }
 
-    /// Whether `side` has more to send than what is in flight.
+    /// Returns whether `side` has more to send than the packet in flight.
     pub(super) fn has_more(&self, side: usize) -> bool {
         let this = &self.sides[side];
         if self.setup_events_left > 0 || !this.is_up {
@@ -163,7 +163,7 @@ impl Connection {
             || self.channels.values().any(|channel| channel.is_ready(side))
     }
 
-    /// The size of the packet that `side` would send next, at most; 0 for an empty one.
+    /// Returns the maximum size of the next packet of `side`, in bytes; 0 for an empty packet.
     pub(super) fn next_bytes(&self, side: usize, payload_bytes: usize) -> usize {
         match &self.sides[side].in_flight {
             Some(packet) if side == CENTRAL || !packet.is_delivered => packet.bytes,
@@ -172,8 +172,13 @@ impl Connection {
         }
     }
 
-    /// Puts the next packet of `side` in flight, unless one is. Tells its size and whether it was sent before.
-    pub(super) fn take_off(&mut self, side: usize, payload_bytes: usize) -> (usize, bool) {
+    /// Puts the next packet of `side` in flight, unless one is in flight. Returns its size in bytes and whether it was
+    /// sent before.
+    pub(super) fn start_transmission(
+        &mut self,
+        side: usize,
+        payload_bytes: usize,
+    ) -> (usize, bool) {
         if self.sides[side].in_flight.is_none() {
             self.sides[side].in_flight = self.next_packet(side, payload_bytes);
         }
@@ -203,20 +208,20 @@ impl Connection {
         if let Some(signal) = self.sides[side].signals.pop_front() {
             return Some(Frame::of_signal(signal));
         }
-        let served = self.sides[side].served;
+        let last_served = self.sides[side].last_served;
         let mut ready = self
             .channels
             .iter()
             .filter(|(_, channel)| channel.is_ready(side))
             .map(|(id, _)| *id);
         let first = ready.clone().next()?;
-        let id = ready.find(|id| *id > served).unwrap_or(first);
-        self.sides[side].served = id;
+        let id = ready.find(|id| *id > last_served).unwrap_or(first);
+        self.sides[side].last_served = id;
         let piece = self.channels.get_mut(&id)?.cut(side)?;
         Some(Frame::of_piece(id, piece))
     }
 
-    /// Bytes queued at `side`, for the status.
+    /// Returns the number of bytes queued at `side`, for the status.
     pub(super) fn queued_bytes(&self, side: usize) -> usize {
         self.channels
             .values()
@@ -230,16 +235,16 @@ impl Side {
         Self {
             adapter,
             is_up: true,
-            heard: None,
+            last_received: None,
             signals: VecDeque::new(),
             frame: None,
             in_flight: None,
-            served: ChannelId(0),
+            last_served: ChannelId(0),
         }
     }
 
-    /// Throws away what this side still had to send.
-    pub(super) fn silence(&mut self) {
+    /// Closes this side and discards everything it still had to send.
+    pub(super) fn shut_down(&mut self) {
         self.is_up = false;
         self.signals.clear();
         self.frame = None;
@@ -250,7 +255,7 @@ impl Side {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::radio::sim::{message::RequestId, packet::Load};
+    use crate::radio::sim::{message::RequestId, packet::PacketContent};
 
     fn connection(channels: u64) -> Connection {
         let mut connection = Connection::new(AdapterId(1), AdapterId(2), Duration::ZERO);
@@ -274,14 +279,14 @@ mod tests {
 
     fn packets(connection: &mut Connection, payload_bytes: usize) -> Vec<Packet> {
         std::iter::from_fn(|| {
-            connection.take_off(CENTRAL, payload_bytes);
+            connection.start_transmission(CENTRAL, payload_bytes);
             connection.sides[CENTRAL].in_flight.take()
         })
         .collect()
     }
 
     #[test]
-    fn a_frame_of_247_bytes_is_one_long_packet_or_ten_short_ones() {
+    fn splits_a_frame_of_247_bytes_into_one_long_or_ten_short_packets() {
         let mut connection = connection(1);
         send(&mut connection, 1, 245);
         let long: Vec<_> = packets(&mut connection, 251)
@@ -296,11 +301,11 @@ mod tests {
         assert_eq!(short[0].completes, Some((ChannelId(1), 27 - 6)));
         let done = short.iter().filter_map(|packet| packet.completes);
         assert_eq!(done.map(|(_, bytes)| bytes).sum::<usize>(), 245);
-        assert!(short[8].load.is_none());
+        assert!(short[8].content.is_none());
     }
 
     #[test]
-    fn channels_take_turns_and_signals_go_first() {
+    fn interleaves_channels_and_sends_signals_first() {
         let mut connection = connection(2);
         for id in [1, 1, 2, 2] {
             send(&mut connection, id, 200);
@@ -312,9 +317,9 @@ mod tests {
         connection.signal(CENTRAL, credits);
         let order: Vec<_> = packets(&mut connection, 251)
             .into_iter()
-            .map(|packet| match packet.load {
-                Some(Load::Signal(_)) => 0,
-                Some(Load::Frame { channel, .. }) => channel.0,
+            .map(|packet| match packet.content {
+                Some(PacketContent::Signal(_)) => 0,
+                Some(PacketContent::Frame { channel, .. }) => channel.0,
                 None => panic!("one packet a frame"),
             })
             .collect();
@@ -322,22 +327,22 @@ mod tests {
     }
 
     #[test]
-    fn a_packet_in_flight_stays_until_it_is_taken() {
+    fn retransmits_a_packet_until_it_is_acknowledged() {
         let mut connection = connection(1);
         send(&mut connection, 1, 100);
-        assert_eq!(connection.take_off(CENTRAL, 251), (106, false));
-        assert_eq!(connection.take_off(CENTRAL, 251), (106, true));
+        assert_eq!(connection.start_transmission(CENTRAL, 251), (106, false));
+        assert_eq!(connection.start_transmission(CENTRAL, 251), (106, true));
         assert!(connection.has_data(CENTRAL));
         assert!(!connection.has_data(PERIPHERAL));
     }
 
     #[test]
-    fn nothing_is_sent_while_controllers_set_the_link_up() {
+    fn sends_no_data_during_link_set_up() {
         let mut connection = Connection::new(AdapterId(1), AdapterId(2), Duration::ZERO);
         let disconnect = Signal::Disconnect {
             channel: ChannelId(1),
         };
         connection.signal(CENTRAL, disconnect);
-        assert_eq!(connection.take_off(CENTRAL, 251), (0, false));
+        assert_eq!(connection.start_transmission(CENTRAL, 251), (0, false));
     }
 }

@@ -1,5 +1,5 @@
-//! Owns what a simulated radio hands out beside channels: an advertisement, a scan, a listener, a pending connect. Each
-//! takes itself off the air when it is dropped.
+//! Implements the objects that a simulated radio returns besides channels: advertisements, scans, listeners and pending
+//! connects. Dropping one of them ends the operation on the air.
 use std::sync::Arc;
 
 use async_trait::async_trait;
@@ -12,17 +12,17 @@ use super::{
 };
 use crate::{
     address::Psm,
-    radio::{AdvertisingGuard, Channel, ChannelListener, RadioError, Scan, Sighting},
+    radio::{AdvertisingGuard, AdvertisingReport, Channel, ChannelListener, RadioError, Scan},
 };
 
-pub(super) struct Advertised {
+pub(super) struct SimAdvertisement {
     pub(super) attachment: Arc<Attachment>,
     pub(super) request: RequestId,
 }
 
-impl AdvertisingGuard for Advertised {}
+impl AdvertisingGuard for SimAdvertisement {}
 
-impl Drop for Advertised {
+impl Drop for SimAdvertisement {
     fn drop(&mut self) {
         let request = self.request;
         self.attachment
@@ -33,14 +33,14 @@ impl Drop for Advertised {
 pub(super) struct SimScan {
     pub(super) attachment: Arc<Attachment>,
     pub(super) request: RequestId,
-    pub(super) heard: mpsc::Receiver<Sighting>,
+    pub(super) reports: mpsc::Receiver<AdvertisingReport>,
 }
 
 #[async_trait]
 impl Scan for SimScan {
-    async fn next(&mut self) -> Result<Sighting, RadioError> {
-        let heard = self.heard.recv().await;
-        heard.ok_or_else(|| self.attachment.unavailable())
+    async fn next(&mut self) -> Result<AdvertisingReport, RadioError> {
+        let report = self.reports.recv().await;
+        report.ok_or_else(|| self.attachment.unavailable())
     }
 }
 
@@ -54,7 +54,7 @@ pub(super) struct SimListener {
     attachment: Arc<Attachment>,
     request: RequestId,
     psm: Psm,
-    calls: Mutex<mpsc::UnboundedReceiver<SimChannel>>,
+    incoming: Mutex<mpsc::UnboundedReceiver<SimChannel>>,
 }
 
 impl SimListener {
@@ -62,13 +62,13 @@ impl SimListener {
         attachment: Arc<Attachment>,
         request: RequestId,
         psm: Psm,
-        calls: mpsc::UnboundedReceiver<SimChannel>,
+        incoming: mpsc::UnboundedReceiver<SimChannel>,
     ) -> Self {
         Self {
             attachment,
             request,
             psm,
-            calls: Mutex::new(calls),
+            incoming: Mutex::new(incoming),
         }
     }
 }
@@ -80,7 +80,7 @@ impl ChannelListener for SimListener {
     }
 
     async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError> {
-        match self.calls.lock().await.recv().await {
+        match self.incoming.lock().await.recv().await {
             Some(channel) => Ok(Arc::new(channel)),
             None => Err(self.attachment.unavailable()),
         }
@@ -93,7 +93,7 @@ impl Drop for SimListener {
     }
 }
 
-/// Takes a connect back when its future is dropped before it is answered.
+/// Cancels a connect if its future is dropped before the response arrives.
 pub(super) struct CancelOnDrop {
     attachment: Arc<Attachment>,
     request: Option<RequestId>,

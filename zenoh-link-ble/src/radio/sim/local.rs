@@ -1,5 +1,5 @@
-//! Owns the simulated air inside one process: the model behind a lock, and one task that wakes it when something is
-//! due. It keeps tokio's time, so with tokio's clock paused everything happens in virtual time.
+//! Runs the simulated air within one process: the model behind a lock, and one task that drives its timers. It uses
+//! tokio's clock; if that clock is paused, everything happens in virtual time.
 use std::{
     collections::HashMap,
     future::pending,
@@ -16,7 +16,7 @@ use tokio::{
 use super::{
     adapter::{address_of, AdapterStats},
     air::{AdapterId, Air, AirStatus, AttachError, NoSuchAdapter},
-    attachment::{Attachment, Carrier},
+    attachment::{AirConnection, Attachment},
     condition::Condition,
     message::{Command, Event, Violation},
     options::AirOptions,
@@ -24,7 +24,7 @@ use super::{
 };
 use crate::radio::RadioError;
 
-/// A simulated air in this process. Clones are the same air; it ends with the last clone and the last radio.
+/// A simulated air in this process. Clones share the same air, which ends with the last clone and the last radio.
 ///
 /// ```no_run
 /// # use zenoh_link_ble::radio::sim::{AirOptions, SimAir};
@@ -44,34 +44,34 @@ pub struct SimAir {
 struct Shared {
     start: Instant,
     inner: Mutex<Inner>,
-    earlier: Arc<Notify>,
+    reschedule: Arc<Notify>,
 }
 
 struct Inner {
     air: Air,
-    /// When the driver wakes by itself.
+    /// Time at which the driver task wakes up.
     driver_wakes_at: Option<Duration>,
     outboxes: HashMap<AdapterId, mpsc::UnboundedSender<Event>>,
     radios: HashMap<String, Weak<Attachment>>,
 }
 
-/// An adapter brought on the air, with what the air tells it. It leaves the air when it is dropped.
+/// An attached adapter, and the events that the air sends to it. Dropping it detaches the adapter.
 pub(super) struct Attached {
     pub(super) events: mpsc::UnboundedReceiver<Event>,
-    pub(super) place: Place,
+    pub(super) handle: AirHandle,
 }
 
-/// An adapter's way of telling the air something.
-pub(super) struct Place {
+/// Sends the commands of one adapter to the air.
+pub(super) struct AirHandle {
     id: AdapterId,
     shared: Arc<Shared>,
 }
 
 impl SimAir {
-    /// An air with nobody on it. Must be called within a tokio runtime, which then drives it.
-    /// Options that no link could have are brought to the nearest that one could; [`AirOptions::check`] tells.
+    /// Creates an air without adapters. Must be called within a tokio runtime, which then drives the air. Options
+    /// outside the range of Bluetooth are clamped to it; [`AirOptions::check`] reports them.
     pub fn new(options: AirOptions) -> Self {
-        let earlier = Arc::new(Notify::new());
+        let reschedule = Arc::new(Notify::new());
         let shared = Arc::new(Shared {
             start: Instant::now(),
             inner: Mutex::new(Inner {
@@ -80,29 +80,32 @@ impl SimAir {
                 outboxes: HashMap::new(),
                 radios: HashMap::new(),
             }),
-            earlier: Arc::clone(&earlier),
+            reschedule: Arc::clone(&reschedule),
         });
-        tokio::spawn(drive(Arc::downgrade(&shared), earlier));
+        tokio::spawn(drive(Arc::downgrade(&shared), reschedule));
         Self { shared }
     }
 
-    /// The adapter of that name; brought on the air, powered on, unless this process has it there already.
-    // Async although it waits for nothing: the radio of another process does, and tests swap them.
+    /// Returns the adapter of that name. Attaches it, powered on, unless this process has already attached it.
+    ///
+    /// # Errors
+    /// Fails if the name is invalid.
+    // Async although it does not wait: attaching to another process does, and tests use both.
     #[allow(clippy::unused_async)]
     pub async fn radio(&self, name: &str) -> Result<Arc<SimRadio>, RadioError> {
-        let known = {
+        let existing = {
             let inner = self.shared.inner.lock();
             inner.radios.get(name).and_then(Weak::upgrade)
         };
-        if let Some(attachment) = known {
+        if let Some(attachment) = existing {
             return Ok(Arc::new(SimRadio { attachment }));
         }
-        let Attached { mut events, place } =
+        let Attached { mut events, handle } =
             self.attach(name).map_err(|error| RadioError::NoAdapter {
                 adapter: name.to_owned(),
                 advice: error.to_string(),
             })?;
-        let attachment = Arc::new(Attachment::new(name, address_of(name), Box::new(place)));
+        let attachment = Arc::new(Attachment::new(name, address_of(name), Box::new(handle)));
         let weak = Arc::downgrade(&attachment);
         self.shared
             .inner
@@ -120,60 +123,61 @@ impl SimAir {
         Ok(Arc::new(SimRadio { attachment }))
     }
 
-    /// Nobody hears anybody any more; links end when their supervision timeout passes.
+    /// Cuts the radio contact between all adapters. Links end when their supervision timeout expires.
     pub fn cut(&self) {
-        self.shared.act(|air, now| air.cut(now));
+        self.shared.with_air(|air, now| air.cut(now));
     }
 
-    /// The same, at the moment when so many more packets with data have arrived (0: now). Every packet of an SDU counts, and
-    /// every command of L2CAP (asking for a channel, the answer, credits, the end); one that is repeated counts once.
+    /// Cuts the radio contact once `packets` more packets with data have arrived (0: immediately). Every packet of an
+    /// SDU and every L2CAP command counts (channel request, response, credits, disconnect); a retransmitted packet
+    /// counts once.
     pub fn cut_after(&self, packets: u64) {
-        self.shared.act(|air, now| air.cut_after(packets, now));
+        self.shared.with_air(|air, now| air.cut_after(packets, now));
     }
 
-    /// Everybody hears everybody again.
+    /// Restores the radio contact between all adapters.
     pub fn restore(&self) {
-        self.shared.act(|air, now| air.restore(now));
+        self.shared.with_air(|air, now| air.restore(now));
     }
 
-    /// These two do not hear each other any more.
+    /// Cuts the radio contact between two adapters.
     pub fn cut_between(&self, a: &str, b: &str) {
-        self.shared.act(|air, now| air.cut_between(a, b, now));
+        self.shared.with_air(|air, now| air.cut_between(a, b, now));
     }
 
-    /// Switches an adapter on (also one that was removed) or off.
+    /// Switches an adapter on (also a removed one) or off.
     pub fn power(&self, name: &str, on: bool) -> Result<(), NoSuchAdapter> {
-        self.shared.act(|air, now| air.power(name, on, now))
+        self.shared.with_air(|air, now| air.power(name, on, now))
     }
 
-    /// Pulls an adapter out.
+    /// Removes an adapter without notice, as when a dongle is unplugged.
     pub fn remove(&self, name: &str) -> Result<(), NoSuchAdapter> {
-        self.shared.act(|air, now| air.remove(name, now))
+        self.shared.with_air(|air, now| air.remove(name, now))
     }
 
-    /// Changes how good the air is.
+    /// Changes the radio condition.
     pub fn set_condition(&self, condition: Condition) {
         self.shared
-            .act(|air, now| air.set_condition(condition, now));
+            .with_air(|air, now| air.set_condition(condition, now));
     }
 
-    /// What an adapter has sent so far; `None` when it is not on the air.
+    /// Returns the traffic that an adapter has sent; `None` if it is not attached.
     pub fn stats(&self, name: &str) -> Option<AdapterStats> {
-        self.shared.act(|air, now| {
+        self.shared.with_air(|air, now| {
             air.poll(now);
             air.stats(name)
         })
     }
 
-    /// Who is on the air and who is linked with whom.
+    /// Returns the attached adapters and the connections between them.
     pub fn status(&self) -> AirStatus {
-        self.shared.act(|air, now| {
+        self.shared.with_air(|air, now| {
             air.poll(now);
             air.status()
         })
     }
 
-    /// How long the air has been there, by tokio's clock.
+    /// Returns the age of the air by tokio's clock.
     pub fn elapsed(&self) -> Duration {
         self.shared.start.elapsed()
     }
@@ -187,7 +191,7 @@ impl SimAir {
         inner.dispatch();
         Ok(Attached {
             events,
-            place: Place {
+            handle: AirHandle {
                 id,
                 shared: Arc::clone(&self.shared),
             },
@@ -195,54 +199,58 @@ impl SimAir {
     }
 }
 
-impl Place {
-    /// Tells the air something; a violation when no correct adapter would.
+impl AirHandle {
+    /// Sends a command to the air.
+    ///
+    /// # Errors
+    /// Returns a violation if no correct adapter would send the command.
     pub(super) fn try_command(&self, command: Command) -> Result<(), Violation> {
         self.shared
-            .act(|air, now| air.command(self.id, command, now))
+            .with_air(|air, now| air.command(self.id, command, now))
     }
 }
 
-impl Carrier for Place {
+impl AirConnection for AirHandle {
     fn command(&self, command: Command) {
         if let Err(violation) = self.try_command(command) {
-            tracing::error!("the simulated air refused its own radio: {violation}");
+            tracing::error!("the simulated air refused a command of its own radio: {violation}");
         }
     }
 
-    fn absence(&self, adapter: &str) -> RadioError {
+    fn missing_error(&self, adapter: &str) -> RadioError {
         RadioError::NoAdapter {
             adapter: adapter.to_owned(),
-            advice: "it was removed from the simulated air; `power` it on there".to_owned(),
+            advice: "it was removed from the simulated air; call `SimAir::power` to add it again"
+                .to_owned(),
         }
     }
 }
 
-impl Drop for Place {
+impl Drop for AirHandle {
     fn drop(&mut self) {
-        self.shared.act(|air, now| air.detach(self.id, now));
+        self.shared.with_air(|air, now| air.detach(self.id, now));
         self.shared.inner.lock().outboxes.remove(&self.id);
     }
 }
 
 impl Shared {
-    /// Does something to the model at this moment, and passes on what came of it.
-    fn act<T>(&self, deed: impl FnOnce(&mut Air, Duration) -> T) -> T {
+    /// Applies `action` to the model at the current time, and dispatches the resulting events.
+    fn with_air<T>(&self, action: impl FnOnce(&mut Air, Duration) -> T) -> T {
         let mut inner = self.inner.lock();
-        // Read under the lock, so that the model's time never goes back.
+        // Read while the lock is held, so that the model's time never goes backwards.
         let now = self.start.elapsed();
-        let result = deed(&mut inner.air, now);
+        let result = action(&mut inner.air, now);
         inner.dispatch();
         let next = inner.air.next_wakeup();
-        let sleeps_until = inner.driver_wakes_at;
+        let driver_wakes_at = inner.driver_wakes_at;
         drop(inner);
-        if next.is_some_and(|next| sleeps_until.is_none_or(|until| next < until)) {
-            self.earlier.notify_one();
+        if next.is_some_and(|next| driver_wakes_at.is_none_or(|until| next < until)) {
+            self.reschedule.notify_one();
         }
         result
     }
 
-    /// Does what is due, and tells when the driver is to do so again.
+    /// Handles expired timers, and returns the time at which the driver should wake up again.
     fn drive(&self) -> Option<Instant> {
         let mut inner = self.inner.lock();
         inner.air.poll(self.start.elapsed());
@@ -254,9 +262,9 @@ impl Shared {
 
 impl Inner {
     fn dispatch(&mut self) {
-        for happened in self.air.drain() {
-            if let Some(outbox) = self.outboxes.get(&happened.adapter) {
-                let _ = outbox.send(happened.event);
+        for timed in self.air.drain() {
+            if let Some(outbox) = self.outboxes.get(&timed.adapter) {
+                let _ = outbox.send(timed.event);
             }
         }
     }
@@ -264,12 +272,12 @@ impl Inner {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // The driver finds nobody and ends.
-        self.earlier.notify_one();
+        // Wakes up the driver, which then ends.
+        self.reschedule.notify_one();
     }
 }
 
-async fn drive(shared: Weak<Shared>, earlier: Arc<Notify>) {
+async fn drive(shared: Weak<Shared>, reschedule: Arc<Notify>) {
     while let Some(next) = shared.upgrade().map(|shared| shared.drive()) {
         let due = async {
             match next {
@@ -279,7 +287,7 @@ async fn drive(shared: Weak<Shared>, earlier: Arc<Notify>) {
         };
         tokio::select! {
             () = due => {}
-            () = earlier.notified() => {}
+            () = reschedule.notified() => {}
         }
     }
 }

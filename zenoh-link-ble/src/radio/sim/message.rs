@@ -1,5 +1,4 @@
-//! Owns what an adapter tells the air and what the air tells an adapter: the same whether both are in one process or
-//! talk over a socket.
+//! Defines the commands of adapters and the events of the air. They are the same within one process and over a socket.
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -8,227 +7,229 @@ use crate::{
     radio::AdapterState,
 };
 
-/// An L2CAP channel; both its ends have the same number, given by the air.
+/// Identifies an L2CAP channel. The air assigns the id, which is the same at both ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct ChannelId(pub u64);
 
-/// Something an adapter asked for and may take back: chosen by the adapter, unique while it is pending.
+/// Identifies a pending request of an adapter. The adapter chooses the id, which is unique while the request is
+/// pending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct RequestId(pub u32);
 
-/// What an adapter tells the air.
+/// Commands of an adapter to the air.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Command {
-    /// Puts an advertisement on the air, until `StopAdvertising`.
+    /// Starts an advertisement, which continues until `StopAdvertising`.
     Advertise {
-        /// Names it.
+        /// Id of the advertisement.
         request: RequestId,
-        /// The service data.
+        /// Service data of the advertisement.
         advertisement: Advertisement,
-        /// The scan response's name.
+        /// Name in the scan response.
         name: String,
     },
-    /// Takes that advertisement off the air.
+    /// Stops an advertisement.
     StopAdvertising {
-        /// Its name.
+        /// Id of the request.
         request: RequestId,
     },
-    /// Starts or stops hearing advertisements.
+    /// Starts or stops receiving advertisements.
     Scan(bool),
-    /// Takes channels on a PSM; answered by `Event::Listening`.
+    /// Accepts channels on a PSM. The response is `Event::Listening`.
     Listen {
-        /// Names the question.
+        /// Id of the request.
         request: RequestId,
-        /// The PSM; the air chooses one without.
+        /// PSM to listen on; `None` lets the air choose one.
         psm: Option<Psm>,
-        /// The largest SDU taken, in bytes.
+        /// Largest SDU that this end receives, in bytes.
         recv_mtu: u16,
     },
-    /// Takes no more channels on that PSM.
+    /// Stops listening on a PSM.
     Unlisten {
-        /// The PSM.
+        /// PSM of the listener.
         psm: Psm,
     },
-    /// Opens a channel; answered by `Event::Connected` or `Event::ConnectFailed`, however long it takes.
+    /// Opens a channel. The response is `Event::Connected` or `Event::ConnectFailed`, without a time limit.
     Connect {
-        /// Names the question.
+        /// Id of the request.
         request: RequestId,
-        /// Whom to dial.
+        /// Address of the peer.
         peer: DeviceAddress,
-        /// Where it listens.
+        /// PSM on which the peer listens.
         psm: Psm,
-        /// The largest SDU taken, in bytes.
+        /// Largest SDU that this end receives, in bytes.
         recv_mtu: u16,
     },
-    /// Gives up on a connect.
+    /// Cancels a connect.
     CancelConnect {
-        /// Its name.
+        /// Id of the request.
         request: RequestId,
     },
-    /// Queues an SDU; answered by `Event::Sent` when the peer's controller has it all.
+    /// Queues an SDU. The response is `Event::Sent`, when the peer's controller has received all of it.
     Send {
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
-        /// The SDU.
+        /// Content of the SDU.
         sdu: Vec<u8>,
     },
-    /// The oldest unread SDU was read, so that there is room for more.
-    Took {
-        /// The channel.
+    /// Reports that the oldest unread SDU was read, which makes room for more.
+    SduRead {
+        /// Channel.
         channel: ChannelId,
     },
     /// Closes a channel.
     Close {
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
     },
 }
 
-/// How much one end of a channel may send.
+/// Limits for sending at one end of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SendLimits {
-    /// The largest SDU the peer takes, in bytes.
+    /// Largest SDU that the peer receives, in bytes.
     pub sdu_bytes: u16,
-    /// How many bytes of SDUs the controller takes ahead of the air: `send` waits while there are more.
+    /// Number of queued bytes that the controller accepts ahead of transmission. `send` waits while more bytes are
+    /// queued.
     pub ahead_bytes: usize,
 }
 
 impl SendLimits {
-    /// Whether another SDU may join so many bytes that wait: the socket has room for one, as soon as the controller has all
-    /// of the one before.
+    /// Returns whether another SDU may be queued behind `queued_bytes`. The socket accepts one more SDU as soon as the
+    /// controller has the whole previous one.
     pub fn has_room(self, queued_bytes: usize) -> bool {
         queued_bytes <= self.ahead_bytes
     }
 }
 
-/// What the air tells an adapter.
+/// Events of the air for an adapter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {
-    /// The adapter's state changed. Off and missing also end all its advertisements, scans, listeners, pending
-    /// connects and channels; nothing more is said of those.
+    /// The adapter's state changed. `Off` and `Missing` also end all its advertisements, scans, listeners, pending
+    /// connects and channels, without further events for them.
     State(#[serde(with = "state")] AdapterState),
-    /// An advertisement was heard.
-    Sighting(Heard),
-    /// The answer to `Command::Listen`.
+    /// An advertisement was received.
+    AdvertisementReceived(ReceivedAdvertisement),
+    /// Response to `Command::Listen`.
     Listening {
-        /// The question.
+        /// Id of the request.
         request: RequestId,
-        /// The PSM taken.
+        /// PSM of the new listener, or the reason of the failure.
         psm: Result<Psm, ListenFailure>,
     },
     /// A peer opened a channel.
     Incoming {
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
-        /// Where it came in.
+        /// PSM of the listener.
         psm: Psm,
-        /// Who dialled.
+        /// Address of the peer.
         peer: DeviceAddress,
-        /// How much may be sent.
+        /// Limits for sending.
         limits: SendLimits,
     },
-    /// A channel asked for is open.
+    /// A requested channel is open.
     Connected {
-        /// The question.
+        /// Id of the request.
         request: RequestId,
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
-        /// How much may be sent.
+        /// Limits for sending.
         limits: SendLimits,
     },
-    /// A channel asked for will not be.
+    /// A requested channel could not be opened.
     ConnectFailed {
-        /// The question.
+        /// Id of the request.
         request: RequestId,
-        /// Why.
+        /// Reason of the failure.
         why: ConnectFailure,
     },
-    /// The oldest of what is queued on the channel has arrived: so many bytes have room again.
+    /// The oldest queued bytes of the channel have arrived, which makes room for as many bytes.
     Sent {
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
-        /// The SDU's size.
+        /// Number of bytes that arrived.
         bytes: usize,
     },
-    /// An SDU came in.
+    /// An SDU was received.
     Received {
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
-        /// The SDU.
+        /// Content of the SDU.
         sdu: Vec<u8>,
     },
-    /// The channel is down: the peer closed it or the link is lost.
+    /// The channel is down: the peer closed it, or the connection was lost.
     Closed {
-        /// The channel.
+        /// Channel.
         channel: ChannelId,
     },
 }
 
-/// One advertisement as it was heard.
+/// One received advertisement.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Heard {
-    /// Who sent it.
+pub struct ReceivedAdvertisement {
+    /// Address of the advertising device.
     pub device: DeviceAddress,
-    /// The service data.
+    /// Service data of the advertisement.
     pub advertisement: Advertisement,
-    /// The scan response's name.
+    /// Name in the scan response.
     pub name: String,
-    /// Signal strength.
+    /// Received signal strength, in dBm.
     pub rssi_dbm: i16,
 }
 
-/// Why a PSM cannot be listened on.
+/// Reasons why an adapter cannot listen on a PSM.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ListenFailure {
-    /// Another listener of the adapter has it.
+    /// Another listener of the adapter uses the PSM.
     Taken,
-    /// All 128 are taken.
+    /// All 128 PSMs are in use.
     NoneFree,
     /// The adapter is off or missing.
     Unavailable,
 }
 
-/// Why there is no channel.
+/// Reasons why a channel could not be opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ConnectFailure {
-    /// The peer has no listener there.
+    /// The peer has no listener on the PSM.
     Refused,
-    /// The link was lost while the channel was being opened.
+    /// The connection was lost while the channel was being opened.
     LinkLost,
     /// The adapter is off or missing.
     Unavailable,
 }
 
-/// What a misbehaving adapter did. The air drops such a client; others do not notice.
+/// Protocol violations of an adapter. The air disconnects the client; other clients are not affected.
 #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum Violation {
-    /// A PSM outside 0x80 to 0xff.
+    /// The PSM is outside 0x80 to 0xff.
     #[error("a psm out of range")]
     Psm,
-    /// A receive MTU under 23 bytes.
+    /// The receive MTU is below 23 bytes.
     #[error("a receive mtu under 23 bytes")]
     Mtu,
-    /// A name that does not fit the scan response.
+    /// The name does not fit into the scan response.
     #[error("a name over 29 bytes")]
     Name,
-    /// More listeners, advertisements or pending connects than an adapter can have.
+    /// The adapter has too many pending listeners, advertisements or connects.
     #[error("too many requests at once")]
     TooManyRequests,
-    /// A request named like one that is pending.
+    /// The id belongs to a request that is pending.
     #[error("a request that is already pending")]
     DuplicateRequest,
-    /// An empty SDU, or one over the peer's MTU.
+    /// The SDU is empty, or larger than the peer's MTU.
     #[error("an sdu the channel cannot carry")]
     SduSize,
-    /// An SDU for which the send queue had no room.
+    /// The SDU was sent although the send queue had no room for it.
     #[error("an sdu sent without room for it")]
     NoRoom,
-    /// An SDU said to be read that never came.
-    #[error("an sdu read that was not there")]
-    NothingToTake,
+    /// The adapter reported reading an SDU that was never received.
+    #[error("an sdu reported as read that was never received")]
+    NothingToRead,
 }
 
-/// How an [`AdapterState`] travels: the seam's own type knows nothing of serde.
+/// Serializes [`AdapterState`]: the radio interface itself does not depend on serde.
 mod state {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 

@@ -1,4 +1,4 @@
-//! Owns what can be set about a simulated air, and the constants of its hosts' Bluetooth stacks.
+//! Defines the options of a simulated air, and the constants of its Bluetooth hosts.
 use std::time::Duration;
 
 use super::{
@@ -6,60 +6,66 @@ use super::{
     phy::{LlPayload, Phy},
 };
 
-/// How many packets a controller takes ahead of the air. What it took cannot be overtaken by what is more urgent.
+/// Number of packets that a controller accepts ahead of transmission. They cannot be overtaken by more urgent data.
 const CONTROLLER_PACKETS: usize = 4;
-/// The least a controller takes ahead, in bytes: eight of the shortest packets.
+/// Minimum number of bytes that a controller accepts ahead of transmission: eight of the shortest packets.
 const CONTROLLER_BYTES: usize = 8 * 27;
 
-/// How many bytes of unread SDUs a receiver keeps before it gives no more credits (a kernel's `SO_RCVBUF`).
+/// Number of bytes of unread SDUs that a receiver buffers before it grants no more credits (a kernel's `SO_RCVBUF`).
 pub const RECEIVE_BUFFER_BYTES: usize = 64 * 1024;
 
-/// How much of that a link may count on: as on Linux with its default settings. (Here nothing would be lost beyond it.)
-pub const KEPT_UNREAD_BYTES: usize = 12_500;
+/// Part of the receive buffer, in bytes, that a link can rely on: the same as on Linux with its default settings. (The
+/// simulated air loses no data beyond it.)
+pub const GUARANTEED_RECEIVE_BYTES: usize = 12_500;
 
-/// The smallest receive MTU an LE channel may have (Core Specification, Vol 3, Part A, 4.22).
+/// Smallest receive MTU of an LE channel (Core Specification, Vol 3, Part A, 4.22).
 pub const MIN_MTU: u16 = 23;
 
-/// The part of a scan response a name may take: 31 bytes less the field's two of length and type.
+/// Maximum length of a name in a scan response: 31 bytes minus 2 for the field's length and type.
 pub const MAX_NAME_BYTES: usize = 29;
 
-/// The mean time between two advertising events; each is up to [`ADVERTISING_DELAY`] later (Vol 6, Part B, 4.4.2.2).
+/// Minimum time between two advertising events. Each event is delayed by up to [`ADVERTISING_DELAY`] more (Vol 6, Part
+/// B, 4.4.2.2).
 pub const ADVERTISING_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The random delay of an advertising event.
+/// Maximum random delay of an advertising event.
 pub const ADVERTISING_DELAY: Duration = Duration::from_millis(10);
 
-/// A scan reports the same device no more often than this.
-pub const SIGHTING_INTERVAL: Duration = Duration::from_millis(200);
+/// Minimum time between two reports of the same device in a scan.
+pub const REPORT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// From the connect packet to the first connection event.
+/// Time from the connect packet to the first connection event.
 pub const TRANSMIT_WINDOW: Duration = Duration::from_micros(2500);
 
-/// Connection events that go to the exchange of versions, features and data length before a channel is asked for.
+/// Number of connection events used for the exchange of versions, features and data length before a channel is
+/// requested.
 pub const SETUP_EVENTS: u8 = 3;
 
-/// A new link on which nothing is heard for so many intervals was never made (Vol 6, Part B, 4.5.2).
+/// Number of intervals without a received packet after which a new connection counts as not established (Vol 6, Part B,
+/// 4.5.2).
 pub const ESTABLISH_INTERVALS: u32 = 6;
 
-/// How long a link without a channel is kept. (Linux keeps it for 2 s; shorter here, so that tests see the end.)
+/// Time for which a connection without a channel is kept. (Linux keeps it for 2 s; it is shorter here, so that tests
+/// observe the end sooner.)
 pub const LINGER: Duration = Duration::from_millis(200);
 
-/// What a simulated air is made with. `AirOptions::default()` is a room with Bluetooth 4.2 radios.
+/// Options of a simulated air. The defaults describe a room with Bluetooth 4.2 radios.
 #[derive(Clone, Debug)]
 pub struct AirOptions {
-    /// Where chance begins: the same seed and the same commands give the same events.
+    /// Seed of the random generator: the same seed and the same commands produce the same events. Default: 1.
     pub seed: u64,
-    /// How good the air is. Default: room.
+    /// Radio condition. Default: room.
     pub condition: Condition,
-    /// The physical layer of every link. Default: 1M.
+    /// Physical layer of every link. Default: 1M.
     pub phy: Phy,
-    /// The largest link-layer payload. Default: 251 bytes.
+    /// Largest link-layer payload. Default: 251 bytes.
     pub pdu: LlPayload,
-    /// The connection interval, 7.5 ms to 4 s. Default: 30 ms, as BlueZ asks for.
+    /// Connection interval, 7.5 ms to 4 s. Default: 30 ms, as BlueZ requests.
     pub interval: Duration,
-    /// A link on which nothing was heard for so long is down, 100 ms to 32 s. Default: 2 s (BlueZ's own: 420 ms).
+    /// Supervision timeout: a connection on which no packet was received for this time is down. 100 ms to 32 s.
+    /// Default: 2 s (default of BlueZ: 420 ms).
     pub supervision_timeout: Duration,
-    /// The largest piece of an SDU in one L2CAP frame, 23 to 65533 bytes. Default: 247, one full packet.
+    /// Largest piece of an SDU in one L2CAP frame, 23 to 65533 bytes. Default: 247, which fills one packet.
     pub mps: u16,
 }
 
@@ -77,7 +83,7 @@ impl Default for AirOptions {
     }
 }
 
-/// A value no Bluetooth link could have.
+/// Option values outside the range of Bluetooth.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum AirOptionsError {
     /// The interval is out of range.
@@ -92,7 +98,10 @@ pub enum AirOptionsError {
 }
 
 impl AirOptions {
-    /// Whether a Bluetooth link could have these values.
+    /// Checks that the values are in the range of Bluetooth.
+    ///
+    /// # Errors
+    /// Returns [`AirOptionsError`] with the first value that is not.
     pub fn check(&self) -> Result<(), AirOptionsError> {
         let possible = self.clone().clamped();
         if possible.interval != self.interval {
@@ -109,12 +118,12 @@ impl AirOptions {
         Ok(())
     }
 
-    /// How many bytes a controller takes ahead.
+    /// Returns the number of bytes that a controller accepts ahead of transmission.
     pub(super) fn ahead_bytes(&self) -> usize {
         CONTROLLER_BYTES.max(CONTROLLER_PACKETS * self.pdu.bytes())
     }
 
-    /// The nearest values that a Bluetooth link could have (Core Specification, Vol 6, Part B, 4.5.1 and 4.5.2).
+    /// Returns the nearest values in the range of Bluetooth (Core Specification, Vol 6, Part B, 4.5.1 and 4.5.2).
     pub(super) fn clamped(mut self) -> Self {
         let ms = Duration::from_millis;
         self.interval = self.interval.clamp(Duration::from_micros(7500), ms(4000));
@@ -130,12 +139,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_possible() {
+    fn accepts_the_defaults() {
         assert_eq!(AirOptions::default().check(), Ok(()));
     }
 
     #[test]
-    fn what_no_link_could_have_is_named() {
+    fn rejects_values_outside_the_range_of_bluetooth() {
         let good = AirOptions::default;
         let interval = Duration::from_millis(5);
         assert_eq!(

@@ -1,26 +1,26 @@
-//! Owns what travels on a connection: L2CAP frames, the link-layer packets they are cut into, and the commands of
-//! L2CAP's signalling channel.
+//! Defines the units that a connection transmits: L2CAP frames, the link-layer packets that carry them, and the
+//! commands of L2CAP's signalling channel.
 use super::{channel::Piece, message::ChannelId};
 use crate::address::Psm;
 
-/// Every L2CAP frame begins with its length and channel.
+/// Size of the length and channel fields at the start of every L2CAP frame.
 const L2CAP_HEADER_BYTES: usize = 4;
 
 /// A link-layer packet with data.
 #[derive(Debug)]
 pub(super) struct Packet {
     pub(super) bytes: usize,
-    /// What arrives with it: the end of a frame.
-    pub(super) load: Option<Load>,
-    /// Whose bytes are done with once this packet is acknowledged, and how many.
+    /// Content that is delivered with this packet; set in the last packet of a frame.
+    pub(super) content: Option<PacketContent>,
+    /// Channel and number of SDU bytes that are complete once this packet is acknowledged.
     pub(super) completes: Option<(ChannelId, usize)>,
     pub(super) is_delivered: bool,
     pub(super) is_repeated: bool,
 }
 
-/// The end of an L2CAP frame.
+/// Content of an L2CAP frame, delivered with the frame's last packet.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Load {
+pub(super) enum PacketContent {
     Signal(Signal),
     Frame {
         channel: ChannelId,
@@ -32,20 +32,20 @@ pub(super) enum Load {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Signal {
     ConnectRequest { channel: ChannelId, psm: Psm },
-    ConnectAnswer { channel: ChannelId, accepted: bool },
+    ConnectResponse { channel: ChannelId, accepted: bool },
     Disconnect { channel: ChannelId },
     Credits { channel: ChannelId, frames: u32 },
 }
 
-/// An L2CAP frame, or what is left of it.
+/// An L2CAP frame, or the part of it that is not sent yet.
 #[derive(Debug)]
 pub(super) struct Frame {
     pub(super) left_bytes: usize,
-    /// Whose SDU it is part of.
+    /// Channel of the SDU; `None` for a signalling command.
     channel: Option<ChannelId>,
-    /// Bytes of headers at its beginning.
+    /// Bytes of headers at the beginning of the remaining part.
     header_bytes: usize,
-    load: Load,
+    content: PacketContent,
 }
 
 impl Frame {
@@ -54,7 +54,7 @@ impl Frame {
             left_bytes: L2CAP_HEADER_BYTES + signal.bytes(),
             channel: None,
             header_bytes: 0,
-            load: Load::Signal(signal),
+            content: PacketContent::Signal(signal),
         }
     }
 
@@ -63,20 +63,21 @@ impl Frame {
             left_bytes: L2CAP_HEADER_BYTES + piece.bytes,
             channel: Some(channel),
             header_bytes: L2CAP_HEADER_BYTES + piece.bytes - piece.sdu_bytes,
-            load: Load::Frame {
+            content: PacketContent::Frame {
                 channel,
                 sdu: piece.sdu,
             },
         }
     }
 
-    /// Its next packet of at most `payload_bytes`, and the rest; what the frame carries arrives with its last packet.
+    /// Returns the next packet of at most `payload_bytes`, and the remaining part. The frame's content is in its last
+    /// packet.
     pub(super) fn cut(self, payload_bytes: usize) -> (Packet, Option<Self>) {
         let bytes = self.left_bytes.min(payload_bytes);
         let headers = self.header_bytes.min(bytes);
         let mut packet = Packet {
             bytes,
-            load: None,
+            content: None,
             completes: self.channel.map(|channel| (channel, bytes - headers)),
             is_delivered: false,
             is_repeated: false,
@@ -91,16 +92,17 @@ impl Frame {
             };
             return (packet, Some(rest));
         }
-        packet.load = Some(self.load);
+        packet.content = Some(self.content);
         (packet, None)
     }
 }
 
 impl Signal {
-    /// Its size: four bytes of code, identifier and length, then the parameters (Vol 3, Part A, 4).
+    /// Returns the size of the command: four bytes of code, identifier and length, then the parameters (Vol 3, Part A,
+    /// 4).
     fn bytes(self) -> usize {
         match self {
-            Self::ConnectRequest { .. } | Self::ConnectAnswer { .. } => 4 + 10,
+            Self::ConnectRequest { .. } | Self::ConnectResponse { .. } => 4 + 10,
             Self::Disconnect { .. } | Self::Credits { .. } => 4 + 4,
         }
     }

@@ -1,35 +1,36 @@
-//! Owns how long a packet is on the air: the LE PHYs, the size of a link-layer payload, and the arithmetic between.
+//! Computes the airtime of packets from the LE PHY and the size of the link-layer payload.
 //!
-//! Figures: Bluetooth Core Specification 5.4, Vol 6, Part B, 2.1 (uncoded packets), 2.2 (coded packets), 4.1 (spacing).
+//! Source of the values: Bluetooth Core Specification 5.4, Vol 6, Part B, 2.1 (uncoded packets), 2.2 (coded packets),
+//! 4.1 (spacing).
 use std::{fmt, str::FromStr, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
-/// The inter-frame space: the silence between two packets of one connection event.
+/// Inter-frame space: the pause between two packets of one connection event.
 pub const INTER_FRAME_SPACE: Duration = Duration::from_micros(150);
 
-/// The bytes of a packet beside preamble and payload: access address 4, header 2, CRC 3.
+/// Bytes of a packet besides preamble and payload: access address 4, header 2, CRC 3.
 const PACKET_OVERHEAD_BYTES: usize = 4 + 2 + 3;
 
-/// The physical layer of every link of the simulated air.
+/// Physical layer of every link of the simulated air.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phy {
-    /// 1 Mbit/s, what every LE radio can do (and all that a Raspberry Pi 3 can).
+    /// 1 Mbit/s, supported by every LE radio; the only PHY of a Raspberry Pi 3.
     #[default]
     #[serde(rename = "1m")]
     Le1M,
     /// 2 Mbit/s, Bluetooth 5.
     #[serde(rename = "2m")]
     Le2M,
-    /// Coded, two symbols for a bit: 500 kbit/s.
+    /// Coded, two symbols per bit: 500 kbit/s.
     #[serde(rename = "coded-s2")]
     CodedS2,
-    /// Coded, eight symbols for a bit: 125 kbit/s, long range.
+    /// Coded, eight symbols per bit: 125 kbit/s, long range.
     #[serde(rename = "coded-s8")]
     CodedS8,
 }
 
-/// The largest payload of a link-layer packet.
+/// Largest payload of a link-layer packet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LlPayload {
     /// 27 bytes: Bluetooth 4.0 and 4.1, such as a Raspberry Pi 3B.
@@ -39,25 +40,25 @@ pub enum LlPayload {
     Bytes251,
 }
 
-/// The text names no PHY.
+/// The text is not the name of a PHY.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[error("{0:?} is no PHY: use 1m, 2m, coded-s2 or coded-s8")]
+#[error("{0:?} is not a PHY: use 1m, 2m, coded-s2 or coded-s8")]
 pub struct PhyError(String);
 
-/// The text is no size of a link-layer payload.
+/// The text is not a valid size of a link-layer payload.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[error("{0:?} is no link-layer payload size: use 27 or 251")]
+#[error("{0:?} is not a link-layer payload size: use 27 or 251")]
 pub struct LlPayloadError(String);
 
 impl Phy {
-    /// Every PHY, fastest common one first.
+    /// All PHYs, the most common one first.
     pub const ALL: [Self; 4] = [Self::Le1M, Self::Le2M, Self::CodedS2, Self::CodedS8];
 
-    /// How long a packet with `payload_bytes` is on the air.
+    /// Returns the airtime of a packet with `payload_bytes`.
     pub fn airtime(self, payload_bytes: usize) -> Duration {
         let body = (PACKET_OVERHEAD_BYTES + payload_bytes) as u64;
-        // The coded PHYs send preamble 80, access address 256, coding indicator 16 and its tail 24 us at a fixed rate;
-        // then header, payload and CRC, and a tail of three bits, at S us a bit.
+        // The coded PHYs send preamble 80, access address 256, coding indicator 16 and its tail 24 us at a fixed rate,
+        // followed by header, payload, CRC and a tail of three bits at S us per bit.
         let coded_body = 5 + payload_bytes as u64;
         let micros = match self {
             Self::Le1M => (1 + body) * 8,
@@ -68,19 +69,19 @@ impl Phy {
         Duration::from_micros(micros)
     }
 
-    /// One exchange: the central's packet, the peripheral's answer, and the silence after each.
+    /// Returns the duration of one exchange: the central's packet, the peripheral's response, and the pause after each.
     pub fn exchange(self, central_bytes: usize, peripheral_bytes: usize) -> Duration {
         self.airtime(central_bytes) + self.airtime(peripheral_bytes) + 2 * INTER_FRAME_SPACE
     }
 
-    /// The bits of a packet that must all be right for it to be heard.
+    /// Returns the number of bits of a packet that must all be correct for the packet to be received.
     pub fn bits(payload_bytes: usize) -> u32 {
         u32::try_from((PACKET_OVERHEAD_BYTES + payload_bytes) * 8).unwrap_or(u32::MAX)
     }
 }
 
 impl LlPayload {
-    /// Its size in bytes.
+    /// Returns the payload size in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::Bytes27 => 27,
@@ -134,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_packet_and_an_empty_answer_take_as_long_as_the_specification_says() {
+    fn computes_the_exchange_time_of_the_specification() {
         for (phy, bytes, micros) in [
             (Phy::Le1M, 27, 676),
             (Phy::Le1M, 251, 2468),
@@ -152,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn phys_and_payload_sizes_read_back_as_they_are_written() {
+    fn parses_the_displayed_name_of_every_phy_and_payload_size() {
         for phy in Phy::ALL {
             assert_eq!(phy.to_string().parse(), Ok(phy));
         }

@@ -1,12 +1,12 @@
-//! Owns the simulated adapter as the link sees it: [`SimRadio`] implements [`Radio`] by telling the air what it is asked.
+//! Implements [`Radio`] for the simulated air: [`SimRadio`] turns every operation into a command to the air.
 use std::{future::Future, pin::Pin, sync::Arc};
 
 use async_trait::async_trait;
 use tokio::sync::{mpsc, oneshot};
 
 use super::{
-    attachment::{Attachment, Dialling},
-    guards::{Advertised, CancelOnDrop, SimScan},
+    attachment::{Attachment, PendingDial},
+    guards::{CancelOnDrop, SimAdvertisement, SimScan},
     message::{Command, ConnectFailure, ListenFailure},
     options::{MAX_NAME_BYTES, MIN_MTU},
 };
@@ -19,7 +19,7 @@ use crate::{
     },
 };
 
-/// Sightings that wait for a slow scan; what comes beyond is not heard, as on a real radio.
+/// Number of reports queued for a slow scan. Further reports are lost, as on a real radio.
 const SCAN_QUEUE: usize = 256;
 
 /// A simulated Bluetooth adapter.
@@ -34,23 +34,23 @@ impl Radio for SimRadio {
     }
 
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
-        self.attachment.until_ready().await;
+        self.attachment.wait_until_ready().await;
         match self.attachment.state() {
             AdapterState::Missing => Err(self.attachment.unavailable()),
             AdapterState::Off | AdapterState::On => Ok(self.attachment.address),
         }
     }
 
-    async fn name_of(&self, device: DeviceAddress) -> Option<String> {
-        self.attachment.name_of(device)
+    async fn device_name(&self, device: DeviceAddress) -> Option<String> {
+        self.attachment.device_name(device)
     }
 
     async fn state(&self) -> AdapterState {
-        self.attachment.until_ready().await;
+        self.attachment.wait_until_ready().await;
         self.attachment.state()
     }
 
-    // Not an `async fn`: it counts changes from the call, not from the first poll.
+    // Not an `async fn`, so that changes are counted from the call and not from the first poll.
     fn changed<'life0, 'async_trait>(
         &'life0 self,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'async_trait>>
@@ -71,14 +71,14 @@ impl Radio for SimRadio {
         name: &str,
     ) -> Result<Box<dyn AdvertisingGuard>, RadioError> {
         let attachment = &self.attachment;
-        attachment.until_ready().await;
-        let request = attachment.book_if_on()?.next_request();
+        attachment.wait_until_ready().await;
+        let request = attachment.registrations_if_on()?.next_request();
         attachment.command(Command::Advertise {
             request,
             advertisement: *advertisement,
-            name: shortened(name).to_owned(),
+            name: truncate_name(name).to_owned(),
         });
-        Ok(Box::new(Advertised {
+        Ok(Box::new(SimAdvertisement {
             attachment: Arc::clone(attachment),
             request,
         }))
@@ -86,19 +86,19 @@ impl Radio for SimRadio {
 
     async fn scan(&self) -> Result<Box<dyn Scan>, RadioError> {
         let attachment = &self.attachment;
-        attachment.until_ready().await;
-        let (sender, heard) = mpsc::channel(SCAN_QUEUE);
+        attachment.wait_until_ready().await;
+        let (sender, reports) = mpsc::channel(SCAN_QUEUE);
         let request = {
-            let mut book = attachment.book_if_on()?;
-            let request = book.next_request();
-            book.scans.insert(request, sender);
+            let mut registrations = attachment.registrations_if_on()?;
+            let request = registrations.next_request();
+            registrations.scans.insert(request, sender);
             request
         };
         attachment.command(Command::Scan(true));
         Ok(Box::new(SimScan {
             attachment: Arc::clone(attachment),
             request,
-            heard,
+            reports,
         }))
     }
 
@@ -108,12 +108,12 @@ impl Radio for SimRadio {
         options: ChannelOptions,
     ) -> Result<Box<dyn ChannelListener>, RadioError> {
         let attachment = &self.attachment;
-        attachment.until_ready().await;
+        attachment.wait_until_ready().await;
         let (sender, answer) = oneshot::channel();
         let request = {
-            let mut book = attachment.book_if_on()?;
-            let request = book.next_request();
-            book.listening.insert(request, sender);
+            let mut registrations = attachment.registrations_if_on()?;
+            let request = registrations.next_request();
+            registrations.listening.insert(request, sender);
             request
         };
         attachment.command(Command::Listen {
@@ -128,8 +128,8 @@ impl Radio for SimRadio {
                 None => Err(attachment.unavailable()),
             },
             Ok(Err(ListenFailure::NoneFree)) => Err(RadioError::System {
-                action: "choosing a psm",
-                source: "all 128 of this adapter are taken".into(),
+                action: "choose a psm",
+                source: "all 128 PSMs of this adapter are in use".into(),
             }),
             Ok(Err(ListenFailure::Unavailable)) | Err(_) => Err(attachment.unavailable()),
         }
@@ -142,16 +142,16 @@ impl Radio for SimRadio {
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError> {
         let attachment = &self.attachment;
-        attachment.until_ready().await;
+        attachment.wait_until_ready().await;
         let (sender, answer) = oneshot::channel();
         let request = {
-            let mut book = attachment.book_if_on()?;
-            let request = book.next_request();
-            let dialling = Dialling {
+            let mut registrations = attachment.registrations_if_on()?;
+            let request = registrations.next_request();
+            let dial = PendingDial {
                 peer,
                 answer: sender,
             };
-            book.dials.insert(request, dialling);
+            registrations.dials.insert(request, dial);
             request
         };
         attachment.command(Command::Connect {
@@ -175,8 +175,8 @@ impl Radio for SimRadio {
     }
 }
 
-/// A name as far as the scan response has room for it.
-fn shortened(name: &str) -> &str {
+/// Returns the name, truncated to the space in the scan response.
+fn truncate_name(name: &str) -> &str {
     let mut end = name.len().min(MAX_NAME_BYTES);
     while !name.is_char_boundary(end) {
         end -= 1;
@@ -189,9 +189,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_long_name_is_shortened_between_characters() {
-        assert_eq!(shortened("wombat-1"), "wombat-1");
+    fn truncates_long_names_at_a_character_boundary() {
+        assert_eq!(truncate_name("wombat-1"), "wombat-1");
         let long = "ä".repeat(20);
-        assert_eq!(shortened(&long), "ä".repeat(14));
+        assert_eq!(truncate_name(&long), "ä".repeat(14));
     }
 }

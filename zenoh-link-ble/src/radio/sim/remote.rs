@@ -1,4 +1,4 @@
-//! Owns an adapter on an air that another process serves: the connection to it, and coming back when the air does.
+//! Attaches an adapter to an air that another process serves, and attaches it again after that air was restarted.
 use std::{
     collections::HashMap,
     io,
@@ -22,7 +22,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 use super::{
     adapter::{address_of, check_name},
     air::AirStatus,
-    attachment::{Attachment, Carrier},
+    attachment::{AirConnection, Attachment},
     message::Command,
     radio::SimRadio,
     socket::socket_path,
@@ -32,33 +32,37 @@ use crate::radio::{AdapterState, Radio, RadioError};
 
 const SERVICE: &str = "the simulated air";
 
-/// How often an air that is not there is looked for.
-const RETRY: Duration = Duration::from_millis(200);
+/// Time between attempts to reach an air that is not running.
+const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
-/// How long an air may take to answer the first message.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Maximum time that an air may take to respond to the first message.
+const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The adapters this process has on airs of other processes: one attachment for all radios of one name.
+/// Adapters that this process has attached to airs of other processes. All radios of one name share one attachment.
 static ATTACHMENTS: LazyLock<Mutex<Attachments>> = LazyLock::new(Mutex::default);
 
-/// By the air's socket and the adapter's name.
+/// Attachments by the path of the air's socket and the name of the adapter.
 type Attachments = HashMap<(PathBuf, String), Weak<Attachment>>;
 
-/// The adapter of that name on the air that `rect air` serves. Must be called within a tokio runtime. It attaches in
-/// the background: what is first asked of it waits for that, and says so if no air is running.
+/// Returns the adapter of that name on the air that `rect air` serves. Must be called within a tokio runtime.
+///
+/// The adapter attaches in the background. The first operation waits for that, and fails if no air is running.
+///
+/// # Errors
+/// Fails if the name is invalid or if there is no tokio runtime.
 pub fn radio(name: &str) -> Result<Arc<dyn Radio>, RadioError> {
     let radio = radio_at(&socket_path(), name)?;
     Ok(radio)
 }
 
-/// The same on the air at that socket.
+/// Returns the adapter of that name on the air at the socket `path`, as [`radio`] does for the default socket.
 pub fn radio_at(path: &Path, name: &str) -> Result<Arc<SimRadio>, RadioError> {
     check_name(name).map_err(|error| RadioError::NoAdapter {
         adapter: name.to_owned(),
         advice: error.to_string(),
     })?;
     let runtime = Handle::try_current().map_err(|error| RadioError::System {
-        action: "using the simulated air outside of a tokio runtime",
+        action: "use the simulated air outside a tokio runtime",
         source: Box::new(error),
     })?;
     let mut attachments = ATTACHMENTS.lock();
@@ -67,44 +71,47 @@ pub fn radio_at(path: &Path, name: &str) -> Result<Arc<SimRadio>, RadioError> {
     if let Some(attachment) = attachments.get(&key).and_then(Weak::upgrade) {
         return Ok(Arc::new(SimRadio { attachment }));
     }
-    let gone = CancellationToken::new();
-    let line = Arc::new(Mutex::new(Line::Down(Absence::NoServer(
+    let cancelled = CancellationToken::new();
+    let connection = Arc::new(Mutex::new(ServerConnection::Down(DownReason::NoServer(
         io::ErrorKind::NotConnected.into(),
     ))));
-    let carrier = Remote {
+    let air = RemoteAir {
         path: path.to_owned(),
-        line: Arc::clone(&line),
-        _gone: gone.clone().drop_guard(),
+        connection: Arc::clone(&connection),
+        _gone: cancelled.clone().drop_guard(),
     };
-    let attachment = Attachment::new(name, address_of(name), Box::new(carrier)).not_yet();
+    let attachment = Attachment::new(name, address_of(name), Box::new(air)).attaching();
     let attachment = Arc::new(attachment);
     let weak = Arc::downgrade(&attachment);
     attachments.insert(key, Weak::clone(&weak));
     let (path, name) = (path.to_owned(), name.to_owned());
     runtime.spawn(async move {
         tokio::select! {
-            () = gone.cancelled() => {}
-            () = keep_attached(&path, &name, &line, &weak) => {}
+            () = cancelled.cancelled() => {}
+            () = keep_attached(&path, &name, &connection, &weak) => {}
         }
     });
     Ok(Arc::new(SimRadio { attachment }))
 }
 
-/// Why a running air did not do what it was told.
+/// Reasons why a control command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
-    /// Nobody is there.
+    /// No air is running at the socket.
     #[error(transparent)]
     NoServer(#[from] RadioError),
-    /// It says no.
+    /// The air refused the command.
     #[error("{0}")]
     Refused(String),
 }
 
-/// Tells the air at that socket to do something. `Control::Status` brings an account of it.
+/// Sends a control command to the air at the socket `path`. `Control::Status` returns the status of the air.
+///
+/// # Errors
+/// Fails if no air is running at the socket or if it refuses the command.
 pub async fn control(path: &Path, control: Control) -> Result<Option<AirStatus>, ControlError> {
     let protocol = PROTOCOL;
-    let (_, _, answer) = ask(path, &ToAir::Control { protocol, control })
+    let (_, _, answer) = request(path, &ToAir::Control { protocol, control })
         .await
         .map_err(|error| no_server(path, &error))?;
     match answer {
@@ -112,97 +119,107 @@ pub async fn control(path: &Path, control: Control) -> Result<Option<AirStatus>,
         FromAir::Status(status) => Ok(Some(status)),
         FromAir::Refused(why) => Err(ControlError::Refused(why)),
         FromAir::Attached | FromAir::Event(_) => Err(ControlError::Refused(
-            "it answered something else".to_owned(),
+            "the simulated air sent an unexpected reply".to_owned(),
         )),
     }
 }
 
-/// The way to the air, as the radio's side holds it. Dropping it ends the task that keeps it.
-struct Remote {
+/// Connection to the air, as used by the radio. Dropping it ends the task that maintains the connection.
+struct RemoteAir {
     path: PathBuf,
-    line: Arc<Mutex<Line>>,
+    connection: Arc<Mutex<ServerConnection>>,
     _gone: DropGuard,
 }
 
-enum Line {
+enum ServerConnection {
     Up(mpsc::UnboundedSender<Command>),
-    Down(Absence),
+    Down(DownReason),
 }
 
-/// Why there is no line.
-enum Absence {
+/// Reasons why there is no connection.
+enum DownReason {
     NoServer(io::Error),
     Refused(String),
 }
 
-impl Carrier for Remote {
+impl AirConnection for RemoteAir {
     fn command(&self, command: Command) {
-        if let Line::Up(commands) = &*self.line.lock() {
+        if let ServerConnection::Up(commands) = &*self.connection.lock() {
             let _ = commands.send(command);
         }
     }
 
-    fn absence(&self, adapter: &str) -> RadioError {
-        match &*self.line.lock() {
-            Line::Down(Absence::NoServer(error)) => no_server(&self.path, error),
-            Line::Down(Absence::Refused(why)) => RadioError::NoAdapter {
+    fn missing_error(&self, adapter: &str) -> RadioError {
+        match &*self.connection.lock() {
+            ServerConnection::Down(DownReason::NoServer(error)) => no_server(&self.path, error),
+            ServerConnection::Down(DownReason::Refused(why)) => RadioError::NoAdapter {
                 adapter: adapter.to_owned(),
                 advice: why.clone(),
             },
-            Line::Up(_) => RadioError::NoAdapter {
+            ServerConnection::Up(_) => RadioError::NoAdapter {
                 adapter: adapter.to_owned(),
-                advice: format!("it was removed; `rect air power {adapter} on` brings it back"),
+                advice: format!(
+                    "it was removed; run `rect air power {adapter} on` to add it again"
+                ),
             },
         }
     }
 }
 
-async fn keep_attached(path: &Path, name: &str, line: &Mutex<Line>, attachment: &Weak<Attachment>) {
+async fn keep_attached(
+    path: &Path,
+    name: &str,
+    connection: &Mutex<ServerConnection>,
+    attachment: &Weak<Attachment>,
+) {
     loop {
-        let absence = match attach(path, name).await {
+        let reason = match attach(path, name).await {
             Ok((from, to)) => {
                 let (sender, commands) = mpsc::unbounded_channel();
-                *line.lock() = Line::Up(sender);
+                *connection.lock() = ServerConnection::Up(sender);
                 let Some(here) = attachment.upgrade() else {
                     return;
                 };
-                here.on_state(AdapterState::On);
-                here.ready();
+                here.on_adapter_state(AdapterState::On);
+                here.set_ready();
                 drop(here);
                 tokio::select! {
-                    absence = take_events(from, attachment) => absence,
-                    absence = pass_commands(commands, to) => absence,
+                    reason = receive_events(from, attachment) => reason,
+                    reason = forward_commands(commands, to) => reason,
                 }
             }
-            Err(absence) => absence,
+            Err(reason) => reason,
         };
-        *line.lock() = Line::Down(absence);
+        *connection.lock() = ServerConnection::Down(reason);
         let Some(here) = attachment.upgrade() else {
             return;
         };
-        here.on_state(AdapterState::Missing);
-        here.ready();
+        here.on_adapter_state(AdapterState::Missing);
+        here.set_ready();
         drop(here);
-        sleep(RETRY).await;
+        sleep(RETRY_INTERVAL).await;
     }
 }
 
-async fn attach(path: &Path, name: &str) -> Result<(OwnedReadHalf, OwnedWriteHalf), Absence> {
+async fn attach(path: &Path, name: &str) -> Result<(OwnedReadHalf, OwnedWriteHalf), DownReason> {
     let attach = ToAir::Attach {
         protocol: PROTOCOL,
         adapter: name.to_owned(),
     };
-    match ask(path, &attach).await.map_err(Absence::NoServer)? {
+    match request(path, &attach).await.map_err(DownReason::NoServer)? {
         (from, to, FromAir::Attached) => Ok((from, to)),
-        (_, _, FromAir::Refused(why)) => Err(Absence::Refused(why)),
+        (_, _, FromAir::Refused(why)) => Err(DownReason::Refused(why)),
         (_, _, FromAir::Event(_) | FromAir::Done | FromAir::Status(_)) => {
-            Err(Absence::NoServer(io::ErrorKind::InvalidData.into()))
+            Err(DownReason::NoServer(io::ErrorKind::InvalidData.into()))
         }
     }
 }
 
-async fn ask(path: &Path, message: &ToAir) -> io::Result<(OwnedReadHalf, OwnedWriteHalf, FromAir)> {
-    let asked = async {
+async fn request(
+    path: &Path,
+    message: &ToAir,
+) -> io::Result<(OwnedReadHalf, OwnedWriteHalf, FromAir)> {
+    let exchange = async {
         let (mut from, mut to) = UnixStream::connect(path).await?.into_split();
         wire::write(&mut to, message)
             .await
@@ -211,51 +228,53 @@ async fn ask(path: &Path, message: &ToAir) -> io::Result<(OwnedReadHalf, OwnedWr
         let answer = answer.ok_or(io::ErrorKind::UnexpectedEof)?;
         Ok((from, to, answer))
     };
-    match timeout(PATIENCE, asked).await {
-        Ok(answered) => answered,
+    match timeout(REPLY_TIMEOUT, exchange).await {
+        Ok(result) => result,
         Err(_) => Err(io::ErrorKind::TimedOut.into()),
     }
 }
 
-async fn take_events(mut from: OwnedReadHalf, attachment: &Weak<Attachment>) -> Absence {
+async fn receive_events(mut from: OwnedReadHalf, attachment: &Weak<Attachment>) -> DownReason {
     loop {
         match wire::read(&mut from).await {
             Ok(Some(FromAir::Event(event))) => match attachment.upgrade() {
                 Some(attachment) => attachment.on_event(event),
-                None => return Absence::NoServer(io::ErrorKind::NotConnected.into()),
+                None => return DownReason::NoServer(io::ErrorKind::NotConnected.into()),
             },
-            Ok(Some(FromAir::Refused(why))) => return Absence::Refused(why),
-            Ok(Some(_)) => return Absence::NoServer(io::ErrorKind::InvalidData.into()),
-            Ok(None) => return Absence::NoServer(io::ErrorKind::ConnectionReset.into()),
-            Err(error) => return Absence::NoServer(io::Error::other(error)),
+            Ok(Some(FromAir::Refused(why))) => return DownReason::Refused(why),
+            Ok(Some(_)) => return DownReason::NoServer(io::ErrorKind::InvalidData.into()),
+            Ok(None) => return DownReason::NoServer(io::ErrorKind::ConnectionReset.into()),
+            Err(error) => return DownReason::NoServer(io::Error::other(error)),
         }
     }
 }
 
-async fn pass_commands(
+async fn forward_commands(
     mut commands: mpsc::UnboundedReceiver<Command>,
     mut to: OwnedWriteHalf,
-) -> Absence {
+) -> DownReason {
     while let Some(command) = commands.recv().await {
         if let Err(error) = wire::write(&mut to, &ToAir::Command(command)).await {
-            return Absence::NoServer(io::Error::other(error));
+            return DownReason::NoServer(io::Error::other(error));
         }
     }
-    Absence::NoServer(io::ErrorKind::NotConnected.into())
+    DownReason::NoServer(io::ErrorKind::NotConnected.into())
 }
 
 fn no_server(path: &Path, error: &io::Error) -> RadioError {
     let path = path.display();
     let advice = match error.kind() {
         io::ErrorKind::PermissionDenied => {
-            format!("{path} is another user's: run as that user, or set RECT_AIR")
+            format!("{path} belongs to another user: run as that user, or set RECT_AIR")
         }
         io::ErrorKind::InvalidData | io::ErrorKind::Other => {
             format!(
-                "what listens at {path} is no air of this version ({error}): restart `rect air`"
+                "the program at {path} is not a simulated air of this version ({error}): restart `rect air`"
             )
         }
-        _ => format!("nobody listens at {path}: start it with `rect air --condition room`"),
+        _ => {
+            format!("no program listens at {path}: start the air with `rect air --condition room`")
+        }
     };
     RadioError::NoService {
         service: SERVICE,

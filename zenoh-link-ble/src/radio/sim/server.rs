@@ -1,5 +1,5 @@
-//! Owns the air that many processes share: [`AirServer`] takes their connections and lets each speak for its adapter.
-//! A client that says something wrong loses its connection, and its adapter leaves the air; the others go on.
+//! Serves one air to several processes: [`AirServer`] accepts their connections, each of which controls one adapter. A
+//! client that violates the protocol is disconnected and its adapter detached; other clients are not affected.
 use std::{io, path::Path, time::Duration};
 
 use tokio::{
@@ -14,30 +14,30 @@ use tokio::{
 
 use super::{
     air::AttachError,
-    local::{Attached, Place, SimAir},
+    local::{AirHandle, Attached, SimAir},
     message::{Event, Violation},
     options::{AirOptions, AirOptionsError},
     socket::{SocketError, SocketFile},
     wire::{self, Control, FromAir, ToAir, WireError, PROTOCOL},
 };
 
-/// How long a client may take to say what it is, and to take what it is told.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Maximum time for a client to send its first message, and to read a message.
+const CLIENT_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long to wait when the system has no more file descriptors.
+/// Pause before the next accept when the system has no more file descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Why an air cannot be served.
+/// Reasons why an air cannot be served.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The options are none a link could have.
+    /// The options are outside the range of Bluetooth.
     #[error(transparent)]
     Options(#[from] AirOptionsError),
-    /// There is no socket for it.
+    /// The socket cannot be created.
     #[error(transparent)]
     Socket(#[from] SocketError),
-    /// Nobody can be taken in.
-    #[error("cannot take connections")]
+    /// The server cannot accept connections.
+    #[error("cannot accept connections")]
     Listen(#[from] io::Error),
 }
 
@@ -48,27 +48,30 @@ pub struct AirServer {
     file: SocketFile,
 }
 
-/// Why a client was let go.
+/// Reasons why a client was disconnected.
 #[derive(Debug, thiserror::Error)]
 enum ClientError {
     #[error(transparent)]
     Wire(#[from] WireError),
-    #[error("it speaks version {0} of the protocol, not {PROTOCOL}")]
+    #[error("the client uses version {0} of the protocol instead of {PROTOCOL}")]
     Protocol(u16),
     #[error(transparent)]
     Attach(#[from] AttachError),
     #[error(transparent)]
     Violation(#[from] Violation),
-    #[error("it did not say what it is")]
-    NoIntroduction,
-    #[error("a message out of place")]
+    #[error("the client did not send a first message")]
+    NoFirstMessage,
+    #[error("a message that is not allowed at this point")]
     OutOfPlace,
-    #[error("it does not read")]
+    #[error("the client does not read its messages")]
     NotReading,
 }
 
 impl AirServer {
-    /// An air at that socket. Must be called within a tokio runtime.
+    /// Creates an air at the socket `path`. Must be called within a tokio runtime.
+    ///
+    /// # Errors
+    /// Fails if the options are invalid or if the socket cannot be created.
     pub fn bind(path: &Path, options: AirOptions) -> Result<Self, ServeError> {
         options.check()?;
         let (file, listener) = SocketFile::bind(path)?;
@@ -79,17 +82,17 @@ impl AirServer {
         })
     }
 
-    /// Where it is.
+    /// Returns the path of the socket.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// The air itself.
+    /// Returns the air.
     pub fn air(&self) -> &SimAir {
         &self.air
     }
 
-    /// Serves until it is dropped, which ends every client's connection and removes the socket.
+    /// Serves clients until the future is dropped, which disconnects all clients and removes the socket.
     pub async fn serve(self) {
         let mut clients = JoinSet::new();
         loop {
@@ -99,7 +102,7 @@ impl AirServer {
                         clients.spawn(serve_client(self.air.clone(), stream));
                     }
                     Err(error) => {
-                        tracing::warn!("cannot take a client of the simulated air: {error}");
+                        tracing::warn!("cannot accept a client of the simulated air: {error}");
                         sleep(ACCEPT_PAUSE).await;
                     }
                 },
@@ -111,28 +114,28 @@ impl AirServer {
 
 async fn serve_client(air: SimAir, stream: UnixStream) {
     let (mut from, mut to) = stream.into_split();
-    match introduce(&air, &mut from, &mut to).await {
+    match serve_first_message(&air, &mut from, &mut to).await {
         Ok(()) => {}
         Err(ClientError::Wire(WireError::Io(error))) => {
-            tracing::debug!("a client of the simulated air is gone: {error}");
+            tracing::debug!("a client of the simulated air disconnected: {error}");
         }
         Err(error) => {
-            tracing::warn!("a client of the simulated air was let go: {error}");
-            // It may be gone or wedged: then it does not learn why.
+            tracing::warn!("disconnected a client of the simulated air: {error}");
+            // The client may have exited or hang; then it does not receive the reason.
             let refused = FromAir::Refused(error.to_string());
-            let _ = timeout(PATIENCE, wire::write(&mut to, &refused)).await;
+            let _ = timeout(CLIENT_TIMEOUT, wire::write(&mut to, &refused)).await;
         }
     }
 }
 
-async fn introduce(
+async fn serve_first_message(
     air: &SimAir,
     from: &mut OwnedReadHalf,
     to: &mut OwnedWriteHalf,
 ) -> Result<(), ClientError> {
-    let first = timeout(PATIENCE, wire::read(from))
+    let first = timeout(CLIENT_TIMEOUT, wire::read(from))
         .await
-        .map_err(|_| ClientError::NoIntroduction)??;
+        .map_err(|_| ClientError::NoFirstMessage)??;
     match first {
         None => Ok(()),
         Some(ToAir::Attach { protocol, .. } | ToAir::Control { protocol, .. })
@@ -142,8 +145,8 @@ async fn introduce(
         }
         Some(ToAir::Attach { adapter, .. }) => serve_adapter(air.attach(&adapter)?, from, to).await,
         Some(ToAir::Control { control, .. }) => {
-            let answer = obey(air, control);
-            tell(to, &answer).await
+            let answer = apply_control(air, control);
+            send_message(to, &answer).await
         }
         Some(ToAir::Command(_)) => Err(ClientError::OutOfPlace),
     }
@@ -154,44 +157,45 @@ async fn serve_adapter(
     from: &mut OwnedReadHalf,
     to: &mut OwnedWriteHalf,
 ) -> Result<(), ClientError> {
-    let Attached { events, place } = attached;
-    tell(to, &FromAir::Attached).await?;
-    // Whichever ends first ends both; `place` goes out of scope and takes the adapter off the air.
+    let Attached { events, handle } = attached;
+    send_message(to, &FromAir::Attached).await?;
+    // The first one to end ends both. Dropping `handle` detaches the adapter.
     tokio::select! {
-        ended = take_commands(from, &place) => ended,
-        ended = pass_events(events, to) => ended,
+        ended = receive_commands(from, &handle) => ended,
+        ended = forward_events(events, to) => ended,
     }
 }
 
-async fn take_commands(from: &mut OwnedReadHalf, place: &Place) -> Result<(), ClientError> {
+async fn receive_commands(from: &mut OwnedReadHalf, handle: &AirHandle) -> Result<(), ClientError> {
     while let Some(message) = wire::read(from).await? {
         match message {
-            ToAir::Command(command) => place.try_command(command)?,
+            ToAir::Command(command) => handle.try_command(command)?,
             ToAir::Attach { .. } | ToAir::Control { .. } => return Err(ClientError::OutOfPlace),
         }
     }
     Ok(())
 }
 
-async fn pass_events(
+async fn forward_events(
     mut events: mpsc::UnboundedReceiver<Event>,
     to: &mut OwnedWriteHalf,
 ) -> Result<(), ClientError> {
     while let Some(event) = events.recv().await {
-        tell(to, &FromAir::Event(event)).await?;
+        send_message(to, &FromAir::Event(event)).await?;
     }
     Ok(())
 }
 
-/// A client that takes nothing for long is let go, so that what waits for it stays bounded.
-async fn tell(to: &mut OwnedWriteHalf, message: &FromAir) -> Result<(), ClientError> {
-    timeout(PATIENCE, wire::write(to, message))
+/// Sends a message to a client. A client that does not read in time is disconnected, so that the data queued for it is
+/// bounded.
+async fn send_message(to: &mut OwnedWriteHalf, message: &FromAir) -> Result<(), ClientError> {
+    timeout(CLIENT_TIMEOUT, wire::write(to, message))
         .await
         .map_err(|_| ClientError::NotReading)??;
     Ok(())
 }
 
-fn obey(air: &SimAir, control: Control) -> FromAir {
+fn apply_control(air: &SimAir, control: Control) -> FromAir {
     match control {
         Control::Cut => air.cut(),
         Control::Restore => air.restore(),

@@ -1,4 +1,4 @@
-//! Owns where the air's socket is, and the file itself while a server has it.
+//! Determines the path of the air's socket, and manages the socket file while a server uses it.
 use std::{
     env, fs, io,
     os::unix::{
@@ -8,10 +8,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The environment variable that names the socket.
+/// Environment variable with the path of the socket.
 pub const SOCKET_VARIABLE: &str = "RECT_AIR";
 
-/// Where the air's socket is: `$RECT_AIR`, else `$XDG_RUNTIME_DIR/rect-air.sock`, else `/tmp/rect-air-<uid>.sock`.
+/// Returns the path of the air's socket: `$RECT_AIR`, else `$XDG_RUNTIME_DIR/rect-air.sock`, else
+/// `/tmp/rect-air-<uid>.sock`.
 pub fn socket_path() -> PathBuf {
     let set = |name| env::var_os(name).filter(|value| !value.is_empty());
     if let Some(path) = set(SOCKET_VARIABLE) {
@@ -23,33 +24,33 @@ pub fn socket_path() -> PathBuf {
     }
 }
 
-/// Why a server cannot have its socket.
+/// Reasons why a server cannot create its socket.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
-    /// Another server has it.
-    #[error("an air is running at {} already: use it, or stop it, or give another --socket", .0.display())]
+    /// Another server uses the socket.
+    #[error("an air is already running at {}: use it, stop it, or pass another --socket", .0.display())]
     InUse(PathBuf),
-    /// Something else is there, which is not ours to delete.
-    #[error("{} is there and is no socket: give another --socket", .0.display())]
+    /// The path exists and is not a socket, so it is not deleted.
+    #[error("{} exists and is not a socket: pass another --socket", .0.display())]
     NotASocket(PathBuf),
-    /// The system says no.
-    #[error("cannot make the socket {}: {source}", path.display())]
+    /// The operating system reported an error.
+    #[error("cannot create the socket {}: {source}", path.display())]
     Io {
-        /// Where.
+        /// Path of the socket.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// A listening socket whose file is removed with it.
+/// A listening socket. Its file is removed when it is dropped.
 pub(super) struct SocketFile {
     path: PathBuf,
     identity: (u64, u64),
 }
 
 impl SocketFile {
-    /// Makes the socket, for this user only. A file left by a server that died is replaced.
+    /// Creates the socket, accessible only by this user. Replaces a socket file that an ended server left behind.
     pub(super) fn bind(path: &Path) -> Result<(Self, UnixListener), SocketError> {
         let failed = |source| SocketError::Io {
             path: path.to_owned(),
@@ -67,8 +68,8 @@ impl SocketFile {
                 Err(error) => return Err(failed(error)),
             },
         }
-        // Made under another name, so that nobody can connect before its mode is right; the last step replaces a
-        // stale file too.
+        // Created under another name, so that nobody can connect before its mode is set. Renaming it also replaces a
+        // stale file.
         let mut made = path.as_os_str().to_owned();
         made.push(format!(".{}", std::process::id()));
         let made = PathBuf::from(made);
@@ -94,8 +95,8 @@ impl SocketFile {
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        // Another server may have its own there by now.
-        if identity(&self.path).is_ok_and(|there| there == self.identity) {
+        // The file may belong to another server by now.
+        if identity(&self.path).is_ok_and(|current| current == self.identity) {
             let _ = fs::remove_file(&self.path);
         }
     }
@@ -106,6 +107,6 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 }
 
 fn user() -> u32 {
-    // SAFETY: it takes no arguments, touches no memory and cannot fail.
+    // SAFETY: `geteuid` takes no arguments, touches no memory and cannot fail.
     unsafe { libc::geteuid() }
 }

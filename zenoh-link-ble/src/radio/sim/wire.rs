@@ -1,5 +1,5 @@
-//! Owns what travels over the air's socket: postcard messages, each after its length in four bytes, little end first.
-//! A message is decoded as a whole or not at all; what it means is checked by the air.
+//! Encodes and decodes the messages on the air's socket: postcard, each preceded by its length in four little-endian
+//! bytes. A message is decoded completely or rejected; the air checks its content.
 use std::io;
 
 use serde::{de::DeserializeOwned, Deserialize, Serialize};
@@ -11,72 +11,72 @@ use super::{
     message::{Command, Event},
 };
 
-/// Changes whenever a message does: both ends must be of one version.
+/// Version of the protocol. It changes whenever a message changes; both ends must have the same version.
 pub(super) const PROTOCOL: u16 = 1;
 
-/// The longest message: an SDU has at most 65535 bytes, a status far less.
+/// Maximum size of a message in bytes. An SDU has at most 65535 bytes; a status is much shorter.
 pub(super) const MAX_MESSAGE_BYTES: usize = 128 * 1024;
 
-/// What a process tells the air. The first message is `Attach` or `Control`; all others are `Command`.
+/// Messages of a process to the air. The first message is `Attach` or `Control`; all others are `Command`.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum ToAir {
-    /// This connection is an adapter.
+    /// The connection belongs to an adapter.
     Attach { protocol: u16, adapter: String },
-    /// This connection is a person at the command line.
+    /// The connection is used for one control command.
     Control { protocol: u16, control: Control },
-    /// What the adapter asks for.
+    /// A command of the adapter.
     Command(Command),
 }
 
-/// What the air tells a process.
+/// Messages of the air to a process.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum FromAir {
-    /// The adapter is on the air.
+    /// The adapter is attached.
     Attached,
-    /// The first message could not be granted.
+    /// The request was refused, or the client is disconnected. Contains the reason.
     Refused(String),
-    /// What happened to the adapter.
+    /// An event for the adapter.
     Event(Event),
-    /// The control did what it should.
+    /// The control command succeeded.
     Done,
-    /// The answer to `Control::Status`.
+    /// Response to `Control::Status`.
     Status(AirStatus),
 }
 
-/// What can be done to a running air from outside.
+/// Control commands for a running air.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Control {
-    /// Nobody hears anybody any more.
+    /// Cuts the radio contact between all adapters.
     Cut,
-    /// Everybody hears everybody again.
+    /// Restores the radio contact between all adapters.
     Restore,
-    /// Changes how good the air is.
+    /// Changes the radio condition.
     Condition(Condition),
     /// Switches an adapter on or off.
     Power {
-        /// The adapter.
+        /// Name of the adapter.
         adapter: String,
-        /// On.
+        /// New power state.
         on: bool,
     },
-    /// Asks who is there.
+    /// Requests the status of the air.
     Status,
 }
 
-/// Why a message could not be read or written.
+/// Reasons why a message could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum WireError {
     #[error("the socket failed")]
     Io(#[from] io::Error),
-    #[error("a message of {0} bytes is longer than any should be")]
+    #[error("a message of {0} bytes exceeds the maximum length")]
     TooLong(usize),
-    #[error("a message that cannot be read")]
+    #[error("a message that cannot be decoded")]
     Malformed(#[from] postcard::Error),
-    #[error("a message with {0} bytes too many")]
+    #[error("a message with {0} excess bytes")]
     Excess(usize),
 }
 
-/// Reads a message; `None` when the other end closed the socket between two messages.
+/// Reads a message. Returns `None` if the other end closed the socket between two messages.
 pub(super) async fn read<T: DeserializeOwned>(
     from: &mut (impl AsyncRead + Unpin),
 ) -> Result<Option<T>, WireError> {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_message_reads_back_as_it_was_written() {
+    async fn reads_the_messages_that_were_written() {
         let mut bytes = Vec::new();
         write(&mut bytes, &sample()).await.expect("fits");
         write(&mut bytes, &sample()).await.expect("fits");
@@ -148,14 +148,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_long_message_is_refused_before_it_is_read() {
+    async fn rejects_a_long_message_before_reading_it() {
         let mut from: &[u8] = &[0xff, 0xff, 0xff, 0x7f, 1];
         let error = read::<ToAir>(&mut from).await.expect_err("too long");
         assert!(matches!(error, WireError::TooLong(0x7fff_ffff)));
     }
 
     #[test]
-    fn what_is_cut_short_or_too_long_is_malformed() {
+    fn rejects_truncated_and_overlong_messages() {
         let bytes = encode(&sample()).expect("fits");
         for end in 4..bytes.len() - 1 {
             assert!(decode::<ToAir>(&bytes[4..end]).is_err(), "{end} bytes");

@@ -1,4 +1,4 @@
-//! When a scanner hears an advertiser.
+//! Decides when a scanner receives an advertisement.
 
 use std::time::Instant;
 
@@ -6,9 +6,9 @@ use super::{controller::DEFAULT_ADVERTISING_INTERVAL, Id, Output, Room};
 use crate::hci::Address;
 
 impl Room {
-    /// btvirt reports an advertiser within microseconds of the command to scan: before the kernel takes reports at all,
-    /// and, as the controller filters repetitions, never again. A real controller hears it at its next advertising
-    /// event: after half an interval, in the mean.
+    /// Delays a report of btvirt. btvirt reports an advertiser within microseconds of the scan command: before the
+    /// kernel accepts reports, and, because the controller filters duplicates, never again. A real controller receives
+    /// the advertisement at its next advertising event: after half an interval on average.
     pub(super) fn on_advertising_report(
         &mut self,
         scanner: Id,
@@ -22,14 +22,18 @@ impl Room {
             return;
         }
         let interval = advertiser.map_or(DEFAULT_ADVERTISING_INTERVAL, |c| c.advertising_interval);
-        let heard = now + interval / 2;
-        let place = self.reports.partition_point(|(other, ..)| *other <= heard);
-        self.reports.insert(place, (heard, scanner, report));
+        let delivery = now + interval / 2;
+        let place = self
+            .reports
+            .partition_point(|(other, ..)| *other <= delivery);
+        self.reports.insert(place, (delivery, scanner, report));
     }
 
-    /// Hands on the reports that are due.
-    pub(super) fn hear_reports(&mut self, now: Instant) {
-        let due = self.reports.partition_point(|(heard, ..)| *heard <= now);
+    /// Delivers the reports that are due.
+    pub(super) fn deliver_reports(&mut self, now: Instant) {
+        let due = self
+            .reports
+            .partition_point(|(delivery, ..)| *delivery <= now);
         for (_, id, report) in self.reports.drain(..due) {
             if self.controllers.contains_key(&id) {
                 self.outputs.push_back(Output::Host(id, report));

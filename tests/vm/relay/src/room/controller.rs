@@ -1,4 +1,4 @@
-//! One emulated controller as the relay knows it: its links, what waits to be sent, what is on the air.
+//! Represents one emulated controller: its links, the queued packets, and the packet in transmission.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -8,13 +8,13 @@ use std::{
 use super::Id;
 use crate::hci::{self, Address, Handle};
 
-/// A controller's own (Core Specification, Vol 4, Part E, 7.8.5).
+/// Default of a controller (Core Specification, Vol 4, Part E, 7.8.5).
 pub(super) const DEFAULT_ADVERTISING_INTERVAL: Duration = Duration::from_millis(1280);
 
 #[derive(Debug)]
 pub(super) struct Link {
     pub(super) peer: Address,
-    /// Known when both ends have reported the connection.
+    /// Set when both ends have reported the connection.
     pub(super) other_end: Option<(Id, Handle)>,
 }
 
@@ -28,14 +28,14 @@ pub(super) struct Transmission {
 pub(super) struct Controller {
     pub(super) public_address: Option<Address>,
     pub(super) random_address: Option<Address>,
-    /// The longest time between two advertising events.
+    /// Maximum time between two advertising events.
     pub(super) advertising_interval: Duration,
     pub(super) links: BTreeMap<Handle, Link>,
     pub(super) waiting: VecDeque<Vec<u8>>,
     pub(super) bytes_per_s: u32,
     pub(super) on_air: Option<Transmission>,
     pub(super) frozen: bool,
-    /// One entry per Disconnect command under way: whether the relay sent it, and not the kernel.
+    /// One entry per pending Disconnect command: `true` if the relay sent it, `false` if the kernel did.
     pub(super) disconnects: VecDeque<bool>,
     pub(super) sent_bytes: u64,
 }

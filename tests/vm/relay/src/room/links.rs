@@ -1,4 +1,4 @@
-//! Which controller's link is whose: joins the two ends that btvirt reports one by one, and takes them apart.
+//! Keeps track of the links: joins the two ends that btvirt reports separately, and removes them.
 
 use super::{controller::Link, Id, Room};
 use crate::{
@@ -16,7 +16,7 @@ impl Room {
             .unwrap_or(FIRST_HANDLE)
     }
 
-    /// The controller has no links any more and has told nobody: its peers wait out their supervision timeout.
+    /// Removes the links of a controller that ended without a termination. Its peers receive supervision timeouts.
     pub(super) fn forget_links(&mut self, id: Id) {
         let handles: Vec<Handle> = self
             .controllers

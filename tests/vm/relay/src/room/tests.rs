@@ -1,4 +1,4 @@
-//! What the relay does, packet by packet, in a time of the tests' own.
+//! Tests of the relay logic, packet by packet, with simulated time.
 use super::*;
 use crate::hci::Address;
 
@@ -50,7 +50,7 @@ impl Bed {
         Self { room, ids, now }
     }
 
-    /// a, under whose handle btvirt reports the link to both ends, has dialled b.
+    /// Connects `a` to `b`. btvirt reports the link to both ends under the handle of `a`.
     fn connect(&mut self, (a, handle): (usize, u8), b: usize) {
         self.room
             .on_controller_packet(self.ids[b], connected(handle, 1, a as u8), self.now);
@@ -67,7 +67,7 @@ impl Bed {
         std::iter::from_fn(|| self.room.poll_output()).collect()
     }
 
-    /// The payload bytes that arrive at each controller until nothing is left to wait for.
+    /// Runs until nothing is pending. Returns the payload bytes that arrived at each controller.
     fn run(&mut self) -> BTreeMap<(Id, Handle), usize> {
         let mut arrived = BTreeMap::new();
         loop {
@@ -89,7 +89,7 @@ impl Bed {
 }
 
 #[test]
-fn data_arrives_at_the_set_pace() {
+fn delivers_data_at_the_rate_limit() {
     let mut bed = Bed::new(2, 34_000);
     bed.connect((0, 42), 1);
     let start = bed.now;
@@ -106,7 +106,7 @@ fn data_arrives_at_the_set_pace() {
 }
 
 #[test]
-fn a_packet_after_a_pause_takes_its_whole_airtime() {
+fn packet_after_a_pause_takes_its_full_airtime() {
     let mut bed = Bed::new(2, 1000);
     bed.connect((0, 42), 1);
     bed.now += Duration::from_secs(5);
@@ -118,7 +118,7 @@ fn a_packet_after_a_pause_takes_its_whole_airtime() {
 }
 
 #[test]
-fn a_late_timer_does_not_lower_the_pace() {
+fn late_timer_does_not_lower_the_rate() {
     let mut bed = Bed::new(2, 100_000);
     bed.connect((0, 42), 1);
     let start = bed.now;
@@ -137,7 +137,7 @@ fn a_late_timer_does_not_lower_the_pace() {
 }
 
 #[test]
-fn the_links_of_a_hub_are_kept_apart_though_the_handles_at_its_ends_differ() {
+fn keeps_links_of_a_hub_separate_if_handles_differ() {
     let mut bed = Bed::new(4, 0);
     for robot in 1..4 {
         bed.connect((0, 41 + robot as u8), robot);
@@ -157,7 +157,7 @@ fn the_links_of_a_hub_are_kept_apart_though_the_handles_at_its_ends_differ() {
 }
 
 #[test]
-fn the_kernel_learns_of_a_free_buffer_when_the_packet_has_left() {
+fn reports_a_free_buffer_after_the_transmission() {
     let mut bed = Bed::new(2, 1000);
     bed.connect((0, 42), 1);
     bed.send(0, acl(42, 1));
@@ -176,7 +176,7 @@ fn the_kernel_learns_of_a_free_buffer_when_the_packet_has_left() {
 }
 
 #[test]
-fn a_frozen_controller_is_silent_and_loses_nothing() {
+fn frozen_controller_is_silent_and_loses_no_data() {
     let mut bed = Bed::new(3, 1000);
     bed.connect((0, 42), 1);
     bed.connect((0, 43), 2);
@@ -187,7 +187,7 @@ fn a_frozen_controller_is_silent_and_loses_nothing() {
     assert_eq!(
         bed.run(),
         BTreeMap::from([((bed.ids[2], 42), 20)]),
-        "the other link goes on"
+        "the other link is not affected"
     );
     bed.room.thaw(bed.ids[1], bed.now);
     assert_eq!(
@@ -197,7 +197,7 @@ fn a_frozen_controller_is_silent_and_loses_nothing() {
 }
 
 #[test]
-fn a_frozen_controller_s_advertising_is_not_heard() {
+fn drops_advertising_reports_of_a_frozen_controller() {
     let mut bed = Bed::new(2, 0);
     bed.outputs();
     let report = [
@@ -216,7 +216,7 @@ fn a_frozen_controller_s_advertising_is_not_heard() {
     assert_eq!(
         bed.outputs(),
         [],
-        "an advertisement is heard at its next interval"
+        "an advertisement is received at its next interval"
     );
     bed.room.on_time(bed.now + Duration::from_millis(639));
     assert_eq!(bed.outputs(), []);
@@ -225,8 +225,7 @@ fn a_frozen_controller_s_advertising_is_not_heard() {
 }
 
 #[test]
-fn dropped_links_end_with_a_supervision_timeout_and_the_kernel_sees_no_answer_to_a_command_it_did_not_send(
-) {
+fn dropped_links_end_with_a_supervision_timeout() {
     let mut bed = Bed::new(2, 0);
     bed.connect((0, 42), 1);
     bed.send(0, vec![hci::COMMAND, 0x06, 0x04, 3, 99, 0, 0x13]);
@@ -252,7 +251,7 @@ fn dropped_links_end_with_a_supervision_timeout_and_the_kernel_sees_no_answer_to
 }
 
 #[test]
-fn what_waits_for_a_lost_link_is_dropped() {
+fn drops_queued_data_of_a_lost_link() {
     let mut bed = Bed::new(2, 1000);
     bed.connect((0, 42), 1);
     bed.send(0, acl(42, 100));
@@ -264,7 +263,7 @@ fn what_waits_for_a_lost_link_is_dropped() {
 }
 
 #[test]
-fn data_sent_before_the_peer_has_reported_the_link_waits_for_it() {
+fn queues_data_until_both_ends_reported_the_link() {
     let mut bed = Bed::new(2, 0);
     bed.room
         .on_controller_packet(bed.ids[0], connected(42, 0, 1), bed.now);
@@ -276,7 +275,7 @@ fn data_sent_before_the_peer_has_reported_the_link_waits_for_it() {
 }
 
 #[test]
-fn a_controller_that_is_pulled_out_takes_nobody_with_it() {
+fn removing_a_controller_does_not_affect_others() {
     let mut bed = Bed::new(3, 1000);
     bed.connect((0, 42), 1);
     bed.connect((0, 43), 2);
@@ -287,7 +286,7 @@ fn a_controller_that_is_pulled_out_takes_nobody_with_it() {
 }
 
 #[test]
-fn the_dialled_end_gets_its_own_handle_and_not_the_dialler_s() {
+fn reports_the_dialled_ends_own_handle() {
     let mut bed = Bed::new(3, 0);
     bed.connect((0, 42), 1);
     bed.room
@@ -298,7 +297,7 @@ fn the_dialled_end_gets_its_own_handle_and_not_the_dialler_s() {
 }
 
 #[test]
-fn the_peers_of_a_controller_that_is_reset_see_a_supervision_timeout() {
+fn reset_ends_links_with_a_supervision_timeout_at_the_peers() {
     let mut bed = Bed::new(2, 0);
     bed.connect((0, 42), 1);
     bed.send(0, hci::RESET.to_vec());
@@ -311,7 +310,7 @@ fn the_peers_of_a_controller_that_is_reset_see_a_supervision_timeout() {
 }
 
 #[test]
-fn who_advertises_more_often_is_heard_sooner() {
+fn shorter_advertising_interval_is_reported_sooner() {
     let mut bed = Bed::new(3, 0);
     bed.outputs();
     let report = |n| {

@@ -1,4 +1,4 @@
-//! ACL data on the air: one packet of a controller at a time, at its pace.
+//! Transmits ACL data: one packet of a controller at a time, at its rate limit.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use super::{controller::Transmission, Id, Output, Room, CATCH_UP};
 use crate::hci::{self, Handle};
 
 impl Room {
-    /// Where this packet goes, if its link is up and neither end is frozen.
+    /// Returns the destination of a packet, if its link is up and neither end is frozen.
     fn destination(&self, id: Id, packet: &[u8]) -> Option<(Handle, Id, Handle)> {
         let controller = self.controllers.get(&id).filter(|c| !c.frozen)?;
         let handle = hci::acl_handle(packet)?;
@@ -15,7 +15,8 @@ impl Room {
         Some((handle, to, to_handle))
     }
 
-    /// Puts the first packet that can go on the air, unless one is there. A link that is silent does not hold up others.
+    /// Starts the transmission of the first packet that can be sent, unless one is in progress. A silent link does not
+    /// block others.
     pub(super) fn transmit_next(&mut self, id: Id, from: Instant) {
         let Some(controller) = self.controllers.get(&id).filter(|c| c.on_air.is_none()) else {
             return;
@@ -35,7 +36,7 @@ impl Room {
         });
     }
 
-    /// Ends the transmission that is due; whether there was one.
+    /// Completes the transmission that is due. Returns whether there was one.
     pub(super) fn deliver_due(&mut self, id: Id, now: Instant) -> bool {
         let Some(controller) = self.controllers.get_mut(&id).filter(|c| !c.frozen) else {
             return false;
@@ -45,7 +46,7 @@ impl Room {
             return false;
         };
         let Some((handle, to, to_handle)) = self.destination(id, &packet) else {
-            // The peer fell silent meanwhile: it will be repeated.
+            // The peer was frozen in the meantime: retransmit later.
             self.edit(id, |c| c.waiting.push_front(packet));
             return true;
         };

@@ -1,21 +1,22 @@
-//! Owns advertising events: who hears them, and the connections that initiators make of them.
+//! Simulates advertising events: which adapters receive them, and the connections that initiators establish in
+//! response.
 use std::time::Duration;
 
-use super::{due::Due, Air, ConnectionId};
+use super::{timers::Timer, Air, ConnectionId};
 use crate::radio::sim::{
     adapter::Dial,
     air::AdapterId,
     channel::Channel,
     connection::{Connection, CENTRAL, PERIPHERAL},
-    message::{ChannelId, Event, Heard, RequestId},
-    options::{ADVERTISING_DELAY, ADVERTISING_INTERVAL, SIGHTING_INTERVAL, TRANSMIT_WINDOW},
+    message::{ChannelId, Event, ReceivedAdvertisement, RequestId},
+    options::{ADVERTISING_DELAY, ADVERTISING_INTERVAL, REPORT_INTERVAL, TRANSMIT_WINDOW},
     packet::Signal,
 };
 
 impl Air {
-    /// One advertising event: scanners report it, initiators connect.
+    /// Handles one advertising event: scanners report it, initiators connect.
     pub(super) fn on_advertise(&mut self, advertiser: AdapterId, request: RequestId) {
-        let delay = ADVERTISING_INTERVAL + self.dice.up_to(ADVERTISING_DELAY);
+        let delay = ADVERTISING_INTERVAL + self.rng.random_duration(ADVERTISING_DELAY);
         let Some(adapter) = self.adapters.get_mut(&advertiser) else {
             return;
         };
@@ -24,46 +25,54 @@ impl Air {
             return;
         };
         advertising.next = self.now + delay;
-        let heard = Heard {
+        let received = ReceivedAdvertisement {
             device,
             advertisement: advertising.advertisement,
             name: advertising.name.clone(),
             rssi_dbm: self.figures.rssi_dbm,
         };
-        let listeners = self.adapters.iter().filter(|(_, a)| a.listens());
+        let listeners = self
+            .adapters
+            .iter()
+            .filter(|(_, a)| a.receives_advertisements());
         let others: Vec<_> = listeners.map(|(id, _)| *id).collect();
         for other in others {
             if other != advertiser && self.is_in_range(other, advertiser) {
-                self.on_advertisement_near(other, (advertiser, request), &heard);
+                self.on_advertisement_in_range(other, (advertiser, request), &received);
             }
         }
     }
 
-    fn on_advertisement_near(
+    fn on_advertisement_in_range(
         &mut self,
         listener: AdapterId,
         source: (AdapterId, RequestId),
-        heard: &Heard,
+        received: &ReceivedAdvertisement,
     ) {
         let Some(adapter) = self.adapters.get(&listener) else {
             return;
         };
-        let is_wanted = |dial: &Dial| dial.peer == heard.device;
-        let is_initiator = adapter.dials.values().any(is_wanted);
+        let matches = |dial: &Dial| dial.peer == received.device;
+        let is_initiator = adapter.dials.values().any(matches);
         if !is_initiator && adapter.scan.is_none() {
             return;
         }
-        if !self.dice.chance(self.figures.advertisement_heard) {
+        if !self.rng.random_bool(self.figures.advertisement_reception) {
             return;
         }
-        self.report(listener, source, heard);
+        self.report(listener, source, received);
         let (advertiser, _) = source;
         if is_initiator && self.connection_between(listener, advertiser).is_none() {
             self.establish(listener, advertiser);
         }
     }
 
-    fn report(&mut self, scanner: AdapterId, source: (AdapterId, RequestId), heard: &Heard) {
+    fn report(
+        &mut self,
+        scanner: AdapterId,
+        source: (AdapterId, RequestId),
+        received: &ReceivedAdvertisement,
+    ) {
         let now = self.now;
         let Some(adapter) = self.adapters.get_mut(&scanner) else {
             return;
@@ -71,21 +80,21 @@ impl Air {
         let Some(reported) = &mut adapter.scan else {
             return;
         };
-        let is_news = reported
+        let is_due = reported
             .get(&source)
-            .is_none_or(|last| now >= *last + SIGHTING_INTERVAL);
-        if !is_news {
+            .is_none_or(|last| now >= *last + REPORT_INTERVAL);
+        if !is_due {
             return;
         }
         reported.insert(source, now);
         let rssi_dbm = self
-            .dice
-            .around(self.figures.rssi_dbm, self.figures.rssi_jitter_db);
-        let heard = Heard {
+            .rng
+            .random_around(self.figures.rssi_dbm, self.figures.rssi_jitter_db);
+        let received = ReceivedAdvertisement {
             rssi_dbm,
-            ..heard.clone()
+            ..received.clone()
         };
-        self.tell(scanner, Event::Sighting(heard));
+        self.emit(scanner, Event::AdvertisementReceived(received));
     }
 
     fn establish(&mut self, central: AdapterId, peripheral: AdapterId) {
@@ -94,15 +103,15 @@ impl Air {
         let id = ConnectionId(self.last_connection);
         self.connections
             .insert(id, Connection::new(central, peripheral, anchor));
-        for due in [
-            Due::Anchor(id),
-            Due::GiveUp(id, CENTRAL),
-            Due::GiveUp(id, PERIPHERAL),
+        for timer in [
+            Timer::Anchor(id),
+            Timer::SupervisionTimeout(id, CENTRAL),
+            Timer::SupervisionTimeout(id, PERIPHERAL),
         ] {
-            self.plan(due);
+            self.schedule(timer);
         }
         self.open_dialled(id, central, peripheral);
-        // Whoever was dialling the other way round uses the same connection.
+        // Dials in the opposite direction use the same connection.
         self.open_dialled(id, peripheral, central);
     }
 
@@ -121,7 +130,7 @@ impl Air {
         }
     }
 
-    /// Asks for a channel on a connection that is there.
+    /// Requests a channel on an existing connection.
     pub(super) fn open(
         &mut self,
         id: ConnectionId,
@@ -148,10 +157,10 @@ impl Air {
         connection.idle_since = None;
         let psm = dial.psm;
         connection.signal(side, Signal::ConnectRequest { channel, psm });
-        self.homes.insert(channel, id);
+        self.channel_connections.insert(channel, id);
     }
 
-    /// The connection of two adapters, as long as either side holds it.
+    /// Returns the connection of two adapters, while at least one side keeps it.
     pub(super) fn connection_between(&self, a: AdapterId, b: AdapterId) -> Option<ConnectionId> {
         self.connections
             .iter()
@@ -159,13 +168,14 @@ impl Air {
             .map(|(id, _)| *id)
     }
 
-    /// The first event of a new connection: in the middle of the largest gap between those the two radios have
-    /// already, so that connections share an adapter's time fairly. (Intervals are all the same.)
+    /// Returns the time of the first event of a new connection: in the middle of the largest gap between the events of
+    /// the two radios' other connections, so that connections share the time of an adapter fairly. (All intervals are
+    /// equal.)
     fn first_anchor(&self, a: AdapterId, b: AdapterId) -> Duration {
         let earliest = self.now + TRANSMIT_WINDOW;
         let interval = self.options.interval;
         let interval_ns = interval.as_nanos();
-        // Everything is counted from `earliest`, so that the gaps are those a new event would fall in.
+        // All phases are relative to `earliest`, so that they describe the gaps in which a new event would lie.
         let phase = |anchor: Duration| {
             let apart =
                 anchor.as_nanos() + interval_ns * 1_000_000 - earliest.as_nanos() % interval_ns;

@@ -1,7 +1,7 @@
-//! Owns what adapters ask of the air. Every command is checked: an adapter may live in a process that misbehaves.
+//! Handles the commands of adapters. Every command is checked: the adapter may belong to a faulty process.
 use std::time::Duration;
 
-use super::{due::Due, Air};
+use super::{timers::Timer, Air};
 use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
@@ -16,8 +16,10 @@ use crate::{
 };
 
 impl Air {
-    /// Does what an adapter asks for. What crossed an event that made it pointless is ignored; what no correct adapter
-    /// would ask for is a violation.
+    /// Handles a command of an adapter. A command is ignored if an event that crossed it made it pointless.
+    ///
+    /// # Errors
+    /// Returns a violation if no correct adapter would send the command.
     pub fn command(
         &mut self,
         id: AdapterId,
@@ -65,7 +67,7 @@ impl Air {
                 Ok(())
             }
             Command::Send { channel, sdu } => self.send(id, channel, sdu),
-            Command::Took { channel } => self.took(id, channel),
+            Command::SduRead { channel } => self.on_sdu_read(id, channel),
             Command::Close { channel } => {
                 self.close(id, channel);
                 Ok(())
@@ -84,7 +86,7 @@ impl Air {
         if name.len() > MAX_NAME_BYTES {
             return Err(Violation::Name);
         }
-        let next = self.now + self.dice.up_to(ADVERTISING_DELAY);
+        let next = self.now + self.rng.random_duration(ADVERTISING_DELAY);
         let Some(adapter) = self.adapters.get_mut(&id).filter(|a| a.is_on()) else {
             return Ok(());
         };
@@ -95,7 +97,7 @@ impl Air {
             next,
         };
         adapter.advertisements.insert(request, advertising);
-        self.plan(Due::Advertise(id, request));
+        self.schedule(Timer::Advertise(id, request));
         Ok(())
     }
 
@@ -125,7 +127,7 @@ impl Air {
         if let Ok(psm) = psm {
             adapter.listeners.insert(psm.number(), recv_mtu);
         }
-        self.tell(id, Event::Listening { request, psm });
+        self.emit(id, Event::Listening { request, psm });
         Ok(())
     }
 
@@ -145,7 +147,7 @@ impl Air {
         check_free(&adapter.dials, &request)?;
         if !adapter.is_on() {
             let why = ConnectFailure::Unavailable;
-            self.tell(id, Event::ConnectFailed { request, why });
+            self.emit(id, Event::ConnectFailed { request, why });
             return Ok(());
         }
         let dial = Dial {
@@ -153,12 +155,12 @@ impl Air {
             psm,
             recv_mtu,
         };
-        let there = self
+        let peer_adapter = self
             .adapters
             .iter()
             .find(|(other, adapter)| **other != id && adapter.address == peer)
             .map(|(other, _)| *other);
-        let connection = there
+        let connection = peer_adapter
             .and_then(|other| self.connection_between(id, other))
             .filter(|connection| {
                 let connection = self.connections.get(connection);
@@ -193,7 +195,7 @@ impl Air {
     }
 
     fn send(&mut self, id: AdapterId, channel: ChannelId, sdu: Vec<u8>) -> Result<(), Violation> {
-        let Some((connection, side)) = self.home(id, channel) else {
+        let Some((connection, side)) = self.connection_of_channel(id, channel) else {
             return Ok(());
         };
         let bytes = sdu.len() as u64;
@@ -208,19 +210,19 @@ impl Air {
         Ok(())
     }
 
-    fn took(&mut self, id: AdapterId, channel: ChannelId) -> Result<(), Violation> {
-        let Some((connection, side)) = self.home(id, channel) else {
+    fn on_sdu_read(&mut self, id: AdapterId, channel: ChannelId) -> Result<(), Violation> {
+        let Some((connection, side)) = self.connection_of_channel(id, channel) else {
             return Ok(());
         };
         if let Some(end) = connection.channels.get_mut(&channel) {
-            end.took(side)?;
+            end.on_sdu_read(side)?;
         }
         connection.return_credits(side, channel);
         Ok(())
     }
 
     fn close(&mut self, id: AdapterId, channel: ChannelId) {
-        let Some((connection, side)) = self.home(id, channel) else {
+        let Some((connection, side)) = self.connection_of_channel(id, channel) else {
             return;
         };
         let Some(end) = connection.channels.get_mut(&channel) else {
@@ -230,23 +232,27 @@ impl Air {
             return;
         }
         end.close(side);
-        if !end.is_over() {
+        if !end.is_finished() {
             connection.signal(side, Signal::Disconnect { channel });
         }
-        self.settle(channel);
+        self.remove_if_finished(channel);
     }
 
-    /// The connection of a channel, and the adapter's side of it.
-    fn home(&mut self, id: AdapterId, channel: ChannelId) -> Option<(&mut Connection, usize)> {
-        let home = self.homes.get(&channel)?;
-        let connection = self.connections.get_mut(home)?;
+    /// Returns the connection of a channel, and the adapter's side of it.
+    fn connection_of_channel(
+        &mut self,
+        id: AdapterId,
+        channel: ChannelId,
+    ) -> Option<(&mut Connection, usize)> {
+        let connection = self.channel_connections.get(&channel)?;
+        let connection = self.connections.get_mut(connection)?;
         let side = connection.side_of(id)?;
         Some((connection, side))
     }
 }
 
 fn check_psm(psm: Psm) -> Result<(), Violation> {
-    // A PSM that came in a message was not made by `Psm::new`.
+    // A PSM in a received message was not created by `Psm::new`.
     Psm::new(psm.number()).map(drop).ok_or(Violation::Psm)
 }
 

@@ -1,17 +1,17 @@
-//! Owns what happens when packets arrive, and when they no longer do.
-use super::{due::Due, Air, ConnectionId};
+//! Handles the arrival of packets, and the loss of connections.
+use super::{timers::Timer, Air, ConnectionId};
 use crate::{
     address::Psm,
     radio::sim::{
         air::AdapterId,
         channel::EndState,
         message::{ChannelId, ConnectFailure, Event},
-        packet::{Load, Signal},
+        packet::{PacketContent, Signal},
     },
 };
 
 impl Air {
-    /// The packet in flight from `side` was heard by the other.
+    /// Delivers the packet in flight from `side` to the other side.
     pub(super) fn deliver(&mut self, id: ConnectionId, side: usize) {
         let Some(connection) = self.connections.get_mut(&id) else {
             return;
@@ -19,20 +19,22 @@ impl Air {
         let Some(packet) = &mut connection.sides[side].in_flight else {
             return;
         };
-        // A repeated packet whose acknowledgement was lost arrives twice; the second one is dropped.
+        // A retransmitted packet whose acknowledgement was lost arrives twice; the duplicate is dropped.
         let is_new = !std::mem::replace(&mut packet.is_delivered, true);
         let receiver = 1 - side;
-        match packet.load.take() {
+        match packet.content.take() {
             None => {}
-            Some(Load::Signal(signal)) => self.on_signal(id, receiver, signal),
-            Some(Load::Frame { channel, sdu }) => self.on_frame(id, receiver, channel, sdu),
+            Some(PacketContent::Signal(signal)) => self.on_signal(id, receiver, signal),
+            Some(PacketContent::Frame { channel, sdu }) => {
+                self.on_frame(id, receiver, channel, sdu)
+            }
         }
         if is_new {
             self.count_down_to_cut();
         }
     }
 
-    /// A packet has arrived; it may be the last one.
+    /// Counts an arrived packet for [`Air::cut_after`].
     fn count_down_to_cut(&mut self) {
         if let Some(left) = &mut self.cut_after {
             *left -= 1;
@@ -43,7 +45,7 @@ impl Air {
         }
     }
 
-    /// The packet in flight from `side` is known to have arrived.
+    /// Handles the acknowledgement of the packet in flight from `side`.
     pub(super) fn acknowledge(&mut self, id: ConnectionId, side: usize) {
         let Some(connection) = self.connections.get_mut(&id) else {
             return;
@@ -56,8 +58,8 @@ impl Air {
         };
         let adapter = connection.sides[side].adapter;
         let end = connection.channels.get_mut(&channel);
-        if end.is_some_and(|end| end.acknowledged(side, bytes)) {
-            self.tell(adapter, Event::Sent { channel, bytes });
+        if end.is_some_and(|end| end.on_acknowledged(side, bytes)) {
+            self.emit(adapter, Event::Sent { channel, bytes });
         }
     }
 
@@ -74,13 +76,13 @@ impl Air {
         let Some(end) = connection.channels.get_mut(&channel) else {
             return;
         };
-        if !end.received(side, sdu.is_some()) {
+        if !end.on_frame(side, sdu.is_some()) {
             return;
         }
         connection.return_credits(side, channel);
         let adapter = connection.sides[side].adapter;
         if let Some(sdu) = sdu {
-            self.tell(adapter, Event::Received { channel, sdu });
+            self.emit(adapter, Event::Received { channel, sdu });
         }
     }
 
@@ -89,8 +91,8 @@ impl Air {
             Signal::ConnectRequest { channel, psm } => {
                 self.on_connect_request(id, side, channel, psm);
             }
-            Signal::ConnectAnswer { channel, accepted } => {
-                self.on_connect_answer(id, side, channel, accepted);
+            Signal::ConnectResponse { channel, accepted } => {
+                self.on_connect_response(id, side, channel, accepted);
             }
             Signal::Disconnect { channel } => {
                 let Some(connection) = self.connections.get_mut(&id) else {
@@ -99,15 +101,15 @@ impl Air {
                 let adapter = connection.sides[side].adapter;
                 let end = connection.channels.get_mut(&channel);
                 if end.map(|end| end.close(side)) == Some(EndState::Open) {
-                    self.tell(adapter, Event::Closed { channel });
+                    self.emit(adapter, Event::Closed { channel });
                 }
-                self.settle(channel);
+                self.remove_if_finished(channel);
             }
             Signal::Credits { channel, frames } => {
                 let connection = self.connections.get_mut(&id);
                 let end = connection.and_then(|c| c.channels.get_mut(&channel));
                 if let Some(end) = end {
-                    end.credited(side, frames);
+                    end.on_credits(side, frames);
                 }
             }
         }
@@ -117,16 +119,16 @@ impl Air {
         let Some(connection) = self.connections.get_mut(&id) else {
             return;
         };
-        let (here, there) = (
+        let (local, remote) = (
             connection.sides[side].adapter,
             connection.sides[1 - side].adapter,
         );
         let recv_mtu = self
             .adapters
-            .get(&here)
+            .get(&local)
             .and_then(|adapter| adapter.listeners.get(&psm.number()));
-        let peer = self.adapters.get(&there).map(|adapter| adapter.address);
-        // Whoever asked may have given up meanwhile; then there is no such channel any more.
+        let peer = self.adapters.get(&remote).map(|adapter| adapter.address);
+        // The requesting end may have cancelled in the meantime; then the channel no longer exists.
         let Some(end) = connection.channels.get_mut(&channel) else {
             return;
         };
@@ -134,9 +136,9 @@ impl Air {
             (Some(recv_mtu), Some(peer)) => {
                 end.accept(side, *recv_mtu);
                 let limits = end.send_limits(side);
-                self.events.push(super::Happened {
+                self.events.push(super::TimedEvent {
                     at: self.now,
-                    adapter: here,
+                    adapter: local,
                     event: Event::Incoming {
                         channel,
                         psm,
@@ -148,10 +150,10 @@ impl Air {
             }
             _ => false,
         };
-        connection.signal(side, Signal::ConnectAnswer { channel, accepted });
+        connection.signal(side, Signal::ConnectResponse { channel, accepted });
     }
 
-    fn on_connect_answer(
+    fn on_connect_response(
         &mut self,
         id: ConnectionId,
         side: usize,
@@ -176,21 +178,21 @@ impl Air {
                 channel,
                 limits,
             };
-            self.tell(adapter, event);
+            self.emit(adapter, event);
         } else {
             end.close(side);
             let why = ConnectFailure::Refused;
-            self.tell(adapter, Event::ConnectFailed { request, why });
-            self.settle(channel);
+            self.emit(adapter, Event::ConnectFailed { request, why });
+            self.remove_if_finished(channel);
         }
     }
 
-    /// `side` gives the connection up: it has heard nothing for too long, or was told that the other left.
+    /// Drops the connection at `side`: its supervision timeout expired, or it received the other side's termination.
     pub(super) fn drop_side(&mut self, id: ConnectionId, side: usize) {
         let Some(connection) = self.connections.get_mut(&id) else {
             return;
         };
-        connection.sides[side].silence();
+        connection.sides[side].shut_down();
         let adapter = connection.sides[side].adapter;
         let ends: Vec<_> = connection
             .channels
@@ -201,17 +203,18 @@ impl Air {
             match state {
                 EndState::Opening(request) => {
                     let why = ConnectFailure::LinkLost;
-                    self.tell(adapter, Event::ConnectFailed { request, why });
+                    self.emit(adapter, Event::ConnectFailed { request, why });
                 }
-                EndState::Open => self.tell(adapter, Event::Closed { channel }),
+                EndState::Open => self.emit(adapter, Event::Closed { channel }),
                 EndState::Unaware | EndState::Closed => {}
             }
         }
-        self.forget_if_down(id);
+        self.remove_if_down(id);
     }
 
-    /// An adapter leaves all its connections, in good order or without a word. Nothing is said to the adapter itself.
-    pub(super) fn leave(&mut self, adapter: AdapterId, is_orderly: bool) {
+    /// Removes an adapter from all its connections, with a termination if `is_orderly`. The adapter itself receives no
+    /// events.
+    pub(super) fn leave_connections(&mut self, adapter: AdapterId, is_orderly: bool) {
         let ids: Vec<_> = self.connections.keys().copied().collect();
         for id in ids {
             let Some(connection) = self.connections.get_mut(&id) else {
@@ -220,29 +223,29 @@ impl Air {
             let Some(side) = connection.side_of(adapter) else {
                 continue;
             };
-            connection.sides[side].silence();
+            connection.sides[side].shut_down();
             connection.is_terminating |= is_orderly;
             for channel in connection.channels.values_mut() {
                 channel.close(side);
             }
-            self.forget_if_down(id);
+            self.remove_if_down(id);
         }
     }
 
-    fn forget_if_down(&mut self, id: ConnectionId) {
+    fn remove_if_down(&mut self, id: ConnectionId) {
         let is_down = self
             .connections
             .get(&id)
             .is_some_and(|c| c.sides.iter().all(|side| !side.is_up));
         if is_down {
             self.connections.remove(&id);
-            self.homes.retain(|_, home| *home != id);
+            self.channel_connections.retain(|_, home| *home != id);
         }
     }
 
-    /// Forgets a channel that neither end needs; a connection without channels goes soon.
-    pub(super) fn settle(&mut self, channel: ChannelId) {
-        let Some(id) = self.homes.get(&channel).copied() else {
+    /// Removes a closed channel. A connection without channels is dropped after a grace period.
+    pub(super) fn remove_if_finished(&mut self, channel: ChannelId) {
+        let Some(id) = self.channel_connections.get(&channel).copied() else {
             return;
         };
         let Some(connection) = self.connections.get_mut(&id) else {
@@ -251,13 +254,13 @@ impl Air {
         if connection
             .channels
             .get(&channel)
-            .is_some_and(|end| end.is_over())
+            .is_some_and(|end| end.is_finished())
         {
             connection.channels.remove(&channel);
-            self.homes.remove(&channel);
+            self.channel_connections.remove(&channel);
             if connection.channels.is_empty() {
                 connection.idle_since = Some(self.now);
-                self.plan(Due::LingerEnd(id));
+                self.schedule(Timer::LingerEnd(id));
             }
         }
     }

@@ -1,7 +1,8 @@
-//! Owns connection events: which connection has the radios, which packets meet, and which of them are lost.
+//! Simulates connection events: which connection uses the radios, which packets are exchanged, and which of them are
+//! lost.
 use std::time::Duration;
 
-use super::{due::Due, Air, ConnectionId};
+use super::{timers::Timer, Air, ConnectionId};
 use crate::radio::sim::{
     adapter::AdapterStats,
     air::AdapterId,
@@ -9,11 +10,11 @@ use crate::radio::sim::{
     phy::Phy,
 };
 
-/// An LL_TERMINATE_IND has a code and a reason.
+/// Payload of an LL_TERMINATE_IND: a code and a reason.
 const TERMINATE_BYTES: usize = 2;
 
 impl Air {
-    /// An event of the connection begins, if both radios are free for it.
+    /// Starts a connection event if both radios are free.
     pub(super) fn on_anchor(&mut self, id: ConnectionId) {
         let is_busy = self.is_busy(id);
         let Some(connection) = self.connections.get_mut(&id) else {
@@ -30,18 +31,18 @@ impl Air {
         if !connection.sides[CENTRAL].is_up {
             return;
         }
-        if !self.has_turn(id) {
+        if !self.may_start_event(id) {
             return;
         }
-        let is_hit = self.dice.chance(self.figures.event_hit);
+        let is_event_lost = self.rng.random_bool(self.figures.event_loss);
         if let Some(connection) = self.connections.get_mut(&id) {
-            connection.event_hit = is_hit;
+            connection.is_event_lost = is_event_lost;
             connection.losses_in_row = 0;
         }
         self.start_exchange(id);
     }
 
-    /// The two packets on the air are over.
+    /// Ends the exchange in progress.
     pub(super) fn finish_exchange(&mut self, id: ConnectionId) {
         let now = self.now;
         let Some(connection) = self.connections.get_mut(&id) else {
@@ -50,30 +51,30 @@ impl Air {
         let Some(exchange) = connection.exchange.take() else {
             return;
         };
-        let mut is_peripheral_heard = false;
+        let mut is_peripheral_received = false;
         for side in [CENTRAL, PERIPHERAL] {
             let Some(connection) = self.connections.get_mut(&id) else {
                 return;
             };
-            // What is on the air when everything is cut is lost.
-            let is_heard =
-                exchange.is_heard[side] && connection.sides[1 - side].is_up && !self.is_cut;
-            is_peripheral_heard = side == PERIPHERAL && is_heard;
-            if is_heard {
+            // Packets in transmission are lost when the radio contact is cut.
+            let is_received =
+                exchange.is_received[side] && connection.sides[1 - side].is_up && !self.is_cut;
+            is_peripheral_received = side == PERIPHERAL && is_received;
+            if is_received {
                 connection.losses_in_row = 0;
-                connection.on_heard(1 - side, now);
+                connection.on_received(1 - side, now);
                 self.deliver(id, side);
             } else if connection.losses_in_row < 2 {
                 connection.losses_in_row += 1;
             }
         }
-        if is_peripheral_heard {
-            // Its header acknowledges what the central sent.
+        if is_peripheral_received {
+            // The header of the peripheral's packet acknowledges the central's packet.
             self.acknowledge(id, CENTRAL);
         }
-        if self.goes_on(id) {
+        if self.should_continue(id) {
             self.start_exchange(id);
-        } else if is_peripheral_heard {
+        } else if is_peripheral_received {
             if let Some(connection) = self.connections.get_mut(&id) {
                 connection.on_good_event();
             }
@@ -86,25 +87,26 @@ impl Air {
             return;
         };
         let [central, peripheral] = [0, 1].map(|side| connection.sides[side].adapter);
-        let (central_bytes, is_repeat) = connection.take_off(CENTRAL, payload_bytes);
-        let is_audible = connection.sides[PERIPHERAL].is_up && !connection.event_hit;
+        let (central_bytes, is_repeat) = connection.start_transmission(CENTRAL, payload_bytes);
+        let is_audible = connection.sides[PERIPHERAL].is_up && !connection.is_event_lost;
         self.count(central, central_bytes, is_repeat);
         let mut exchange = Exchange {
             ends_at: self.now + self.options.phy.exchange(central_bytes, 0),
-            is_heard: [false, false],
+            is_received: [false, false],
         };
-        // Who hears nothing at all does not answer; who hears a damaged packet does, and asks for it again.
+        // A peripheral that receives nothing does not respond. One that receives a damaged packet responds and requests
+        // it again.
         if is_audible && self.is_in_range(central, peripheral) {
-            exchange.is_heard[CENTRAL] = !self.is_lost(central_bytes);
-            if exchange.is_heard[CENTRAL] {
+            exchange.is_received[CENTRAL] = !self.is_lost(central_bytes);
+            if exchange.is_received[CENTRAL] {
                 self.acknowledge(id, PERIPHERAL);
             }
             let (peripheral_bytes, is_repeat) = match self.connections.get_mut(&id) {
-                Some(connection) => connection.take_off(PERIPHERAL, payload_bytes),
+                Some(connection) => connection.start_transmission(PERIPHERAL, payload_bytes),
                 None => (0, false),
             };
             self.count(peripheral, peripheral_bytes, is_repeat);
-            exchange.is_heard[PERIPHERAL] = !self.is_lost(peripheral_bytes);
+            exchange.is_received[PERIPHERAL] = !self.is_lost(peripheral_bytes);
             exchange.ends_at =
                 self.now + self.options.phy.exchange(central_bytes, peripheral_bytes);
         }
@@ -117,18 +119,18 @@ impl Air {
         if let Some(connection) = self.connections.get_mut(&id) {
             connection.exchange = Some(exchange);
         }
-        self.plan(Due::ExchangeEnd(id));
+        self.schedule(Timer::ExchangeEnd(id));
     }
 
-    /// Whether the event has room and reason for another exchange.
-    fn goes_on(&self, id: ConnectionId) -> bool {
+    /// Returns whether the event continues with another exchange: there is data to send and time for it.
+    fn should_continue(&self, id: ConnectionId) -> bool {
         let Some(connection) = self.connections.get(&id) else {
             return false;
         };
         let has_data = connection.has_data(CENTRAL) || connection.has_data(PERIPHERAL);
         let is_up = connection.sides.iter().all(|side| side.is_up);
         let limit = self
-            .rivals(id)
+            .competing_connections(id)
             .map(|(_, at)| at)
             .fold(connection.anchor, Duration::min);
         has_data
@@ -137,29 +139,31 @@ impl Air {
             && self.now + self.next_exchange(id) <= limit
     }
 
-    /// Whether the connection may begin an event now. An event that would run into another connection's takes turns
-    /// with it: the one that has waited longer goes first.
-    fn has_turn(&mut self, id: ConnectionId) -> bool {
+    /// Returns whether the connection may start an event now. If the event would overlap with an event of another
+    /// connection, the connection that has waited longer goes first.
+    fn may_start_event(&mut self, id: ConnectionId) -> bool {
         let ends_at = self.now + self.next_exchange(id);
         let Some(connection) = self.connections.get(&id) else {
             return false;
         };
-        let mine = (connection.last_turn, id);
-        let is_second = self
-            .rivals(id)
+        let own = (connection.last_event, id);
+        let must_wait = self
+            .competing_connections(id)
             .filter(|(_, at)| *at < ends_at)
-            .filter_map(|(rival, _)| Some((self.connections.get(&rival)?.last_turn, rival)))
-            .any(|theirs| theirs < mine);
-        if is_second {
+            .filter_map(|(competitor, _)| {
+                Some((self.connections.get(&competitor)?.last_event, competitor))
+            })
+            .any(|theirs| theirs < own);
+        if must_wait {
             return false;
         }
         if let Some(connection) = self.connections.get_mut(&id) {
-            connection.last_turn = self.now;
+            connection.last_event = self.now;
         }
         true
     }
 
-    /// How long the connection's next exchange takes, at most.
+    /// Returns the maximum duration of the connection's next exchange.
     fn next_exchange(&self, id: ConnectionId) -> Duration {
         let payload_bytes = self.options.pdu.bytes();
         let [central, peripheral] = match self.connections.get(&id) {
@@ -169,8 +173,11 @@ impl Air {
         self.options.phy.exchange(central, peripheral)
     }
 
-    /// The other connections that need one of this one's radios, and when.
-    fn rivals(&self, id: ConnectionId) -> impl Iterator<Item = (ConnectionId, Duration)> + '_ {
+    /// Returns the other connections that use one of this connection's radios, and the times of their next events.
+    fn competing_connections(
+        &self,
+        id: ConnectionId,
+    ) -> impl Iterator<Item = (ConnectionId, Duration)> + '_ {
         let this = self.connections.get(&id);
         self.connections
             .iter()
@@ -181,25 +188,26 @@ impl Air {
     }
 
     fn is_busy(&self, id: ConnectionId) -> bool {
-        self.rivals(id).any(|(rival, _)| {
-            let rival = self.connections.get(&rival);
-            rival.is_some_and(|connection| connection.exchange.is_some())
+        self.competing_connections(id).any(|(competitor, _)| {
+            let competitor = self.connections.get(&competitor);
+            competitor.is_some_and(|connection| connection.exchange.is_some())
         })
     }
 
-    /// One side left in good order and says so, until the other hears it.
+    /// Sends the termination of the side that left, until the other side receives it.
     fn terminate(&mut self, id: ConnectionId) {
         let Some(connection) = self.connections.get(&id) else {
             return;
         };
-        // The one that left may be off, or gone for good: its controller's last word is still on its way.
+        // The side that left may be off or detached; its controller still sends the termination.
         let names = connection.sides.each_ref().map(|side| {
             let adapter = self.adapters.get(&side.adapter);
             adapter.map_or("", |adapter| adapter.name.as_str())
         });
         let is_cut = self.is_cut || self.is_cut_between(names[CENTRAL], names[PERIPHERAL]);
-        let is_lost =
-            self.dice.chance(self.figures.event_hit) || self.is_lost(TERMINATE_BYTES) || is_cut;
+        let is_lost = self.rng.random_bool(self.figures.event_loss)
+            || self.is_lost(TERMINATE_BYTES)
+            || is_cut;
         let Some(connection) = self.connections.get(&id) else {
             return;
         };
@@ -210,7 +218,8 @@ impl Air {
     }
 
     fn is_lost(&mut self, payload_bytes: usize) -> bool {
-        self.dice.chance(self.figures.packet_loss(payload_bytes))
+        self.rng
+            .random_bool(self.figures.packet_loss(payload_bytes))
     }
 
     fn count(&mut self, adapter: AdapterId, payload_bytes: usize, is_repeat: bool) {

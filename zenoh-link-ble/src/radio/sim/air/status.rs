@@ -1,4 +1,4 @@
-//! Owns the account of an air: who is on it, who is linked with whom, and how much was sent.
+//! Reports the status of an air: the attached adapters, the connections between them, and their traffic.
 use serde::{Deserialize, Serialize};
 
 use super::Air;
@@ -7,63 +7,63 @@ use crate::radio::{
     AdapterState,
 };
 
-/// An air at one moment.
+/// Status of an air.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AirStatus {
-    /// How good it is.
+    /// Radio condition.
     pub condition: Condition,
-    /// The physical layer of every link.
+    /// Physical layer of every link.
     pub phy: Phy,
-    /// Nobody hears anybody.
+    /// Whether the radio contact between all adapters is cut.
     pub is_cut: bool,
-    /// Pairs that do not hear each other.
+    /// Pairs of adapters whose radio contact is cut.
     pub cuts: Vec<(String, String)>,
-    /// Every adapter, in the order they came.
+    /// All adapters, in the order of their attachment.
     pub adapters: Vec<AdapterStatus>,
-    /// Every LE connection.
+    /// All LE connections.
     pub links: Vec<LinkStatus>,
 }
 
-/// One adapter.
+/// Status of one adapter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdapterStatus {
-    /// Its name.
+    /// Name of the adapter.
     pub name: String,
-    /// Its address, as it is written; always a random one.
+    /// Address of the adapter in text form; always a random address.
     pub address: String,
-    /// `on`, `off` or `missing`.
+    /// State of the adapter: `on`, `off` or `missing`.
     pub state: String,
-    /// The names it advertises.
+    /// Names that it advertises.
     pub advertises: Vec<String>,
-    /// It hears advertisements.
+    /// Whether it scans.
     pub scans: bool,
-    /// The PSMs it listens on.
+    /// PSMs on which it listens.
     pub listens: Vec<u16>,
-    /// What it has sent.
+    /// Traffic that it has sent.
     pub stats: AdapterStats,
 }
 
-/// One LE connection.
+/// Status of one LE connection.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkStatus {
-    /// Who made it.
+    /// Name of the adapter that established the connection.
     pub central: String,
-    /// Who was advertising.
+    /// Name of the adapter that was advertising.
     pub peripheral: String,
-    /// Channels on it.
+    /// Number of channels on the connection.
     pub channels: usize,
-    /// Bytes that wait at the central and at the peripheral.
+    /// Bytes queued at the central and at the peripheral.
     pub queued_bytes: [usize; 2],
 }
 
 impl Air {
-    /// What an adapter has sent so far.
+    /// Returns the traffic that an adapter has sent; `None` if it is not attached.
     pub fn stats(&self, name: &str) -> Option<AdapterStats> {
         let id = self.find(name).ok()?;
         self.adapters.get(&id).map(|adapter| adapter.stats)
     }
 
-    /// The account of this moment.
+    /// Returns the current status.
     pub fn status(&self) -> AirStatus {
         let adapters = self.adapters.values().map(|adapter| AdapterStatus {
             name: adapter.name.clone(),
@@ -85,7 +85,7 @@ impl Air {
         });
         let name = |id| {
             let adapter = self.adapters.get(&id);
-            adapter.map_or_else(|| "(gone)".to_owned(), |adapter| adapter.name.clone())
+            adapter.map_or_else(|| "(detached)".to_owned(), |adapter| adapter.name.clone())
         };
         let links = self.connections.values().map(|connection| LinkStatus {
             central: name(connection.sides[0].adapter),
@@ -103,10 +103,10 @@ impl Air {
         }
     }
 
-    /// Each pair once.
+    /// Returns each pair once.
     fn cut_pairs(&self) -> Vec<(String, String)> {
-        let both_ways = self.cuts.iter().flat_map(|(one, deaf_to)| {
-            deaf_to
+        let both_ways = self.cuts.iter().flat_map(|(one, blocked)| {
+            blocked
                 .iter()
                 .map(move |other| (one.clone(), other.clone()))
         });

@@ -1,4 +1,4 @@
-//! The model alone, with the time made up: `cargo test -p zenoh-link-ble --lib sim::air`.
+//! Tests of the model alone, with simulated time: `cargo test -p zenoh-link-ble --lib sim::air`.
 use std::time::Duration;
 
 use super::*;
@@ -49,10 +49,10 @@ fn dialling(seed: u64, condition: Condition) -> Air {
         name: "b".to_owned(),
     };
     for command in [listen, advertise] {
-        air.command(B, command, ms(0)).expect("in order");
+        air.command(B, command, ms(0)).expect("accepts the command");
     }
     air.command(A, connect(air.adapters[&B].address), ms(0))
-        .expect("in order");
+        .expect("accepts the command");
     air
 }
 
@@ -65,43 +65,43 @@ fn connect(peer: crate::address::DeviceAddress) -> Command {
     }
 }
 
-/// Polls until an event of that kind, and tells when.
-fn until(air: &mut Air, limit: Duration, is_wanted: impl Fn(&Happened) -> bool) -> Happened {
+/// Polls until an event matches, and returns it.
+fn until(air: &mut Air, limit: Duration, matches: impl Fn(&TimedEvent) -> bool) -> TimedEvent {
     loop {
-        if let Some(happened) = air.drain().into_iter().find(|happened| is_wanted(happened)) {
-            return happened;
+        if let Some(event) = air.drain().into_iter().find(|event| matches(event)) {
+            return event;
         }
-        let next = air.next_wakeup().expect("something is due");
-        assert!(next < limit, "it has not happened until {limit:?}");
+        let next = air.next_wakeup().expect("a timer is set");
+        assert!(next < limit, "no matching event within {limit:?}");
         air.poll(next);
     }
 }
 
 fn connected(seed: u64, condition: Condition) -> (Air, ChannelId) {
     let mut air = dialling(seed, condition);
-    let happened = until(&mut air, ms(20_000), |h| {
+    let event = until(&mut air, ms(20_000), |h| {
         matches!(h.event, Event::Connected { .. })
     });
-    let Event::Connected { channel, .. } = happened.event else {
+    let Event::Connected { channel, .. } = event.event else {
         unreachable!()
     };
     (air, channel)
 }
 
-/// When to look at the air again.
+/// Returns the time of the next poll.
 type Step = fn(&mut Air) -> Option<Duration>;
 
-/// Whenever anything is due.
+/// Polls at every timer.
 fn every_step(air: &mut Air) -> Option<Duration> {
-    air.next_due().map(|(at, _)| at)
+    air.next_timer().map(|(at, _)| at)
 }
 
-fn trace(seed: u64, condition: Condition) -> Vec<Happened> {
+fn trace(seed: u64, condition: Condition) -> Vec<TimedEvent> {
     trace_by(|air| air.next_wakeup(), seed, condition)
 }
 
-/// All that happens in five seconds while A sends as fast as it may and B reads at once; then the air is cut.
-fn trace_by(step: Step, seed: u64, condition: Condition) -> Vec<Happened> {
+/// Returns all events while A sends as fast as possible for five seconds and B reads immediately, followed by a cut.
+fn trace_by(step: Step, seed: u64, condition: Condition) -> Vec<TimedEvent> {
     let (mut air, channel) = connected(seed, condition);
     let mut trace = Vec::new();
     let limit = AirOptions::default().ahead_bytes();
@@ -123,25 +123,25 @@ fn trace_by(step: Step, seed: u64, condition: Condition) -> Vec<Happened> {
             continue;
         }
         air.poll(next);
-        for happened in air.drain() {
-            assert_eq!(happened.at, next, "told late");
-            match happened.event {
+        for event in air.drain() {
+            assert_eq!(event.at, next, "event reported late");
+            match event.event {
                 _ if next > ms(5000) => {}
                 Event::Sent { bytes, .. } => fill(&mut air, next, bytes),
                 Event::Received { .. } => {
-                    air.command(B, Command::Took { channel }, next)
-                        .expect("was there");
+                    air.command(B, Command::SduRead { channel }, next)
+                        .expect("accepts the command");
                 }
                 _ => {}
             }
-            trace.push(happened);
+            trace.push(event);
         }
     }
     trace
 }
 
 #[test]
-fn the_same_seed_gives_the_same_events_and_another_does_not() {
+fn produces_the_same_events_for_the_same_seed_only() {
     let first = trace(1, Condition::EdgeOfRange);
     assert!(first.len() > 100, "{} events", first.len());
     assert_eq!(first, trace(1, Condition::EdgeOfRange));
@@ -149,18 +149,18 @@ fn the_same_seed_gives_the_same_events_and_another_does_not() {
 }
 
 #[test]
-fn whoever_looks_only_when_there_may_be_something_misses_nothing() {
+fn reports_every_event_on_time_if_polled_at_wakeups() {
     for condition in Condition::ALL {
         let all = trace_by(every_step, 5, condition);
         assert!(trace(5, condition) == all, "{condition}");
-        let is_end = |h: &Happened| matches!(h.event, Event::Closed { .. });
+        let is_end = |h: &TimedEvent| matches!(h.event, Event::Closed { .. });
         let ends = all.iter().filter(|h| is_end(h)).count();
-        assert_eq!(ends, 2, "{condition}: both sides are told of the cut");
+        assert_eq!(ends, 2, "{condition}: both sides receive the end");
     }
 }
 
 #[test]
-fn a_quiet_link_wants_to_be_looked_at_once_in_a_supervision_timeout() {
+fn wakes_up_once_per_supervision_timeout_for_an_idle_link() {
     let (mut air, _) = connected(1, Condition::Room);
     air.poll(ms(1000));
     let mut looks = 0;
@@ -172,7 +172,7 @@ fn a_quiet_link_wants_to_be_looked_at_once_in_a_supervision_timeout() {
 }
 
 #[test]
-fn nothing_changes_when_polls_come_late() {
+fn produces_the_same_events_after_a_late_poll() {
     let (mut exact, _) = connected(3, Condition::Wall);
     let (mut late, _) = connected(3, Condition::Wall);
     while let Some(next) = every_step(&mut exact).filter(|next| *next <= ms(10_000)) {
@@ -184,7 +184,7 @@ fn nothing_changes_when_polls_come_late() {
 }
 
 #[test]
-fn a_connect_takes_an_advertisement_set_up_events_and_a_request_and_answer() {
+fn connect_includes_advertisement_setup_and_channel_request() {
     let mut air = dialling(1, Condition::Desk);
     let incoming = until(&mut air, ms(1000), |h| {
         matches!(h.event, Event::Incoming { .. })
@@ -202,7 +202,7 @@ fn a_connect_takes_an_advertisement_set_up_events_and_a_request_and_answer() {
 }
 
 #[test]
-fn the_edge_of_range_holds_a_link() {
+fn keeps_links_at_the_edge_of_range() {
     for seed in 0..20 {
         let (mut air, _) = connected(seed, Condition::EdgeOfRange);
         air.drain();
@@ -212,7 +212,7 @@ fn the_edge_of_range_holds_a_link() {
 }
 
 #[test]
-fn a_peer_that_leaves_in_order_is_known_at_the_next_event() {
+fn reports_an_orderly_detach_at_the_next_event() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     air.detach(B, now);
@@ -224,10 +224,10 @@ fn a_peer_that_leaves_in_order_is_known_at_the_next_event() {
 }
 
 #[test]
-fn a_peer_that_is_pulled_out_is_known_after_the_supervision_timeout() {
+fn reports_a_removed_peer_after_the_supervision_timeout() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
-    air.remove("sim-b", now).expect("is there");
+    air.remove("sim-b", now).expect("is attached");
     let closed = until(&mut air, now + ms(3000), |h| {
         h.event == Event::Closed { channel }
     });
@@ -236,7 +236,7 @@ fn a_peer_that_is_pulled_out_is_known_after_the_supervision_timeout() {
 }
 
 #[test]
-fn a_link_lost_before_it_is_made_fails_the_connect() {
+fn fails_a_connect_if_the_link_is_lost_during_setup() {
     let mut air = dialling(1, Condition::Desk);
     while air.connections.is_empty() {
         let next = air.next_wakeup().expect("advertising");
@@ -251,8 +251,8 @@ fn a_link_lost_before_it_is_made_fails_the_connect() {
 }
 
 #[test]
-fn a_cut_after_so_many_packets_lets_them_arrive_and_nothing_more() {
-    let sdus_that_arrive = |packets| {
+fn delivers_exactly_the_packets_before_a_scheduled_cut() {
+    let received_sdus = |packets| {
         let (mut air, channel) = connected(1, Condition::Room);
         let now = air.now;
         air.cut_after(packets, now);
@@ -261,7 +261,7 @@ fn a_cut_after_so_many_packets_lets_them_arrive_and_nothing_more() {
                 .expect("room");
         }
         air.poll(now + ms(1000));
-        let received = |h: Happened| match h.event {
+        let received = |h: TimedEvent| match h.event {
             Event::Received { sdu, .. } => Some(sdu[0]),
             _ => None,
         };
@@ -271,17 +271,17 @@ fn a_cut_after_so_many_packets_lets_them_arrive_and_nothing_more() {
             .collect::<Vec<_>>()
     };
     // An SDU of 700 bytes takes three packets; the peripheral's answer comes after the first of them.
-    let by_packets: Vec<_> = (0..=6).map(sdus_that_arrive).collect();
-    let wanted: [&[u8]; 7] = [&[], &[], &[2], &[2], &[2, 1], &[2, 1, 3], &[2, 1, 3]];
-    assert_eq!(by_packets, wanted);
+    let by_packets: Vec<_> = (0..=6).map(received_sdus).collect();
+    let expected: [&[u8]; 7] = [&[], &[], &[2], &[2], &[2, 1], &[2, 1, 3], &[2, 1, 3]];
+    assert_eq!(by_packets, expected);
 }
 
 #[test]
-fn who_is_out_of_range_is_not_told_that_a_peer_leaves() {
+fn does_not_report_a_detach_to_a_peer_out_of_range() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     air.cut_between("sim-b", "sim-a", now);
-    air.power("sim-b", false, now).expect("is there");
+    air.power("sim-b", false, now).expect("is attached");
     let closed = until(&mut air, now + ms(3000), |h| {
         h.event == Event::Closed { channel }
     });
@@ -289,34 +289,35 @@ fn who_is_out_of_range_is_not_told_that_a_peer_leaves() {
 }
 
 #[test]
-fn a_cut_between_two_leaves_a_third_alone() {
+fn cutting_one_pair_does_not_affect_a_third_adapter() {
     let (mut air, _) = connected(1, Condition::Desk);
     let now = air.now;
-    let c = air.attach("sim-c", now).expect("is new");
+    let c = air.attach("sim-c", now).expect("attaches");
     air.cut_between("sim-b", "sim-a", now);
     let peer = air.adapters[&B].address;
-    air.command(c, connect(peer), now).expect("in order");
+    air.command(c, connect(peer), now)
+        .expect("accepts the command");
     until(&mut air, now + ms(1000), |h| h.adapter == c);
     air.restore(now);
 }
 
 #[test]
-fn a_scan_reports_a_device_a_few_times_a_second() {
+fn reports_a_scanned_device_a_few_times_per_second() {
     let mut air = dialling(1, Condition::Desk);
-    let c = air.attach("sim-c", ms(0)).expect("is new");
+    let c = air.attach("sim-c", ms(0)).expect("attaches");
     air.command(c, Command::Scan(true), ms(0))
-        .expect("in order");
+        .expect("accepts the command");
     air.poll(ms(10_000));
-    let heard = air.drain();
-    let count = heard
+    let events = air.drain();
+    let count = events
         .iter()
-        .filter(|h| h.adapter == c && matches!(h.event, Event::Sighting(_)))
+        .filter(|h| h.adapter == c && matches!(h.event, Event::AdvertisementReceived(_)))
         .count();
     assert!((30..=50).contains(&count), "{count} in ten seconds");
 }
 
 #[test]
-fn misbehaviour_is_named() {
+fn rejects_commands_that_violate_the_protocol() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     let sdu = vec![0; 2001];
@@ -325,20 +326,20 @@ fn misbehaviour_is_named() {
         Err(crate::radio::sim::message::Violation::SduSize)
     );
     assert_eq!(
-        air.command(A, Command::Took { channel }, now),
-        Err(crate::radio::sim::message::Violation::NothingToTake)
+        air.command(A, Command::SduRead { channel }, now),
+        Err(crate::radio::sim::message::Violation::NothingToRead)
     );
-    // Somebody else's channel is nobody's.
-    let c = air.attach("sim-c", now).expect("is new");
-    assert_eq!(air.command(c, Command::Took { channel }, now), Ok(()));
+    // Commands for a channel of another adapter are ignored.
+    let c = air.attach("sim-c", now).expect("attaches");
+    assert_eq!(air.command(c, Command::SduRead { channel }, now), Ok(()));
     assert_eq!(air.command(c, Command::Close { channel }, now), Ok(()));
     assert_eq!(air.connections.len(), 1);
 }
 
 #[test]
-fn a_name_is_attached_once() {
+fn attaches_a_name_only_once() {
     let mut air = Air::new(AirOptions::default());
-    let first = air.attach("sim-a", ms(0)).expect("is new");
+    let first = air.attach("sim-a", ms(0)).expect("attaches");
     assert_eq!(
         air.attach("sim-a", ms(0)),
         Err(AttachError::InUse("sim-a".to_owned()))

@@ -1,0 +1,36 @@
+"""Defines the types of the strings that stand for a choice.
+
+Each type is a `Literal`: an editor offers its values, and a type checker reports any other value.
+"""
+
+from typing import Literal
+
+Urgency = Literal["urgent", "normal", "bulk"]
+"""The urgency of a message: `urgent` messages overtake all others, and `bulk` messages are overtaken by all others."""
+
+WhenFull = Literal["drop_oldest", "drop_newest", "block"]
+"""The rule of a full receive queue: `drop_oldest` drops the item that has waited longest, `drop_newest` drops the item
+that arrived last, and `block` makes the sender wait (backpressure)."""
+
+StreamMode = Literal["adaptive", "fixed", "sensor"]
+"""The mode of a stream: `adaptive` adjusts the size, quality and rate of pictures to the link, `fixed` sends frames
+unchanged up to a frame rate, and `sensor` sends every value."""
+
+LossyFormat = Literal["jpeg", "webp"]
+"""The lossy format of an adaptive stream's pictures. WebP pictures are smaller and take longer to encode."""
+
+PixelFormat = Literal["grey8", "rgb8", "rgba8"]
+"""The channels of a picture's pixels, one byte each."""
+
+EventKind = Literal["peer_up", "peer_down", "link_up", "link_down", "router_up", "router_down"]
+"""The kind of an `Event`:
+
+- `peer_up`, `peer_down`: a robot of the fleet became reachable, or is no longer reachable;
+- `link_up`, `link_down`: a link of this robot's router was opened or closed, or, without a router, a link of this
+  program. A second `link_up` for the same link names the robot, if the robot was unknown at first;
+- `router_up`, `router_down`: this program connected to its router, or lost the connection.
+"""
+
+ConnectionState = Literal["connected", "connecting", "discovered"]
+"""The state of a `Connection`: `connected` has a link, `connecting` is configured and has no link yet, and `discovered`
+is a robot whose advertisement was received and to which there is no link."""

@@ -1,0 +1,183 @@
+//! Validates names, topics, patterns and encodings, and makes keys from them.
+use pyo3::prelude::*;
+use rect::core::{
+    codec,
+    encoding::Encoding,
+    key,
+    name::Name,
+    payload::PayloadError,
+    stream::{self, Group},
+    topic::{Pattern, Topic},
+};
+
+use crate::errors::OrRaise;
+
+/// The keys that a program of one robot uses.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct KeySpace(pub key::KeySpace);
+
+/// Validates the name of a robot or fleet.
+pub fn name(text: &str) -> PyResult<Name> {
+    Name::new(text).or_raise()
+}
+
+/// Validates a topic.
+pub fn topic(text: &str) -> PyResult<Topic> {
+    Topic::new(text).or_raise()
+}
+
+/// Raises `InvalidNameError` unless the text is a valid name of a robot or fleet.
+#[pyfunction]
+pub fn check_name(text: &str) -> PyResult<()> {
+    name(text).map(drop)
+}
+
+/// Raises `InvalidTopicError` unless the text is a valid topic.
+#[pyfunction]
+pub fn check_topic(text: &str) -> PyResult<()> {
+    topic(text).map(drop)
+}
+
+/// Splits a pattern into the robot (`None` for any) and the topic, in canonical form.
+#[pyfunction]
+pub fn pattern(text: &str) -> PyResult<(Option<String>, String)> {
+    let pattern = Pattern::new(text).or_raise()?;
+    let robot = pattern.robot().map(Name::to_string);
+    Ok((robot, pattern.topic().to_owned()))
+}
+
+/// Returns the pattern of the messages of a robot on a topic. The topic may contain wildcards.
+#[pyfunction]
+pub fn pattern_of(robot: &str, topic: &str) -> PyResult<String> {
+    let pattern = Pattern::of(Some(name(robot)?), topic).or_raise()?;
+    Ok(pattern.to_string())
+}
+
+/// Splits an encoding into its media type and schema, and returns the encoding without zstd, if it has that suffix.
+#[pyfunction]
+pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
+    let encoding = Encoding::new(text.to_owned());
+    (
+        encoding.media_type().to_owned(),
+        encoding.schema().map(str::to_owned),
+        encoding
+            .without_suffix(codec::zstd::NAME)
+            .map(|encoding| encoding.to_string()),
+    )
+}
+
+/// Returns whether a payload of that encoding is compressed by a codec.
+#[pyfunction]
+pub fn is_encoded(text: &str) -> bool {
+    codec::is_encoded(&Encoding::new(text.to_owned()))
+}
+
+/// Raises `PayloadError` unless a payload with that encoding can be sent.
+#[pyfunction]
+pub fn check_encoding(text: &str) -> PyResult<()> {
+    let checked = Encoding::new(text.to_owned()).check_length();
+    checked.map_err(PayloadError::from).or_raise()
+}
+
+#[pymethods]
+impl KeySpace {
+    #[new]
+    fn new(fleet: &str, robot: &str) -> PyResult<Self> {
+        let (fleet, robot) = (name(fleet)?, name(robot)?);
+        Ok(Self(key::KeySpace { fleet, robot }))
+    }
+
+    #[getter]
+    fn fleet(&self) -> &str {
+        self.0.fleet.as_str()
+    }
+
+    #[getter]
+    fn robot(&self) -> &str {
+        self.0.robot.as_str()
+    }
+
+    /// Returns the key under which this robot publishes on a topic or serves it.
+    fn publication(&self, about: &str) -> PyResult<String> {
+        Ok(self.0.publication(&topic(about)?))
+    }
+
+    /// Returns the key of messages from this robot to another one.
+    fn message(&self, robot: &str, about: &str) -> PyResult<String> {
+        Ok(self.0.message(&name(robot)?, &topic(about)?))
+    }
+
+    /// Returns the key of a service of a robot, or of all robots (`None`).
+    fn service(&self, robot: Option<&str>, about: &str) -> PyResult<String> {
+        let robot = robot.map(name).transpose()?;
+        Ok(self.0.service(robot.as_ref(), &topic(about)?))
+    }
+
+    /// Returns a reserved key of RECT (`@rect/...`) of a robot, or of all robots (`None`).
+    fn own(&self, robot: Option<&str>, rest: &str) -> PyResult<String> {
+        let robot = robot.map(name).transpose()?;
+        Ok(self.0.own(robot.as_ref(), rest))
+    }
+
+    /// Returns the key expressions of a pattern: for published messages, and for messages sent to this robot.
+    fn subscriptions(&self, pattern: &str) -> PyResult<(String, String)> {
+        let pattern = Pattern::new(pattern).or_raise()?;
+        let [all, mine] = self.0.subscriptions(&pattern);
+        Ok((all, mine))
+    }
+
+    /// Returns the robot that a key belongs to. Returns `None` if the key is not one of this fleet.
+    fn robot_of(&self, key: &str) -> Option<String> {
+        self.0.robot_of(key).map(|name| name.to_string())
+    }
+
+    /// Splits the key of a message into sender, recipient and topic. Returns `None` if the key is not that of a message, or
+    /// if the message is for another robot.
+    fn address(&self, key: &str) -> Option<(String, Option<String>, String)> {
+        let address = self.0.address(key)?;
+        let recipient = address.recipient.map(|name| name.to_string());
+        Some((
+            address.sender.to_string(),
+            recipient,
+            address.topic.to_string(),
+        ))
+    }
+
+    /// Returns the key of a stream's frames for the group with that number.
+    fn frames(&self, sender: &str, about: &str, group: usize) -> PyResult<String> {
+        let key_space = self.of(sender)?;
+        let group = Group::ALL.get(group).copied().unwrap_or_default();
+        Ok(group.key(&key_space, &topic(about)?))
+    }
+
+    /// Returns the key of the notices of a stream.
+    fn notice(&self, sender: &str, about: &str) -> PyResult<String> {
+        Ok(stream::notice_key(&self.of(sender)?, &topic(about)?))
+    }
+
+    /// Returns the key of this robot's feedback on a stream of `sender`.
+    fn feedback(&self, sender: &str, about: &str) -> PyResult<String> {
+        Ok(stream::feedback_key(
+            &self.0,
+            &name(sender)?,
+            &topic(about)?,
+        ))
+    }
+
+    /// Returns the key expression of all feedback on a stream of this robot.
+    fn feedbacks(&self, about: &str) -> PyResult<String> {
+        Ok(stream::feedback_keys(&self.0, &topic(about)?))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("KeySpace({}/{})", self.0.fleet, self.0.robot)
+    }
+}
+
+impl KeySpace {
+    fn of(&self, robot: &str) -> PyResult<key::KeySpace> {
+        let fleet = self.0.fleet.clone();
+        let robot = name(robot)?;
+        Ok(key::KeySpace { fleet, robot })
+    }
+}

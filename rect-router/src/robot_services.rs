@@ -1,0 +1,143 @@
+//! Starts and stops what RECT adds to the router of a robot: its named connections, the registry that reports them, and
+//! the config service that changes them.
+use std::sync::Arc;
+
+use rect::core::humanize;
+use zenoh::{Config, Session, Wait};
+use zenoh_link::ble;
+
+use crate::{
+    config::{self, AutoConnect, Settings, MAX_AUTO_LINKS},
+    config_service,
+    connections::{Connections, FileWatch, FleetConnector},
+    registry::Registry,
+    topics,
+};
+
+/// The services of a robot whose router does not run yet.
+pub struct RobotServices {
+    /// The prefix of the services' keys: `<fleet>/<robot>/@rect`.
+    own: String,
+    settings: Settings,
+    connections: Option<Arc<Connections>>,
+    fleet: Arc<FleetConnector>,
+}
+
+/// The running services of a robot. Dropping them stops dialling and publishing.
+pub struct RunningServices {
+    connections: Option<Arc<Connections>>,
+    fleet: Arc<FleetConnector>,
+    _watching: Option<FileWatch>,
+    _registry: Registry,
+}
+
+impl Drop for RunningServices {
+    fn drop(&mut self) {
+        self.fleet.close();
+        if let Some(connections) = &self.connections {
+            connections.close();
+        }
+    }
+}
+
+/// Closes a router and its services.
+///
+/// Stops all dials first: Zenoh waits for its dials before it closes its sessions.
+///
+/// # Errors
+/// Zenoh's error if the session could not be closed.
+pub fn close(session: &Session, running: Option<RunningServices>) -> zenoh::Result<()> {
+    drop(running);
+    ble::status::stop_dialling();
+    session.close().wait()
+}
+
+impl RobotServices {
+    /// Prepares the services and adds placeholder endpoints to `config` for connections that are made while the router
+    /// runs.
+    ///
+    /// # Errors
+    /// Fails if an endpoint of the configuration or the fleet's name is invalid.
+    pub fn prepare(settings: Settings, config: &mut Config) -> zenoh::Result<Self> {
+        config::announce(config, &settings.fleet)?;
+        // A connections file may enable `auto_connect: "fleet"` later.
+        let max_links = match (&settings.connections, settings.auto_connect) {
+            (Some(_), _) => MAX_AUTO_LINKS,
+            (None, AutoConnect::Fleet) => settings.auto_links,
+            (None, AutoConnect::None | AutoConnect::Listed) => 0,
+        };
+        let fleet = FleetConnector::new(&settings.fleet, max_links)?;
+        config::dial(config, fleet.endpoints())?;
+        let file = settings.connections.as_deref();
+        let connections = file.map(|path| Connections::new(path, &settings, Arc::clone(&fleet)));
+        if let Some(connections) = &connections {
+            config::dial(config, connections.endpoints())?;
+        }
+        Ok(Self {
+            fleet,
+            own: format!("{}/{}/@rect", settings.fleet, settings.robot),
+            settings,
+            connections,
+        })
+    }
+
+    /// Checks the connections file, if there is one.
+    ///
+    /// # Errors
+    /// The first problem found in the file.
+    pub fn check(&self) -> zenoh::Result<()> {
+        match &self.connections {
+            Some(connections) => Ok(connections.check()?),
+            None => Ok(()),
+        }
+    }
+
+    /// Dials the connections of the file and starts answering queries.
+    ///
+    /// An invalid connections file is logged and does not prevent the start: the person who corrects it may need this
+    /// router to do so. Queries are answered on `session`. `host` is the session of another router in this process whose
+    /// links are reported too.
+    ///
+    /// # Errors
+    /// Zenoh's error if a queryable or subscriber could not be declared.
+    pub fn start(self, session: &Session, host: Option<Session>) -> zenoh::Result<RunningServices> {
+        // Until the file is loaded, which may override the rule.
+        self.fleet.apply_rule(self.settings.rule());
+        let mut watching = None;
+        if let Some(connections) = &self.connections {
+            watching = begin(connections);
+            config_service::serve(session, &self.own, Arc::clone(connections))?;
+        }
+        let (own, settings) = (&self.own, &self.settings);
+        let keys = format!("{}/{}", settings.fleet, settings.robot);
+        topics::serve(session, host.as_ref(), &keys)?;
+        let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
+        let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
+        Ok(RunningServices {
+            connections,
+            fleet,
+            _watching: watching,
+            _registry: registry,
+        })
+    }
+}
+
+/// Dials the connections of the file now, and again whenever the file changes.
+fn begin(connections: &Arc<Connections>) -> Option<FileWatch> {
+    let path = connections.path().display();
+    connections.remove_leftovers();
+    match connections.load() {
+        Ok(changes) => tracing::info!("{path}: {changes}"),
+        Err(error) => tracing::error!(
+            "{}; the router runs without named connections until the file is corrected",
+            humanize::with_causes(&error)
+        ),
+    }
+    connections
+        .watch()
+        .inspect_err(|error| {
+            let why = humanize::with_causes(error);
+            tracing::error!("{path}: cannot watch the file, so changes take effect at the next start only: {why}");
+        })
+        .ok()
+}

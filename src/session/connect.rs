@@ -1,0 +1,96 @@
+//! Opens a session with a router within a time limit, and queries the router for the name of its robot.
+use std::{thread, time::Duration};
+
+use tokio::sync::oneshot;
+use zenoh::{Config, Session, Wait};
+
+use crate::core::router::{robot_of_router, ROBOT_TIMEOUT};
+
+/// Settings with which Zenoh reports why it cannot connect. A Zenoh client reports only that it could not.
+const DIAGNOSIS: [(&str, &str); 5] = [
+    ("mode", "\"peer\""),
+    ("connect/exit_on_failure", "true"),
+    ("listen/endpoints", "[]"),
+    ("scouting/gossip/enabled", "false"),
+    ("open/return_conditions/connect_scouted", "false"),
+];
+
+/// Makes one attempt to open a session.
+///
+/// # Errors
+/// Returns the reason why the session cannot be opened, or `None` if opening it took longer than `limit`.
+pub(super) async fn open(config: Config, limit: Duration) -> Result<Session, Option<String>> {
+    let (done, opened) = oneshot::channel();
+    // Zenoh blocks the thread, for minutes if the address does not respond. A separate thread can be abandoned, whereas a
+    // runtime waits for its threads when it is dropped.
+    let attempt = move || {
+        if let Err(Ok(session)) = done.send(attempt(config)) {
+            // The caller no longer waits for the session.
+            if let Err(error) = session.close().wait() {
+                tracing::debug!("cannot close the session: {error}");
+            }
+        }
+    };
+    let thread = thread::Builder::new().name("rect-open".into());
+    if let Err(error) = thread.spawn(attempt) {
+        return Err(Some(format!("cannot start a thread: {error}")));
+    }
+    match tokio::time::timeout(limit, opened).await {
+        Ok(Ok(opened)) => opened.map_err(Some),
+        Ok(Err(_)) => Err(Some("Zenoh panicked".to_owned())),
+        Err(_) => Err(None),
+    }
+}
+
+fn attempt(config: Config) -> Result<Session, String> {
+    let error = match zenoh::open(config.clone()).wait() {
+        Ok(session) => return Ok(session),
+        Err(error) => error,
+    };
+    Err(reason(config).unwrap_or_else(|| error.to_string()))
+}
+
+/// Returns the reason why the router cannot be reached, or `None` if it is reachable by now.
+fn reason(mut config: Config) -> Option<String> {
+    for (key, value) in DIAGNOSIS {
+        config.insert_json5(key, value).ok()?;
+    }
+    match zenoh::open(config).wait() {
+        Ok(session) => {
+            if let Err(error) = session.close().wait() {
+                tracing::debug!("cannot close the session: {error}");
+            }
+            None
+        }
+        Err(error) => Some(error.to_string()),
+    }
+}
+
+/// Returns the keys of the liveliness tokens that name the robot of the session's router. The list is empty if the router
+/// serves no robot or does not reply in time. The router replies itself, so the query is not sent over radio links.
+pub(super) async fn tokens_of_router(session: &Session) -> Vec<String> {
+    let Some(id) = session.info().routers_zid().await.next() else {
+        return Vec::new();
+    };
+    let asked = session
+        .liveliness()
+        .get(robot_of_router(&id.to_string()))
+        .timeout(ROBOT_TIMEOUT);
+    let replies = match asked.await {
+        Ok(replies) => replies,
+        Err(error) => {
+            tracing::debug!("cannot query the router for the name of its robot: {error}");
+            return Vec::new();
+        }
+    };
+    let mut tokens = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        tokens.extend(
+            reply
+                .into_result()
+                .ok()
+                .map(|sample| sample.key_expr().as_str().to_owned()),
+        );
+    }
+    tokens
+}

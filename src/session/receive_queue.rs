@@ -1,0 +1,175 @@
+//! Implements the blocking and asynchronous ends of a receive queue: Zenoh's threads push, the program pops.
+use std::{
+    ops::Deref,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
+    },
+};
+
+use tokio::sync::Notify;
+
+use crate::core::queue::{Pushed, Queue};
+
+/// A queue between Zenoh's threads and the program.
+#[derive(Debug)]
+pub(super) struct ReceiveQueue<T> {
+    state: Mutex<State<T>>,
+    closed: AtomicBool,
+    arrived: Notify,
+    taken: Condvar,
+}
+
+#[derive(Debug)]
+struct State<T> {
+    queue: Queue<T>,
+    /// Number of threads that wait for room; if it is 0, the system call that wakes one is skipped.
+    waiting: usize,
+}
+
+impl<T> ReceiveQueue<T> {
+    pub(super) fn new(queue: Queue<T>) -> Arc<Self> {
+        Arc::new(Self {
+            state: Mutex::new(State { queue, waiting: 0 }),
+            closed: AtomicBool::new(false),
+            arrived: Notify::new(),
+            taken: Condvar::new(),
+        })
+    }
+
+    /// Adds an item. If the queue is full and its rule is to block, waits for room. Returns `false` if the item was dropped
+    /// or the queue is closed.
+    pub(super) fn push(&self, item: T) -> bool {
+        let mut item = item;
+        let mut state = self.state();
+        let kept = loop {
+            if self.is_closed() {
+                return false;
+            }
+            match state.queue.push(item) {
+                Pushed::Full(back) => {
+                    item = back;
+                    state.waiting += 1;
+                    let waited = self.taken.wait(state);
+                    state = waited.unwrap_or_else(PoisonError::into_inner);
+                    state.waiting -= 1;
+                }
+                Pushed::Kept | Pushed::DroppedOldest(_) => break true,
+                Pushed::DroppedNewest(_) => break false,
+            }
+        };
+        drop(state);
+        self.arrived.notify_one();
+        kept
+    }
+
+    /// Waits for the oldest item and removes it; returns `None` once the queue is closed and empty.
+    pub(super) async fn pop(&self) -> Option<T> {
+        loop {
+            let arrived = self.arrived.notified();
+            if let Some(item) = self.try_pop() {
+                return Some(item);
+            }
+            if self.is_closed() {
+                return None;
+            }
+            arrived.await;
+        }
+    }
+
+    /// Removes the oldest item, if there is one.
+    pub(super) fn try_pop(&self) -> Option<T> {
+        let mut state = self.state();
+        let item = state.queue.pop();
+        let is_awaited = state.waiting > 0;
+        drop(state);
+        if item.is_some() && is_awaited {
+            self.taken.notify_one();
+        }
+        item
+    }
+
+    pub(super) fn dropped(&self) -> u64 {
+        self.state().queue.dropped()
+    }
+
+    /// Rejects further items; those in the queue can still be removed.
+    pub(super) fn close(&self) {
+        let state = self.state();
+        self.closed.store(true, Ordering::Release);
+        drop(state);
+        self.taken.notify_all();
+        self.arrived.notify_waiters();
+        self.arrived.notify_one();
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The writing end of a queue. A callback of Zenoh owns it; dropping the callback, at the latest with the session, closes the
+/// queue.
+pub(super) struct QueueWriter<T>(Arc<ReceiveQueue<T>>);
+
+impl<T> QueueWriter<T> {
+    pub(super) fn new(queue: &Arc<ReceiveQueue<T>>) -> Self {
+        Self(queue.clone())
+    }
+}
+
+impl<T> Deref for QueueWriter<T> {
+    type Target = ReceiveQueue<T>;
+
+    fn deref(&self) -> &ReceiveQueue<T> {
+        &self.0
+    }
+}
+
+impl<T> Drop for QueueWriter<T> {
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::queue::WhenFull;
+
+    #[tokio::test]
+    async fn pop_wakes_on_push_and_on_close() {
+        let queue = ReceiveQueue::new(Queue::new(2, WhenFull::DropOldest));
+        let waiting = tokio::spawn({
+            let queue = queue.clone();
+            async move { (queue.pop().await, queue.pop().await) }
+        });
+        tokio::task::yield_now().await;
+        assert!(queue.push(1));
+        queue.close();
+        assert_eq!(waiting.await.expect("done"), (Some(1), None));
+        assert!(!queue.push(2), "closed");
+    }
+
+    #[tokio::test]
+    async fn blocked_push_ends_when_there_is_room_or_on_close() {
+        let queue = ReceiveQueue::new(Queue::new(1, WhenFull::Block));
+        assert!(queue.push(1));
+        let pushing = |n| {
+            let queue = queue.clone();
+            tokio::task::spawn_blocking(move || queue.push(n))
+        };
+        let second = pushing(2);
+        assert_eq!(queue.pop().await, Some(1));
+        assert!(second.await.expect("no panic"));
+        let third = pushing(3);
+        queue.close();
+        assert!(!third.await.expect("no panic"));
+        assert_eq!(queue.pop().await, Some(2), "queued items remain readable");
+        assert_eq!(queue.pop().await, None);
+    }
+}

@@ -1,0 +1,259 @@
+//! Keeps what all listeners and dials of one Zenoh runtime share: the identity of the node, its links and its adapters.
+use std::{collections::HashMap, sync::Arc, time::Duration};
+
+use parking_lot::{Mutex, MutexGuard};
+use tokio::{sync::Notify, time::Instant};
+use tokio_util::sync::CancellationToken;
+use zenoh_link_commons::NewLinkChannelSender;
+
+use crate::{
+    adapter::Adapter,
+    address::DeviceAddress,
+    hello::NodeId,
+    link::{
+        history::History,
+        reroute_holdoff::Holdoff,
+        table::{LinkNumber, LinkTable},
+        LinkBle,
+    },
+    radio::{Radio, RadioError},
+    rejected_peers::RejectedPeers,
+    secret::Secret,
+    status::{NodeStatus, OpenLinks},
+};
+
+/// The longest reroute holdoff of a link, even if other links end one after the other. Zenoh's own limit for opening a link
+/// is 10 s.
+const MAX_HOLDOFF: Duration = Duration::from_secs(3);
+
+/// Opens the radio with that name, or the system's default one if the name is `None`.
+pub(crate) type OpenRadio =
+    dyn Fn(Option<&str>) -> Result<Arc<dyn Radio>, RadioError> + Send + Sync;
+
+/// The shared state of one Zenoh runtime's `ble` links.
+pub(crate) struct Node {
+    pub(crate) id: NodeId,
+    /// Channel on which Zenoh takes accepted links; the same for all link managers of a runtime.
+    pub(crate) new_links: NewLinkChannelSender,
+    link_table: Mutex<LinkTable>,
+    /// Cancelled when the node must not dial any more.
+    pub(crate) stop_dialling: CancellationToken,
+    /// Notified whenever a link or a dial ends.
+    pub(crate) link_ended: Notify,
+    /// Notified whenever Zenoh has released a link.
+    released: Notify,
+    adapters: Mutex<HashMap<String, Arc<Adapter>>>,
+    identities: Mutex<Vec<ListenerIdentity>>,
+    history: Mutex<History>,
+    rejected_peers: Mutex<RejectedPeers>,
+    /// Devices that have opened a channel and are neither linked nor refused yet.
+    handshaking: Mutex<Vec<DeviceAddress>>,
+    /// Notified whenever a handshake with one of them ends.
+    handshake_ended: Notify,
+    open_links: Mutex<OpenLinks>,
+    open_radio: Box<OpenRadio>,
+}
+
+/// The properties of this node's listener that a dial uses: its adapter, its name and its secret.
+#[derive(Clone)]
+pub(crate) struct ListenerIdentity {
+    pub adapter: String,
+    pub name: String,
+    pub secret: Option<Secret>,
+}
+
+impl Node {
+    pub(crate) fn new(
+        id: NodeId,
+        new_links: NewLinkChannelSender,
+        open_radio: Box<OpenRadio>,
+    ) -> Arc<Self> {
+        Arc::new(Self {
+            id,
+            new_links,
+            link_table: Mutex::new(LinkTable::new(id)),
+            stop_dialling: CancellationToken::new(),
+            link_ended: Notify::new(),
+            released: Notify::new(),
+            adapters: Mutex::default(),
+            identities: Mutex::default(),
+            history: Mutex::default(),
+            rejected_peers: Mutex::default(),
+            handshaking: Mutex::default(),
+            handshake_ended: Notify::new(),
+            open_links: Mutex::default(),
+            open_radio,
+        })
+    }
+
+    /// Locks the table of links and dials.
+    pub(crate) fn link_table(&self) -> MutexGuard<'_, LinkTable> {
+        self.link_table.lock()
+    }
+
+    /// Records a new link in the history and in the list of open links.
+    pub(crate) fn on_link_open(&self, number: LinkNumber, peer: &str, link: &Arc<LinkBle>) {
+        self.history.lock().on_linked(peer);
+        self.open_links.lock().add(number, link);
+    }
+
+    /// Records the end of a link in the history, and removes the link.
+    pub(crate) fn on_link_ended(&self, number: LinkNumber, peer: &str, reason: &str) {
+        self.history
+            .lock()
+            .on_ended(peer, reason, Instant::now().into_std());
+        self.on_link_closed(number);
+    }
+
+    /// Records a failed dial in the history.
+    pub(crate) fn on_failed_dial(&self, target: &str, reason: &str) {
+        let mut history = self.history.lock();
+        history.on_failed_dial(target, reason, Instant::now().into_std());
+    }
+
+    /// Records that a device has opened a channel. The handshake ends when the returned guard is dropped.
+    pub(crate) fn begin_handshake(self: &Arc<Self>, device: DeviceAddress) -> HandshakeGuard {
+        self.handshaking.lock().push(device);
+        HandshakeGuard {
+            node: Arc::clone(self),
+            device,
+        }
+    }
+
+    /// Waits until no handshake with that device is in progress. A channel that is requested during a handshake may cross
+    /// the channel of the device: see [`BleError::Misdirected`](crate::BleError::Misdirected).
+    pub(crate) async fn wait_for_handshakes_with(&self, device: DeviceAddress) {
+        loop {
+            let handshake_ended = self.handshake_ended.notified();
+            if !self.handshaking.lock().contains(&device) {
+                return;
+            }
+            handshake_ended.await;
+        }
+    }
+
+    /// Records that a device did not prove the secret.
+    pub(crate) fn on_rejected(&self, device: DeviceAddress) {
+        let now = Instant::now().into_std();
+        self.rejected_peers.lock().insert(device, now);
+    }
+
+    /// Returns whether a device did not prove the secret recently.
+    pub(crate) fn is_rejected(&self, device: DeviceAddress) -> bool {
+        let now = Instant::now().into_std();
+        self.rejected_peers.lock().contains(device, now)
+    }
+
+    /// Returns the state of the node's links and peers.
+    pub(crate) fn status(&self) -> NodeStatus {
+        let links = self.open_links.lock().all();
+        let adapters: Vec<_> = self.adapters.lock().values().cloned().collect();
+        NodeStatus {
+            name: self.name(),
+            links: links.iter().map(|link| link.status()).collect(),
+            peers: self.history.lock().status(Instant::now().into_std()),
+            discovered: (adapters.iter())
+                .flat_map(|adapter| adapter.scanner.discovered())
+                .collect(),
+        }
+    }
+
+    /// Removes a link, and notifies the dials that wait for its end.
+    pub(crate) fn on_link_closed(&self, link: LinkNumber) {
+        self.link_table().on_closed(link);
+        self.open_links.lock().remove(link);
+        // Earlier advertisements are outdated: the peer may be out of range, and a connect would wait for it.
+        for adapter in self.adapters.lock().values() {
+            adapter.scanner.clear_recent();
+        }
+        self.link_ended.notify_waiters();
+    }
+
+    /// Records that Zenoh has released a link, and notifies the links that wait for it.
+    pub(crate) fn on_link_released(&self, link: LinkNumber) {
+        let now = Instant::now().into_std();
+        self.link_table().on_released(link, now);
+        self.released.notify_waiters();
+    }
+
+    /// Waits until the link can be handed to Zenoh, at most [`MAX_HOLDOFF`]: see `reroute_holdoff`.
+    pub(crate) async fn wait_for_holdoff(&self, link: LinkNumber) {
+        let holdoff = async {
+            loop {
+                let released = self.released.notified();
+                let holdoff = self.link_table().on_ready(link, Instant::now().into_std());
+                match holdoff {
+                    Holdoff::Elapsed => return,
+                    Holdoff::Until(end) => tokio::time::sleep_until(end.into()).await,
+                    Holdoff::UntilReleased => released.await,
+                }
+            }
+        };
+        if tokio::time::timeout(MAX_HOLDOFF, holdoff).await.is_err() {
+            tracing::debug!(
+                "ble: links end in such quick succession that Zenoh may not declare its subscriptions on a new one"
+            );
+            self.link_table().on_handed_over(link);
+        }
+    }
+
+    /// Returns the adapter with that name. Without a name, it is the one that this node listens on, or else the system's
+    /// default.
+    pub(crate) fn adapter(&self, name: Option<&str>) -> Result<Arc<Adapter>, RadioError> {
+        let default = self.identities.lock().first().map(|l| l.adapter.clone());
+        let name = name.map(str::to_owned).or(default);
+        let mut adapters = self.adapters.lock();
+        let key = name.clone().unwrap_or_default();
+        if let Some(adapter) = adapters.get(&key) {
+            return Ok(Arc::clone(adapter));
+        }
+        let adapter = Adapter::new((self.open_radio)(name.as_deref())?);
+        adapters.insert(key, Arc::clone(&adapter));
+        Ok(adapter)
+    }
+
+    /// Records that this node listens.
+    pub(crate) fn on_listening(&self, identity: ListenerIdentity) {
+        self.identities.lock().push(identity);
+    }
+
+    /// Records that this node does not listen on an adapter any more.
+    pub(crate) fn on_listening_ended(&self, adapter: &str) {
+        self.identities.lock().retain(|l| l.adapter != adapter);
+    }
+
+    /// Returns the name that this node uses when it dials: that of its listener, or an empty one if it does not listen.
+    pub(crate) fn name(&self) -> String {
+        self.identities
+            .lock()
+            .first()
+            .map_or_else(String::new, |l| l.name.clone())
+    }
+
+    /// Returns the secret that a dialled peer must have if the locator gives none: that of this node's listener.
+    pub(crate) fn secret(&self) -> Option<Secret> {
+        (self.identities.lock().first()).and_then(|l| l.secret.clone())
+    }
+
+    /// Returns the number that distinguishes the advertisements of this run from those of an earlier one.
+    pub(crate) fn incarnation(&self) -> u16 {
+        (self.id.0 & 0xffff) as u16
+    }
+}
+
+/// Represents a handshake with a device that has opened a channel. Dropping it ends the handshake.
+pub(crate) struct HandshakeGuard {
+    node: Arc<Node>,
+    device: DeviceAddress,
+}
+
+impl Drop for HandshakeGuard {
+    fn drop(&mut self) {
+        let mut handshaking = self.node.handshaking.lock();
+        if let Some(at) = handshaking.iter().position(|device| *device == self.device) {
+            handshaking.swap_remove(at);
+        }
+        drop(handshaking);
+        self.node.handshake_ended.notify_waiters();
+    }
+}
