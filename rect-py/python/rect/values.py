@@ -288,7 +288,7 @@ def _numpy_of(payload: Payload) -> numpy.ndarray[Any, Any]:
 
 def _pixels_of_array(array: numpy.ndarray[Any, Any]) -> tuple[int, int, PixelFormat, bytes]:
     channels = 1 if array.ndim == 2 else array.shape[-1]
-    formats = {count: name for name, count in _CHANNELS.items()}
+    formats: dict[int, PixelFormat] = {count: name for name, count in _CHANNELS.items()}
     if array.dtype != "uint8" or array.ndim not in (2, 3) or channels not in formats:
         found = f"{array.dtype}, {'x'.join(map(str, array.shape))}"
         text = f"a picture must be an array of uint8, height x width or height x width x 1, 3 or 4; this one is {found}"
@@ -297,7 +297,7 @@ def _pixels_of_array(array: numpy.ndarray[Any, Any]) -> tuple[int, int, PixelFor
 
 
 def _pixels_of_pillow(image: PIL.Image.Image) -> tuple[int, int, PixelFormat, bytes]:
-    modes = {mode: name for name, mode in _MODES.items()}
+    modes: dict[str, PixelFormat] = {mode: name for name, mode in _MODES.items()}
     if image.mode not in modes:
         image = image.convert("RGBA" if "transparency" in image.info or "A" in image.mode else "RGB")
     return image.width, image.height, modes[image.mode], image.tobytes()
