@@ -21,7 +21,7 @@ pub enum BleError {
     Secret(#[from] SecretError),
     /// The peer did not prove that it has this side's secret. It belongs to another team, or one of the two has the wrong
     /// file.
-    #[error("{peer} did not prove that it has the same secret: it belongs to another team, or the two have different secret= files")]
+    #[error("{peer} did not prove that it has the same secret: another team, or a different secret= file")]
     NoSharedSecret {
         /// Address of the peer.
         peer: DeviceAddress,
