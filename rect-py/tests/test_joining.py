@@ -32,19 +32,21 @@ def router(settings: Setting) -> Iterator[str]:
     command += [part for key, value in settings.items() for part in ("--cfg", f"{key}:{json.dumps(value)}")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         assert process.stdout is not None
-        log = ""
+        output, log = process.stdout, ""
+        reader = threading.Thread(target=lambda: list(output))
         try:
-            for line in process.stdout:
+            for line in output:
                 log += line
                 if "rect-router is up" in line:
                     break
             else:
                 pytest.fail(f"the router does not start: {log}")
-            rest = process.stdout
-            threading.Thread(target=lambda: list(rest), daemon=True).start()
+            reader.start()
             yield endpoint
         finally:
             process.terminate()
+            if reader.ident is not None:
+                reader.join()
 
 
 @pytest.fixture(scope="module")

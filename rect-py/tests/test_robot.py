@@ -245,7 +245,7 @@ _NO_SECONDS = "timeout must be a number of seconds, not str"
         ),
         (lambda robot: robot.publish("x", rect.Payload(_TEXT)), TypeError, "Payload.bytes must be bytes, not str"),
         (lambda robot: robot.publish("x", rect.Payload(b"", "\ud800")), rect.PayloadError, "not valid UTF-8"),
-        (lambda robot: robot.publish("x", 1, urgency="soon"), rect.OptionError, 'the option urgency can\'t be "soon"'),
+        (lambda robot: robot.publish("x", 1, urgency="soon"), rect.OptionError, 'the option urgency cannot be "soon"'),
         (lambda robot: robot.publish("x", 1, codec="zip"), rect.CodecError, 'there is no codec "zip"'),
         (lambda robot: robot.publish("x", 1, codec=7), TypeError, "codec must be a name such as"),
         (lambda robot: robot.send("wombat 2", "x", 1), rect.InvalidNameError, "contains ' '"),

@@ -55,10 +55,12 @@ class Routers:
         at = arguments.index("--") if "--" in arguments else len(arguments)
         command = [program("RECT_TOOL", "rect"), *arguments[:at], *own, *arguments[at:]]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            tool = Tool(process)
             try:
-                yield Tool(process)
+                yield tool
             finally:
                 process.terminate()
+                tool.finish_reading()
 
 
 class Tool:
@@ -67,8 +69,10 @@ class Tool:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.process = process
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        for stream in (process.stdout, process.stderr):
-            threading.Thread(target=self._read, args=(stream,), daemon=True).start()
+        streams = (process.stdout, process.stderr)
+        self._readers = [threading.Thread(target=self._read, args=(stream,)) for stream in streams]
+        for reader in self._readers:
+            reader.start()
 
     def line(self) -> str:
         return self._lines.get(timeout=DEADLINE)
@@ -82,6 +86,11 @@ class Tool:
 
     def ends(self) -> int:
         return self.process.wait(DEADLINE)
+
+    def finish_reading(self) -> None:
+        """Waits until the output of the ended command is read."""
+        for reader in self._readers:
+            reader.join()
 
     def _read(self, stream: Any) -> None:
         for line in stream:
