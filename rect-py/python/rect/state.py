@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect._zenoh import call_interruptibly, direct, payload_bytes, zenoh_error
 from rect.choices import EventKind
 from rect.errors import TimedOut
 from rect.receive_queue import DEFAULT_CAPACITY, Ended, ReceiveQueue
@@ -93,7 +93,11 @@ class Events:
         try:
             self._declared.add(zenoh_session.info.declare_link_events_listener(direct(on_link), history=False))
             alive = key_space.own(None, "alive/*")
-            subscriber = zenoh_session.liveliness().declare_subscriber(alive, direct(on_presence), history=True)
+            # Zenoh calls `on_presence` during the declaration, and ignores a KeyboardInterrupt in it.
+            subscriber = call_interruptibly(
+                lambda: zenoh_session.liveliness().declare_subscriber(alive, direct(on_presence), history=True),
+                lambda subscriber: subscriber.undeclare(),
+            )
             self._declared.add(subscriber)
             if not direct_links:
                 links = _rect.Links()
