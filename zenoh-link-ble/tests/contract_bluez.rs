@@ -22,6 +22,10 @@ fn world() -> Option<World> {
     let (a, b) = adapters
         .split_once(',')
         .expect("two adapters, as hci0,hci1");
+    // bluetoothd ends the advertisements and scans of the previous test when it notices that their client has disconnected.
+    for adapter in [a, b] {
+        run("adapter", ["idle", adapter]);
+    }
     Some(World {
         a: bluez::radio(Some(a)).expect("opens"),
         b: bluez::radio(Some(b)).expect("opens"),
@@ -31,13 +35,18 @@ fn world() -> Option<World> {
 
 /// Uses the emulated radio of the VM (`tests/vm/guest/room`).
 fn lose_links_of(adapter: String) -> Box<dyn Fn() + Send + Sync> {
-    Box::new(move || {
-        let dropped = Command::new("room").args(["drop", &adapter]).output();
-        assert!(
-            dropped.is_ok_and(|done| done.status.success()),
-            "room drop {adapter}"
-        );
-    })
+    Box::new(move || run("room", ["drop", &adapter]))
+}
+
+/// Runs a program of the VM (`tests/vm/guest`).
+fn run<const N: usize>(program: &str, arguments: [&str; N]) {
+    let output = Command::new(program).args(arguments).output();
+    let output = output.unwrap_or_else(|error| panic!("cannot run {program}: {error}"));
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        output.status.success(),
+        "{program} {arguments:?}: {message}"
+    );
 }
 
 macro_rules! on_bluez {

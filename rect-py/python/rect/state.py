@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -110,7 +109,7 @@ class Events:
         except zenoh.ZError as error:
             self._declared.end()
             raise zenoh_error("cannot subscribe to the presence of robots", error) from None
-        weakref.finalize(self, self._declared.leave).atexit = False
+        self._declared.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Event:
         """Waits for the next event and returns it.

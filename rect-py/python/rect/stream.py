@@ -6,7 +6,6 @@ import logging
 import random
 import threading
 import time
-import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -71,7 +70,7 @@ class Stream:
             self._declared.end()
             raise zenoh_error("cannot declare the stream", error) from None
         session.streams.add(self)
-        weakref.finalize(self, self._declared.leave).atexit = False
+        self._declared.leave_with(self)
 
     def send(self, frame: Any) -> int:
         """Sends a frame if a receiver is due for one. Does not wait for the link.
@@ -220,7 +219,7 @@ class Watch:
         self._name = f"{robot}/{topic}"
         self._receiver = _FrameReceiver(session, robot, topic, capacity, when_full)
         self._last: int | None = None
-        weakref.finalize(self, self._receiver.leave).atexit = False
+        self._receiver.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Frame:
         """Waits for a frame that was not returned yet and returns it; by default the newest one.
@@ -309,7 +308,11 @@ class _FrameReceiver:
         self._end()
         self._declared.end()
 
-    def leave(self) -> None:
+    def leave_with(self, handle: object) -> None:
+        """Ends this receiver without blocking when `handle` is garbage-collected without having been closed."""
+        self._declared.leave_with(handle, self._leave)
+
+    def _leave(self) -> None:
         self._end()
         self._declared.leave()
 

@@ -66,7 +66,7 @@ class Subscriber:
             except zenoh.ZError as error:
                 self._declared.end()
                 raise zenoh_error("cannot declare the subscriber", error) from None
-        weakref.finalize(self, self._declared.leave).atexit = False
+        self._declared.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Message:
         """Waits for the next message and returns it.
@@ -136,13 +136,22 @@ class Declared:
         self._session = session
         self._queue = queue
         self._declared: list[Any] = []
+        self._finalizer: weakref.finalize[..., Any] | None = None
         session.handles.add(self)
 
     def add(self, declared: Any) -> None:
         self._declared.append(declared)
 
+    def leave_with(self, handle: object, leave: Callable[[], None] | None = None) -> None:
+        """Calls `leave`, by default this object's, when `handle` is garbage-collected without having been closed."""
+        self._finalizer = weakref.finalize(handle, leave or self.leave)
+        self._finalizer.atexit = False
+
     def end(self) -> None:
         """Undeclares everything and closes the queue. Items that are waiting can still be taken."""
+        # A closed handle needs no finaliser. Python ignores a KeyboardInterrupt that is raised in one.
+        if self._finalizer is not None:
+            self._finalizer.detach()
         # The queue comes first, since a thread of Zenoh may be waiting for room in it.
         if self._queue is not None:
             self._queue.close()

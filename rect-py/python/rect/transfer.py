@@ -11,7 +11,6 @@ import os
 import random
 import threading
 import time
-import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -264,7 +263,7 @@ class Transfers:
         self._session = session
         self._pattern = pattern
         self._receiver = _TransferReceiver(session, pattern, folder, max_bytes, max_concurrent, timeout, on_progress)
-        weakref.finalize(self, self._receiver.leave).atexit = False
+        self._receiver.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Received:
         """Waits until a transfer ends and returns it.
@@ -348,8 +347,11 @@ class _TransferReceiver:
         self._end()
         self._declared.end()
 
-    def leave(self) -> None:
-        """Does the same as `stop`, for a handle that was garbage-collected; it does not block."""
+    def leave_with(self, handle: object) -> None:
+        """Stops without blocking when `handle` is garbage-collected without having been closed."""
+        self._declared.leave_with(handle, self._leave)
+
+    def _leave(self) -> None:
         self._end()
         self._declared.leave()
 
