@@ -41,11 +41,11 @@ docs: ## Write the API documentation of Rust, Python and C++ to target/doc, targ
 	@scripts/docs-python
 	mkdir -p rect-cpp/build/doxygen && cd rect-cpp && doxygen -q Doxyfile
 
-bench: ## Run the benchmarks, into benches/results/ (an hour; BENCH="goodput idle" selects some)
+bench: ## Run the benches, and write their tables to benches/results/ (an hour; BENCH="goodput idle" selects some)
 	@scripts/setup bench
 	@scripts/bench $(BENCH)
 
-fuzz: ## Run the fuzz targets for SECONDS_EACH=300 each (needs the nightly toolchain and cargo-fuzz)
+fuzz: ## Run each fuzz target for 300 s (SECONDS_EACH=60: for 60 s; needs the nightly toolchain and cargo-fuzz)
 	@scripts/fuzz $(or $(SECONDS_EACH),300)
 
 dist: ## Build packages, wheels and archives for amd64 and arm64 into dist/ (an hour)

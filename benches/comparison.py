@@ -18,10 +18,10 @@ def rounds(usual: int) -> int:
 
 
 def alternate(rounds: int, ours: Callable[[], T], others: Callable[[], T]) -> tuple[list[T], list[T]]:
-    """Runs both in each round, and returns the figures of each."""
+    """Runs both candidates in each round, and returns the figures of each."""
     found: tuple[list[T], list[T]] = ([], [])
     for n in range(rounds):
-        # They alternate in going first, because the first one may find a cooler or a hotter machine.
+        # The candidates alternate in going first, because the first one may find a cooler or a hotter machine.
         for index in (0, 1) if n % 2 else (1, 0):
             found[index].append((ours, others)[index]())
     return found
@@ -29,6 +29,6 @@ def alternate(rounds: int, ours: Callable[[], T], others: Callable[[], T]) -> tu
 
 def ratio(ours: list[float], others: list[float], digits: int = 2) -> str:
     """Returns the median of the ratios of the rounds, with the range of the middle half in brackets."""
-    quantiles = statistics.quantiles([one / other for one, other in zip(ours, others, strict=True)], n=4)
+    quantiles = statistics.quantiles([our / other for our, other in zip(ours, others, strict=True)], n=4)
     low, middle, high = (f"{quantile:.{digits}f}" for quantile in quantiles)
     return f"{middle} ({low} to {high})"

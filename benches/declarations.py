@@ -20,7 +20,7 @@ from zenoh import CongestionControl, Priority
 PDU = 27
 LIMIT_S = 180
 PERIOD_S = 0.5
-#: The bytes of keep-alives and of the message that is measured.
+#: The air counts as silent if it carries fewer bytes than this in PERIOD_S: keep-alives, and the measured message.
 SILENCE_BYTES = 400
 
 

@@ -24,7 +24,7 @@ FLOOD_S = 8
 LIMIT_S = 60
 PERIOD_S = 0.1
 SILENCE_BYTES_PER_S = 500
-#: Practically no limit: the behaviour of the link before it had the option.
+#: Practically no limit.
 WITHOUT = "backlog=600000"
 #: By default a client that waits for its router for more than 5 s closes the link and loses messages.
 LONG_WAIT = {"transport__link__tx__queue__congestion_control__block__wait_before_close": 60_000_000}
@@ -63,10 +63,13 @@ CASES = [
 @dataclass
 class Outcome:
     next_s: float | None = None
+    """How long the next message of another program took after the flood; None if it did not arrive."""
     during_s: list[float] = field(default_factory=list)
+    """How long such messages took during the flood."""
     urgent_s: list[float] = field(default_factory=list)
     urgent_sent: int = 0
     left_bytes: int = 0
+    """The bytes that the link carried after the subscriber to the flood had left."""
     memory_mb: list[float] = field(default_factory=list)
 
 
@@ -154,7 +157,7 @@ def measure(case: Case, outcome: Outcome, one: Robot, two: Robot, endpoint: str,
     there, other = two.session(), one.session()
     flooding = [open_client(endpoint, **LONG_WAIT) for _ in range(case.programs)]
     flooded = there.declare_subscriber("rect/wombat-1/flood", lambda _: None)
-    latest = Latest(there, other)
+    other_program = OtherProgram(there, other)
     urgent = there.declare_subscriber(
         "rect/wombat-1/stop", lambda sample: outcome.urgent_s.append(age_s(sample.payload.to_bytes()))
     )
@@ -162,14 +165,14 @@ def measure(case: Case, outcome: Outcome, one: Robot, two: Robot, endpoint: str,
     for session in flooding:
         threading.Thread(target=flood, args=(session, bytes(case.message_bytes), end), daemon=True).start()
     if case.is_urgent_too:
-        threading.Thread(target=urge, args=(flooding[0], end, outcome), daemon=True).start()
+        threading.Thread(target=publish_urgent, args=(flooding[0], end, outcome), daemon=True).start()
     while time.monotonic() < end:
-        took = latest.put(end + LIMIT_S - time.monotonic())
+        took = other_program.put(end + LIMIT_S - time.monotonic())
         if took is not None:
             outcome.during_s.append(took)
         time.sleep(PERIOD_S)
     if outcome.during_s and time.monotonic() < end + FLOOD_S:
-        outcome.next_s = latest.put(LIMIT_S)
+        outcome.next_s = other_program.put(LIMIT_S)
     if case.is_urgent_too:
         time.sleep(max(0.0, end + LIMIT_S - time.monotonic()))
     else:
@@ -185,7 +188,7 @@ def flood(session: zenoh.Session, payload: bytes, end: float) -> None:
         publisher.put(payload)
 
 
-def urge(session: zenoh.Session, end: float, outcome: Outcome) -> None:
+def publish_urgent(session: zenoh.Session, end: float, outcome: Outcome) -> None:
     publisher = session.declare_publisher(
         "rect/wombat-1/stop", priority=Priority.REAL_TIME, congestion_control=CongestionControl.BLOCK, express=True
     )
@@ -212,8 +215,8 @@ def carried_until_silence(on_air: Callable[[], int]) -> int:
     return latest - first
 
 
-class Latest:
-    """Publishes another program's messages of the same priority, one after the other."""
+class OtherProgram:
+    """A program that publishes messages of the same priority as the flood, one after the other."""
 
     def __init__(self, there: zenoh.Session, other: zenoh.Session) -> None:
         self._arrived = threading.Event()

@@ -28,22 +28,22 @@ TARGET = 0.97
 
 
 def run() -> Table:
-    figures = figures_of("goodput", 1500)
+    results = figures_of("goodput", 1500)
     table = Table(
         "Goodput on a real kernel's Bluetooth stack: Zenoh put over two routers compared with a raw L2CAP channel",
         ["pace", "raw, best SDU", *(f"put {size} B" for size in PAYLOAD_BYTES)],
     )
-    for pace, rows in itertools.groupby(figures, key=lambda figure: figure["pace"]):
+    for pace, rows in itertools.groupby(results, key=lambda result: result["pace"]):
         rounds = list(rows)
-        best = [max(one["raw"].items(), key=lambda raw: raw[1]) for one in rounds]
-        raw = statistics.median(kb for _, kb in best)
+        best = [max(figures["raw"].items(), key=lambda item: item[1]) for figures in rounds]
+        best_raw = statistics.median(raw for _, raw in best)
         cells = []
         for size in PAYLOAD_BYTES:
             # Each put is compared with the raw channel of the same round: the machine may be busier in another round.
-            pairs = [(one["put"][str(size)], kb) for one, (_, kb) in zip(rounds, best, strict=True)]
+            pairs = [(figures["put"][str(size)], raw) for figures, (_, raw) in zip(rounds, best, strict=True)]
             rate = statistics.median(put for put, _ in pairs)
-            cells.append(f"{rate:.1f} ({statistics.median(put / kb for put, kb in pairs):.3f})")
-        table.add(f"{pace / 1000:.0f} kB/s" if pace else "none", f"{raw:.1f} at {best[0][0]} B", *cells)
+            cells.append(f"{rate:.1f} ({statistics.median(put / raw for put, raw in pairs):.3f})")
+        table.add(f"{pace / 1000:.0f} kB/s" if pace else "none", f"{best_raw:.1f} at {best[0][0]} B", *cells)
     table.notes = [
         f"kB/s of payload, in brackets its ratio to raw; medians of {ROUNDS} rounds, each of which measures all of "
         f"them in turn. Target: {TARGET} or better from 4000 B on, with a pace.",

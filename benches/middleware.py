@@ -27,7 +27,9 @@ class Pairing:
     name: str
     middleware: str
     over: str | None
-    beside: str
+    """The router or broker between them."""
+    baseline: str
+    """The pairing that it is compared with."""
 
 
 PAIRINGS = [
@@ -99,12 +101,12 @@ class Measured:
         cells = []
         # A round trip by publishing takes two messages.
         for job, share in (("publish", 0.5), ("request", 1.0)):
-            ours, others = (self.times_us[name, job] for name in (pairing.name, pairing.beside))
+            ours, others = (self.times_us[name, job] for name in (pairing.name, pairing.baseline))
             every = [time * share for times in ours for time in times]
             cells += [f"{percentile(every, place):,.0f} us" for place in (0.5, 0.99)]
             cells.append(ratio_to([percentile(times, 0.5) for times in ours], [percentile(t, 0.5) for t in others]))
         rates = self.rates[pairing.name]
-        cells += [f"{statistics.median(rates):,.0f}", ratio_to(rates, self.rates[pairing.beside])]
+        cells += [f"{statistics.median(rates):,.0f}", ratio_to(rates, self.rates[pairing.baseline])]
         counted = self.bytes[pairing.name]
         return cells + [f"{counted[what]:.0f}" for what in ("bytes_per_message", "bytes_per_request")]
 
@@ -123,9 +125,9 @@ def run() -> Table:
             for pair in pairs:
                 measured.bytes[pair.pairing.name] = pair.measure("bytes", size)
             for n in range(ROUNDS):
-                # They alternate in going first, because the first one may find a cooler or a hotter machine.
-                turned = pairs[n % len(pairs) :] + pairs[: n % len(pairs)]
-                measured.round(turned[::-1] if n % 2 else turned, size)
+                # The pairs alternate in going first, because the first one may find a cooler or a hotter machine.
+                rotated = pairs[n % len(pairs) :] + pairs[: n % len(pairs)]
+                measured.round(rotated[::-1] if n % 2 else rotated, size)
                 print(f"  {size} B: round {n + 1} of {ROUNDS}", flush=True)
             for pair in pairs:
                 table.add(f"{size} B: {pair.pairing.name}", *measured.row(pair.pairing))
@@ -137,7 +139,7 @@ def run() -> Table:
 
 
 def listening(stack: ExitStack, *arguments: str) -> str:
-    """Starts the program, and yields the address that it listens on."""
+    """Starts the program `middleware`, and returns the address that it listens on."""
     port = free_port()
     address = f"127.0.0.1:{port}"
     stack.enter_context(Program(*arguments, address))

@@ -32,8 +32,8 @@ def run() -> Table:
                 outcomes = list(pool.map(lambda peer, c=case, r=rate: outcome_of(c, r, peer, raw[r]), peers))
             print(f"  {title} at {rate}", flush=True)
             what = f"{rate}, {title}"
-            shares = [outcome.load.kb_per_s for outcome in outcomes]
-            table.add(f"{what}: large, kB/s", *(f"{one:.1f}" for one in shares), ratio(shares), "")
+            rates = [outcome.load.kb_per_s for outcome in outcomes]
+            table.add(f"{what}: large, kB/s", *(f"{rate:.1f}" for rate in rates), ratio(rates), "")
             for place in (0.5, 0.99):
                 ages = [age_s(outcome, place) for outcome in outcomes]
                 cells = map(milliseconds, ages)
@@ -43,9 +43,9 @@ def run() -> Table:
         ("resident memory (RSS), idle", lambda router: router.status("VmRSS"), 1000),
         ("threads, idle", lambda router: router.status("Threads"), 1),
     )
-    for what, look, unit in rows:
-        figures = [statistics.median(idle(kind, look) / unit for _ in range(ROUNDS)) for kind in IDLE]
-        cells = [f"{one:.1f} MB" if unit > 1 else f"{one:.0f}" for one in figures]
+    for what, figure, unit in rows:
+        figures = [statistics.median(idle(kind, figure) / unit for _ in range(ROUNDS)) for kind in IDLE]
+        cells = [f"{value:.1f} MB" if unit > 1 else f"{value:.0f}" for value in figures]
         table.add(what, *cells[:2], ratio(figures[:2]), cells[2])
     table.notes = [
         "The simulated air as in `urgent.md`; both hosts run at the same time, each on a separate air. Urgent: 16 "
@@ -68,7 +68,8 @@ def ratio(pair: list[float]) -> str:
 IDLE = ("rect-router", "plugin", "stock zenohd")
 
 
-def idle(kind: str, look: Callable[[Router], int]) -> int:
+def idle(kind: str, figure: Callable[[Router], int]) -> int:
+    """Starts an idle router of one of the kinds in `IDLE`, and returns a figure of its process."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "connections.json"
         path.write_text('{"connections": []}')
@@ -79,4 +80,4 @@ def idle(kind: str, look: Callable[[Router], int]) -> int:
             arguments = ["-P", f"rect:{os.environ['RECT_PLUGIN']}", *arguments]
         with Router(program, *(arguments if kind != "stock zenohd" else [])) as router:
             router.wait_for_answer("@/*/router" if kind == "stock zenohd" else "rect/wombat-1/@rect/connections")
-            return look(router)
+            return figure(router)

@@ -1,4 +1,4 @@
-"""Measures how quickly the registry answers, and how soon a fleet's registries agree after a change."""
+"""Measures how quickly the registry answers, and how soon it shows a change at another router of a fleet."""
 
 import json
 import statistics
@@ -14,7 +14,7 @@ from table import Table
 from traffic import percentile
 
 CONNECTIONS = [5, 500]
-ASKED = 200
+QUERIES = 200
 ROUTERS = 20
 ROUNDS = 5
 TARGET_S = 2
@@ -22,21 +22,22 @@ TARGET_S = 2
 
 def run() -> Table:
     table = Table(
-        "The registry: time to an answer, and time until a fleet's registries agree", ["what", "p50", "p99 or max"]
+        "The registry: time to an answer, and time until it shows a change at another router",
+        ["what", "p50", "p99 or max"],
     )
     for count in CONNECTIONS:
         for what in ("connections/count", "connections"):
-            times = asked(count, what)
-            places = (f"{percentile(times, place) * 1000:.1f} ms" for place in (0.5, 0.99))
-            table.add(f"`{what}` of a robot with {count} connections", *places)
-    times = agreed()
+            times_s = answer_times_s(count, what)
+            cells = (f"{percentile(times_s, share) * 1000:.1f} ms" for share in (0.5, 0.99))
+            table.add(f"`{what}` of a robot with {count} connections", *cells)
+    times_s = change_times_s()
     table.add(
-        f"{ROUTERS} routers: until both ends report a new or removed connection",
-        f"{statistics.median(times):.2f} s",
-        f"{max(times):.2f} s",
+        f"{ROUTERS} routers: until the other end's registry shows a new or removed connection",
+        f"{statistics.median(times_s):.2f} s",
+        f"{max(times_s):.2f} s",
     )
     table.notes = [
-        f"Time to an answer: a stock client on the robot's own router, {ASKED} times. The named connections "
+        f"Time to an answer: a stock client on the robot's own router, {QUERIES} times. The named connections "
         "lead to ports that nothing listens on, so the router keeps dialling.",
         f"{ROUTERS} routers of one machine, each with a named connection to the first; {ROUNDS} times the last one's "
         "connection is removed from its file and added again. The time is from the change of the file until the "
@@ -45,7 +46,8 @@ def run() -> Table:
     return table
 
 
-def asked(count: int, what: str) -> list[float]:
+def answer_times_s(count: int, what: str) -> list[float]:
+    """Measures the times from a query of `what` to its answer, of a robot with `count` named connections."""
     # The ports from 1 on, which nothing listens on.
     named = [connection(f"c{n}", n + 1) for n in range(count)]
     with tempfile.TemporaryDirectory() as folder, robot("wombat-1", Path(folder), named, count) as router:
@@ -53,15 +55,16 @@ def asked(count: int, what: str) -> list[float]:
         with open_client(router.endpoint) as session:
             querier = session.declare_querier(f"rect/wombat-1/@rect/{what}", timeout=5)
             times = []
-            for _ in range(ASKED):
+            for _ in range(QUERIES):
                 started = time.monotonic()
                 answers = [reply for reply in querier.get() if reply.ok]
-                assert len(answers) == 1, "each question gets one answer"
+                assert len(answers) == 1, "each query gets one answer"
                 times.append(time.monotonic() - started)
     return times
 
 
-def agreed() -> list[float]:
+def change_times_s() -> list[float]:
+    """Measures the times from a change of a connections file until the registry of the other end shows it."""
     times = []
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
         folder = Path(temporary)
@@ -71,20 +74,22 @@ def agreed() -> list[float]:
             stack.enter_context(robot(f"robot-{n}", folder, [to_first]))
         session = stack.enter_context(open_client(first.endpoint))
         everyone = {f"robot-{n}" for n in range(2, ROUTERS + 1)}
-        wait_until("all are connected", 60, lambda: ends(session, "robot-1") == everyone)
+        wait_until("all are connected", 60, lambda: connected_robots(session, "robot-1") == everyone)
         last = f"robot-{ROUTERS}"
         for _ in range(ROUNDS):
             for named in ([], [to_first]):
                 write(folder / f"{last}.json", named)
-                is_there = bool(named)
+                is_connected = bool(named)
                 took = wait_until(
-                    "both ends agree", 20, lambda there=is_there: (last in ends(session, "robot-1")) == there
+                    "the registry of robot-1 shows the change",
+                    20,
+                    lambda expected=is_connected: (last in connected_robots(session, "robot-1")) == expected,
                 )
                 times.append(took)
     return times
 
 
-def ends(session: zenoh.Session, name: str) -> set[str]:
+def connected_robots(session: zenoh.Session, name: str) -> set[str]:
     """Returns the robots that a robot's registry shows as connected."""
     for reply in session.get(f"rect/{name}/@rect/peers?state=connected", timeout=5):
         if reply.ok is not None:
@@ -93,6 +98,7 @@ def ends(session: zenoh.Session, name: str) -> set[str]:
 
 
 def robot(name: str, folder: Path, named: list[dict], limit: int = 32) -> Router:
+    """Returns the router of a robot with the connections `named`, of which it accepts at most `limit`."""
     path = folder / f"{name}.json"
     write(path, named)
     settings = {"robot": name, "connections": str(path), "max_connections": max(limit, 1)}

@@ -64,7 +64,8 @@ fn main() -> Result<(), Error> {
     let options = |name| Ok::<_, Error>(Options::new(name)?.login_file("/none"));
     let one = Robot::connect(options("wombat-1")?.listen(&endpoint))?;
     let two = Robot::connect(options("wombat-2")?.endpoint(&endpoint))?;
-    // As in the C++ program: a query sets a timer in Zenoh, which makes each wake-up of its thread slower for some time.
+    // The C++ program waits in the same way: a query sets a timer in Zenoh, which makes each wake-up of its thread slower for
+    // some time.
     while one.peers()?.is_empty() || two.peers()?.is_empty() {}
 
     let received = Arc::new(Counter::default());

@@ -27,7 +27,7 @@ BENCHES = {
     "urgent_vm": "two cases of `urgent` on a real kernel's Bluetooth stack in the VM, paced",
     "lanes_cost": "throughput and round trip of lanes compared with a plain link, unpaced, in the VM",
     "plugin": "RECT in a stock zenohd compared with rect-router: urgent messages, throughput, memory, threads",
-    "registry": "time to an answer with 5 and 500 connections; 20 routers agree on a change",
+    "registry": "time to an answer with 5 and 500 connections, and until another router's registry shows a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",
     "stream": "a camera over a slow link, adaptive and fixed: frames, ages, quality, concurrent urgent messages",
     "transfer": "a file of 5 MB over a slow link, without and with three cuts; concurrent urgent messages",

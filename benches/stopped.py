@@ -1,16 +1,17 @@
-"""Measures the other traffic of a link while a program is stopped to which a lot is sent.
+"""Measures the other traffic of a link while a program that receives many messages is stopped.
 
 When the program continues, the stock client detects that it has received nothing from its router for longer than the
 router's lease, and connects again. The message that was being delivered is lost then, whatever the link between the
 routers.
 
-usage: stopped.py LOCATOR KEY    # runs the program, which prints a line for every message"""
+usage: stopped.py LOCATOR KEY    # runs the program that is stopped; it prints the size of every message"""
 
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import zenoh
@@ -20,7 +21,8 @@ from traffic import PERIOD_S, STRAGGLERS_S, Load, Sender, Stall
 from zenoh import CongestionControl, Priority
 
 STOPPED_S = 60
-# Sent before the other bulk starts: the bytes that the other router accepts for the stopped program until it is full.
+# The bytes that the other router accepts for the stopped program until its queues are full. The other bulk message is
+# sent after the time that they take.
 FILLING_BYTES = 1_200_000
 MESSAGES, MESSAGE_BYTES = 8, 1_000_000
 OTHER_BYTES = 500_000
@@ -32,7 +34,7 @@ KEY = "rect/wombat-1/log"
 
 
 def stopped(here: zenoh.Session, there: zenoh.Session, pair: Pair, bytes_per_s: float) -> Load:
-    """Stops a program, and returns the rate of the other bulk, of another priority, meanwhile."""
+    """Stops a program, and returns the rate at which a bulk message of another priority arrives meanwhile."""
     before, links = pair.memory_mb("VmRSS"), pair.links()
     other = Sender(here, there, "rect/wombat-1/bulk/0", Priority.DATA_LOW)
     with Program(pair.far_socket) as program:
@@ -42,7 +44,7 @@ def stopped(here: zenoh.Session, there: zenoh.Session, pair: Pair, bytes_per_s: 
         started = time.monotonic()
         threading.Thread(target=put_all, args=(publisher,), daemon=True).start()
         time.sleep(FILLING_BYTES / bytes_per_s)
-        asked = time.monotonic()
+        sent_at = time.monotonic()
         other.put(OTHER_BYTES)
         wait_or_end(started + STOPPED_S, lambda: False)
         program.process.send_signal(signal.SIGCONT)
@@ -53,7 +55,7 @@ def stopped(here: zenoh.Session, there: zenoh.Session, pair: Pair, bytes_per_s: 
         whole = program.whole()
     arrived = other.arrived[0][0] if other.arrived else float("inf")
     peak = [after - start for after, start in zip(pair.memory_mb("VmHWM"), before, strict=True)]
-    load = Load(OTHER_BYTES / (arrived - asked) / 1000)
+    load = Load(OTHER_BYTES / (arrived - sent_at) / 1000)
     load.remarks = [
         f"{whole} of {MESSAGES} MB reached the stopped program",
         f"memory of the routers +{peak[0]:.0f} and +{peak[1]:.0f} MB at most",
@@ -74,7 +76,8 @@ def put_all(publisher: zenoh.Publisher) -> None:
         publisher.put(bytes(MESSAGE_BYTES))
 
 
-def wait_or_end(until: float, is_done) -> None:
+def wait_or_end(until: float, is_done: Callable[[], bool]) -> None:
+    """Waits until the time `until`, or until `is_done` returns true."""
     while time.monotonic() < until and not is_done():
         time.sleep(PERIOD_S)
 
@@ -106,6 +109,7 @@ class Program:
 
 
 def main(locator: str, key: str) -> None:
+    """Runs the program that is stopped. Prints the size of every message."""
     with open_client(locator, transport__link__tx__lease=LEASE_MS) as session:
         subscriber = session.declare_subscriber(key, lambda sample: print(len(sample.payload), flush=True))
         signal.pause()

@@ -26,7 +26,7 @@ SENDERS = {
 }
 PHOTOGRAPHS = ["coffee.png", "chelsea.png", "rocket.jpg", "astronaut.png"]
 SECONDS = 40
-# Earlier frames belong to the beginning and are not counted.
+# Frames that arrive earlier are not counted.
 SETTLED_S = 5
 # The number of pictures of each run whose quality is measured.
 EXAMINED = 60
@@ -120,10 +120,10 @@ def outcome_of(report: dict, panorama: numpy.ndarray, size: tuple[int, int], fra
         raise RobotError("no frame arrived")
     span_s = SECONDS - SETTLED_S
     examined = settled[:: max(1, len(settled) // EXAMINED)]
-    likeness = [
+    similarities = [
         ssim(view(panorama, size, frame["index"]), read(frames / str(frame["index"]), size)) for frame in examined
     ]
-    wrong = [
+    age_errors_ms = [
         abs(frame["age_ms"] - report["encode_ms"] - frame["reported_age_ms"])
         for frame in settled
         if frame["reported_age_ms"]
@@ -133,9 +133,9 @@ def outcome_of(report: dict, panorama: numpy.ndarray, size: tuple[int, int], fra
         frames_per_s=len(settled) / span_s,
         kb_per_s=sum(frame["bytes"] for frame in settled) / span_s / 1000,
         ages_ms=[frame["age_ms"] for frame in settled],
-        age_error_ms=percentile(wrong, 0.5),
+        age_error_ms=percentile(age_errors_ms, 0.5),
         skipped=sum(frame["skipped"] for frame in settled),
-        ssim=float(numpy.mean(likeness)),
+        ssim=float(numpy.mean(similarities)),
         level=level_text(group["step"]),
         changes=group["changes"],
         urgent_sent=report["urgent_sent"],
@@ -195,13 +195,13 @@ def panorama_of(width: int, height: int) -> numpy.ndarray:
 
 def view(panorama: numpy.ndarray, size: tuple[int, int], index: int) -> numpy.ndarray:
     """Returns the camera's view of a frame, as `examples/stream_load.rs` calculates it."""
-    (width, height), (high, wide) = size, panorama.shape[:2]
-    left, top = to_and_fro(index * 3, wide - width), to_and_fro(index * 2, high - height)
+    (width, height), (panorama_height, panorama_width) = size, panorama.shape[:2]
+    left, top = to_and_fro(index * 3, panorama_width - width), to_and_fro(index * 2, panorama_height - height)
     return panorama[top : top + height, left : left + width]
 
 
-def to_and_fro(way: int, room: int) -> int:
-    return abs(room - way % (room * 2)) if room else 0
+def to_and_fro(distance: int, span: int) -> int:
+    return abs(span - distance % (span * 2)) if span else 0
 
 
 def read(file: Path, size: tuple[int, int]) -> numpy.ndarray:

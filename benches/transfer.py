@@ -16,6 +16,7 @@ from pathlib import Path
 import rect
 from pairs import INTERVAL_MS, ble_pair_endpoints, carried, room
 from robots import wait_until
+from room import Room
 from routers import status
 from table import Table
 from traffic import PERIOD_S, STRAGGLERS_S, percentile
@@ -48,7 +49,17 @@ def run() -> Table:
         outcomes = dict(zip(runs, pool.map(measured, *zip(*runs, strict=True)), strict=True))
     table = Table(
         "A file of 5 MB over a slow link",
-        ["link", "case", "kB/s (of raw)", "carried more", "memory grew", "urgent arrived", "p50", "p99", "outcome"],
+        [
+            "link",
+            "case",
+            "kB/s (of raw)",
+            "additional bytes",
+            "memory growth",
+            "urgent arrived",
+            "p50",
+            "p99",
+            "outcome",
+        ],
     )
     for (rate, case), outcome in outcomes.items():
         share = outcome.kb_per_s * 1000 / raw[rate]
@@ -65,7 +76,7 @@ def run() -> Table:
                 faults.append("urgent lost")
             if p99 > TARGET_URGENT_MS:
                 faults.append("urgent late")
-        # The overhead of the pieces and the urgent messages take the same without cuts.
+        # The overhead of the pieces and the urgent messages take as many bytes without cuts.
         more = outcome.carried - outcomes[rate, WITH_URGENT].carried
         table.add(
             f"{rate} ({raw[rate] / 1000:.1f} raw)",
@@ -81,8 +92,8 @@ def run() -> Table:
         "`config/simulation.json5`; the Python package, both ends in one process, from a file into a folder. Raw: a "
         f"bare channel at its best SDU size. Cuts: the air is cut for {CUT_S} s at a quarter, half and three "
         "quarters; the rate includes these times, and urgent messages that are published while there is no link are "
-        "lost. Carried more: than without cuts, including the handshakes of new links. Urgent: a number every 50 ms "
-        "from the program that sends the file; these take airtime, too.",
+        "lost. Additional bytes: more than without cuts, including the handshakes of new links. Urgent: a number every "
+        "50 ms from the program that sends the file; these take airtime, too.",
         f"Target: alone {TARGET_SHARE} of raw; urgent p99 below {TARGET_URGENT_MS} ms.",
     ]
     return table
@@ -114,7 +125,7 @@ def measured(rate: str, case: str) -> Outcome:
         return Outcome(FILE_BYTES / took / 1000, carried(air) - before, grown_mb, urgent.sent, urgent.ages_ms)
 
 
-def cut(air) -> None:
+def cut(air: Room) -> None:
     air.cut()
     time.sleep(CUT_S)
     air.restore()

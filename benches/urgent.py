@@ -34,6 +34,7 @@ IDLE_BYTES_PER_S = 2
 KEEP_ALIVE_BYTES_PER_S = 2 / 2.5
 LEASE = "transport/link/tx/lease:2000"
 LIMIT_S = 600
+# The targets, as shares of the raw rate: of large messages, and of frames that arrive whole.
 LARGE, FRAMES = 0.95, 0.70
 
 
@@ -41,6 +42,7 @@ LARGE, FRAMES = 0.95, 0.70
 class Case:
     title: str
     target: float | None
+    """The required share of the raw rate."""
     load: Callable[[zenoh.Session, zenoh.Session, Pair, float], Load]
     settings: list[str] = field(default_factory=list)
     is_urgent: bool = True
@@ -108,7 +110,7 @@ def outcomes_of(name: str, raw: dict[str, float]) -> dict[tuple[str, str, str], 
     rates = list(RATES) if CASES[name].is_urgent else list(RATES)[-1:]
     runs = [(name, rate, peer) for rate in rates for peer in PEERS]
     with ThreadPoolExecutor(len(runs)) as pool:
-        outcomes = dict(zip(runs, pool.map(lambda one: outcome_of(*one, raw[one[1]]), runs), strict=True))
+        outcomes = dict(zip(runs, pool.map(lambda run: outcome_of(*run, raw[run[1]]), runs), strict=True))
     print(f"  {CASES[name].title}: {time.monotonic() - started:.0f} s", flush=True)
     return outcomes
 

@@ -30,16 +30,16 @@ def run() -> Table:
         "Urgent messages during large transfers on a real kernel's Bluetooth stack, compared with a raw L2CAP channel",
         ["pace", "raw kB/s", "case", "large kB/s (of raw)", "urgent arrived", "p50", "p99", "max", "outcome"],
     )
-    for one in figures_of("urgent_vm", 600):
-        share = one["kb_per_s"] / one["raw"]
+    for figures in figures_of("urgent_vm", 600):
+        share = figures["kb_per_s"] / figures["raw"]
         table.add(
-            f"{one['pace'] / 1000:.0f} kB/s",
-            f"{one['raw']:.1f}",
-            one["case"],
-            f"{one['kb_per_s']:.1f} ({share:.3f})",
-            f"{one['arrived']}/{one['sent']}",
-            *(f"{one[name]:.0f} ms" for name in ("p50", "p99", "max")),
-            "; ".join([", ".join(faults_of(one, share)) or "ok", *one["remarks"]]),
+            f"{figures['pace'] / 1000:.0f} kB/s",
+            f"{figures['raw']:.1f}",
+            figures["case"],
+            f"{figures['kb_per_s']:.1f} ({share:.3f})",
+            f"{figures['arrived']}/{figures['sent']}",
+            *(f"{figures[name]:.0f} ms" for name in ("p50", "p99", "max")),
+            "; ".join([", ".join(faults_of(figures, share)) or "ok", *figures["remarks"]]),
         )
     table.notes = [
         "Two routers with lanes and stock eclipse-zenoh clients; 16 bytes every 50 ms, `REAL_TIME`, from the session "
@@ -51,13 +51,13 @@ def run() -> Table:
     return table
 
 
-def faults_of(one: dict, share: float) -> list[str]:
-    faults = list(one["faults"])
+def faults_of(figures: dict, share: float) -> list[str]:
+    faults = list(figures["faults"])
     if share < TARGET:
         faults.append("slow")
-    if one["arrived"] != one["sent"]:
+    if figures["arrived"] != figures["sent"]:
         faults.append("urgent lost")
-    if one["pace"] == PACES[0] and one["p99"] >= LIMIT_MS:
+    if figures["pace"] == PACES[0] and figures["p99"] >= LIMIT_MS:
         faults.append("urgent late")
     return faults
 

@@ -1,5 +1,6 @@
-//! Generates the load of `benches/stream.py`: a camera at one router, a program that watches it at the other, and urgent messages
-//! from the camera's program at the same time. All run in one process, so that a single clock measures the ages.
+//! Generates the load of `benches/stream.py`: a camera at one router, a program that watches its stream at the other router,
+//! and urgent messages from the camera's program at the same time. All run in one process, so that a single clock measures
+//! the ages. The result is printed as JSON.
 //!
 //!     stream_load '{"near": "tcp/...", "far": "tcp/...", "panorama": "file", "panorama_size": [1280, 960],
 //!                   "size": [640, 480], "codec": null, "lossy_format": "jpeg", "seconds": 30, "frames": "folder"}'
@@ -30,18 +31,23 @@ use serde::{Deserialize, Serialize};
 
 const FRAMES_PER_S: u32 = 15;
 const URGENT_INTERVAL: Duration = Duration::from_millis(50);
+/// How long messages in flight may take to arrive after the last one was sent.
 const DRAIN_TIME: Duration = Duration::from_secs(2);
 
 #[derive(Deserialize)]
 struct Task {
+    /// Endpoint of the router of the camera's program.
     near: String,
+    /// Endpoint of the router of the program that watches.
     far: String,
     panorama: PathBuf,
     panorama_size: [u32; 2],
     size: [u32; 2],
     codec: Option<String>,
     lossy_format: String,
+    /// Duration of the measurement.
     seconds: u64,
+    /// Folder into which the payloads of the received frames are written.
     frames: PathBuf,
 }
 
@@ -50,8 +56,11 @@ struct ReceivedFrame {
     number: u32,
     /// The camera's index of the frame.
     index: u32,
+    /// Time of arrival since the start of the measurement.
     at_s: f64,
+    /// Time since the camera took the picture.
     age_ms: f64,
+    /// Age according to the library.
     reported_age_ms: Option<f64>,
     skipped: u32,
     bytes: usize,
@@ -63,8 +72,11 @@ struct Outcome {
     sent: usize,
     received_frames: Vec<ReceivedFrame>,
     urgent_sent: u32,
+    /// Delay of each urgent message that arrived.
     urgent_ms: Vec<f64>,
+    /// State of the stream at the end of the measurement.
     status: rect::core::stream::status::Status,
+    /// Mean time for encoding a frame.
     encode_ms: f64,
 }
 
@@ -107,10 +119,11 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
         },
     };
     let stream = Arc::new(near.stream("camera", options).await?);
-    // Waits until the receiver was discovered, which is not measured.
+    // Waits until the sender has discovered the receiver, which is not measured.
     while stream.send(vec![0u8; 1])? == 0 {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
+    // Opens the urgency session before the measurement. The receiver ignores this message, because it is not a number.
     near.urgent().publish("stop", "").await?;
     tokio::time::sleep(Duration::from_secs(1)).await;
 
@@ -218,14 +231,14 @@ fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64
     Ok((sent, mean_ms))
 }
 
-/// Returns the picture at the camera's position, which moves back and forth over the panorama: 3 pixels per frame horizontally
+/// Returns the part of the panorama at the camera's position, which moves back and forth: 3 pixels per frame horizontally
 /// and 2 vertically.
 fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Picture, Box<dyn Error>> {
     let [wide, high] = task.panorama_size;
     let [width, height] = task.size;
-    let back_and_forth = |step: u32, room: u32| match room {
+    let back_and_forth = |step: u32, range: u32| match range {
         0 => 0,
-        room => room.abs_diff(index * step % (room * 2)),
+        range => range.abs_diff(index * step % (range * 2)),
     };
     let (left, top) = (
         back_and_forth(3, wide - width),

@@ -1,7 +1,6 @@
 //! The blocking form of the API, for programs without `async`: every call blocks the calling thread until it is complete.
 //!
-//! The calls panic when they are made from an asynchronous runtime, whose thread they would block. Use [`crate::Robot`]
-//! there.
+//! A call panics if it would block a thread of an asynchronous runtime. Use [`crate::Robot`] there.
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -107,7 +106,7 @@ impl Robot {
         self.robot.name()
     }
 
-    /// Returns a handle that publishes, sends and requests with `urgency`.
+    /// Returns a handle that publishes, sends, requests and streams with `urgency`.
     #[must_use]
     pub fn with_urgency(&self, urgency: Urgency) -> Self {
         Self {
@@ -219,7 +218,8 @@ impl Robot {
         Subscription::start(self.runtime.clone(), subscriber, callback)
     }
 
-    /// Blocks until the next message of `robot` on `topic`, at most for `timeout`.
+    /// Blocks until the next message of `robot` on `topic`, at most for `timeout`. Messages that were sent before the
+    /// call are not received.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::wait_for_message`].
@@ -276,9 +276,9 @@ impl Robot {
     }
 
     /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned service is
-    /// dropped. An error arrives at the requester as [`Error::Service`].
+    /// dropped. An error, or a panic of `answer`, arrives at the requester as [`Error::Service`].
     ///
-    /// `answer` is called on threads for blocking work, for up to 16 requests concurrently.
+    /// `answer` may block. It is called on separate threads, for up to 16 requests concurrently.
     ///
     /// ```no_run
     /// # fn serve(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
@@ -354,7 +354,7 @@ impl Robot {
         })
     }
 
-    /// Returns the numbers of messages and bytes that this program has sent and received.
+    /// Returns the counters of this session: messages and bytes sent and received, and messages missed and rejected.
     pub fn counters(&self) -> Counters {
         self.robot.counters()
     }
@@ -370,6 +370,8 @@ impl Robot {
 
 impl Messages {
     /// Blocks until the next message; returns `None` if none arrives within `timeout`, or if the session is closed.
+    ///
+    /// If the timeout expires while the dictionary of a message is fetched, that message is lost.
     pub fn next_timeout(&mut self, timeout: Duration) -> Option<Message> {
         let next = async { tokio::time::timeout(timeout, self.subscriber.next()).await };
         self.runtime.wait(next).ok().flatten()

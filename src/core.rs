@@ -1,4 +1,5 @@
-//! Contains the protocol logic, without I/O. Every language uses this implementation.
+//! Contains the protocol logic, without I/O except for the files of dictionaries. Every language uses this
+//! implementation.
 pub mod array;
 pub mod attachment;
 pub mod codec;

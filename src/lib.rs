@@ -11,8 +11,8 @@
 //! ```
 //!
 //! The library has two layers. [`core`] contains all decisions: names, keys, encodings, codecs, and the state machines
-//! of streams and transfers. It is given the time and the bytes, and does no I/O. The sessions with Zenoh (feature
-//! `session`) are built on it. [`storage`] reads and writes the files of transfers.
+//! of streams and transfers. It is given the time and the bytes, and does no I/O except for the files of dictionaries.
+//! The sessions with Zenoh (feature `session`) are built on it. [`storage`] reads and writes the files of transfers.
 pub mod core;
 pub mod storage;
 

@@ -1,5 +1,5 @@
-//! Reads and writes the files of transfers: what is sent ([`Source`]), and what is received ([`Store`]). This is the
-//! only module with disk I/O. It does not depend on Zenoh, so that the sessions of every language use it.
+//! Reads and writes the files of transfers: what is sent ([`Source`]), and what is received ([`Store`]). Apart
+//! from the files of dictionaries, all disk I/O of the protocol is here. This module does not depend on Zenoh.
 mod source;
 mod store;
 

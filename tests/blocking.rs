@@ -13,7 +13,8 @@ use rect::{blocking::Robot, storage::Content, Options, ReceiveOptions, StreamOpt
 /// Interval between two attempts.
 const RETRY_INTERVAL: Duration = Duration::from_millis(50);
 
-fn two() -> [Robot; 2] {
+/// Returns two robots; the second one dials the first.
+fn two_robots() -> [Robot; 2] {
     let endpoint = free_endpoint();
     let options = |name| Options::new(name).expect("a name").login_file("/none");
     let a = Robot::connect(options("a").listen(&endpoint)).expect("connected");
@@ -23,7 +24,7 @@ fn two() -> [Robot; 2] {
 
 #[test]
 fn frames_iterator_yields_frames_until_close() {
-    let [a, b] = two();
+    let [a, b] = two_robots();
     let mut frames = b.watch("a", "distance").expect("watched");
     let stream = a
         .stream("distance", StreamOptions::sensor())
@@ -34,7 +35,7 @@ fn frames_iterator_yields_frames_until_close() {
             if stream.send([value]).is_err() {
                 return;
             }
-            std::thread::sleep(std::time::Duration::from_millis(2));
+            std::thread::sleep(Duration::from_millis(2));
         }
     });
     let first = frames.next_timeout(TIMEOUT).expect("in time");
@@ -52,7 +53,7 @@ fn frames_iterator_yields_frames_until_close() {
 
 #[test]
 fn transfers_iterator_yields_received_transfers_until_close() {
-    let [a, b] = two();
+    let [a, b] = two_robots();
     let options = ReceiveOptions::in_memory(1 << 20);
     let mut received = b.receive_transfers("a/**", options).expect("declared");
     let sent = a
@@ -72,7 +73,7 @@ fn transfers_iterator_yields_received_transfers_until_close() {
 
 #[test]
 fn callback_may_use_and_drop_the_last_robot_handle() {
-    let [a, b] = two();
+    let [a, b] = two_robots();
     let (mut last, (dropped, was_dropped)) = (Some(b.clone()), mpsc::channel());
     let (go, proceed) = mpsc::channel::<()>();
     let subscription = b.on_message("a/goodbye", move |_| {

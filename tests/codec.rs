@@ -23,13 +23,13 @@ fn reading(n: u32) -> Value {
     })
 }
 
-/// Publishes `payload` until `subscriber` receives a message.
+/// Publishes `payload` on `x` until `subscriber` receives a message.
 async fn delivered(robot: &Robot, subscriber: &Subscriber, payload: &Payload) -> Message {
     let delivery = async {
         loop {
             robot.publish("x", payload).await.expect("published");
-            let soon = Duration::from_millis(20);
-            if let Ok(message) = tokio::time::timeout(soon, subscriber.next()).await {
+            let interval = Duration::from_millis(20);
+            if let Ok(message) = tokio::time::timeout(interval, subscriber.next()).await {
                 break message.expect("open");
             }
         }
@@ -51,12 +51,12 @@ async fn encoded_payloads_are_decoded_by_the_receiver() {
     let message = delivered(&encoded, &subscriber, &all).await;
     assert_eq!((message.payload, message.problem), (all.clone(), None));
     let (sent, received) = (a.counters(), b.counters());
-    let each = sent.sent_bytes / sent.sent;
+    let message_bytes = sent.sent_bytes / sent.sent;
     assert!(
-        each * 3 < all.bytes.len() as u64,
-        "{each} bytes on the wire"
+        message_bytes * 3 < all.bytes.len() as u64,
+        "{message_bytes} bytes on the wire"
     );
-    assert_eq!(received.received_bytes, each * received.received);
+    assert_eq!(received.received_bytes, message_bytes * received.received);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -71,8 +71,8 @@ async fn receiver_fetches_an_unknown_dictionary_from_the_sender() {
     let delivery = async {
         loop {
             encoded.publish("x", &payload).await.expect("published");
-            let soon = Duration::from_millis(200);
-            if let Ok(message) = tokio::time::timeout(soon, subscriber.next()).await {
+            let interval = Duration::from_millis(200);
+            if let Ok(message) = tokio::time::timeout(interval, subscriber.next()).await {
                 break message.expect("open");
             }
         }
@@ -116,7 +116,7 @@ async fn pictures_and_arrays_can_be_read_by_the_receiver() {
     let message = delivered(&a, &subscriber, &raw).await;
     let array = message.payload.array(&Limits::default()).expect("an array");
     assert_eq!(array.shape(), [2, 3]);
-    assert_eq!(array.numbers::<f32>().expect("of that kind")[5], 6.0);
+    assert_eq!(array.numbers::<f32>().expect("of type f32")[5], 6.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -133,7 +133,7 @@ async fn undecodable_payload_is_delivered_unchanged_with_the_error() {
     );
     let unknown = Payload::new(
         "\u{1}",
-        Encoding::new("application/x-of-tomorrow;packed-somehow"),
+        Encoding::new("application/x-unknown;unknown-suffix"),
     );
     let message = delivered(&a, &subscriber, &unknown).await;
     assert_eq!(
@@ -172,13 +172,14 @@ async fn requests_and_replies_are_decoded() {
     assert!(error.to_string().contains("zstd"), "{error}");
 }
 
-/// Returns another dictionary with the same id, found by trying some ten thousand suffixes.
+/// Returns another dictionary with the same id: the same bytes and a suffix, which takes 32768 attempts on average to
+/// find.
 fn with_the_same_id(dictionary: &Dictionary) -> Dictionary {
     // The checksum does not include the magic number and the id.
-    let mut begun = crc32fast::Hasher::new();
-    begun.update(&dictionary.as_bytes()[8..]);
+    let mut prefix_hash = crc32fast::Hasher::new();
+    prefix_hash.update(&dictionary.as_bytes()[8..]);
     let is_same = |suffix: &u32| {
-        let mut hash = begun.clone();
+        let mut hash = prefix_hash.clone();
         hash.update(&suffix.to_le_bytes());
         32768 + hash.finalize() % 32768 == dictionary.id()
     };

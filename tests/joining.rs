@@ -14,9 +14,10 @@ use rect::{Error, Options, Robot};
 use serde_json::{json, Value};
 use zenoh::{Config, Session, Wait};
 
-/// Upper limit for a recognised refusal, far below the timeout of the attempt.
+/// Upper limit of the time until a refusal is reported, far below the timeout of the attempt.
 const AT_ONCE: Duration = Duration::from_secs(5);
 
+/// Starts a stock router with `settings` besides the basic ones.
 fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {
     let mut config = Config::default();
     let base = [
@@ -45,6 +46,7 @@ fn options(robot: &str, endpoint: &str) -> Options {
     options.router(endpoint).timeout(TIMEOUT)
 }
 
+/// Returns the error with which connecting is refused, at once.
 async fn refused(options: Options) -> Error {
     let began = Instant::now();
     let refused = options.connect().await.expect_err("not connected");
@@ -92,7 +94,7 @@ async fn connects_with_a_login_to_a_router_without_logins() {
     let _router = router(&endpoint, &[]);
     let robot = options("wombat-1", &endpoint).login("fleet", "secret");
     let robot = robot.connect().await.expect("connected");
-    // Urgent messages use a separate connection, which is opened like the first one.
+    // Urgent messages use a separate session, which is opened like the first one.
     robot.urgent().publish("x", "now").await.expect("published");
 }
 
@@ -135,7 +137,7 @@ async fn router_of_another_robot_is_rejected() {
 #[tokio::test(flavor = "multi_thread")]
 async fn connect_times_out_without_listener_and_without_reply() {
     let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
-    let at = silent.local_addr().expect("an address");
+    let address = silent.local_addr().expect("an address");
     let silent = std::thread::spawn(move || {
         let (mut stream, _) = silent.accept().expect("a connection");
         // Reads until the other end closes the connection.
@@ -143,7 +145,7 @@ async fn connect_times_out_without_listener_and_without_reply() {
     });
     for (endpoint, expected) in [
         (free_endpoint(), "Connection refused"),
-        (format!("tcp/{at}"), "no answer within 1 s"),
+        (format!("tcp/{address}"), "no answer within 1 s"),
     ] {
         let began = Instant::now();
         let timeout = Duration::from_secs(1);
@@ -157,7 +159,7 @@ async fn connect_times_out_without_listener_and_without_reply() {
         assert!(matches!(error, Error::NoRouter { .. }), "{error:?}");
         assert!(error.to_string().contains(expected), "{error}");
     }
-    silent.join().expect("it ends");
+    silent.join().expect("no panic");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -30,7 +30,8 @@ fn reading() -> Reading {
     }
 }
 
-/// Publishes on `topic` until `is_received` returns true: a new subscription takes a moment to reach the publisher.
+/// Publishes on `topic` until `is_received` returns true, since a new subscription takes a moment to reach the
+/// publisher.
 async fn until_received(
     robot: &Robot,
     topic: &'static str,
@@ -75,7 +76,10 @@ async fn published_values_keep_their_types_and_metadata() {
     for topic in ["values/json", "values/cbor"] {
         let message = next().await;
         assert_eq!(message.topic.as_str(), topic);
-        assert_eq!(message.payload.value::<Reading>().expect("one"), reading());
+        assert_eq!(
+            message.payload.value::<Reading>().expect("a reading"),
+            reading()
+        );
         assert_eq!((message.sender.as_str(), message.recipient), ("a", None));
         assert_eq!((message.sequence, message.missed), (Some(0), 0));
         let sent_ms = message.sent_ms.expect("known");
@@ -226,14 +230,14 @@ async fn messages_keep_their_urgency() {
 #[tokio::test(flavor = "multi_thread")]
 async fn invalid_names_and_topics_are_rejected_with_the_reason() {
     let (a, _b) = pair("a", "b").await;
-    for (topic, named) in [
+    for (topic, reason) in [
         ("", "1 to"),
         ("a/*", "wildcard"),
         ("to/b", "\"to\""),
         ("@rect/x", "@rect"),
     ] {
         let error = a.publish(topic, "").await.expect_err(topic).to_string();
-        assert!(error.contains(named), "{error}");
+        assert!(error.contains(reason), "{error}");
     }
     let error = a.send("no robot", "x", "").await.expect_err("a space");
     assert!(matches!(error, Error::Name(_)), "{error}");

@@ -8,6 +8,7 @@ use pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use rect::{blocking, Event, Events, Json, Options};
 use tokio::time::timeout;
 
+/// Waits for an event that is expected, and skips all others.
 async fn until(events: &Events, mut is_expected: impl FnMut(&Event) -> bool) {
     let found = async { while !is_expected(&events.next().await.expect("open")) {} };
     timeout(TIMEOUT, found).await.expect("event in time");
@@ -113,7 +114,7 @@ fn blocking_api_publishes_requests_and_reports_events() {
     });
     assert_eq!(messages.next().expect("open").topic.as_str(), "beat");
     assert!(b.wait_for_message("a", "beat", TIMEOUT).is_ok());
-    stop.send(()).expect("it waits");
+    stop.send(()).expect("the thread runs");
     publishing.join().expect("no panic");
     b.close().expect("closed");
     assert!(b.publish("x", "").is_err(), "closed");

@@ -20,6 +20,7 @@ const PIXELS: usize = 160 * 120;
 
 /// A camera at 20 Hz whose frames have about the size of photographs. Dropping it stops the camera.
 struct Camera {
+    /// Number of frames encoded so far.
     encoded: Arc<AtomicUsize>,
     stream: Arc<Stream>,
     task: tokio::task::JoinHandle<()>,
@@ -27,12 +28,12 @@ struct Camera {
 
 fn camera(stream: Stream) -> Camera {
     let (stream, encoded) = (Arc::new(stream), Arc::new(AtomicUsize::new(0)));
-    let (sends, count) = (stream.clone(), encoded.clone());
+    let (sender, count) = (stream.clone(), encoded.clone());
     let task = tokio::spawn(async move {
         let mut ticks = tokio::time::interval(Duration::from_millis(50));
         loop {
             ticks.tick().await;
-            let sent = sends.send_with(PIXELS, |step| {
+            let sent = sender.send_with(PIXELS, |step| {
                 count.fetch_add(1, Ordering::Relaxed);
                 Ok(picture(step.expect("adaptive")))
             });
@@ -52,6 +53,7 @@ impl Drop for Camera {
     }
 }
 
+/// Returns a payload of the size that a picture would have at `step`.
 fn picture(step: Step) -> Payload {
     let (share, encoding) = match step.coding {
         Coding::Lossless => (1.5, Encoding::PNG),
@@ -63,7 +65,7 @@ fn picture(step: Step) -> Payload {
 
 async fn next(watch: &Watch) -> Frame {
     let frame = tokio::time::timeout(TIMEOUT, watch.next()).await;
-    frame.expect("a frame in time").expect("the session lives")
+    frame.expect("a frame in time").expect("open")
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -139,7 +141,7 @@ async fn adaptive_stream_becomes_lossless_on_a_fast_link_and_reports_the_reason(
         if camera.encoded.load(Ordering::Relaxed) == before {
             break;
         }
-        assert!(begun.elapsed() < TIMEOUT, "it continues");
+        assert!(begun.elapsed() < TIMEOUT, "frames are still encoded");
     }
 }
 

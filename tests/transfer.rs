@@ -33,7 +33,7 @@ use zenoh::Wait;
 
 const MB: usize = 1_000_000;
 
-/// Makes the tests run one at a time, since they measure time and memory.
+/// Waits until no other test runs, since the tests measure time and memory.
 async fn turn() -> MutexGuard<'static, ()> {
     static TURN: Turn<()> = Turn::const_new(());
     TURN.lock().await
@@ -53,11 +53,12 @@ fn noise(length: usize) -> Vec<u8> {
     bytes
 }
 
-/// The progress that is reported to the sender, in bytes.
+/// The number of received bytes that was last reported to the sender.
 #[derive(Clone, Default)]
 struct ReportedBytes(Arc<AtomicU64>);
 
 impl ReportedBytes {
+    /// Waits until at least `bytes` are reported.
     async fn reaches(&self, bytes: u64) {
         let reached = async {
             while self.0.load(Ordering::SeqCst) < bytes {
@@ -67,6 +68,7 @@ impl ReportedBytes {
         timeout(TIMEOUT, reached).await.expect("in time");
     }
 
+    /// Returns a callback for `on_progress`.
     fn watch(&self) -> impl FnMut(rect::core::transfer::Progress) + Send + 'static {
         let reported = self.0.clone();
         move |progress| reported.store(progress.received_bytes, Ordering::SeqCst)
@@ -194,11 +196,12 @@ async fn transfer_resumes_after_restart_of_sender_or_receiver() {
     assert!(overhead < 1_000_000, "{overhead}");
 }
 
-fn memory_kb(what: &str) -> u64 {
+/// Returns a value of `/proc/self/status`, in kB.
+fn memory_kb(field: &str) -> u64 {
     let status = fs::read_to_string("/proc/self/status").expect("linux");
     let line = status
         .lines()
-        .find(|line| line.starts_with(what))
+        .find(|line| line.starts_with(field))
         .expect("present");
     line.split_whitespace()
         .nth(1)
@@ -210,11 +213,11 @@ fn memory_kb(what: &str) -> u64 {
 async fn large_file_transfer_is_fast_and_uses_little_memory() {
     let _turn = turn().await;
     let size = 300 * MB;
-    let (folder, here) = (
+    let (folder, source_folder) = (
         tempfile::tempdir().expect("a folder"),
         tempfile::tempdir().expect("a folder"),
     );
-    let path = here.path().join("large.bin");
+    let path = source_folder.path().join("large.bin");
     fs::write(&path, noise(size)).expect("written");
     let (a, b) = pair("a", "b").await;
     let received = b
@@ -229,12 +232,12 @@ async fn large_file_transfer_is_fast_and_uses_little_memory() {
         .await
         .expect("sent");
     let took = start.elapsed();
-    let more = memory_kb("VmHWM:").saturating_sub(before);
+    let additional_kb = memory_kb("VmHWM:").saturating_sub(before);
     let rate = size as f64 / took.as_secs_f64() / 1e6;
-    println!("{size} bytes in {took:?}, {rate:.0} MB/s with both checksums, at most {more} kB of additional memory");
+    println!("{size} bytes in {took:?}, {rate:.0} MB/s with both checksums, at most {additional_kb} kB of additional memory");
     let got = received.next().await.expect("open").expect("complete");
     assert_eq!(got.size_bytes, size as u64);
-    assert!(more < 60_000, "{more} kB");
+    assert!(additional_kb < 60_000, "{additional_kb} kB");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -310,11 +313,10 @@ async fn repeated_and_concurrent_transfers_are_all_received() {
 async fn transfers_that_are_not_accepted_are_refused() {
     let _turn = turn().await;
     let (a, b) = pair("a", "b").await;
-    let brief = Duration::from_secs(2);
     let unanswered = a
         .transfer("b", "maps/x", vec![1])
         .expect("valid arguments")
-        .timeout(brief)
+        .timeout(Duration::from_secs(2))
         .await;
     assert!(
         matches!(unanswered, Err(Error::TimedOut { .. })),
@@ -355,8 +357,8 @@ async fn transfers_that_are_not_accepted_are_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn file_changed_during_transfer_fails_at_both_ends() {
     let _turn = turn().await;
-    let here = tempfile::tempdir().expect("a folder");
-    let path = here.path().join("log");
+    let source_folder = tempfile::tempdir().expect("a folder");
+    let path = source_folder.path().join("log");
     fs::write(&path, noise(3 * MB)).expect("written");
     let Wired {
         a, b, wire: _wire, ..
@@ -410,10 +412,11 @@ async fn storage_error_of_the_receiver_fails_at_both_ends() {
     assert!(received.next().await.expect("open").is_err());
 }
 
-/// Sends a transfer whose requests are answered by `lie`, and returns the fault at the receiver.
-async fn lied_to(
+/// Offers a transfer of `size_bytes` bytes, replies to the receiver's requests for `length` bytes with `reply(length)`,
+/// and returns the fault at the receiver.
+async fn fault_after_replies(
     size_bytes: u64,
-    lie: impl Fn(u32) -> Result<Vec<u8>, Vec<u8>> + Send + Sync + 'static,
+    reply: impl Fn(u32) -> Result<Vec<u8>, Vec<u8>> + Send + Sync + 'static,
 ) -> Fault {
     let (a, b) = pair("a", "b").await;
     let received = b
@@ -444,7 +447,7 @@ async fn lied_to(
             }
             if let Some(Request::Range { length, .. }) = request {
                 for _ in 0..3 {
-                    let _ = match lie(length) {
+                    let _ = match reply(length) {
                         Ok(bytes) => query.reply(&reply_key, bytes).wait(),
                         Err(bytes) => query.reply_err(bytes).wait(),
                     };
@@ -484,13 +487,14 @@ async fn lied_to(
 #[tokio::test(flavor = "multi_thread")]
 async fn invalid_replies_of_a_sender_fail_the_transfer() {
     let _turn = turn().await;
-    let short = lied_to(5000, |length| Ok(vec![0; length as usize - 1])).await;
+    let short = fault_after_replies(5000, |length| Ok(vec![0; length as usize - 1])).await;
     assert!(matches!(short, Fault::Protocol(_)), "{short:?}");
-    let long = lied_to(5000, |length| Ok(vec![0; length as usize + 100_000])).await;
+    let long = fault_after_replies(5000, |length| Ok(vec![0; length as usize + 100_000])).await;
     assert!(matches!(long, Fault::Protocol(_)), "{long:?}");
-    let wrong = lied_to(5000, |length| Ok(vec![0; length as usize])).await;
+    let wrong = fault_after_replies(5000, |length| Ok(vec![0; length as usize])).await;
     assert_eq!(wrong, Fault::Checksum);
-    let fault = lied_to(5000, |_| Err(Fault::Unreadable("a disk".into()).encode())).await;
+    let fault =
+        fault_after_replies(5000, |_| Err(Fault::Unreadable("a disk".into()).encode())).await;
     assert_eq!(fault, Fault::Unreadable("a disk".into()));
 }
 
@@ -531,10 +535,10 @@ async fn progress_is_reported_at_both_ends_and_close_ends_next() {
         .is_none());
 }
 
-/// Returns an offer of `bytes` in the name of the robot `from`.
-fn offer_of(from: &str, bytes: &[u8]) -> Offer {
+/// Returns an offer of `bytes` in the name of the robot `sender`.
+fn offer_of(sender: &str, bytes: &[u8]) -> Offer {
     Offer {
-        sender: from.parse().expect("a name"),
+        sender: sender.parse().expect("a name"),
         topic: Topic::new("maps/x").expect("a topic"),
         name: FileName::new("map.bin").expect("a file's name"),
         encoding: Encoding::BYTES,
@@ -544,11 +548,11 @@ fn offer_of(from: &str, bytes: &[u8]) -> Offer {
     }
 }
 
-/// Sends an offer from `by` until `b` is reachable, and returns the answer of `b`.
-async fn offered(by: &Robot, offer: &Offer) -> Answer {
+/// Repeats an offer from `robot` until `b` answers, and returns the answer.
+async fn offered(robot: &Robot, offer: &Offer) -> Answer {
     let answered = async {
         loop {
-            let asked = by.zenoh().get("rect/b/@rect/inbox");
+            let asked = robot.zenoh().get("rect/b/@rect/inbox");
             let replies = asked.payload(offer.encode()).await.expect("asked");
             if let Ok(Ok(reply)) = replies.recv_async().await.map(|reply| reply.into_result()) {
                 return Answer::decode(&reply.payload().to_bytes()).expect("an answer");
@@ -579,13 +583,13 @@ async fn forged_offer_does_not_change_stored_files() {
         .expect("sent");
     assert!(received.next().await.expect("open").is_ok());
     let file = folder.path().join("honest/map.bin");
-    for (from, bytes) in [
+    for (sender, bytes) in [
         ("honest", &b""[..]),
         ("honest", b"forged"),
         ("nobody", b""),
         ("nobody", b"forged"),
     ] {
-        offered(&forger, &offer_of(from, bytes)).await;
+        offered(&forger, &offer_of(sender, bytes)).await;
     }
     // Actions that the forged offers caused have ended when a later transfer has ended.
     for _ in 0..3 {

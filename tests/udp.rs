@@ -1,4 +1,4 @@
-//! Tests that messages lost over UDP are counted and not retransmitted (R4), with a relay that drops datagrams:
+//! Tests that messages lost over UDP are counted and not retransmitted, with a relay that drops datagrams:
 //! `cargo test -p rect --test udp`
 mod pair;
 
@@ -16,22 +16,23 @@ use pair::{dialling, listening, TIMEOUT};
 use rect::QueueOptions;
 use tokio::time::timeout;
 
-/// Relays datagrams between the dialler and `to`. While `lossy` is set, every fifth datagram to the dialler is dropped.
-fn relay(to: SocketAddr, lossy: Arc<AtomicBool>) -> SocketAddr {
+/// Relays datagrams between the dialler and `listener`, and returns the address to dial. While `lossy` is set, every
+/// fifth datagram to the dialler is dropped.
+fn relay(listener: SocketAddr, lossy: Arc<AtomicBool>) -> SocketAddr {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
     let relay_address = socket.local_addr().expect("bound");
     thread::spawn(move || {
         let (mut buffer, mut dialler, mut count) = ([0; 65536], None, 0u32);
-        while let Ok((length, from)) = socket.recv_from(&mut buffer) {
-            let target = if from == to {
+        while let Ok((length, source)) = socket.recv_from(&mut buffer) {
+            let target = if source == listener {
                 count += 1;
                 if lossy.load(Ordering::Acquire) && count % 5 == 0 {
                     continue;
                 }
                 dialler
             } else {
-                dialler = Some(from);
-                Some(to)
+                dialler = Some(source);
+                Some(listener)
             };
             if let Some(target) = target {
                 let _ = socket.send_to(&buffer[..length], target);
@@ -109,7 +110,7 @@ async fn lost_datagrams_are_counted_and_not_retransmitted() {
         "late messages are not missed"
     );
     assert!(
-        numbers.is_sorted_by(|one, next| one < next),
+        numbers.is_sorted_by(|number, next| number < next),
         "no duplicates, no retransmissions"
     );
     assert!(numbers.len() < (last - first + 1) as usize);

@@ -23,7 +23,11 @@ std::vector<std::uint8_t> take_picture(int n) {
         for (int column = 0; column < width; ++column) {
             const bool is_ball = std::hypot(column - x, row - y) < 20;
             const auto wall = static_cast<std::uint8_t>(90 + row / 4);
-            pixels.insert(pixels.end(), {std::uint8_t(is_ball ? 250 : 90), std::uint8_t(is_ball ? 200 : 90), is_ball ? std::uint8_t(30) : wall});
+            if (is_ball) {
+                pixels.insert(pixels.end(), {250, 200, 30});
+            } else {
+                pixels.insert(pixels.end(), {90, 90, wall});
+            }
         }
     }
     return pixels;

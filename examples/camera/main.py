@@ -14,7 +14,7 @@ ROWS, COLUMNS = np.mgrid[0:240, 0:320]
 
 
 def take_picture(n: int) -> np.ndarray:
-    """Returns the pixels of a simulated camera: a bright ball that circles in front of a grey wall."""
+    """Returns picture `n` of a simulated camera: a bright ball that circles in front of a grey wall."""
     x, y = 160 + 80 * np.cos(n / 10), 120 + 80 * np.sin(n / 10)
     picture = np.stack([np.full((240, 320), 90), np.full((240, 320), 90), 90 + ROWS // 4], axis=-1)
     picture[np.hypot(COLUMNS - x, ROWS - y) < 20] = [250, 200, 30]

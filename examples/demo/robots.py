@@ -57,8 +57,8 @@ class Robot:
         wait: bool = True,
         listens: list[str] | None = None,
     ) -> Robot:
-        """Starts the router. It dials `dials`, listens on `listens` in addition, and adds `ble_options` to its `ble/`
-        listener.
+        """Starts the router, which dials `dials` and additionally listens on `listens`. `ble_options` are appended to
+        the locator of its `ble/` listener.
 
         An argument that is None keeps the value of the previous start."""
         if dials is not None:
@@ -98,10 +98,12 @@ class Robot:
             self._process.send_signal(signal.SIGSTOP)
 
     def thaw(self) -> None:
+        """Continues the process after `freeze`."""
         if self._process:
             self._process.send_signal(signal.SIGCONT)
 
     def stop(self) -> None:
+        """Requests the router to end, and kills it if it has not ended after 10 s."""
         if self._process:
             self._process.terminate()
             try:
@@ -188,8 +190,8 @@ class Collector:
         self.wait_until_reached(sender)
 
     def wait_until_reached(self, sender: zenoh.Session) -> float:
-        """Publishes small probes until one arrives, and returns the seconds that took: the subscription has to travel
-        first."""
+        """Publishes small probes until one arrives, because the subscription takes time to reach the sender. Returns
+        the seconds that took."""
         self._reached.clear()
         started = time.monotonic()
         while not self._reached.wait(0.05):
@@ -199,6 +201,7 @@ class Collector:
         return time.monotonic() - started
 
     def take(self, count: int) -> list[bytes]:
+        """Waits until `count` messages have arrived, and returns and removes them. Fails if there are fewer or more."""
         with self._arrived:
             self._arrived.wait_for(lambda: len(self._payloads) >= count, self._limit_s)
             if len(self._payloads) != count:
@@ -243,7 +246,7 @@ def wait_until(what: str, limit_s: float, holds: Callable[[], bool]) -> float:
     started = time.monotonic()
     while not holds():
         if time.monotonic() - started > limit_s:
-            raise RobotError(f"this did not happen within {limit_s} s: {what}")
+            raise RobotError(f"this condition was not met within {limit_s} s: {what}")
         time.sleep(0.05)
     return time.monotonic() - started
 

@@ -50,12 +50,14 @@ class Room:
         return os.environ | self._environment
 
     def cut(self) -> None:
+        """Moves all robots out of range of each other, until `restore` is called."""
         self._control("cut")
 
     def restore(self) -> None:
         self._control("restore")
 
     def status(self) -> dict:
+        """Returns the adapters of the air and their counters."""
         return json.loads(self._command("status", "--json").stdout)
 
     def _control(self, *arguments: str) -> None:
@@ -69,12 +71,14 @@ class Room:
 
 
 def wait_for_link(one: Robot, two: Robot, limit_s: float = 20) -> float:
+    """Waits until both routers report a link, and returns the seconds that took."""
     return wait_until(
         f"{one.name} and {two.name} are linked", limit_s, lambda: bool(one.ble_links() and two.ble_links())
     )
 
 
 def wait_for_no_link(one: Robot, two: Robot, limit_s: float = 20) -> float:
+    """Waits until neither router reports a link, and returns the seconds that took."""
     return wait_until(
         f"{one.name} and {two.name} are no longer linked", limit_s, lambda: not one.ble_links() and not two.ble_links()
     )

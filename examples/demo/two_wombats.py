@@ -18,7 +18,6 @@ from robots import Collector, Robot, RobotError
 from room import Room, wait_for_link, wait_for_no_link
 
 CONDITION = "room"
-# The radio of a Pi 3B does not support long packets: `--pdu 27` gives its rate.
 MESSAGES = 20
 PHOTOGRAPHS = ["astronaut.png", "coffee.png", "chelsea.png", "rocket.jpg", "camera.png", "motorcycle_left.png"]
 WAIT_S = 20
@@ -41,10 +40,11 @@ on a robot."""
 def main() -> int:
     started = time.monotonic()
     print(f"Two Wombats in a simulated {CONDITION}: one router each, linked by Bluetooth Low Energy (L2CAP).\n")
+    # The radio of a Pi 3B does not support long packets: `--pdu 27` gives its rate.
     with Room(CONDITION, "--pdu", "27") as room:
         one, two = room.add_robot("wombat-1"), room.add_robot("wombat-2")
         link_s = wait_for_link(one, two)
-        report("link", f"wombat-1 and wombat-2 found each other by name and linked in {link_s:.1f} s")
+        report("link", f"wombat-1 and wombat-2 discovered each other by name and were linked within {link_s:.1f} s")
         with one.session() as here, two.session() as there:
             json_both_ways(here, there)
             question_and_answer(here, there)
@@ -155,7 +155,7 @@ def digest(data: bytes) -> str:
 
 def expect(holds: bool, what: str) -> None:
     if not holds:
-        raise RobotError(f"this is not the case: {what}")
+        raise RobotError(f"this check failed: {what}")
 
 
 def report(step: str, text: str) -> None:

@@ -23,7 +23,7 @@ def main(me: str = "wombat-1", other: str = "") -> None:
             robot.serve("battery", battery)
             print(f"{robot.name} serves requests; press Ctrl-C to stop", flush=True)
             threading.Event().wait()
-        # Only this call receives the reply. If the service replies with an error, the call raises it.
+        # Only this call receives the reply. If the service replies with an error, the call raises `ServiceError`.
         reply = robot.request(other, "battery", {"cell": 1}, timeout=2)
         print(f"{reply.sender}: {reply.value}")
         try:

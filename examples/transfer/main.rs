@@ -1,4 +1,4 @@
-//! Transfer: sends a file of any size to another robot. The transfer resumes after the link was interrupted.
+//! Transfer: sends a file of any size to another robot. The transfer resumes after an interruption of the link.
 //!
 //!     cargo run --example transfer -- wombat-1                        # receives files into the folder `received`
 //!     cargo run --example transfer -- wombat-2 wombat-1 map.bin       # sends a file

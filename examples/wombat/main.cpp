@@ -1,5 +1,5 @@
-// Wombat: a robot with two wheels and a light sensor, which other robots drive, and which streams the values of its sensor.
-// On a Wombat, include <kipr/wombat.h> instead of the stub.
+// Wombat: a robot with two wheels and a light sensor. Other robots drive it, and it streams the values of its sensor.
+// On a Wombat (the robot controller of KIPR), include <kipr/wombat.h> instead of the stub.
 //
 //     build/default/examples/wombat wombat-1
 #include <algorithm>

@@ -1,5 +1,5 @@
-// Replaces <kipr/wombat.h> on computers other than a Wombat: the functions of libwallaby that the example uses, which only
-// print what they would do.
+// Replaces <kipr/wombat.h> on computers other than a Wombat. The functions of libwallaby that the example uses print the
+// command or return a fixed value.
 #ifndef WOMBAT_STUB_HPP
 #define WOMBAT_STUB_HPP
 

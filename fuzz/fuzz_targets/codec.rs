@@ -21,7 +21,7 @@ fn dictionaries() -> &'static (Arc<Dictionary>, Dictionaries) {
     DICTIONARIES.get_or_init(|| {
         let sample = |n: u32| format!(r#"{{"seq":{n},"angle_deg":{}}}"#, n * 7 % 360);
         let samples: Vec<String> = (0..1000).map(sample).collect();
-        let dictionary = Arc::new(Dictionary::train(&samples, 1024).expect("trained"));
+        let dictionary = Arc::new(Dictionary::train(&samples, 1024).expect("trains"));
         (dictionary.clone(), Dictionaries::of(dictionary))
     })
 }
@@ -45,7 +45,7 @@ fn check_round_trip(bytes: &[u8]) {
     let (dictionary, dictionaries) = dictionaries();
     let payload = Payload::new(bytes.to_vec(), Encoding::JSON);
     let encoded = DictionaryCodec::new(dictionary.clone()).encode(&payload);
-    let encoded = encoded.expect("encoded");
+    let encoded = encoded.expect("encodes");
     assert_eq!(decode(&encoded, &LIMITS, dictionaries), Ok(payload));
 }
 
@@ -68,11 +68,11 @@ fuzz_target!(|data: &[u8]| {
         6 => check_round_trip(bytes),
         _ => {
             if let Ok(dictionary) = Dictionary::new(bytes) {
-                let again = Dictionary::new(dictionary.as_bytes()).expect("its own");
+                let again = Dictionary::new(dictionary.as_bytes()).expect("accepts its own bytes");
                 assert_eq!(again.id(), dictionary.id());
                 let payload = Payload::new("{\"seq\":1}".repeat(9), Encoding::JSON);
                 let codec = DictionaryCodec::new(Arc::new(dictionary));
-                let encoded = codec.encode(&payload).expect("encoded");
+                let encoded = codec.encode(&payload).expect("encodes");
                 if encoded != payload {
                     assert_eq!(codec.decode(&encoded, &LIMITS), Ok(payload));
                 }

@@ -1,5 +1,5 @@
-//! Decodes untrusted messages of a stream's receiver. A decoded message must encode to the same value, and must not
-//! move the sender's rates beyond its limits.
+//! Decodes untrusted notices and feedback of streams. A decoded message must encode to the same value, and feedback
+//! must not move the sender's rates beyond its limits.
 #![no_main]
 use std::time::{Duration, Instant};
 

@@ -12,8 +12,11 @@ use zenoh_link_ble::lanes::{
     Lane, Lanes, LANES,
 };
 
+/// Largest batch, in bytes.
 const MTU: usize = 300;
+/// Receive window of both ends, in bytes.
 const WINDOW: u16 = 4000;
+/// Size of the send queue, in bytes.
 const QUEUE: usize = 100_000;
 
 struct Ends {

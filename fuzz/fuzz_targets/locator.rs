@@ -1,4 +1,4 @@
-//! Parses untrusted locators of a user, a file or a peer.
+//! Parses untrusted locators of a user, a file or a peer. An accepted locator must respect the limits of its options.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::locator::{ConnectLocator, ListenLocator};

@@ -17,16 +17,16 @@ const ERROR: f64 = 0.01;
 
 fn check_error_bound(array: &Array, payload: &Payload) {
     let codec = parse("quantised:0.01").expect("a codec");
-    let small = codec.encode(payload).expect("written");
-    let back = small.array(&LIMITS).expect("read");
+    let small = codec.encode(payload).expect("encodes");
+    let back = small.array(&LIMITS).expect("decodes");
     assert_eq!(back.shape(), array.shape());
-    let wide = |array: &Array| -> Vec<f64> {
+    let as_f64 = |array: &Array| -> Vec<f64> {
         array.numbers::<f64>().unwrap_or_else(|| {
-            let narrow = array.numbers::<f32>().expect("floats");
-            narrow.into_iter().map(f64::from).collect()
+            let numbers = array.numbers::<f32>().expect("floats");
+            numbers.into_iter().map(f64::from).collect()
         })
     };
-    for (a, b) in wide(array).into_iter().zip(wide(&back)) {
+    for (a, b) in as_f64(array).into_iter().zip(as_f64(&back)) {
         assert!(a.is_nan() && b.is_nan() || a == b || (a - b).abs() <= ERROR);
     }
 }
@@ -45,15 +45,21 @@ fuzz_target!(|data: &[u8]| {
     let encoding = Encoding::new(format!("application/octet-stream;{text}"));
     let payload = Payload::new(bytes.to_vec(), encoding);
     if let Ok(picture) = payload.picture(&LIMITS) {
-        let again = picture.to_payload().expect("written");
-        assert_eq!(again.picture(&LIMITS).expect("its own"), picture);
+        let again = picture.to_payload().expect("encodes");
+        assert_eq!(
+            again.picture(&LIMITS).expect("decodes its own payload"),
+            picture
+        );
         let small = parse("png").expect("a codec").encode(&again);
-        let back = small.expect("written").picture(&LIMITS).expect("read");
+        let back = small.expect("encodes").picture(&LIMITS).expect("decodes");
         assert_eq!(back, picture);
     }
     if let Ok(array) = payload.array(&LIMITS) {
-        let again = array.to_payload().expect("written");
-        assert_eq!(again.array(&LIMITS).expect("its own"), array);
+        let again = array.to_payload().expect("encodes");
+        assert_eq!(
+            again.array(&LIMITS).expect("decodes its own payload"),
+            array
+        );
         if matches!(array.element(), Element::F32 | Element::F64) {
             check_error_bound(&array, &again);
         }

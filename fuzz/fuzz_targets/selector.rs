@@ -1,4 +1,4 @@
-//! Parses untrusted selectors of registry queries.
+//! Parses untrusted selectors of registry queries. A rejected selector must have an error text.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect_router::registry::selector::Selector;

@@ -1,5 +1,5 @@
-//! Decodes untrusted messages and stored records of transfers: a decoded offer, reply, request or record must encode to
-//! the same bytes.
+//! Decodes untrusted messages and stored records of transfers. A decoded offer, answer, fault, request or record must
+//! encode to the same bytes.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
 use rect::core::transfer::{

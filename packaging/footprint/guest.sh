@@ -23,7 +23,7 @@ end() { # REASON: empty on success; must not contain quotes, because it becomes 
   poweroff -f
   sleep 60 # the watchdog switches the board off a moment later; nothing else may happen before
 }
-uptime_cs() { # in hundredths of a second; a 1 is prepended to them, because 09 is an invalid octal number
+uptime_cs() { # prints hundredths of a second since boot; a 1 precedes the fraction, because 09 is an invalid octal number
   read -r up _ </proc/uptime
   echo $((${up%.*} * 100 + 1${up#*.} - 100))
 }

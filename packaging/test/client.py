@@ -14,9 +14,9 @@ config.insert_json5("connect/timeout_ms", "20000")
 # The endpoint is known, and programs in qemu-user cannot list network interfaces.
 config.insert_json5("scouting/multicast/enabled", "false")
 config.insert_json5("transport/auth/usrpwd", json.dumps({"user": user, "password": password}))
-with zenoh.open(config) as here, zenoh.open(config) as there:
-    subscriber = there.declare_subscriber("rect/wombat-1/greeting")
-    publisher = here.declare_publisher("rect/wombat-1/greeting")
+with zenoh.open(config) as sender, zenoh.open(config) as receiver:
+    subscriber = receiver.declare_subscriber("rect/wombat-1/greeting")
+    publisher = sender.declare_publisher("rect/wombat-1/greeting")
     deadline = time.monotonic() + 20
     message = None
     while message is None:

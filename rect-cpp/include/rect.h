@@ -1,9 +1,9 @@
 // The C interface of RECT, for C99 and later. C++ programs use rect.hpp instead.
 //
 // Rules for all functions:
-//   * A pointer argument is NULL, or points to a valid object of its type for the duration of the call. Texts are UTF-8 with a
-//     terminating zero byte; lengths are correct. A function returns RECT_CODE_ARGUMENT if a required pointer is NULL or a text
-//     is not UTF-8.
+//   * A pointer argument is NULL, or points to a valid object of its type for the duration of the call. Texts of the type
+//     `const char *` are UTF-8 with a terminating zero byte; lengths are correct. A function returns RECT_CODE_ARGUMENT if a
+//     required pointer is NULL or a text is not UTF-8.
 //   * `error` may be NULL. A function writes to it only if it fails, and writes its results only if it succeeds.
 //   * A struct with an `id` is released by `rect_drop(&object.id, ..)`, and what it points to is valid until then. Ids are
 //     numbers that are never used again, not addresses: a function that is called with a dropped one returns RECT_CODE_HANDLE.
@@ -42,7 +42,7 @@ typedef enum rect_code {
     RECT_CODE_OK = 0,
     // There are no more items: all robots have replied, or the end of the transfer has already been reported.
     RECT_CODE_END = 1,
-    // The timeout expired. Retry, allow more time, or check the link with `rect connections`.
+    // The timeout expired. Try again, allow more time, or check the link with `rect connections`.
     RECT_CODE_TIMED_OUT = 2,
     // An argument is NULL, is not UTF-8, or is out of range. The text names the argument.
     RECT_CODE_ARGUMENT = 3,
@@ -50,7 +50,7 @@ typedef enum rect_code {
     RECT_CODE_HANDLE = 4,
     // The session was closed, or another thread dropped the object while the call was waiting.
     RECT_CODE_CLOSED = 5,
-    // The name of a robot or fleet is invalid. Choose another one.
+    // The name of a robot or fleet, or the file name of a transfer, is invalid. Choose another one.
     RECT_CODE_NAME = 6,
     // A topic or pattern is invalid. The text explains the rule that it breaks.
     RECT_CODE_TOPIC = 7,
@@ -187,9 +187,10 @@ typedef struct rect_error {
     char text[RECT_ERROR_BYTES];
 } rect_error;
 
-// A text that RECT returns: UTF-8 without a terminating zero byte. To print it: `printf("%.*s", (int)text.len, text.data)`.
+// A text with its length: UTF-8 without a terminating zero byte. To print it:
+// `printf("%.*s", (int)text.len, (const char *)text.data)`.
 //
-// An absent text has the length 0. A text is valid as long as the object that it belongs to.
+// An absent text has the length 0. A text that RECT returns is valid as long as the object that it belongs to.
 typedef struct rect_text {
     // The first byte; may be NULL if `len` is 0.
     const uint8_t *data;
@@ -258,7 +259,8 @@ typedef struct rect_string {
     struct rect_text text;
 } rect_string;
 
-// A program's connection to the other robots. Release it with `rect_drop(&robot.id, ..)`.
+// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
+// `rect_drop(&robot.id, ..)`.
 //
 // The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
 // `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
@@ -311,7 +313,8 @@ typedef struct rect_connections {
     size_t len;
 } rect_connections;
 
-// A named connection to add to a router. Fields that are 0 or NULL are omitted.
+// A named connection to add to a router. `name`, `method` and `address` are required; other fields that are 0 or NULL are
+// omitted.
 typedef struct rect_named_connection {
     // The name of the connection.
     const char *name;
@@ -389,7 +392,7 @@ typedef struct rect_replies {
     uint64_t id;
 } rect_replies;
 
-// How to connect, if the router of this computer is not to be used with its default settings.
+// The options of `rect_connect`. The defaults connect to the router of this computer.
 //
 // Fields that are 0 or NULL keep their defaults, so `rect_options options = {0};` changes nothing. The struct is only read
 // during the call.
@@ -424,8 +427,8 @@ typedef struct rect_options {
     const char *const *zenoh_values;
     // Number of settings.
     size_t zenoh_len;
-    // Connects even if the router belongs to another robot, for programs that deliberately use another name. The access
-    // control that `rect-router init` sets up drops whatever such a program publishes.
+    // Whether to connect even if the router belongs to another robot, for programs that deliberately use another name. The
+    // access control that `rect init` sets up drops everything that such a program publishes.
     bool allow_name_mismatch;
 } rect_options;
 
@@ -444,10 +447,10 @@ typedef struct rect_message {
     struct rect_text topic;
     // The payload.
     struct rect_payload payload;
-    // The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a plain Zenoh program. The
+    // The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a stock Zenoh program. The
     // clock of a robot without a real-time clock may be wrong by years.
     int64_t sent_ms;
-    // The sequence number of its publisher; -1 if the sender is a plain Zenoh program.
+    // The sequence number that its publisher gave it; -1 if the sender is a stock Zenoh program.
     int64_t sequence;
     // Number of messages of the same publisher, directly before this one, that did not arrive.
     uint32_t missed;
@@ -485,7 +488,7 @@ typedef struct rect_counters {
     uint64_t received_bytes;
     // Number of messages that did not arrive, according to their sequence numbers.
     uint64_t missed;
-    // Number of messages from plain Zenoh programs that were dropped because RECT does not permit their topic: it contains
+    // Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     // control characters, is longer than 200 bytes, or is reserved.
     uint64_t rejected;
 } rect_counters;
@@ -495,7 +498,8 @@ typedef struct rect_counters {
 typedef struct rect_request {
     // The handle, for replying.
     uint64_t id;
-    // The robot that sent the request; empty if the sender is a plain Zenoh program.
+    // The robot that sent the request, according to the request itself; empty if the sender is a stock Zenoh program. The
+    // name is not verified: do not base permissions on it.
     struct rect_text sender;
     // The payload.
     struct rect_payload payload;
@@ -520,7 +524,8 @@ typedef struct rect_stream_options {
     uint32_t mode;
     // Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     bool webp;
-    // Maximum frame rate, in frames per second. Default: 15. Required for a fixed stream.
+    // Maximum frame rate, in frames per second. Default: 15 for an adaptive stream, no limit for a sensor. Required for a
+    // fixed stream.
     double max_frames_per_s;
     // Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. Default: 5.
     double min_frames_per_s;
@@ -556,9 +561,9 @@ typedef struct rect_transfer_options {
     const char *file;
     // The payload to transfer if there is no file.
     struct rect_payload payload;
-    // The name that the receiver gets. Default: the name of the file; a payload has none.
+    // The file name at the receiver. Default: the name of the file; a payload has none.
     const char *name;
-    // The encoding of a file. Default: `zenoh/bytes`.
+    // The encoding of the content. Default: that of `payload`, and `zenoh/bytes` for a file.
     const char *encoding;
     // How long the receiver may be unreachable before the transfer fails, in milliseconds. Default: no limit.
     uint32_t timeout_ms;
@@ -583,15 +588,16 @@ typedef struct rect_transfer {
 
 // The options for receiving transfers. Fields that are 0 or NULL keep their defaults.
 typedef struct rect_receive_options {
-    // The folder for received files. Each sender has a subfolder, and files keep the names that their senders give.
-    // Transfers into a folder resume after a restart. NULL keeps transfers in memory.
+    // The folder for received files, which no other receiver may use. Each sender has a subfolder. Files keep the names
+    // that their senders give, and replace files of the same name. Transfers into a folder resume after a restart. NULL
+    // keeps transfers in memory.
     const char *folder;
     // Maximum size of a transfer in bytes. Larger ones are refused. Required.
     uint64_t max_bytes;
     // Maximum number of transfers at the same time, of which at most half (rounded up) have the same sender. Others wait.
     // Default: 4.
     size_t max_concurrent;
-    // How long a transfer may make no progress before it is given up, in milliseconds. Default: 600000.
+    // How long a transfer may make no progress before the receiver abandons it, in milliseconds. Default: 600000.
     uint32_t timeout_ms;
 } rect_receive_options;
 
@@ -610,7 +616,7 @@ typedef struct rect_received {
     struct rect_text sender;
     // The topic.
     struct rect_text topic;
-    // The name that the sender gave it; may be empty.
+    // The file name that the sender gave the transfer; may be empty.
     struct rect_text name;
     // Path of the received file; empty if the transfer is in memory.
     struct rect_text file;
@@ -636,7 +642,7 @@ typedef struct rect_frame {
     // The payload.
     struct rect_payload payload;
     // The age of the frame on arrival, in microseconds. Until the offset of the sender's clock is known, this is the delay
-    // relative to the fastest frame of the last minute. -1 if the sender is a plain Zenoh program.
+    // relative to the fastest frame of the last minute. -1 if the sender is a stock Zenoh program.
     int64_t age_us;
     // The number of the frame. Numbering restarts when the sender restarts, and when this robot joins another group of
     // receivers.
@@ -655,8 +661,8 @@ extern "C" {
 
 // Writes the encoding for a payload of numbers to `encoding`, e.g. `application/octet-stream;array;f32;2x3`.
 //
-// `element` is a `rect_element`. `numbers` are `len` bytes in little-endian byte order. The payload consists of the same
-// bytes together with this encoding.
+// `element` is a `rect_element`. `shape` points to the sizes of the dimensions, of which there are `dimensions`. `numbers`
+// are `len` bytes in little-endian byte order. The payload consists of the same bytes together with this encoding.
 //
 // Returns `RECT_CODE_CODEC` if `len` does not match the shape. May be called on any thread.
 enum rect_code rect_array_encoding(uint32_t element,
@@ -676,8 +682,8 @@ enum rect_code rect_array_read(const struct rect_payload *payload,
                                struct rect_array *array,
                                struct rect_error *error);
 
-// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the smaller
-// payload to `buffer`. `rect_robot_with_codec` encodes everything that a robot publishes and sends.
+// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the result to
+// `buffer`. A handle of `rect_robot_with_codec` encodes the payloads of all its messages and requests.
 //
 // Returns `RECT_CODE_CODEC` if the codec is unknown or does not suit the payload. May be called on any thread. The time it
 // takes depends on the codec.
@@ -720,9 +726,10 @@ enum rect_code rect_robot_connections(struct rect_robot robot,
                                       struct rect_error *error);
 
 // Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and writes the
-// answer, which is JSON. `target` and `filter` are the same as for `rect_robot_connections`.
+// answer, which is JSON, to `answer`. `target` and `filter` are the same as for `rect_robot_connections`.
 //
-// May be called on any thread; blocks until the reply arrives.
+// Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply
+// arrives.
 enum rect_code rect_robot_query_registry(struct rect_robot robot,
                                          const char *target,
                                          const char *question,
@@ -784,8 +791,8 @@ enum rect_code rect_dictionary_id(struct rect_dictionary dictionary,
 // Calls `callback` for each event, until the subscription is dropped.
 //
 // The events are: robots that become reachable or unreachable, links of this robot's router (or of this program, if it has
-// no router) with their method, and the router itself. At first, the callback is called for everything that is already
-// reachable. The calls are made one after another, on a thread of the subscription.
+// no router) with their method, and the router itself. The first calls report the robots that are already reachable and the
+// links that the router already has. The calls are made one after another, on a thread of the subscription.
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
@@ -807,7 +814,9 @@ enum rect_code rect_robot_on_event(struct rect_robot robot,
 enum rect_code rect_drop(uint64_t *id,
                          struct rect_error *error);
 
-// Returns the number of handles that exist now. If a test ends with the same number as it began, it has dropped everything.
+// Returns the number of handles that exist now. If it is the same at the beginning and at the end of a test, the test has
+// dropped everything.
+//
 // May be called on any thread.
 size_t rect_handle_count(void);
 
@@ -889,8 +898,8 @@ enum rect_code rect_robot_request(struct rect_robot robot,
                                   struct rect_reply *reply,
                                   struct rect_error *error);
 
-// Sends a request to the service `topic` of every robot that offers it. The replies arrive until all robots have replied or
-// `timeout_ms` has passed; `rect_replies_next` returns them.
+// Sends a request to the service `topic` of every robot that offers it, and writes the handle of the replies to `replies`.
+// `rect_replies_next` returns them until all robots have replied or `timeout_ms` has passed.
 //
 // May be called on any thread.
 enum rect_code rect_robot_request_all(struct rect_robot robot,
@@ -934,7 +943,7 @@ enum rect_code rect_connect(const char *name,
                             struct rect_robot *robot,
                             struct rect_error *error);
 
-// Creates a handle of the same robot that publishes and sends with another urgency (a `rect_urgency`), and writes it to
+// Creates a handle of the same robot whose messages and requests have another urgency (a `rect_urgency`), and writes it to
 // `derived`. Both handles share the session, and both must be dropped.
 //
 // May be called on any thread.
@@ -943,9 +952,9 @@ enum rect_code rect_robot_with_urgency(struct rect_robot robot,
                                        struct rect_robot *derived,
                                        struct rect_error *error);
 
-// Creates a handle of the same robot that encodes everything it publishes and sends with a codec, e.g. `zstd:9`, `jpeg:60`,
-// `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Both handles share the session, and both must be
-// dropped.
+// Creates a handle of the same robot that encodes the payloads of its messages and requests with a codec, e.g. `zstd:9`,
+// `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Receivers decode them automatically. Both
+// handles share the session, and both must be dropped.
 //
 // Returns `RECT_CODE_CODEC` if the codec is unknown. May be called on any thread.
 enum rect_code rect_robot_with_codec(struct rect_robot robot,
@@ -953,9 +962,9 @@ enum rect_code rect_robot_with_codec(struct rect_robot robot,
                                      struct rect_robot *derived,
                                      struct rect_error *error);
 
-// Creates a handle of the same robot that compresses everything it publishes and sends with a dictionary, and writes it to
-// `derived`. Small JSON messages become much smaller. Receivers fetch the dictionary once, automatically. Both handles
-// share the session, and both must be dropped.
+// Creates a handle of the same robot that compresses the payloads of its messages and requests with a dictionary, and
+// writes it to `derived`. Small JSON messages become much smaller. Receivers fetch the dictionary once, automatically.
+// Both handles share the session, and both must be dropped.
 //
 // May be called on any thread.
 enum rect_code rect_robot_with_dictionary(struct rect_robot robot,
@@ -1062,8 +1071,8 @@ enum rect_code rect_request_refuse(uint64_t request,
                                    const struct rect_payload *payload,
                                    struct rect_error *error);
 
-// Creates a stream of which only the newest frame matters: a slow link drops older ones. `options` may be NULL for the
-// defaults.
+// Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
+// `options` may be NULL for the defaults.
 //
 // Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_ARGUMENT` if an option is. May be called on any thread.
 enum rect_code rect_robot_stream(struct rect_robot robot,
@@ -1082,8 +1091,8 @@ enum rect_code rect_stream_send(struct rect_stream stream,
                                 uint32_t *sent,
                                 struct rect_error *error);
 
-// Sends a picture, scaled and compressed as the links require: rows of pixels without padding, from the top left. If no
-// receiver needs a frame now, nothing is compressed or sent.
+// Sends a picture: rows of pixels without padding, from the top left. An adaptive stream scales and compresses it as the
+// links require; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
 //
 // `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
 //
@@ -1103,10 +1112,11 @@ enum rect_code rect_stream_status(struct rect_stream stream,
                                   struct rect_string *status,
                                   struct rect_error *error);
 
-// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The subscriber receives the matching messages
-// that are published, and those that are sent to this robot. `options` may be NULL for the defaults.
+// Subscribes to a pattern, `<robot>/<topic>` with wildcards, e.g. `*/arm/*`, and writes the handle to `subscriber`. The
+// subscriber receives the matching messages that are published, and those that are sent to this robot. `options` may be
+// NULL for the defaults.
 //
-// Returns `RECT_CODE_TOPIC` if the pattern is invalid. May be called on any thread.
+// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread.
 enum rect_code rect_robot_subscribe(struct rect_robot robot,
                                     const char *pattern,
                                     const struct rect_queue_options *options,
@@ -1142,7 +1152,8 @@ enum rect_code rect_subscriber_dropped(struct rect_subscriber subscriber,
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
-// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
+// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread. The callback may call
+// any function of RECT and may drop its own subscription.
 enum rect_code rect_robot_on_message(struct rect_robot robot,
                                      const char *pattern,
                                      const struct rect_queue_options *options,
@@ -1181,10 +1192,11 @@ enum rect_code rect_robot_begin_transfer(struct rect_robot robot,
 
 // Waits until the transfer is complete and verified, or has failed.
 //
-// Returns `RECT_CODE_TIMED_OUT` if it is still running after `timeout_ms` (`RECT_FOREVER` waits without a limit), or if the
-// timeout of its options has expired; `RECT_CODE_TRANSFER_REFUSED` or `RECT_CODE_TRANSFER_FAILED` if it failed;
-// `RECT_CODE_FILE` if its file cannot be read; `RECT_CODE_CLOSED` if the session was closed or another thread dropped the
-// transfer; and `RECT_CODE_END` if an earlier call has already returned the result.
+// Returns `RECT_CODE_TIMED_OUT` if it is still running after `timeout_ms` (`RECT_FOREVER` waits without a limit), or if
+// the timeout of its options has expired; `RECT_CODE_TRANSFER_REFUSED` or `RECT_CODE_TRANSFER_FAILED` if it failed;
+// `RECT_CODE_FILE` if its file cannot be read; `RECT_CODE_NAME` if its file name is invalid; `RECT_CODE_CLOSED` if the
+// session was closed or another thread dropped the transfer; and `RECT_CODE_END` if an earlier call has already returned
+// the result.
 //
 // May be called on any thread except the one of the transfer's callback.
 enum rect_code rect_transfer_wait(struct rect_transfer transfer,
@@ -1192,10 +1204,10 @@ enum rect_code rect_transfer_wait(struct rect_transfer transfer,
                                   struct rect_error *error);
 
 // Receives the transfers that others send to this robot and that match a pattern, e.g. `*/maps/*`, until `transfers` is
-// dropped. Transfers that no receiver matches are refused.
+// dropped. Transfers whose topics match no receiver are refused.
 //
-// Returns `RECT_CODE_TOPIC` if the pattern is invalid, and `RECT_CODE_FILE` if the folder cannot be used. May be called on
-// any thread.
+// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid, `RECT_CODE_ARGUMENT` if `options` is NULL or its
+// `max_bytes` is 0, and `RECT_CODE_FILE` if the folder cannot be used. May be called on any thread.
 enum rect_code rect_robot_receive_transfers(struct rect_robot robot,
                                             const char *pattern,
                                             const struct rect_receive_options *options,
@@ -1214,8 +1226,8 @@ enum rect_code rect_transfers_next(struct rect_transfers transfers,
                                    struct rect_received *received,
                                    struct rect_error *error);
 
-// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program; `options` may
-// specify a larger receive queue, or be NULL.
+// Watches the stream `topic` of the robot `sender`, and writes the handle to `watch`. By default only the newest frame
+// waits for the program; `options` may specify a larger receive queue, or be NULL.
 //
 // Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
 enum rect_code rect_robot_watch(struct rect_robot robot,
@@ -1242,7 +1254,8 @@ enum rect_code rect_watch_next(struct rect_watch watch,
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
-// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
+// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread. The
+// callback may call any function of RECT and may drop its own subscription.
 enum rect_code rect_robot_on_frame(struct rect_robot robot,
                                    const char *sender,
                                    const char *topic,

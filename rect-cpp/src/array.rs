@@ -96,7 +96,7 @@ fn aligned(bytes: &[u8]) -> Vec<u64> {
 
 fn into_c(array: &LibraryArray) -> Array {
     let mut shape = [0; MAX_DIMENSIONS];
-    // Fits: an array has at most 8 dimensions.
+    // The number fits into 32 bits, because an array has at most 8 dimensions.
     let dimensions = array.shape().len() as u32;
     for (target, &size) in shape.iter_mut().zip(array.shape()) {
         *target = size;
@@ -115,8 +115,8 @@ fn into_c(array: &LibraryArray) -> Array {
 
 /// Writes the encoding for a payload of numbers to `encoding`, e.g. `application/octet-stream;array;f32;2x3`.
 ///
-/// `element` is a `rect_element`. `numbers` are `len` bytes in little-endian byte order. The payload consists of the same
-/// bytes together with this encoding.
+/// `element` is a `rect_element`. `shape` points to the sizes of the dimensions, of which there are `dimensions`. `numbers`
+/// are `len` bytes in little-endian byte order. The payload consists of the same bytes together with this encoding.
 ///
 /// Returns `RECT_CODE_CODEC` if `len` does not match the shape. May be called on any thread.
 #[no_mangle]

@@ -54,7 +54,7 @@ pub fn write_out<T>(name: &'static str, out: Out<'_, T>, value: T) -> Result<(),
     Ok(())
 }
 
-/// Checks that there is a variable for the result. Called before anything is done that cannot be undone.
+/// Checks that there is a variable for the result. Must be called before anything that cannot be undone.
 pub fn require_out<T>(name: &'static str, out: &Out<'_, T>) -> Result<(), Failure> {
     let is_null = out.is_none();
     is_null

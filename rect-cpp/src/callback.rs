@@ -13,7 +13,7 @@ use std::{
 /// callback was passed to fails. May be NULL.
 pub type Release = Option<extern "C" fn(context: *mut c_void)>;
 
-/// A C callback's context, and the number of calls that are in progress.
+/// The context of a C callback, with the number of calls in progress.
 pub struct Callback {
     context: Context,
     /// Number of calls in progress, plus [`CLOSED`] if the callback is closed.
@@ -65,12 +65,12 @@ impl Callback {
 
     /// Closes the callback. Waits for calls in progress on other threads, but not for a call from which this is called.
     pub fn close(&self) {
-        let here = self.address();
-        let own = ACTIVE_CALLS
-            .with_borrow(|active_calls| active_calls.iter().filter(|&&at| at == here).count());
+        let address = self.address();
+        let calls_of_this_thread = ACTIVE_CALLS
+            .with_borrow(|active_calls| active_calls.iter().filter(|&&at| at == address).count());
         self.running.fetch_or(CLOSED, Ordering::SeqCst);
         let mut is_released = self.is_released();
-        while self.running.load(Ordering::SeqCst) & !CLOSED > own {
+        while self.running.load(Ordering::SeqCst) & !CLOSED > calls_of_this_thread {
             let waited = self.idle.wait(is_released);
             is_released = waited.unwrap_or_else(PoisonError::into_inner);
         }
@@ -123,7 +123,7 @@ impl Drop for Running<'_> {
     fn drop(&mut self) {
         self.active_calls.borrow_mut().pop();
         let callback = self.callback;
-        // Nobody waits before the callback is closed, and a later `close` sees that this call has ended.
+        // No thread waits before the callback is closed, and a later `close` sees that this call has ended.
         if callback.running.fetch_sub(1, Ordering::SeqCst) & CLOSED != 0 {
             let is_released = callback.is_released();
             callback.idle.notify_all();

@@ -13,8 +13,8 @@ use crate::{
     text::{string_into_c, StringView},
 };
 
-/// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the smaller
-/// payload to `buffer`. `rect_robot_with_codec` encodes everything that a robot publishes and sends.
+/// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the result to
+/// `buffer`. A handle of `rect_robot_with_codec` encodes the payloads of all its messages and requests.
 ///
 /// Returns `RECT_CODE_CODEC` if the codec is unknown or does not suit the payload. May be called on any thread. The time it
 /// takes depends on the codec.

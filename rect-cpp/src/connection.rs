@@ -72,7 +72,8 @@ pub struct Connections {
     pub len: usize,
 }
 
-/// A named connection to add to a router. Fields that are 0 or NULL are omitted.
+/// A named connection to add to a router. `name`, `method` and `address` are required; other fields that are 0 or NULL are
+/// omitted.
 #[repr(C)]
 pub struct NamedConnection {
     /// The name of the connection.
@@ -103,31 +104,31 @@ impl Object for OwnedConnections {
     const KIND: &'static str = "list of connections";
 }
 
-fn number(given: Option<u64>) -> i64 {
-    given.map_or(-1, |given| i64::try_from(given).unwrap_or(i64::MAX))
+fn number_or_unknown(number: Option<u64>) -> i64 {
+    number.map_or(-1, |number| i64::try_from(number).unwrap_or(i64::MAX))
 }
 
-fn view(one: &rect::Connection) -> Connection {
-    let peer = one.peer.as_ref();
-    let last_error = one.last_error.as_ref();
+fn view(connection: &rect::Connection) -> Connection {
+    let peer = connection.peer.as_ref();
+    let last_error = connection.last_error.as_ref();
     Connection {
-        name: Text::of_some(one.name.as_deref()),
-        method: Text::of(&one.method),
-        address: Text::of(&one.address),
+        name: Text::of_some(connection.name.as_deref()),
+        method: Text::of(&connection.method),
+        address: Text::of(&connection.address),
         peer_id: Text::of_some(peer.map(|peer| peer.id.as_str())),
         peer: Text::of_some(peer.and_then(|peer| peer.robot.as_deref())),
-        state: match one.state {
+        state: match connection.state {
             rect::ConnectionState::Connected => ConnectionState::Connected,
             rect::ConnectionState::Connecting => ConnectionState::Connecting,
             rect::ConnectionState::Discovered => ConnectionState::Discovered,
         },
-        up_s: one.up_s.unwrap_or(f64::NAN),
-        round_trip_ms: one.round_trip_ms.unwrap_or(f64::NAN),
-        rssi_dbm: one.rssi_dbm.map_or(f64::NAN, f64::from),
-        sent_bytes: number(one.sent.map(|sent| sent.bytes)),
-        received_bytes: number(one.received.map(|received| received.bytes)),
-        linked: number(one.linked),
-        failed: number(one.failed),
+        up_s: connection.up_s.unwrap_or(f64::NAN),
+        round_trip_ms: connection.round_trip_ms.unwrap_or(f64::NAN),
+        rssi_dbm: connection.rssi_dbm.map_or(f64::NAN, f64::from),
+        sent_bytes: number_or_unknown(connection.sent.map(|sent| sent.bytes)),
+        received_bytes: number_or_unknown(connection.received.map(|received| received.bytes)),
+        linked: number_or_unknown(connection.linked),
+        failed: number_or_unknown(connection.failed),
         last_error: Text::of_some(last_error.map(|last_error| last_error.what.as_str())),
         last_error_ago_s: last_error.map_or(f64::NAN, |last_error| last_error.ago_s),
     }
@@ -143,7 +144,7 @@ fn into_c(connections: Vec<rect::Connection>) -> Connections {
     Connections { id, items, len }
 }
 
-/// Returns the robot whose router is meant: `target`, or the program's own robot.
+/// Returns the robot whose router a call refers to: `target`, or the program's own robot if it is NULL.
 fn target_robot(program: &Program, target: Option<&str>) -> Result<Name, Failure> {
     match target {
         None => Ok(program.robot.name().clone()),
@@ -219,9 +220,10 @@ pub unsafe extern "C" fn rect_robot_connections(
 }
 
 /// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and writes the
-/// answer, which is JSON. `target` and `filter` are the same as for `rect_robot_connections`.
+/// answer, which is JSON, to `answer`. `target` and `filter` are the same as for `rect_robot_connections`.
 ///
-/// May be called on any thread; blocks until the reply arrives.
+/// Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply
+/// arrives.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_query_registry(
     robot: RobotHandle,

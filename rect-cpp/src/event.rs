@@ -79,8 +79,8 @@ fn view(event: &rect::Event) -> Event {
 /// Calls `callback` for each event, until the subscription is dropped.
 ///
 /// The events are: robots that become reachable or unreachable, links of this robot's router (or of this program, if it has
-/// no router) with their method, and the router itself. At first, the callback is called for everything that is already
-/// reachable. The calls are made one after another, on a thread of the subscription.
+/// no router) with their method, and the router itself. The first calls report the robots that are already reachable and the
+/// links that the router already has. The calls are made one after another, on a thread of the subscription.
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///

@@ -15,7 +15,7 @@ pub enum Code {
     Ok = 0,
     /// There are no more items: all robots have replied, or the end of the transfer has already been reported.
     End = 1,
-    /// The timeout expired. Retry, allow more time, or check the link with `rect connections`.
+    /// The timeout expired. Try again, allow more time, or check the link with `rect connections`.
     TimedOut = 2,
     /// An argument is NULL, is not UTF-8, or is out of range. The text names the argument.
     Argument = 3,
@@ -23,7 +23,7 @@ pub enum Code {
     Handle = 4,
     /// The session was closed, or another thread dropped the object while the call was waiting.
     Closed = 5,
-    /// The name of a robot or fleet is invalid. Choose another one.
+    /// The name of a robot or fleet, or the file name of a transfer, is invalid. Choose another one.
     Name = 6,
     /// A topic or pattern is invalid. The text explains the rule that it breaks.
     Topic = 7,

@@ -17,7 +17,7 @@ pub struct Frame {
     /// The payload.
     pub payload: PayloadView,
     /// The age of the frame on arrival, in microseconds. Until the offset of the sender's clock is known, this is the delay
-    /// relative to the fastest frame of the last minute. -1 if the sender is a plain Zenoh program.
+    /// relative to the fastest frame of the last minute. -1 if the sender is a stock Zenoh program.
     pub age_us: i64,
     /// The number of the frame. Numbering restarts when the sender restarts, and when this robot joins another group of
     /// receivers.

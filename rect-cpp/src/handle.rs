@@ -1,5 +1,5 @@
-//! Keeps the table of the objects that C has handles of, the only state that is shared by the whole process. A handle is a
-//! number, never an address: using one that was dropped, invented, or belongs to another kind of object is an error.
+//! Keeps the table of the objects that C has handles of, the only global state. A handle is a number, never an address.
+//! Using one that was dropped, was never created, or belongs to an object of another kind is an error.
 use std::{
     any::Any,
     mem::MaybeUninit,
@@ -63,7 +63,7 @@ pub fn insert_shared<T: Object>(object: Arc<T>) -> u64 {
             generation: 0,
             object: None,
         });
-        // Never fails in practice: each entry takes far more than a byte of memory.
+        // Does not fail in practice, because 4 billion entries do not fit into memory.
         u32::try_from(table.entries.len() - 1).expect("less than 4 billion objects")
     });
     let entry = &mut table.entries[index as usize];
@@ -146,7 +146,9 @@ pub unsafe extern "C" fn rect_drop(
     })
 }
 
-/// Returns the number of handles that exist now. If a test ends with the same number as it began, it has dropped everything.
+/// Returns the number of handles that exist now. If it is the same at the beginning and at the end of a test, the test has
+/// dropped everything.
+///
 /// May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_handle_count() -> usize {
@@ -213,7 +215,7 @@ mod tests {
             assert_eq!(done, 1);
             // SAFETY: the pointer is that of a local variable.
             assert_eq!(unsafe { rect_drop(&mut copy, None) }, Code::Handle);
-            // SAFETY: as for `Send`.
+            // SAFETY: the pointer is that of a local variable.
             assert_eq!((copy, unsafe { rect_drop(&mut copy, None) }), (0, Code::Ok));
         }
         assert_eq!(dropped.load(Ordering::SeqCst), 100);

@@ -26,10 +26,10 @@ pub struct Message {
     pub topic: Text,
     /// The payload.
     pub payload: PayloadView,
-    /// The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a plain Zenoh program. The
+    /// The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a stock Zenoh program. The
     /// clock of a robot without a real-time clock may be wrong by years.
     pub sent_ms: i64,
-    /// The sequence number of its publisher; -1 if the sender is a plain Zenoh program.
+    /// The sequence number that its publisher gave it; -1 if the sender is a stock Zenoh program.
     pub sequence: i64,
     /// Number of messages of the same publisher, directly before this one, that did not arrive.
     pub missed: u32,

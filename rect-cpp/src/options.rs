@@ -8,7 +8,7 @@ use crate::{
     failure::Failure,
 };
 
-/// How to connect, if the router of this computer is not to be used with its default settings.
+/// The options of `rect_connect`. The defaults connect to the router of this computer.
 ///
 /// Fields that are 0 or NULL keep their defaults, so `rect_options options = {0};` changes nothing. The struct is only read
 /// during the call.
@@ -44,8 +44,8 @@ pub struct Options {
     pub zenoh_values: *const *const c_char,
     /// Number of settings.
     pub zenoh_len: usize,
-    /// Connects even if the router belongs to another robot, for programs that deliberately use another name. The access
-    /// control that `rect-router init` sets up drops whatever such a program publishes.
+    /// Whether to connect even if the router belongs to another robot, for programs that deliberately use another name. The
+    /// access control that `rect init` sets up drops everything that such a program publishes.
     pub allow_name_mismatch: bool,
 }
 
@@ -59,12 +59,12 @@ pub unsafe fn read(robot: &str, given: Option<&Options>) -> Result<rect::Options
         return Ok(options);
     };
     // SAFETY: guaranteed by this function's caller.
-    unsafe { with(options, given) }
+    unsafe { apply(options, given) }
 }
 
 /// # Safety
 /// The same as for [`read`].
-unsafe fn with(mut options: rect::Options, given: &Options) -> Result<rect::Options, Failure> {
+unsafe fn apply(mut options: rect::Options, given: &Options) -> Result<rect::Options, Failure> {
     // SAFETY: guaranteed by this function's caller.
     unsafe {
         if let Some(fleet) = text_or_none("options.fleet", given.fleet)? {
@@ -73,11 +73,11 @@ unsafe fn with(mut options: rect::Options, given: &Options) -> Result<rect::Opti
         if let Some(router) = text_or_none("options.router", given.router)? {
             options = options.router(router);
         }
-        for &one in items("options.endpoints", given.endpoints, given.endpoints_len)? {
-            options = options.endpoint(text("options.endpoints", one)?);
+        for &endpoint in items("options.endpoints", given.endpoints, given.endpoints_len)? {
+            options = options.endpoint(text("options.endpoints", endpoint)?);
         }
-        for &one in items("options.listen", given.listen, given.listen_len)? {
-            options = options.listen(text("options.listen", one)?);
+        for &endpoint in items("options.listen", given.listen, given.listen_len)? {
+            options = options.listen(text("options.listen", endpoint)?);
         }
         if let Some(user) = text_or_none("options.user", given.user)? {
             let password = text_or_none("options.password", given.password)?;

@@ -56,7 +56,7 @@ impl PayloadView {
     ///
     /// # Safety
     /// The pointers follow the rules of rect.h.
-    // Inlined, like `named` and `read`: these run once per message, and would move a large result from one to the next.
+    // Inlined, like `named` and `read`: they run once per message, and each call would otherwise move a large result.
     #[inline(always)]
     pub unsafe fn parts(&self) -> Result<(&[u8], Encoding), Failure> {
         // SAFETY: guaranteed by this function's caller.
@@ -83,10 +83,10 @@ impl PayloadView {
     }
 }
 
-/// Returns the encoding with this name. The four most common ones are found without allocating memory or checking UTF-8.
+/// Returns the encoding with this name. The four most common ones need neither an allocation nor a check for UTF-8.
 #[inline(always)]
 pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
-    static USUAL: [Encoding; 4] = [
+    static COMMON: [Encoding; 4] = [
         Encoding::JSON,
         Encoding::TEXT,
         Encoding::BYTES,
@@ -95,9 +95,11 @@ pub fn named(text: &[u8]) -> Result<Encoding, Failure> {
     if text.is_empty() {
         return Ok(Encoding::BYTES);
     }
-    let known = USUAL.iter().find(|one| one.as_str().as_bytes() == text);
-    if let Some(known) = known {
-        return Ok(known.clone());
+    let common = COMMON
+        .iter()
+        .find(|encoding| encoding.as_str().as_bytes() == text);
+    if let Some(common) = common {
+        return Ok(common.clone());
     }
     if text.len() > encoding::MAX_BYTES {
         let max = encoding::MAX_BYTES;

@@ -43,7 +43,7 @@ impl Program {
         Ok(self.runtime.complete(future)?)
     }
 
-    /// Creates another handle of the same program.
+    /// Combines another handle of the same robot with the runtime of this program.
     pub fn derive(&self, robot: rect::Robot) -> Self {
         let runtime = self.runtime.clone();
         Self { robot, runtime }

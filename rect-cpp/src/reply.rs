@@ -126,8 +126,8 @@ pub unsafe extern "C" fn rect_robot_request(
     })
 }
 
-/// Sends a request to the service `topic` of every robot that offers it. The replies arrive until all robots have replied or
-/// `timeout_ms` has passed; `rect_replies_next` returns them.
+/// Sends a request to the service `topic` of every robot that offers it, and writes the handle of the replies to `replies`.
+/// `rect_replies_next` returns them until all robots have replied or `timeout_ms` has passed.
 ///
 /// May be called on any thread.
 #[no_mangle]

@@ -20,7 +20,8 @@ use crate::{
     text::{choice, names_into_c, Names},
 };
 
-/// A program's connection to the other robots. Release it with `rect_drop(&robot.id, ..)`.
+/// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
+/// `rect_drop(&robot.id, ..)`.
 ///
 /// The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
 /// `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
@@ -65,7 +66,7 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Number of messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
-    /// Number of messages from plain Zenoh programs that were dropped because RECT does not permit their topic: it contains
+    /// Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     /// control characters, is longer than 200 bytes, or is reserved.
     pub rejected: u64,
 }
@@ -124,7 +125,7 @@ pub unsafe extern "C" fn rect_connect(
     })
 }
 
-/// Creates a handle of the same robot that publishes and sends with another urgency (a `rect_urgency`), and writes it to
+/// Creates a handle of the same robot whose messages and requests have another urgency (a `rect_urgency`), and writes it to
 /// `derived`. Both handles share the session, and both must be dropped.
 ///
 /// May be called on any thread.
@@ -143,9 +144,9 @@ pub extern "C" fn rect_robot_with_urgency(
     })
 }
 
-/// Creates a handle of the same robot that encodes everything it publishes and sends with a codec, e.g. `zstd:9`, `jpeg:60`,
-/// `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Both handles share the session, and both must be
-/// dropped.
+/// Creates a handle of the same robot that encodes the payloads of its messages and requests with a codec, e.g. `zstd:9`,
+/// `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Receivers decode them automatically. Both
+/// handles share the session, and both must be dropped.
 ///
 /// Returns `RECT_CODE_CODEC` if the codec is unknown. May be called on any thread.
 #[no_mangle]
@@ -165,9 +166,9 @@ pub unsafe extern "C" fn rect_robot_with_codec(
     })
 }
 
-/// Creates a handle of the same robot that compresses everything it publishes and sends with a dictionary, and writes it to
-/// `derived`. Small JSON messages become much smaller. Receivers fetch the dictionary once, automatically. Both handles
-/// share the session, and both must be dropped.
+/// Creates a handle of the same robot that compresses the payloads of its messages and requests with a dictionary, and
+/// writes it to `derived`. Small JSON messages become much smaller. Receivers fetch the dictionary once, automatically.
+/// Both handles share the session, and both must be dropped.
 ///
 /// May be called on any thread.
 #[no_mangle]

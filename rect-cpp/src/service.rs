@@ -34,7 +34,8 @@ pub struct Service {
 pub struct Request {
     /// The handle, for replying.
     pub id: u64,
-    /// The robot that sent the request; empty if the sender is a plain Zenoh program.
+    /// The robot that sent the request, according to the request itself; empty if the sender is a stock Zenoh program. The
+    /// name is not verified: do not base permissions on it.
     pub sender: Text,
     /// The payload.
     pub payload: PayloadView,
@@ -63,7 +64,7 @@ impl Object for RunningService {
 
 type ReplyResult = Result<Payload, Payload>;
 
-/// The reply that the program has given so far.
+/// A request that the callback handles, with the program's reply if there is one yet.
 #[derive(Default)]
 struct PendingRequest(Mutex<Option<ReplyResult>>);
 
@@ -106,7 +107,7 @@ fn run_callback(
         remaining_ms: u32::try_from(remaining).unwrap_or(u32::MAX),
     };
     let called = callback.run(|context| function(&view, context));
-    // This fails if the program has already dropped it.
+    // Fails if the program has already dropped the request.
     let _ = handle::remove(id);
     if !called {
         return Err(refusal("the service is shutting down"));

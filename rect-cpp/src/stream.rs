@@ -44,7 +44,8 @@ pub struct StreamOptions {
     pub mode: u32,
     /// Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     pub webp: bool,
-    /// Maximum frame rate, in frames per second. Default: 15. Required for a fixed stream.
+    /// Maximum frame rate, in frames per second. Default: 15 for an adaptive stream, no limit for a sensor. Required for a
+    /// fixed stream.
     pub max_frames_per_s: f64,
     /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. Default: 5.
     pub min_frames_per_s: f64,
@@ -96,8 +97,8 @@ fn read_options(given: Option<&StreamOptions>) -> Result<rect::StreamOptions, Fa
     Ok(options)
 }
 
-/// Creates a stream of which only the newest frame matters: a slow link drops older ones. `options` may be NULL for the
-/// defaults.
+/// Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
+/// `options` may be NULL for the defaults.
 ///
 /// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_ARGUMENT` if an option is. May be called on any thread.
 #[no_mangle]
@@ -139,8 +140,8 @@ pub unsafe extern "C" fn rect_stream_send(
     })
 }
 
-/// Sends a picture, scaled and compressed as the links require: rows of pixels without padding, from the top left. If no
-/// receiver needs a frame now, nothing is compressed or sent.
+/// Sends a picture: rows of pixels without padding, from the top left. An adaptive stream scales and compresses it as the
+/// links require; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
 ///
 /// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
 ///

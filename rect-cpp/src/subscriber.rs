@@ -101,10 +101,11 @@ fn declare(
     program.wait(program.robot.subscribe_with(pattern, options))
 }
 
-/// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The subscriber receives the matching messages
-/// that are published, and those that are sent to this robot. `options` may be NULL for the defaults.
+/// Subscribes to a pattern, `<robot>/<topic>` with wildcards, e.g. `*/arm/*`, and writes the handle to `subscriber`. The
+/// subscriber receives the matching messages that are published, and those that are sent to this robot. `options` may be
+/// NULL for the defaults.
 ///
-/// Returns `RECT_CODE_TOPIC` if the pattern is invalid. May be called on any thread.
+/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_subscribe(
     robot: RobotHandle,
@@ -171,7 +172,8 @@ pub extern "C" fn rect_subscriber_dropped(
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///
-/// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
+/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread. The callback may call
+/// any function of RECT and may drop its own subscription.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_on_message(
     robot: RobotHandle,

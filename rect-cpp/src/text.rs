@@ -3,9 +3,10 @@ use rect::Name;
 
 use crate::{failure::Failure, handle::Object};
 
-/// A text that RECT returns: UTF-8 without a terminating zero byte. To print it: `printf("%.*s", (int)text.len, text.data)`.
+/// A text with its length: UTF-8 without a terminating zero byte. To print it:
+/// `printf("%.*s", (int)text.len, (const char *)text.data)`.
 ///
-/// An absent text has the length 0. A text is valid as long as the object that it belongs to.
+/// An absent text has the length 0. A text that RECT returns is valid as long as the object that it belongs to.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct Text {
@@ -109,6 +110,6 @@ pub fn choice<T: Copy>(name: &'static str, all: &[(u32, T)], given: u32) -> Resu
 
 /// Returns C's number for a value.
 pub fn number<T: PartialEq>(all: &[(u32, T)], choice: &T) -> u32 {
-    let found = all.iter().find(|(_, one)| one == choice);
+    let found = all.iter().find(|(_, value)| value == choice);
     found.map_or(0, |(number, _)| *number)
 }

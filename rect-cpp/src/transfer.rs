@@ -51,9 +51,9 @@ pub struct TransferOptions {
     pub file: *const c_char,
     /// The payload to transfer if there is no file.
     pub payload: PayloadView,
-    /// The name that the receiver gets. Default: the name of the file; a payload has none.
+    /// The file name at the receiver. Default: the name of the file; a payload has none.
     pub name: *const c_char,
-    /// The encoding of a file. Default: `zenoh/bytes`.
+    /// The encoding of the content. Default: that of `payload`, and `zenoh/bytes` for a file.
     pub encoding: *const c_char,
     /// How long the receiver may be unreachable before the transfer fails, in milliseconds. Default: no limit.
     pub timeout_ms: u32,
@@ -62,15 +62,16 @@ pub struct TransferOptions {
 /// The options for receiving transfers. Fields that are 0 or NULL keep their defaults.
 #[repr(C)]
 pub struct ReceiveOptions {
-    /// The folder for received files. Each sender has a subfolder, and files keep the names that their senders give.
-    /// Transfers into a folder resume after a restart. NULL keeps transfers in memory.
+    /// The folder for received files, which no other receiver may use. Each sender has a subfolder. Files keep the names
+    /// that their senders give, and replace files of the same name. Transfers into a folder resume after a restart. NULL
+    /// keeps transfers in memory.
     pub folder: *const c_char,
     /// Maximum size of a transfer in bytes. Larger ones are refused. Required.
     pub max_bytes: u64,
     /// Maximum number of transfers at the same time, of which at most half (rounded up) have the same sender. Others wait.
     /// Default: 4.
     pub max_concurrent: usize,
-    /// How long a transfer may make no progress before it is given up, in milliseconds. Default: 600000.
+    /// How long a transfer may make no progress before the receiver abandons it, in milliseconds. Default: 600000.
     pub timeout_ms: u32,
 }
 
@@ -92,7 +93,7 @@ pub struct Received {
     pub sender: Text,
     /// The topic.
     pub topic: Text,
-    /// The name that the sender gave it; may be empty.
+    /// The file name that the sender gave the transfer; may be empty.
     pub name: Text,
     /// Path of the received file; empty if the transfer is in memory.
     pub file: Text,
@@ -272,10 +273,11 @@ pub unsafe extern "C" fn rect_robot_begin_transfer(
 
 /// Waits until the transfer is complete and verified, or has failed.
 ///
-/// Returns `RECT_CODE_TIMED_OUT` if it is still running after `timeout_ms` (`RECT_FOREVER` waits without a limit), or if the
-/// timeout of its options has expired; `RECT_CODE_TRANSFER_REFUSED` or `RECT_CODE_TRANSFER_FAILED` if it failed;
-/// `RECT_CODE_FILE` if its file cannot be read; `RECT_CODE_CLOSED` if the session was closed or another thread dropped the
-/// transfer; and `RECT_CODE_END` if an earlier call has already returned the result.
+/// Returns `RECT_CODE_TIMED_OUT` if it is still running after `timeout_ms` (`RECT_FOREVER` waits without a limit), or if
+/// the timeout of its options has expired; `RECT_CODE_TRANSFER_REFUSED` or `RECT_CODE_TRANSFER_FAILED` if it failed;
+/// `RECT_CODE_FILE` if its file cannot be read; `RECT_CODE_NAME` if its file name is invalid; `RECT_CODE_CLOSED` if the
+/// session was closed or another thread dropped the transfer; and `RECT_CODE_END` if an earlier call has already returned
+/// the result.
 ///
 /// May be called on any thread except the one of the transfer's callback.
 #[no_mangle]
@@ -314,10 +316,10 @@ unsafe fn read_receive_options(given: &ReceiveOptions) -> Result<rect::ReceiveOp
 }
 
 /// Receives the transfers that others send to this robot and that match a pattern, e.g. `*/maps/*`, until `transfers` is
-/// dropped. Transfers that no receiver matches are refused.
+/// dropped. Transfers whose topics match no receiver are refused.
 ///
-/// Returns `RECT_CODE_TOPIC` if the pattern is invalid, and `RECT_CODE_FILE` if the folder cannot be used. May be called on
-/// any thread.
+/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid, `RECT_CODE_ARGUMENT` if `options` is NULL or its
+/// `max_bytes` is 0, and `RECT_CODE_FILE` if the folder cannot be used. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_receive_transfers(
     robot: RobotHandle,

@@ -61,8 +61,8 @@ fn declare(
     program.wait(program.robot.watch_with(sender, topic, options))
 }
 
-/// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program; `options` may
-/// specify a larger receive queue, or be NULL.
+/// Watches the stream `topic` of the robot `sender`, and writes the handle to `watch`. By default only the newest frame
+/// waits for the program; `options` may specify a larger receive queue, or be NULL.
 ///
 /// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
 #[no_mangle]
@@ -112,7 +112,8 @@ pub extern "C" fn rect_watch_next(
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///
-/// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
+/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread. The
+/// callback may call any function of RECT and may drop its own subscription.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_on_frame(
     robot: RobotHandle,

@@ -23,7 +23,7 @@ def build(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Starts a router for programs that use the default endpoint, and yields its endpoint."""
+    """Starts a router, makes its endpoint the default in RECT_ENDPOINT, and yields the endpoint."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"

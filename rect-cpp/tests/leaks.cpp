@@ -1,4 +1,5 @@
-// Checks after each test that it has dropped all its handles. A leak sanitizer does not notice those that remain.
+// Checks after each test that it has dropped all its handles. A leak sanitizer does not notice handles that remain, because
+// the library's table still refers to their objects.
 #include <cstdio>
 #include <cstdlib>
 #include <rect.hpp>

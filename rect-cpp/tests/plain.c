@@ -1,10 +1,13 @@
-/* Tests the C interface in C99: messages, services, streams and transfers. In the end, no handle remains. */
+/* Tests the C interface in C99: messages, services, streams and transfers. At the end, no handle remains.
+ *
+ *     ctest --preset default -R c99
+ */
 #include <rect.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* The first port to listen on, the number of ports to try, and timeouts. */
+/* The first port to listen on, the number of ports to try, and timeouts in milliseconds. */
 enum { PORT = 27447, PORTS = 200, TIMEOUT_MS = 60000, RETRY_MS = 50 };
 
 static rect_error error;

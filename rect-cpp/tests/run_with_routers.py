@@ -1,7 +1,7 @@
 """Runs a program with two routers on the simulated air. Their endpoints are in the environment variables RECT_ROUTER_1
 (robot `wombat-1`) and RECT_ROUTER_2 (robot `wombat-2`).
 
-RECT_ROUTER=... RECT_TOOL=... .venv/bin/python rect-cpp/tests/run_with_routers.py PROGRAM ...
+RECT_ROUTER=... RECT_TOOL=... .venv/bin/python rect-cpp/tests/run_with_routers.py PROGRAM [ARGUMENT ...]
 """
 
 import os

@@ -1,4 +1,7 @@
-"""Tests the compiler's error for values that cannot be published, and which values need no further header."""
+"""Tests which values need no further header, and the compiler's error for values that cannot be published.
+
+pytest rect-cpp/tests/test_advice.py --build rect-cpp/build/default
+"""
 
 from __future__ import annotations
 

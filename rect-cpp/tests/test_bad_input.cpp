@@ -1,4 +1,6 @@
 // Tests invalid arguments: NULL, wrong lengths, text that is not UTF-8, numbers out of range. Each error names the argument.
+//
+//     build/default/tests/rect_tests -# '[#test_bad_input]'
 #include <cstring>
 #include <limits>
 #include <string>
@@ -147,7 +149,7 @@ TEST_CASE("invalid options for connecting are rejected") {
     CHECK(rect::connect("wombat-1", options).error().code == rect::Code::option);
 }
 
-TEST_CASE("connections of a program without a router are rejected") {
+TEST_CASE("adding or querying connections without a router fails") {
     const auto robot = connect_without_router("wombat-1", free_endpoint(), "");
     rect::NamedConnection connection{"base", "tcp", "192.168.125.2"};
     connection.options = "[]";

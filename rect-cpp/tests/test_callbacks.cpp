@@ -1,4 +1,6 @@
 // Tests callbacks: exceptions, ending subscriptions, and releasing captured objects.
+//
+//     build/default/tests/rect_tests -# '[#test_callbacks]'
 #include <atomic>
 #include <memory>
 #include <thread>

@@ -1,5 +1,7 @@
 // Runs the test vectors of tests/conformance, which every language must pass. Keys and attachments are left out: the Rust
 // library creates them for C++ programs.
+//
+//     build/default/tests/rect_tests -# '[#test_conformance]'
 #include <cstdlib>
 #include <fstream>
 #include <map>
@@ -58,46 +60,46 @@ TEST_CASE("names, topics and patterns are validated") {
     const std::map<std::string, Check> checks{
         {"names", rect_check_name}, {"topics", rect_check_topic}, {"patterns", rect_check_pattern}};
     for (const auto& [file, check] : checks) {
-        for (const auto& one : cases(file)) {
-            CAPTURE(file, one["in"]);
-            const auto text = one["in"].get<std::string>();
-            const bool is_one = one["out"].is_boolean() ? one["out"].get<bool>() : !one["out"].is_null();
+        for (const auto& vector : cases(file)) {
+            CAPTURE(file, vector["in"]);
+            const auto text = vector["in"].get<std::string>();
+            const bool is_valid = vector["out"].is_boolean() ? vector["out"].get<bool>() : !vector["out"].is_null();
             rect_error error;
-            CHECK((check(text.c_str(), &error) == RECT_CODE_OK) == is_one);
+            CHECK((check(text.c_str(), &error) == RECT_CODE_OK) == is_valid);
         }
     }
 }
 
 TEST_CASE("codecs have the expected names") {
-    for (const auto& one : cases("codecs")) {
-        CAPTURE(one["in"]);
+    for (const auto& vector : cases("codecs")) {
+        CAPTURE(vector["in"]);
         rect_string name;
         rect_error error;
-        const auto code = rect_codec_name(one["in"].get<std::string>().c_str(), &name, &error);
-        if (one["out"].is_object()) {
-            CHECK(is_error(one["out"], static_cast<rect::Code>(code)));
+        const auto code = rect_codec_name(vector["in"].get<std::string>().c_str(), &name, &error);
+        if (vector["out"].is_object()) {
+            CHECK(is_error(vector["out"], static_cast<rect::Code>(code)));
         } else {
             REQUIRE(code == RECT_CODE_OK);
             const rect::Handle handle(name.id);
-            CHECK(rect::detail::view(name.text) == one["out"].get<std::string>());
+            CHECK(rect::detail::view(name.text) == vector["out"].get<std::string>());
         }
     }
 }
 
 TEST_CASE("dictionaries have the expected ids") {
-    for (const auto& one : cases("dictionaries")) {
-        const auto all = bytes(one["in"]);
+    for (const auto& vector : cases("dictionaries")) {
+        const auto all = bytes(vector["in"]);
         const auto dictionary = rect::Dictionary::read({reinterpret_cast<const std::uint8_t*>(all.data()), all.size()});
-        CHECK(dictionary.has_value() == !one["out"].is_null());
+        CHECK(dictionary.has_value() == !vector["out"].is_null());
         if (dictionary) {
-            CHECK(must(dictionary->id()) == one["out"].get<std::uint32_t>());
+            CHECK(must(dictionary->id()) == vector["out"].get<std::uint32_t>());
         }
     }
 }
 
 TEST_CASE("encoded payloads are decoded") {
-    for (const auto& one : cases("compressed")) {
-        const auto& in = one["in"];
+    for (const auto& vector : cases("compressed")) {
+        const auto& in = vector["in"];
         std::optional<rect::Dictionary> dictionary;
         if (in.contains("dictionary") && !in["dictionary"].is_null()) {
             const auto all = bytes(in["dictionary"]);
@@ -105,24 +107,24 @@ TEST_CASE("encoded payloads are decoded") {
         }
         const auto encoded = payload(in);
         const auto decoded = rect::decode(encoded.view(), dictionary ? &*dictionary : nullptr, limits);
-        CAPTURE(in["encoding"], one["out"]);
-        if (one["out"].contains("error")) {
+        CAPTURE(in["encoding"], vector["out"]);
+        if (vector["out"].contains("error")) {
             REQUIRE_FALSE(decoded.has_value());
-            CHECK(is_error(one["out"], decoded.error().code));
+            CHECK(is_error(vector["out"], decoded.error().code));
         } else {
             CHECK(must(decoded ? rect::expected<std::string>(hex(decoded->view().bytes())) : rect::unexpected<rect::Error>(decoded.error())) ==
-                  one["out"]["bytes"].get<std::string>());
-            CHECK(decoded->view().encoding() == one["out"]["encoding"].get<std::string>());
+                  vector["out"]["bytes"].get<std::string>());
+            CHECK(decoded->view().encoding() == vector["out"]["encoding"].get<std::string>());
         }
     }
 }
 
 TEST_CASE("pictures are read") {
-    for (const auto& one : cases("pictures")) {
-        const auto& out = one["out"];
-        const auto encoded = payload(one["in"]);
+    for (const auto& vector : cases("pictures")) {
+        const auto& out = vector["out"];
+        const auto encoded = payload(vector["in"]);
         const auto picture = encoded.view().picture(limits);
-        CAPTURE(one["in"]["encoding"], out.contains("error"));
+        CAPTURE(vector["in"]["encoding"], out.contains("error"));
         if (out.contains("error")) {
             REQUIRE_FALSE(picture.has_value());
             CHECK(is_error(out, picture.error().code));
@@ -147,11 +149,11 @@ TEST_CASE("pictures are read") {
 
 TEST_CASE("arrays are read") {
     const char* const elements[] = {"u8", "i8", "u16", "i16", "u32", "i32", "i64", "f32", "f64"};
-    for (const auto& one : cases("arrays")) {
-        const auto& out = one["out"];
-        const auto encoded = payload(one["in"]);
+    for (const auto& vector : cases("arrays")) {
+        const auto& out = vector["out"];
+        const auto encoded = payload(vector["in"]);
         const auto array = encoded.view().array(limits);
-        CAPTURE(one["in"]["encoding"]);
+        CAPTURE(vector["in"]["encoding"]);
         if (out.contains("error")) {
             REQUIRE_FALSE(array.has_value());
             CHECK(is_error(out, array.error().code));

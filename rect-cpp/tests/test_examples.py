@@ -1,4 +1,4 @@
-"""Builds and runs the examples, and the programs of docs/cpp.md and docs/c.md.
+"""Runs the built examples, and builds and runs the programs of docs/cpp.md and docs/c.md.
 
 RECT_ROUTER=target/quick/rect-router pytest rect-cpp/tests --build rect-cpp/build/default
 """

@@ -1,4 +1,6 @@
 // Tests handles that are dropped twice, dropped by several threads, used after being dropped, moved, or dropped during a wait.
+//
+//     build/default/tests/rect_tests -# '[#test_handles]'
 #include <thread>
 #include <vector>
 

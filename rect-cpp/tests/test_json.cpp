@@ -1,4 +1,6 @@
 // Tests JSON and CBOR with nlohmann::json.
+//
+//     build/default/tests/rect_tests -# '[#test_json]'
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <numeric>

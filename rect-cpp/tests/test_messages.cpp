@@ -1,4 +1,6 @@
 // Tests messages: published and sent, received by a subscriber, by a callback, or by waiting for one.
+//
+//     build/default/tests/rect_tests -# '[#test_messages]'
 #include <atomic>
 #include <thread>
 
@@ -80,15 +82,15 @@ TEST_CASE("wait_for_message returns the next message on a topic") {
 
 TEST_CASE("a full queue drops according to its options and counts the dropped messages") {
     Pair pair;
-    const auto newest = must(pair.two.subscribe("wombat-1/n", {1, rect::WhenFull::drop_oldest}));
-    const auto oldest = must(pair.two.subscribe("wombat-1/n", {1, rect::WhenFull::drop_newest}));
+    const auto keeps_newest = must(pair.two.subscribe("wombat-1/n", {1, rect::WhenFull::drop_oldest}));
+    const auto keeps_oldest = must(pair.two.subscribe("wombat-1/n", {1, rect::WhenFull::drop_newest}));
     int n = 0;
     until([&] {
         must(pair.one.publish("n", std::to_string(n++)));
-        return must(newest.dropped()) >= 3 && must(oldest.dropped()) >= 3;
+        return must(keeps_newest.dropped()) >= 3 && must(keeps_oldest.dropped()) >= 3;
     });
-    const auto last = std::stoi(std::string(must(must(newest.next(deadline))->payload.text())));
-    const auto first = std::stoi(std::string(must(must(oldest.next(deadline))->payload.text())));
+    const auto last = std::stoi(std::string(must(must(keeps_newest.next(deadline))->payload.text())));
+    const auto first = std::stoi(std::string(must(must(keeps_oldest.next(deadline))->payload.text())));
     CHECK(first + 3 <= last);
 }
 

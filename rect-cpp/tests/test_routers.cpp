@@ -1,4 +1,6 @@
 // Tests C++ programs at two routers on the simulated air, which run_with_routers.py starts.
+//
+//     python tests/run_with_routers.py build/default/tests/rect_tests '[.routers]'
 #include <cstdlib>
 #include <thread>
 #include <vector>
@@ -85,12 +87,12 @@ TEST_CASE("connections are queried, added and removed", "[.routers]") {
     must(routers.one.add_connection(base));
     until([&] {
         const auto all = must(routers.one.connections());
-        return std::any_of(all.begin(), all.end(), [](const auto& one) { return one.name == "base"; });
+        return std::any_of(all.begin(), all.end(), [](const auto& connection) { return connection.name == "base"; });
     });
     must(routers.one.remove_connection("base"));
     until([&] {
         const auto all = must(routers.one.connections());
-        return std::none_of(all.begin(), all.end(), [](const auto& one) { return one.name == "base"; });
+        return std::none_of(all.begin(), all.end(), [](const auto& connection) { return connection.name == "base"; });
     });
     CHECK(routers.one.remove_connection("base").error().code == rect::Code::service);
 }

@@ -1,4 +1,6 @@
 // Tests services: requests, replies, refusals, and exceptions of service functions.
+//
+//     build/default/tests/rect_tests -# '[#test_services]'
 #include <atomic>
 #include <thread>
 

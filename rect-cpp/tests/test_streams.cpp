@@ -1,4 +1,6 @@
 // Tests streams: a sensor's values, adaptive pictures, and the status.
+//
+//     build/default/tests/rect_tests -# '[#test_streams]'
 #include <atomic>
 #include <thread>
 #include <vector>
@@ -7,7 +9,7 @@
 
 namespace {
 
-// Calls a function every 5 ms on a thread of its own, until this is destroyed.
+// Calls a function every 5 ms on a thread of its own, until this object is destroyed.
 template <class Function>
 class Repeat {
 public:

@@ -1,4 +1,6 @@
 // Tests transfers: bytes and files, progress, refusals, and cancellation.
+//
+//     build/default/tests/rect_tests -# '[#test_transfers]'
 #include <atomic>
 #include <filesystem>
 #include <fstream>
@@ -10,7 +12,7 @@
 
 namespace {
 
-// A temporary folder, deleted when this is destroyed.
+// A temporary folder, deleted when this object is destroyed.
 struct Folder {
     std::filesystem::path path;
 

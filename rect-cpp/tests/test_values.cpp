@@ -1,4 +1,6 @@
 // Tests values (text, bytes, numbers, pictures, arrays) and the small parts of the headers.
+//
+//     build/default/tests/rect_tests -# '[#test_values]'
 #include <array>
 #include <limits>
 #include <vector>

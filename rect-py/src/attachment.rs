@@ -4,10 +4,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use pyo3::{prelude::*, types::PyBytes};
 use rect::core::attachment::{Attachment, Sent};
 
-/// Source, sequence number, milliseconds since 1970, and, instead of these, their low 16 bits.
+/// Source, sequence number, and the time of sending: either in milliseconds since 1970, or only the low 16 bits of that
+/// number.
 type Fields = (u16, u32, Option<u64>, Option<u16>);
 
-/// Encodes the attachment of a message.
+/// Encodes the attachment of a message. `at_ms` is the time of sending in milliseconds since 1970; `low` holds the low
+/// 16 bits of that number, and is used if `at_ms` is `None`.
 #[pyfunction]
 #[pyo3(signature = (source, sequence, at_ms=None, low=None))]
 pub fn write_attachment(

@@ -1,5 +1,5 @@
-//! Defines the callbacks that Zenoh's threads call for each message and each request. They append it to a queue without
-//! running Python code.
+//! Defines the callbacks that Zenoh's threads call for each message and each request. They append the message or
+//! request to a queue without running Python code.
 use std::time::Instant;
 
 use pyo3::{intern, prelude::*};
@@ -7,8 +7,8 @@ use rect::core::key::AddressError;
 
 use crate::{connection::Links, counters::AtomicCounters, message::Inbound, queue::Queue};
 
-/// The callback for the messages of one key of a subscription. It appends the metadata, the payload, the encoding, and
-/// the method of the link if it is known.
+/// The callback for the messages of one Zenoh subscriber of a subscription. It appends a tuple to the queue: the
+/// metadata, the payload, the encoding, and the method of the link (`None` if it is unknown).
 #[pyclass(frozen, module = "rect._rect")]
 pub struct OnMessage {
     queue: Py<Queue>,
@@ -18,7 +18,7 @@ pub struct OnMessage {
     directed: bool,
 }
 
-/// The callback for the requests to a service. It appends the query and its time of arrival.
+/// The callback for the requests to a service. It appends each query with its time of arrival to the queue.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct OnRequest {
     queue: Py<Queue>,
@@ -102,7 +102,7 @@ impl OnRequest {
 
 #[pymethods]
 impl Timestamp {
-    /// Returns the time since then, in seconds.
+    /// Returns the time since this point, in seconds.
     fn ago(&self) -> f64 {
         self.0.elapsed().as_secs_f64()
     }

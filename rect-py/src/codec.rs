@@ -15,7 +15,7 @@ use crate::{detached::detached, errors::OrRaise, key_space::name};
 /// The bytes and the encoding of a payload, as Python objects.
 pub type Parts<'py> = (Bound<'py, PyBytes>, String);
 
-/// A codec, which compresses payloads. Made from its name.
+/// A codec, which compresses payloads. It is created from its name.
 ///
 /// The names are `none`, `zstd[:<level 1 to 19>]`, `png`, `jpeg[:<quality 1 to 100>]`, `webp[:<quality 1 to 100>]` and
 /// `quantised:<largest error>`. `Robot.share_dictionary` returns a codec that uses a dictionary.
@@ -26,13 +26,14 @@ pub struct Codec(Arc<dyn codec::Codec>);
 
 /// A zstd dictionary: the common content of many small messages, stored at both ends instead of sent each time.
 ///
-/// Made from the bytes of a dictionary, or from sample messages by `train`. `bytes(dictionary)` returns its bytes.
+/// It is created from the bytes of a dictionary, or by `train` from sample messages. `bytes(dictionary)` returns its
+/// bytes.
 ///
 /// Raises `DictionaryError` if the bytes are not a dictionary.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Dictionary(pub Arc<dictionary::Dictionary>);
 
-/// The dictionaries of several robots. Each is used for the messages of its robot only.
+/// The dictionaries of several robots. A dictionary is used only for the messages of its robot.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct DictionaryStore(Mutex<RobotDictionaries>);
 
@@ -48,7 +49,7 @@ pub fn parts<'py>(py: Python<'py>, payload: &Payload) -> Parts<'py> {
     (bytes, payload.encoding.to_string())
 }
 
-/// Makes the limits of a decoder, with defaults for those that are not given.
+/// Returns the limits of a decoder. Those that are `None` have their defaults.
 pub fn limits(max_bytes: Option<usize>, max_pixels: Option<usize>) -> Limits {
     let default = Limits::default();
     Limits {
@@ -59,13 +60,13 @@ pub fn limits(max_bytes: Option<usize>, max_pixels: Option<usize>) -> Limits {
 
 #[pymethods]
 impl Codec {
-    /// Makes the codec with a name such as `zstd:9`.
+    /// Creates the codec with a name such as `zstd:9`.
     #[new]
     fn new(spec: &str) -> PyResult<Self> {
         codec::parse(spec).or_raise().map(Self)
     }
 
-    /// Makes a zstd codec that uses a dictionary.
+    /// Creates a zstd codec that uses a dictionary.
     #[staticmethod]
     fn with_dictionary(dictionary: &Dictionary) -> Self {
         Self(Arc::new(DictionaryCodec::new(dictionary.0.clone())))
@@ -90,7 +91,7 @@ impl Codec {
     }
 }
 
-/// Decodes all codecs of a payload.
+/// Decodes a payload completely, even if several codecs have encoded it. Raises `CodecError`.
 #[pyfunction]
 #[pyo3(signature = (bytes, encoding, dictionaries, max_bytes=None))]
 pub fn decode<'py>(
@@ -117,7 +118,7 @@ impl DictionaryStore {
         Self(Mutex::default())
     }
 
-    /// Adds a dictionary of that robot.
+    /// Adds a dictionary of a robot.
     fn add(&self, robot: &str, dictionary: &Dictionary) -> PyResult<()> {
         let robot = name(robot)?;
         let mut robots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -125,7 +126,7 @@ impl DictionaryStore {
         Ok(())
     }
 
-    /// Decodes all codecs of a payload of that robot.
+    /// Decodes a payload of a robot completely, with the dictionaries of that robot. Raises `CodecError`.
     fn decode<'py>(
         &self,
         py: Python<'py>,
@@ -154,7 +155,8 @@ impl Dictionary {
         Ok(Self(Arc::new(read)))
     }
 
-    /// Trains a dictionary of at most `size` bytes from sample messages. Raises `DictionaryError` if they are unsuitable.
+    /// Trains a dictionary of at most `size` bytes from sample messages. Raises `DictionaryError` if they are
+    /// unsuitable.
     #[staticmethod]
     fn train(py: Python<'_>, samples: Vec<Vec<u8>>, size: usize) -> PyResult<Self> {
         let trained = detached(py, || dictionary::Dictionary::train(&samples, size));

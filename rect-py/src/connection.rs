@@ -1,4 +1,4 @@
-//! Reports robots and links that appear and disappear.
+//! Reports robots and links that appear and disappear, and encodes named connections.
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use pyo3::prelude::*;
@@ -12,7 +12,8 @@ use serde_json::Value;
 /// The kind of the event, the robot, the method of the link, and the address of the peer.
 type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
 
-/// Encodes a named connection for the config service of a router. `options` is JSON.
+/// Encodes a named connection as JSON, for the config service of a router. `options` is a JSON object with the options
+/// of the locator.
 #[pyfunction]
 pub fn named_connection(
     name: String,
@@ -54,7 +55,8 @@ impl Links {
         Self::default()
     }
 
-    /// Takes all current connections, as the registry's JSON, and returns the changes. Invalid JSON changes nothing.
+    /// Handles a report of all current connections, in the JSON of the registry. Returns the changes since the previous
+    /// report. Invalid JSON changes nothing.
     fn on_connections(&self, json: &[u8]) -> Vec<EventFields> {
         let Ok(all) = serde_json::from_slice::<Vec<Connection>>(json) else {
             return Vec::new();
@@ -65,7 +67,7 @@ impl Links {
 }
 
 impl Links {
-    /// Returns the method of the links with a robot, unless it has links of several methods.
+    /// Returns the method of the links to a robot. `None` if there is no link, or if the links have several methods.
     pub fn method_of(&self, robot: &Name) -> Option<String> {
         lock(&self.0).method(robot).map(str::to_owned)
     }
@@ -78,13 +80,13 @@ impl Presence {
         Self::default()
     }
 
-    /// Handles a liveliness token that appeared: a router or program of a robot.
+    /// Handles the appearance of a liveliness token, which stands for a router or program of the robot.
     fn on_up(&self, robot: &str, id: &str) -> Option<EventFields> {
         let robot = Name::new(robot).ok()?;
         lock(&self.0).on_up(&robot, id).map(event_fields)
     }
 
-    /// Handles a liveliness token that disappeared.
+    /// Handles the disappearance of a liveliness token.
     fn on_down(&self, robot: &str, id: &str) -> Option<EventFields> {
         let robot = Name::new(robot).ok()?;
         lock(&self.0).on_down(&robot, id).map(event_fields)

@@ -1,6 +1,6 @@
 //! Releases Python's global interpreter lock (GIL) during native work, and waits for such work before Python exits.
 //!
-//! Python unwinds a thread that requests the GIL during its exit. Unwinding through Rust would abort the process.
+//! When Python exits, it unwinds each thread that requests the GIL. Unwinding through Rust would abort the process.
 use std::{
     sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst},
     thread,
@@ -9,13 +9,14 @@ use std::{
 
 use pyo3::prelude::*;
 
-/// Whether Python is about to exit. From then on the GIL is not released any more.
+/// Whether Python is about to exit. If so, native work keeps the GIL.
 static IS_ENDING: AtomicBool = AtomicBool::new(false);
-/// Number of threads that do native work without the GIL, or wait for it afterwards.
+/// Number of threads that do native work without the GIL, or wait to acquire it again afterwards.
 static WORKING: AtomicUsize = AtomicUsize::new(0);
 /// Interval at which [`settle`] checks for work.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
+/// Counts a thread in [`WORKING`] while the value exists.
 struct Working;
 
 impl Working {
@@ -28,8 +29,8 @@ impl Working {
 impl Drop for Working {
     fn drop(&mut self) {
         // A forked child process has reset the count, so it must not fall below zero.
-        let less = |working: usize| working.checked_sub(1);
-        let _ = WORKING.fetch_update(SeqCst, SeqCst, less);
+        let decrement = |working: usize| working.checked_sub(1);
+        let _ = WORKING.fetch_update(SeqCst, SeqCst, decrement);
     }
 }
 
@@ -42,8 +43,8 @@ pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(work)
 }
 
-/// Prepares for the exit of Python: waits until no thread does native work without the GIL, at most `timeout_s` seconds.
-/// All later work keeps the GIL.
+/// Prepares for the exit of Python: makes all later work keep the GIL, and waits until no thread does native work
+/// without it, for at most `timeout_s` seconds.
 #[pyfunction]
 pub fn settle(py: Python<'_>, timeout_s: f64) {
     IS_ENDING.store(true, SeqCst);

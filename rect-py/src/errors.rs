@@ -7,7 +7,7 @@ use rect::core::{
 
 static ERRORS: PyOnceLock<Py<PyModule>> = PyOnceLock::new();
 
-/// Makes an exception of the class with that name from these arguments.
+/// Creates an exception: an instance of the class `class` of `rect.errors`, called with `arguments`.
 pub fn raised<'py, A>(py: Python<'py>, class: &str, arguments: A) -> PyErr
 where
     A: pyo3::call::PyCallArgs<'py>,
@@ -91,7 +91,7 @@ impl Raised for OfferError {
     }
 }
 
-/// Formats an error text of Zenoh on one line, without positions in its source.
+/// Formats an error text of Zenoh on one line, without the positions in Zenoh's source code.
 #[pyfunction]
 pub fn on_one_line(text: &str) -> String {
     humanize::on_one_line(text)

@@ -38,7 +38,8 @@ pub fn check_topic(text: &str) -> PyResult<()> {
     topic(text).map(drop)
 }
 
-/// Splits a pattern into the robot (`None` for any) and the topic, in canonical form.
+/// Splits a pattern into the robot (`None` for any) and the topic, in canonical form. Raises `InvalidTopicError` and
+/// `InvalidNameError`.
 #[pyfunction]
 pub fn pattern(text: &str) -> PyResult<(Option<String>, String)> {
     let pattern = Pattern::new(text).or_raise()?;
@@ -53,7 +54,8 @@ pub fn pattern_of(robot: &str, topic: &str) -> PyResult<String> {
     Ok(pattern.to_string())
 }
 
-/// Splits an encoding into its media type and schema, and returns the encoding without zstd, if it has that suffix.
+/// Returns the media type and the schema of an encoding, and the encoding without its suffix `;zstd` (`None` if it has
+/// no such suffix).
 #[pyfunction]
 pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
     let encoding = Encoding::new(text.to_owned());
@@ -98,22 +100,22 @@ impl KeySpace {
     }
 
     /// Returns the key under which this robot publishes on a topic or serves it.
-    fn publication(&self, about: &str) -> PyResult<String> {
-        Ok(self.0.publication(&topic(about)?))
+    fn publication(&self, topic: &str) -> PyResult<String> {
+        Ok(self.0.publication(&self::topic(topic)?))
     }
 
     /// Returns the key of messages from this robot to another one.
-    fn message(&self, robot: &str, about: &str) -> PyResult<String> {
-        Ok(self.0.message(&name(robot)?, &topic(about)?))
+    fn message(&self, robot: &str, topic: &str) -> PyResult<String> {
+        Ok(self.0.message(&name(robot)?, &self::topic(topic)?))
     }
 
     /// Returns the key of a service of a robot, or of all robots (`None`).
-    fn service(&self, robot: Option<&str>, about: &str) -> PyResult<String> {
+    fn service(&self, robot: Option<&str>, topic: &str) -> PyResult<String> {
         let robot = robot.map(name).transpose()?;
-        Ok(self.0.service(robot.as_ref(), &topic(about)?))
+        Ok(self.0.service(robot.as_ref(), &self::topic(topic)?))
     }
 
-    /// Returns a reserved key of RECT (`@rect/...`) of a robot, or of all robots (`None`).
+    /// Returns a key that is reserved for RECT, `@rect/<rest>`, of a robot, or of all robots (`None`).
     fn own(&self, robot: Option<&str>, rest: &str) -> PyResult<String> {
         let robot = robot.map(name).transpose()?;
         Ok(self.0.own(robot.as_ref(), rest))
@@ -131,8 +133,8 @@ impl KeySpace {
         self.0.robot_of(key).map(|name| name.to_string())
     }
 
-    /// Splits the key of a message into sender, recipient and topic. Returns `None` if the key is not that of a message, or
-    /// if the message is for another robot.
+    /// Splits the key of a message into the sender, the recipient (`None` for a published message) and the topic.
+    /// Returns `None` if the key is not that of a message, or if the message is for another robot.
     fn address(&self, key: &str) -> Option<(String, Option<String>, String)> {
         let address = self.0.address(key)?;
         let recipient = address.recipient.map(|name| name.to_string());
@@ -143,30 +145,30 @@ impl KeySpace {
         ))
     }
 
-    /// Returns the key of a stream's frames for the group with that number.
-    fn frames(&self, sender: &str, about: &str, group: usize) -> PyResult<String> {
+    /// Returns the key of a stream's frames for a group: 0 is the main group, 1 the slow one.
+    fn frames(&self, sender: &str, topic: &str, group: usize) -> PyResult<String> {
         let key_space = self.of(sender)?;
         let group = Group::ALL.get(group).copied().unwrap_or_default();
-        Ok(group.key(&key_space, &topic(about)?))
+        Ok(group.key(&key_space, &self::topic(topic)?))
     }
 
     /// Returns the key of the notices of a stream.
-    fn notice(&self, sender: &str, about: &str) -> PyResult<String> {
-        Ok(stream::notice_key(&self.of(sender)?, &topic(about)?))
+    fn notice(&self, sender: &str, topic: &str) -> PyResult<String> {
+        Ok(stream::notice_key(&self.of(sender)?, &self::topic(topic)?))
     }
 
     /// Returns the key of this robot's feedback on a stream of `sender`.
-    fn feedback(&self, sender: &str, about: &str) -> PyResult<String> {
+    fn feedback(&self, sender: &str, topic: &str) -> PyResult<String> {
         Ok(stream::feedback_key(
             &self.0,
             &name(sender)?,
-            &topic(about)?,
+            &self::topic(topic)?,
         ))
     }
 
     /// Returns the key expression of all feedback on a stream of this robot.
-    fn feedbacks(&self, about: &str) -> PyResult<String> {
-        Ok(stream::feedback_keys(&self.0, &topic(about)?))
+    fn feedbacks(&self, topic: &str) -> PyResult<String> {
+        Ok(stream::feedback_keys(&self.0, &self::topic(topic)?))
     }
 
     fn __repr__(&self) -> String {
@@ -175,6 +177,7 @@ impl KeySpace {
 }
 
 impl KeySpace {
+    /// Returns the key space of another robot of the fleet.
     fn of(&self, robot: &str) -> PyResult<key::KeySpace> {
         let fleet = self.0.fleet.clone();
         let robot = name(robot)?;

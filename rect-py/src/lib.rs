@@ -1,7 +1,7 @@
 //! Exposes the core of the Rust library to the Python package `rect`.
 //!
-//! Each class wraps one type of the core, which makes all decisions and does no I/O. The sessions are part of the Python
-//! code (`python/rect/`), over eclipse-zenoh.
+//! Most classes wrap one type of the core, which makes all decisions and does no I/O. Only transfers also use the
+//! library's storage. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
 mod attachment;
 mod callback;
 mod codec;

@@ -1,4 +1,4 @@
-//! Makes messages from the samples that Zenoh delivers, and counts missing ones.
+//! Makes messages from the samples that Zenoh delivers, and counts missed ones.
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
@@ -13,7 +13,7 @@ use rect::core::{
 
 use crate::{key_space::KeySpace, urgency};
 
-/// The state of one subscription.
+/// The state of one subscription: the counts and the sequence numbers of its senders.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Inbound(Mutex<message::Inbound>);
 
@@ -28,7 +28,9 @@ impl Inbound {
         Self(Mutex::new(message::Inbound::new(key_space.0.clone())))
     }
 
-    /// Makes a message from a sample. Returns `None` if it is not for this robot, or if another subscription delivers it.
+    /// Makes a message from a sample. Returns `None` if the sample is not a message for this robot, if its topic is
+    /// invalid, or if another Zenoh subscriber delivers it. `directed` is whether the subscriber's key is that of
+    /// messages sent to this robot alone.
     #[pyo3(name = "on_delivery")]
     fn on_delivered_or_none(
         &self,
@@ -51,7 +53,7 @@ impl Inbound {
 }
 
 impl Inbound {
-    /// Makes a message from a sample, or returns the reason why there is none.
+    /// Makes a message from a sample, or returns the reason why the sample is not delivered.
     pub fn on_delivery(
         &self,
         key: &str,

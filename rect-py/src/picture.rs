@@ -19,7 +19,7 @@ type PictureFields<'py> = (u32, u32, &'static str, Bound<'py, PyBytes>);
 /// Element type, shape and numbers.
 type ArrayFields<'py> = (&'static str, Vec<usize>, Bound<'py, PyBytes>);
 
-/// Makes a picture from pixels.
+/// Makes a picture from pixels. Raises `CodecError` unless the number of bytes matches the size and format.
 pub fn picture_of(
     width: u32,
     height: u32,
@@ -27,7 +27,7 @@ pub fn picture_of(
     pixels: PyBackedBytes,
 ) -> PyResult<Picture> {
     let all = [Format::Grey8, Format::Rgb8, Format::Rgba8];
-    let found = all.into_iter().find(|one| one.as_str() == format);
+    let found = all.into_iter().find(|known| known.as_str() == format);
     let picture = match found {
         Some(format) => Picture::new(width, height, format, Bytes::from_owner(pixels)),
         None => Err(CodecError::Damaged {
@@ -58,7 +58,7 @@ pub fn picture_encoding(
     Ok(picture.to_payload().or_raise()?.encoding.to_string())
 }
 
-/// Decodes the picture in a payload.
+/// Decodes the picture in a payload. Raises `PayloadError`.
 #[pyfunction]
 #[pyo3(signature = (bytes, encoding, max_bytes=None, max_pixels=None))]
 pub fn read_picture<'py>(
@@ -74,7 +74,7 @@ pub fn read_picture<'py>(
     Ok(picture_fields(py, &picture))
 }
 
-/// Scales a picture to another size.
+/// Scales a picture to another size. `size` is its width, height and format; `target` is the new width and height.
 #[pyfunction]
 pub fn scaled<'py>(
     py: Python<'py>,
@@ -98,11 +98,14 @@ fn picture_fields<'py>(py: Python<'py>, picture: &Picture) -> PictureFields<'py>
 #[pyfunction]
 pub fn array_encoding(element: &str, shape: Vec<usize>, bytes: PyBackedBytes) -> PyResult<String> {
     let mut all = Element::ALL.iter().copied();
-    let found = all.find(|one| one.as_str() == element);
+    let found = all.find(|known| known.as_str() == element);
     let array = match found {
         Some(element) => Array::new(element, &shape, Bytes::from_owner(bytes)),
         None => {
-            let all: Vec<_> = Element::ALL.iter().map(|one| one.as_str()).collect();
+            let all: Vec<_> = Element::ALL
+                .iter()
+                .map(|element| element.as_str())
+                .collect();
             let reason = format!(
                 "there is no element type {element}; possible types: {}",
                 all.join(", ")
@@ -117,7 +120,7 @@ pub fn array_encoding(element: &str, shape: Vec<usize>, bytes: PyBackedBytes) ->
     Ok(array.to_payload().or_raise()?.encoding.to_string())
 }
 
-/// Decodes the array in a payload, raw or quantised.
+/// Decodes the array in a payload, raw or quantised. Raises `PayloadError`.
 #[pyfunction]
 #[pyo3(signature = (bytes, encoding, max_bytes=None))]
 pub fn read_array<'py>(

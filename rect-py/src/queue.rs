@@ -1,7 +1,7 @@
-//! Defines the bounded queue between Zenoh's threads and the program. It applies the core's rules when it is full, and wakes
-//! threads that wait for items or for room.
+//! Defines the bounded queue between Zenoh's threads and the program. A full queue applies the rule that the core
+//! defines. The queue wakes threads that wait for items or for room.
 //!
-//! Zenoh's threads fill it without running Python code, which would cost more there than all the rest.
+//! Zenoh's threads fill the queue without running Python code, which would cost more than all their other work.
 use std::{
     collections::VecDeque,
     sync::{Condvar, Mutex, MutexGuard, PoisonError},
@@ -28,21 +28,22 @@ pub struct Queue {
 
 struct State {
     queue: queue::Queue<Py<PyAny>>,
-    /// The locks, held, at which threads wait for an item; the longest wait comes first.
+    /// The locks that waiting threads try to acquire, one for each; releasing a lock wakes its thread. The thread that
+    /// has waited longest comes first.
     waiting: VecDeque<Py<PyAny>>,
     /// Number of threads that wait for room. If it is 0, the system call that wakes them is omitted.
     waiting_for_room: usize,
-    /// Called when an item was added or the queue was closed.
+    /// Function to call when an item is added or the queue is closed.
     alarm: Option<Py<PyAny>>,
-    /// No more items are accepted.
+    /// Whether further items are rejected.
     is_closed: bool,
-    /// The side that fills the queue has closed it.
+    /// Whether the side that fills the queue has closed it.
     is_finished: bool,
 }
 
 #[pymethods]
 impl Queue {
-    /// Creates a queue. `when_full` is `drop_oldest`, `drop_newest` or `block`.
+    /// Creates a queue. `when_full` is `drop_oldest`, `drop_newest` or `block`. Raises `OptionError` for other values.
     #[new]
     fn new(py: Python<'_>, capacity: usize, when_full: &str) -> PyResult<Self> {
         let when_full = match when_full {
@@ -72,8 +73,8 @@ impl Queue {
         })
     }
 
-    /// Adds an item; with the rule `block`, waits for room first. Returns `False` if the item was dropped, because the queue
-    /// is full or closed.
+    /// Adds an item. If the queue is full and its rule is `block`, waits for room. Returns `False` if the item was
+    /// dropped, because the queue is full or closed.
     pub fn push(&self, py: Python<'_>, item: Py<PyAny>) -> PyResult<bool> {
         let mut item = item;
         // Dropping an item may run Python code, so it happens after the lock is released.
@@ -102,8 +103,8 @@ impl Queue {
         self.push(py, item).map(|_| ())
     }
 
-    /// Removes the oldest item. If there is none, returns `None` and keeps `lock`, which must be held: it is released when an
-    /// item was added. Raises `Ended` if the queue is closed and empty.
+    /// Removes and returns the oldest item. If there is none, returns `None` and keeps `lock`, which the caller must
+    /// have acquired; the queue releases it when an item is added. Raises `Ended` if the queue is closed and empty.
     #[pyo3(signature = (lock=None))]
     fn pop(&self, lock: Option<Py<PyAny>>) -> PyResult<Option<Py<PyAny>>> {
         let mut state = self.state();
@@ -135,14 +136,14 @@ impl Queue {
         Ok(())
     }
 
-    /// Removes a lock from the waiting ones. Returns `False` if it was released already.
+    /// Removes a lock that `pop` has kept. Returns `False` if it was released already.
     fn leave(&self, lock: &Bound<'_, PyAny>) -> bool {
         let mut state = self.state();
         let at = state.waiting.iter().position(|waiting| waiting.is(lock));
         at.is_some_and(|at| state.waiting.remove(at).is_some())
     }
 
-    /// Sets the function to call when an item was added or the queue was closed; `None` for none.
+    /// Sets the function to call when an item is added or the queue is closed; `None` for none.
     fn set_alarm(&self, alarm: Option<Py<PyAny>>) {
         let _before = std::mem::replace(&mut self.state().alarm, alarm);
     }
@@ -158,7 +159,7 @@ impl Queue {
         (0..waiting.max(1)).try_for_each(|_| self.wake(py))
     }
 
-    /// Closes the queue, called by the side that fills it after the last item.
+    /// Closes the queue after its last item. Called by the side that fills the queue.
     fn end(&self, py: Python<'_>) -> PyResult<()> {
         self.state().is_finished = true;
         self.close(py)
@@ -170,7 +171,7 @@ impl Queue {
         self.state().is_finished
     }
 
-    /// Number of items dropped so far.
+    /// Number of items dropped because the queue was full.
     #[getter]
     fn dropped(&self) -> u64 {
         self.state().queue.dropped()
@@ -190,8 +191,8 @@ impl Queue {
         let mut state = self.state();
         state.waiting_for_room += 1;
         let has_no_room = |state: &mut State| state.queue.is_full() && !state.is_closed;
-        let waited = self.has_room.wait_while(state, has_no_room);
-        waited
+        let state = self.has_room.wait_while(state, has_no_room);
+        state
             .unwrap_or_else(PoisonError::into_inner)
             .waiting_for_room -= 1;
     }

@@ -9,7 +9,7 @@ use rect::core::{
 
 use crate::key_space::name;
 
-/// Encodes the header of a request: the robot that sends it, and its timeout.
+/// Encodes the header of a request: the robot that sends it, and its timeout in milliseconds.
 #[pyfunction]
 pub fn write_request_header<'py>(
     py: Python<'py>,
@@ -21,14 +21,15 @@ pub fn write_request_header<'py>(
     Ok(PyBytes::new(py, &header.encode()))
 }
 
-/// Decodes the header of a request: its sender and its timeout. Returns `None` if the requester does not use RECT.
+/// Decodes the header of a request: its sender, and its timeout in milliseconds. Returns `None` if the bytes are not a
+/// header of RECT.
 #[pyfunction]
 pub fn read_request_header(bytes: &[u8]) -> Option<(String, u32)> {
     let header = RequestHeader::decode(bytes)?;
     Some((header.sender.to_string(), header.timeout_ms))
 }
 
-/// Returns the encoding of an error reply of that robot.
+/// Returns the encoding of an error reply of a robot. `encoding` is that of the error's payload.
 #[pyfunction]
 pub fn error_encoding(robot: &str, encoding: String) -> PyResult<String> {
     let error = Payload::new(Bytes::new(), Encoding::new(encoding));

@@ -24,8 +24,9 @@ pub struct JoinAttempts {
 
 #[pymethods]
 impl JoinAttempts {
-    /// Starts the attempts. `login` is the login that the program gives. Without it, the login is the first line of `file`,
-    /// whose content is `text`, or which cannot be read for the reason `unreadable`.
+    /// Creates the state of the attempts. `login` is the user and password that the program passes. If it is `None`,
+    /// the login is read from the first line of `text`, the content of the login file `file`. If `text` is `None`, the
+    /// file cannot be read, for the reason `unreadable`.
     #[new]
     #[pyo3(signature = (endpoint, timeout_s, login, file, text, unreadable))]
     fn new(
@@ -45,20 +46,20 @@ impl JoinAttempts {
         Ok(Self { endpoint, core })
     }
 
-    /// Returns user and password for the next attempt.
+    /// Returns the user and password for the next attempt. `None` if it is made without a login.
     fn credentials(&self) -> Option<(String, String)> {
         let core = self.core();
         let (user, password) = core.credentials()?;
         Some((user.to_owned(), password.to_owned()))
     }
 
-    /// Returns the time limit of the next attempt, in seconds.
+    /// Returns the time limit of the next attempt, in seconds. `elapsed_s` is the time since the first attempt began.
     fn limit(&self, elapsed_s: f64) -> f64 {
         self.core().limit(duration(elapsed_s)).as_secs_f64()
     }
 
-    /// Handles a failed attempt and returns the pause before the next one, in seconds. `reason` is `None` if the attempt
-    /// exceeded its time limit. Raises `NoRouter` and `LoginRefused`.
+    /// Handles a failed attempt and returns the pause before the next one, in seconds. `reason` is the text of Zenoh's
+    /// error, or `None` if the attempt exceeded its time limit. Raises `NoRouter` and `LoginRefused`.
     fn on_failure(&self, py: Python<'_>, elapsed_s: f64, reason: Option<&str>) -> PyResult<f64> {
         let pause = self.core().on_failure(duration(elapsed_s), reason);
         pause
@@ -88,20 +89,20 @@ impl Raised for router::WrongRobot {
     }
 }
 
-/// Returns the login file of programs that name none. `given` is the value of the environment variable.
+/// Returns the login file of programs that name none. `given` is the value of the environment variable `RECT_LOGIN`.
 #[pyfunction]
 #[pyo3(signature = (given))]
 pub fn default_login_file(given: Option<String>) -> String {
     login::default_file(given)
 }
 
-/// Returns the key expression of the liveliness tokens that name the robot of the router with that id.
+/// Returns the key expression of the liveliness tokens that name the robot of the router with this Zenoh id.
 #[pyfunction]
 pub fn robot_of_router(id: &str) -> String {
     router::robot_of_router(id)
 }
 
-/// Raises `WrongRobot` if the tokens name another robot than the one of the key space.
+/// Raises `WrongRobot` if there are tokens, and none of them names the robot of the key space.
 #[pyfunction]
 pub fn check_router(key_space: &KeySpace, endpoint: &str, tokens: Vec<String>) -> PyResult<()> {
     key_space.0.check_router(endpoint, tokens).or_raise()

@@ -1,4 +1,4 @@
-//! Wraps the core's sending and receiving ends of a stream. The time is taken from the monotonic clock.
+//! Wraps the core's sending and receiving ends of a stream, and supplies them with the time of the monotonic clock.
 use std::{
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
@@ -27,8 +27,8 @@ use crate::{
     picture::picture_of,
 };
 
-/// Longest interval between two reports of a receiver, in seconds.
-const MAX_FEEDBACK_S: f64 = 3600.0;
+/// Maximum feedback interval, in seconds.
+const MAX_FEEDBACK_INTERVAL_S: f64 = 3600.0;
 
 /// The sending end of a stream.
 #[pyclass(frozen, module = "rect._rect")]
@@ -47,7 +47,8 @@ pub struct StreamReceiver(Mutex<Receiver>);
 
 #[pymethods]
 impl StreamSender {
-    /// Creates a sender. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the mode.
+    /// Creates a sender. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the
+    /// mode. Raises `OptionError`.
     #[new]
     #[pyo3(signature = (mode, source, unix_ms, *, max_frames_per_s=None, min_frames_per_s=None, max_bytes_per_s=None,
         feedback_interval_s=None, webp=false))]
@@ -63,11 +64,11 @@ impl StreamSender {
         feedback_interval_s: Option<f64>,
         webp: bool,
     ) -> PyResult<Self> {
-        let refused = |option: &str, value: String, expected: &str| {
+        let option_error = |option: &str, value: String, expected: &str| {
             raised(py, "OptionError", (option, value, expected))
         };
         let positive = |option: &str, number: Option<f64>| match number {
-            Some(number) if !(number.is_finite() && number > 0.0) => Err(refused(
+            Some(number) if !(number.is_finite() && number > 0.0) => Err(option_error(
                 option,
                 number.to_string(),
                 "it must be a number above 0",
@@ -80,7 +81,7 @@ impl StreamSender {
             "sensor" => Options::sensor(),
             _ => {
                 let expected = "it must be \"adaptive\", \"fixed\" or \"sensor\"";
-                return Err(refused("mode", mode.to_owned(), expected));
+                return Err(option_error("mode", mode.to_owned(), expected));
             }
         };
         if let Some(max) = positive("max_frames_per_s", max_frames_per_s)? {
@@ -95,9 +96,13 @@ impl StreamSender {
             options.rates.min_bytes_per_s = options.rates.min_bytes_per_s.min(max);
         }
         match feedback_interval_s {
-            Some(seconds) if !(0.0..=MAX_FEEDBACK_S).contains(&seconds) => {
+            Some(seconds) if !(0.0..=MAX_FEEDBACK_INTERVAL_S).contains(&seconds) => {
                 let expected = "it must be 0 (never) to 3600 seconds";
-                return Err(refused("feedback_interval", seconds.to_string(), expected));
+                return Err(option_error(
+                    "feedback_interval",
+                    seconds.to_string(),
+                    expected,
+                ));
             }
             Some(seconds) => options.feedback_interval = Duration::from_secs_f64(seconds),
             None => {}
@@ -110,7 +115,8 @@ impl StreamSender {
         Ok(Self { core, lossy_format })
     }
 
-    /// Offers a frame with that number of pixels, and returns the encodings to send it in.
+    /// Offers a frame of `pixels` pixels (or bytes, if it is not a picture). Returns a job for each group of receivers
+    /// that is due for a frame.
     fn offer(&self, pixels: usize) -> Vec<Job> {
         let jobs = self.core().offer(pixels, Instant::now());
         jobs.into_iter().map(Job).collect()
@@ -136,7 +142,7 @@ impl StreamSender {
         PyBytes::new(py, &attachment.encode())
     }
 
-    /// Handles a change of whether a group's key has subscribers.
+    /// Handles Zenoh's report whether a group's key has subscribers.
     fn on_subscribers(&self, group: usize, has_subscribers: bool) {
         if let Some(group) = Group::ALL.get(group) {
             self.core().on_subscribers(*group, has_subscribers);
@@ -197,7 +203,7 @@ impl Job {
         }
     }
 
-    /// The factor for width and height, up to 1. `None` if the stream is not adaptive.
+    /// The factor by which width and height are scaled, at most 1. `None` if the stream is not adaptive.
     #[getter]
     fn scale(&self) -> Option<f64> {
         Some(f64::from(self.0.step?.quarters) / 4.0)
@@ -212,8 +218,8 @@ impl StreamReceiver {
         Ok(Self(Mutex::new(receiver)))
     }
 
-    /// Handles a frame, and returns its number, its age in seconds if it is known, and the number of frames missing before
-    /// it. Returns `None` if the frame is older than the last one.
+    /// Handles a frame, and returns its number, its age in seconds if it is known, and the number of frames directly
+    /// before it that did not arrive. Returns `None` if the frame is older than one that has already arrived.
     fn on_frame(&self, attachment: Option<&[u8]>, bytes: usize) -> Option<(u32, Option<f64>, u32)> {
         let attachment = attachment.and_then(Attachment::decode);
         let seen = self.core().on_frame(attachment, bytes, Instant::now())?;
@@ -241,7 +247,7 @@ impl StreamReceiver {
     /// Returns the group whose frames to subscribe to, once it is known.
     fn poll_group(&self) -> Option<usize> {
         let group = self.core().poll_group(Instant::now())?;
-        Group::ALL.iter().position(|one| *one == group)
+        Group::ALL.iter().position(|known| *known == group)
     }
 
     /// Returns whether to query the notice of the sender now.
@@ -255,7 +261,7 @@ impl StreamReceiver {
         Some(PyBytes::new(py, &feedback.encode()))
     }
 
-    /// Returns the time until the next poll, in seconds. A notice makes a poll due at once.
+    /// Returns the time until the next poll, in seconds. A poll is due at once after a notice has arrived.
     fn poll_in(&self) -> f64 {
         let now = Instant::now();
         let at = self.core().poll_at(now);

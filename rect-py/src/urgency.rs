@@ -10,7 +10,7 @@ const ALL: [(&str, Urgency); 3] = [
     ("bulk", Urgency::Bulk),
 ];
 
-/// Zenoh's priority, whether a message is sent without batching, and whether a congested link drops it.
+/// Zenoh's priority (1 to 7), whether a message is sent without batching, and whether a congested link drops it.
 type QosFields = (u8, bool, bool);
 
 /// Returns the quality of service of messages of that urgency.

@@ -19,7 +19,7 @@ use crate::{
     errors::{raised, OrRaise},
 };
 
-/// Maximum nesting depth, which is the limit of the Rust library.
+/// Maximum nesting depth of a value: the same limit as in the Rust library.
 const MAX_DEPTH: usize = 127;
 
 /// A value of JSON or CBOR.
@@ -51,21 +51,21 @@ impl Form {
     }
 }
 
-/// Encodes a value as JSON or CBOR.
+/// Encodes a value as JSON or CBOR. Returns the bytes and the encoding. Raises `PayloadError`.
 #[pyfunction]
 #[pyo3(signature = (value, cbor=false))]
 pub fn write_value<'py>(value: &Bound<'py, PyAny>, cbor: bool) -> PyResult<Parts<'py>> {
     let form = if cbor { Form::Cbor } else { Form::Json };
     let mut path = Path::default();
-    let value_read = read(value, form, &mut path)?;
+    let converted = read(value, form, &mut path)?;
     let payload = match form {
-        Form::Json => Json(&value_read).to_payload(),
-        Form::Cbor => Cbor(&value_read).to_payload(),
+        Form::Json => Json(&converted).to_payload(),
+        Form::Cbor => Cbor(&converted).to_payload(),
     };
     Ok(parts(value.py(), &payload.or_raise()?))
 }
 
-/// Decodes a value from JSON or CBOR, according to its encoding.
+/// Decodes a value from JSON or CBOR, according to its encoding. Raises `PayloadError`.
 #[pyfunction]
 pub fn read_value<'py>(
     py: Python<'py>,
@@ -223,7 +223,10 @@ fn read_key<'py>(key: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> P
     if is_text || is_number || form == Form::Cbor {
         return read(key, form, path);
     }
-    let reason = format!("has the key {}; keys must be str in JSON", shown(key));
+    let reason = format!(
+        "has the key {}; keys must be str or int in JSON",
+        shown(key)
+    );
     Err(path.error(key.py(), form, reason))
 }
 
@@ -272,24 +275,24 @@ fn unhashable(py: Python<'_>, key: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
 }
 
 impl Serialize for Value {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            Self::Null => to.serialize_unit(),
-            Self::Bool(truth) => to.serialize_bool(*truth),
-            Self::Int(number) => to.serialize_i64(*number),
-            Self::Unsigned(number) => to.serialize_u64(*number),
-            Self::Float(number) => to.serialize_f64(*number),
-            Self::Text(text) => to.serialize_str(text),
-            Self::Bytes(bytes) => to.serialize_bytes(bytes),
+            Self::Null => serializer.serialize_unit(),
+            Self::Bool(truth) => serializer.serialize_bool(*truth),
+            Self::Int(number) => serializer.serialize_i64(*number),
+            Self::Unsigned(number) => serializer.serialize_u64(*number),
+            Self::Float(number) => serializer.serialize_f64(*number),
+            Self::Text(text) => serializer.serialize_str(text),
+            Self::Bytes(bytes) => serializer.serialize_bytes(bytes),
             Self::List(items) => {
-                let mut list = to.serialize_seq(Some(items.len()))?;
+                let mut list = serializer.serialize_seq(Some(items.len()))?;
                 items
                     .iter()
                     .try_for_each(|item| list.serialize_element(item))?;
                 list.end()
             }
             Self::Map(items) => {
-                let mut map = to.serialize_map(Some(items.len()))?;
+                let mut map = serializer.serialize_map(Some(items.len()))?;
                 let mut items = items.iter();
                 items.try_for_each(|(key, item)| map.serialize_entry(key, item))?;
                 map.end()
@@ -299,8 +302,8 @@ impl Serialize for Value {
 }
 
 impl<'de> Deserialize<'de> for Value {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_any(Reading)
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(Reading)
     }
 }
 
@@ -321,8 +324,8 @@ impl<'de> Visitor<'de> for Reading {
         Ok(Value::Null)
     }
 
-    fn visit_some<D: Deserializer<'de>>(self, from: D) -> Result<Value, D::Error> {
-        Value::deserialize(from)
+    fn visit_some<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
+        Value::deserialize(deserializer)
     }
 
     fn visit_bool<E>(self, truth: bool) -> Result<Value, E> {

@@ -57,7 +57,7 @@ pub struct Args {
     #[arg(long)]
     pub no_timestamp: bool,
 
-    /// Do not answer to multicast scouting
+    /// Do not answer multicast scouting messages
     #[arg(long)]
     pub no_multicast_scouting: bool,
 

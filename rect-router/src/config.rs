@@ -69,8 +69,8 @@ pub fn dial(
         mode,
         "connect/endpoints",
         |all| {
-            for one in endpoints {
-                all.push(endpoint("connect", one.as_ref())?);
+            for given in endpoints {
+                all.push(endpoint("connect", given.as_ref())?);
             }
             Ok(())
         },
@@ -97,8 +97,8 @@ pub fn listen(
 ) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     change(&mut config.listen.endpoints, mode, LISTEN, |all| {
-        for one in endpoints {
-            all.push(endpoint("listen", one.as_ref())?);
+        for given in endpoints {
+            all.push(endpoint("listen", given.as_ref())?);
         }
         Ok(())
     })

@@ -38,6 +38,9 @@ const MAX_WAITING_QUERIES: usize = 16;
 
 /// Declares the config service, which answers until the session is closed. `own` is the prefix of the robot's services,
 /// `<fleet>/<robot>/@rect`.
+///
+/// # Errors
+/// Fails if the queryable cannot be declared or the thread cannot be started.
 pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zenoh::Result<()> {
     let key = format!("{own}/{CONFIG}");
     let key_of_answer = key.clone();

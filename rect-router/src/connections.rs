@@ -154,7 +154,8 @@ impl Connections {
     ///
     /// # Errors
     /// Fails if `expected` is given and is not the revision of the file, if the edit or its result is invalid, or if the file
-    /// cannot be written. The file and the connections are unchanged then.
+    /// cannot be written. The connections are unchanged then, and so is the file, with the exception that
+    /// `Store::replace` describes.
     pub fn edit(
         &self,
         edit: &Edit,
@@ -173,7 +174,7 @@ impl Connections {
         store.replace(&text)?;
         let changes = self.difference(&self.rule_of(&contents), &contents.connections);
         answer(&changes, &revision(&text));
-        if changes.close_links() {
+        if changes.closes_links() {
             thread::sleep(REPLY_GRACE);
         }
         self.apply(contents);
@@ -304,7 +305,7 @@ impl Connections {
 
 impl Changes {
     /// Returns whether the changes close links.
-    fn close_links(&self) -> bool {
+    fn closes_links(&self) -> bool {
         !self.removed.is_empty() || !self.changed.is_empty()
     }
 }

@@ -24,7 +24,8 @@ const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(3);
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SessionSettings {
-    /// Number of sessions reserved for links over Bluetooth; default a quarter of all.
+    /// Number of sessions reserved for links over Bluetooth and for connections that this router dials; default a quarter of
+    /// all. Ignored without a Bluetooth endpoint: nothing is reserved then.
     pub bluetooth: Option<usize>,
     /// Maximum number of sessions of one login over other links than Bluetooth; default half of the remainder.
     pub per_user: Option<usize>,

@@ -1,4 +1,4 @@
-//! Sets up the log: on stdout as zenohd's, filtered by `RUST_LOG`, with colours on a terminal only.
+//! Sets up the log. Like zenohd's, it is written to stdout and filtered by `RUST_LOG`. It has colours on a terminal only.
 //!
 //! Logging never blocks on the reader of the log and never fails because of it: lines pass through a queue to a thread
 //! (`queue`), and lines that do not fit are counted and dropped. A panic is logged in the same way.
@@ -21,7 +21,8 @@ use self::queue::{Line, LineQueue};
 
 /// The default filter: level `info` for Zenoh, whose targets begin with `z`, and for RECT.
 const DEFAULT_FILTER: &str = "z=info,rect=info";
-/// Maximum time for which the end of the program waits for the log to be written, as its reader may have stopped.
+/// Maximum time for which the end of the program waits until the log and the last message on stderr are written, as their
+/// reader may have stopped.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(1);
 
 static QUEUE: OnceLock<LineQueue> = OnceLock::new();

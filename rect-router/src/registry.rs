@@ -182,15 +182,15 @@ impl Sources {
         links
     }
 
-    /// Returns whether the robot's name is still unknown for a link to a router that was opened less than `newest` ago.
-    fn awaits_names(&self, newest: Duration) -> bool {
+    /// Returns whether there is a link to a router, opened less than `max_age` ago, whose robot is not known yet.
+    fn awaits_names(&self, max_age: Duration) -> bool {
         let sessions = [&self.session].into_iter().chain(&self.host);
         let routers: Vec<_> = sessions
             .flat_map(|session| session.info().routers_zid().wait())
             .collect();
         let is_new = |link: &Link| {
             let up = self.uptime.of(&LinkEnds::of(link.src(), link.dst()));
-            up.is_none_or(|up| up < newest)
+            up.is_none_or(|up| up < max_age)
         };
         self.links().iter().any(|link| {
             routers.contains(link.zid())
@@ -246,10 +246,10 @@ impl Sources {
     /// Returns the discovered robots of the fleet to which there is neither a connection nor a link.
     fn discovered(&self, ble: &Ble, connections: &[Connection]) -> Vec<Connection> {
         let has_connection = |robot: &DiscoveredStatus| {
-            let leads_to_robot = |one: &Connection| {
-                let is_same =
-                    one.address == robot.address || Some(&one.address) == robot.name.as_ref();
-                one.method == BLE && is_same
+            let leads_to_robot = |connection: &Connection| {
+                let address = &connection.address;
+                let is_same = *address == robot.address || Some(address) == robot.name.as_ref();
+                connection.method == BLE && is_same
             };
             connections.iter().any(leads_to_robot)
         };

@@ -1,5 +1,5 @@
-//! Starts and stops what RECT adds to the router of a robot: its named connections, the registry that reports them, and
-//! the config service that changes them.
+//! Starts and stops what RECT adds to the router of a robot: its named connections, the registry that reports them, the
+//! config service that changes them, and the answers about the topics of its programs.
 use std::sync::Arc;
 
 use rect::core::humanize;
@@ -101,7 +101,7 @@ impl RobotServices {
     /// # Errors
     /// Zenoh's error if a queryable or subscriber could not be declared.
     pub fn start(self, session: &Session, host: Option<Session>) -> zenoh::Result<RunningServices> {
-        // Until the file is loaded, which may override the rule.
+        // This rule applies until the file is loaded, which may override it.
         self.fleet.apply_rule(self.settings.rule());
         let mut watching = None;
         if let Some(connections) = &self.connections {

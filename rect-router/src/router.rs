@@ -38,10 +38,10 @@ struct Opened {
 enum Event {
     Opened(Result<Opened, RouterError>),
     Closed,
-    StopAsked,
+    StopRequested,
 }
 
-/// Runs a router until a signal stops it. `robot` are the services that RECT adds to it.
+/// Runs a router until a signal stops it. `robot` contains the services that RECT adds to the router, if any.
 ///
 /// # Errors
 /// Fails if the router, a listener or a service cannot be started.
@@ -54,7 +54,7 @@ pub fn run(
         .apply(&mut config)
         .map_err(|error| RouterError::Open(error.into()))?;
     let (events, next) = mpsc::channel();
-    signals::watch(events.clone(), || Event::StopAsked).map_err(RouterError::System)?;
+    signals::watch(events.clone(), || Event::StopRequested).map_err(RouterError::System)?;
 
     // Opening may wait for peers; on a separate thread it does not delay the handling of signals.
     spawn("open", &events, move || {
@@ -74,7 +74,7 @@ pub fn run(
     notify_systemd();
 
     match next.recv() {
-        Ok(Event::StopAsked) => close(opened, running, &events, &next),
+        Ok(Event::StopRequested) => close(opened, running, &events, &next),
         _ => Ok(()),
     }
 }
@@ -126,10 +126,10 @@ fn spawn(
 
 /// Opens the runtime. Zenoh panics if a required plugin cannot be loaded or started; the panic is returned as an error.
 fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
-    let opening = thread::current().id();
+    let opening_thread = thread::current().id();
     let on_panic = panic::take_hook();
     panic::set_hook(Box::new(move |panic| {
-        if thread::current().id() != opening {
+        if thread::current().id() != opening_thread {
             on_panic(panic);
         }
     }));

@@ -1,5 +1,5 @@
-//! Reports the Bluetooth links in the admin space: `@/<zid>/router/ble` answers with one JSON object for each Zenoh runtime
-//! of the process. Zenoh's access control decides who may read it, as for the rest of `@/**`.
+//! Reports the Bluetooth links in the admin space: `@/<zid>/router/ble` answers with a JSON array of one object for each Zenoh
+//! runtime of the process. Zenoh's access control decides who may read it, as for the rest of `@/**`.
 
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};
 use zenoh_link::ble::status::nodes;

@@ -149,7 +149,7 @@ fn a_program_cannot_confirm_a_transfer_in_the_name_of_another_robot() {
 }
 
 /// Returns the access control of a base station that holds these robots to their names, as the README describes it.
-fn star(base: &str, robots: &[&str]) -> Value {
+fn strict_access_control(base: &str, robots: &[&str]) -> Value {
     let config = zenoh::Config::from_file(format!("{base}/robot.json5")).expect("valid");
     let mut config = serde_json::to_value(&config).expect("JSON");
     let mut access = config["access_control"].take();
@@ -210,7 +210,10 @@ fn a_strict_base_station_restricts_a_tampered_robot_to_its_own_name() {
     let without = text.replace(", login_as: \"config\"", "");
     assert_ne!(without, text);
     fs::write(&config, without).expect("written");
-    let access = format!("access_control:{}", star(&base, &["wombat-2", "wombat-3"]));
+    let access = format!(
+        "access_control:{}",
+        strict_access_control(&base, &["wombat-2", "wombat-3"])
+    );
     let (_base, laptop) = start_with(&air, &base, "base", &["--cfg", &access]);
     let laptop = program(&base, &laptop);
 
@@ -264,7 +267,10 @@ fn a_strict_base_station_ignores_a_robot_with_the_common_login() {
     let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let base = init(root.path(), "base", &["--base-station"]);
     let users = format!("{base}/users");
-    let access = format!("access_control:{}", star(&base, &["wombat-2"]));
+    let access = format!(
+        "access_control:{}",
+        strict_access_control(&base, &["wombat-2"])
+    );
     let (_base, laptop) = start_with(&air, &base, "base", &["--cfg", &access]);
     let laptop = program(&base, &laptop);
     let folder = init(root.path(), "wombat-2", &["--users", &users]);

@@ -398,7 +398,7 @@ fn simulated_robots_answer_at_once_and_end_with_their_command() {
     let mut sim = Command::new(env!("CARGO_BIN_EXE_rect-router"));
     sim.args(["sim", "--port", "0", "--condition", "desk"]);
     let sim = sim.env(SOCKET_VARIABLE, folder.path().join("air.sock"));
-    let mut sim = Killed(sim.stdout(Stdio::piped()).spawn().expect("it starts"));
+    let mut sim = RunningCommand(sim.stdout(Stdio::piped()).spawn().expect("it starts"));
     let lines = BufReader::new(sim.0.stdout.take().expect("piped")).lines();
     let shown: Vec<_> = lines
         .map_while(Result::ok)
@@ -438,9 +438,9 @@ fn simulated_robots_answer_at_once_and_end_with_their_command() {
 }
 
 /// A command that is killed at the end of its test.
-struct Killed(Child);
+struct RunningCommand(Child);
 
-impl Drop for Killed {
+impl Drop for RunningCommand {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();

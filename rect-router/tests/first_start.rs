@@ -95,7 +95,7 @@ impl Installation {
         let line = format!("exec {command} >\"$LOG\" 2>&1");
         let shell = shell.args(["-c", &line]).env("LOG", &log);
         let router = shell.current_dir("/").spawn();
-        let mut router = Ended(router.expect("a shell"));
+        let mut router = RunningCommand(router.expect("a shell"));
         let text = || fs::read_to_string(&log).unwrap_or_default();
         let deadline = Instant::now() + DEADLINE;
         while !text().contains("rect-router is up") {
@@ -118,9 +118,9 @@ impl Installation {
 }
 
 /// A process that is killed at the end of the test.
-struct Ended(std::process::Child);
+struct RunningCommand(std::process::Child);
 
-impl Drop for Ended {
+impl Drop for RunningCommand {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();

@@ -51,15 +51,15 @@ impl Runtime {
         }
     }
 
-    /// Calls `call` on the calling thread with each item of `next`, until `next` returns `None` or `call` returns `false`.
-    /// `call` may block.
+    /// Calls `call` on the calling thread with each item that `next` returns, until `next` returns `None` or `call`
+    /// returns `false`. `call` may block.
     pub fn for_each<T, N: Future<Output = Option<T>>>(
         &self,
         next: impl Fn() -> N,
         mut call: impl FnMut(T) -> bool,
     ) {
-        // The thread parks itself instead of using `block_on`: leaving the runtime for each call would take longer than many a
-        // callback.
+        // The thread parks itself instead of using `block_on`: leaving the runtime for each call would take longer than
+        // a short callback does.
         let _entered = self.tokio().enter();
         let waker = Waker::from(Arc::new(Unpark(thread::current())));
         let mut context = Context::from_waker(&waker);

@@ -14,7 +14,7 @@ pub struct Frames {
 }
 
 impl Robot {
-    /// Declares a stream of frames of which the newest counts: a slow link drops older ones.
+    /// Declares a stream of frames of which only the newest matters: a slow link drops older ones.
     ///
     /// ```no_run
     /// # fn stream(robot: rect::blocking::Robot) -> Result<(), rect::Error> {

@@ -1,4 +1,4 @@
-//! Runs callbacks for messages, each on a separate thread.
+//! Runs the callbacks of subscriptions, each subscription on a separate thread.
 use std::{
     sync::{
         atomic::{AtomicBool, Ordering},

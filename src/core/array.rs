@@ -86,7 +86,7 @@ impl Array {
     ///
     /// # Errors
     /// Returns [`CodecError::Damaged`] if there are not one to eight dimensions, or if the number of bytes does not
-    /// match them.
+    /// match them, and [`CodecError::TooLarge`] if no memory could hold an array of this shape.
     pub fn new(
         element: Element,
         shape: &[usize],
@@ -94,8 +94,8 @@ impl Array {
     ) -> Result<Self, CodecError> {
         let bytes = bytes.into();
         if size(element, shape, &Limits::any())? != bytes.len() {
-            let text = text(element, shape);
-            let reason = format!("{} bytes are not the size of {text}", bytes.len());
+            let schema = schema(element, shape);
+            let reason = format!("{} bytes are not the size of {schema}", bytes.len());
             return Err(damaged(reason));
         }
         let shape = shape.to_vec();
@@ -109,8 +109,7 @@ impl Array {
     /// Creates an array from numbers.
     ///
     /// # Errors
-    /// Returns [`CodecError::Damaged`] if there are not one to eight dimensions, or if the count of numbers does not
-    /// match them.
+    /// Fails like [`new`](Self::new), if the count of numbers does not match the dimensions.
     pub fn of<T: Number>(shape: &[usize], numbers: &[T]) -> Result<Self, CodecError> {
         let mut bytes = Vec::with_capacity(size_of_val(numbers));
         numbers.iter().for_each(|number| number.write(&mut bytes));
@@ -164,7 +163,7 @@ impl Array {
     }
 
     pub(super) fn payload(self) -> Payload {
-        let encoding = format!("{};{}", Encoding::RAW, text(self.element, &self.shape));
+        let encoding = format!("{};{}", Encoding::RAW, schema(self.element, &self.shape));
         Payload::new(self.bytes, Encoding::new(encoding))
     }
 }
@@ -188,7 +187,8 @@ pub(super) fn size(
     Ok(if shape.contains(&0) { 0 } else { bytes })
 }
 
-fn text(element: Element, shape: &[usize]) -> String {
+/// Returns the description of an array in its encoding: `array;f32;480x640`.
+fn schema(element: Element, shape: &[usize]) -> String {
     let shape: Vec<String> = shape.iter().map(usize::to_string).collect();
     format!("{KIND};{};{}", element.as_str(), shape.join("x"))
 }

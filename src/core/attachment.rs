@@ -2,7 +2,7 @@
 //!
 //! | bytes | content |
 //! |---|---|
-//! | 1 | `0xF8` plus three flags. No text in UTF-8 begins with such a byte, so that attachments of other Zenoh programs are not mistaken for RECT's |
+//! | 1 | `0xF8` plus three flag bits, the third of which is reserved. No text in UTF-8 begins with such a byte, so attachments of other Zenoh programs are not mistaken for RECT's |
 //! | 2 | the source: a random number that each publisher chooses when it starts, little endian |
 //! | 1 to 5 | the sequence number of the message at that source, LEB128 |
 //! | 6 | with flag 1: the time of sending in milliseconds since 1970 by the sender's clock, little endian |

@@ -22,8 +22,8 @@ pub mod quantised;
 pub mod webp;
 pub mod zstd;
 
-/// Makes payloads smaller. Lossless codecs append a part to the encoding, and are decoded before a program receives the
-/// payload; codecs for pictures and arrays produce an encoding of their own.
+/// Makes payloads smaller. Codecs for any payload append a part to the encoding, and the receiver decodes them before
+/// the program gets the payload. Codecs for pictures and arrays produce an encoding of their own.
 pub trait Codec: fmt::Debug + Send + Sync {
     /// Returns the name with all options, in the form that [`parse`] reads: `zstd:3`.
     fn name(&self) -> String;
@@ -163,8 +163,8 @@ pub fn is_encoded(encoding: &Encoding) -> bool {
     encoding.without_suffix(zstd::NAME).is_some()
 }
 
-/// Decodes the lossless codecs of a payload. Pictures and arrays stay as they are (see [`Payload::picture`] and
-/// [`Payload::array`]), and so do payloads of unknown encodings.
+/// Decompresses a payload whose encoding ends in `;zstd`. Pictures and arrays stay as they are (see
+/// [`Payload::picture`] and [`Payload::array`]), and so do payloads of unknown encodings.
 ///
 /// # Errors
 /// Returns a [`CodecError`] if the payload is damaged or too large, or if its dictionary is not among `dictionaries`.
@@ -255,7 +255,7 @@ fn no_option(codec: &'static str, option: Option<&str>) -> Result<(), CodecError
     }
 }
 
-/// Parses a whole number within a range, or returns the default.
+/// Parses an option that is a whole number within a range. Returns the default if there is no option.
 fn number(
     codec: &'static str,
     option: Option<&str>,

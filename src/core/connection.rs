@@ -18,7 +18,7 @@ pub enum ConnectionState {
 }
 
 impl ConnectionState {
-    /// Parses the name of a state.
+    /// Parses the name of a state, such as `connected`. Returns `None` if there is no such state.
     pub fn parse(text: &str) -> Option<Self> {
         match text {
             "connected" => Some(Self::Connected),
@@ -211,11 +211,11 @@ impl Links {
 
     /// Returns the method of the links to a robot. `None` if there is no link, or if the links have several methods.
     pub fn method(&self, robot: &Name) -> Option<&str> {
-        let its = self
+        let to_robot = self
             .links
             .iter()
             .filter(|(_, to)| to.as_ref() == Some(robot));
-        let mut methods = its.map(|((method, _), _)| method.as_str());
+        let mut methods = to_robot.map(|((method, _), _)| method.as_str());
         let first = methods.next()?;
         methods.all(|method| method == first).then_some(first)
     }
@@ -250,7 +250,8 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Handles a new router or program of a robot, identified by `id`.
+    /// Handles a new router or program of a robot, identified by `id`. Returns an event if the robot was not reachable
+    /// before.
     pub fn on_up(&mut self, robot: &Name, id: &str) -> Option<Event> {
         let ids = self.present.entry(robot.clone()).or_default();
         let first = ids.is_empty();
@@ -259,7 +260,7 @@ impl Presence {
         first.then_some(Event::PeerUp { robot })
     }
 
-    /// Handles the end of a router or program of a robot.
+    /// Handles the end of a router or program of a robot. Returns an event if it was the last one.
     pub fn on_down(&mut self, robot: &Name, id: &str) -> Option<Event> {
         let ids = self.present.get_mut(robot)?;
         ids.remove(id);

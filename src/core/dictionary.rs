@@ -2,7 +2,7 @@
 //! being sent with each message.
 //!
 //! A [`Dictionary`] is a standard zstd dictionary. Its id is derived from its content, so that equal content has the
-//! same id everywhere: `32768 + crc32(everything after the id) mod 32768`. Frames refer to it in two bytes. A
+//! same id everywhere: `32768 + (crc32(everything after the id) mod 32768)`. Frames refer to it in two bytes. A
 //! dictionary that another program made is assigned that id, too; [`Dictionary::write`] writes it in a form with which
 //! `zstd -D` decompresses RECT's frames.
 use std::{
@@ -68,8 +68,8 @@ pub enum DictionaryError {
         /// The reason that zstd reports.
         reason: &'static str,
     },
-    /// Another dictionary has the same id, with a probability of 1 in 32768. Train the dictionary again with other
-    /// samples.
+    /// Another dictionary has the same id, which happens by chance for one pair in 32768. Train the dictionary again
+    /// with other samples.
     #[error("another dictionary has the id {0}: train it again, with other samples")]
     IdTaken(u32),
     /// The file cannot be read or written.
@@ -83,7 +83,8 @@ pub enum DictionaryError {
 }
 
 impl Dictionary {
-    /// Reads a zstd dictionary, and replaces its id by the one derived from its content.
+    /// Creates a dictionary from the bytes of a zstd dictionary, and replaces its id by the one derived from its
+    /// content.
     ///
     /// # Errors
     /// Returns [`DictionaryError::Damaged`] or [`DictionaryError::TooLarge`].
@@ -107,8 +108,8 @@ impl Dictionary {
         })
     }
 
-    /// Trains a dictionary of at most `size` bytes on messages like those that will be sent. For JSON, 4 to 16 kB is a
-    /// good size.
+    /// Trains a dictionary of at most `size` bytes, [`MIN_BYTES`] to [`MAX_BYTES`], on messages like those that will be
+    /// sent. For JSON, 4 to 16 kB is a good size. Samples beyond a total of [`MAX_SAMPLE_BYTES`] are ignored.
     ///
     /// # Errors
     /// Returns [`DictionaryError::Size`] or [`DictionaryError::Samples`].
@@ -131,8 +132,8 @@ impl Dictionary {
             bytes: all.len(),
             reason,
         };
-        // zstd trains on three quarters of the samples and tests on the rest. If there are fewer than a few bytes, it
-        // reads out of bounds.
+        // zstd trains on three quarters of the samples and tests on the rest. It reads out of bounds if the former have
+        // only a few bytes.
         let learned: usize = sizes[..sizes.len() / 4 * 3].iter().sum();
         if learned < MIN_BYTES {
             return Err(rejected("too few"));
@@ -241,7 +242,7 @@ impl Dictionaries {
         Ok(())
     }
 
-    /// Returns the dictionary with that id.
+    /// Returns the dictionary with the id `id`.
     pub fn get(&self, id: u32) -> Option<&Arc<Dictionary>> {
         self.0.iter().find(|dictionary| dictionary.id == id)
     }
@@ -253,7 +254,7 @@ impl Dictionaries {
 }
 
 /// The dictionaries of several robots. The messages of each robot are decoded with that robot's own dictionaries: an id
-/// has only two bytes, so that a robot could easily create a dictionary with the id of another one and falsify another
+/// has only two bytes, so a robot could easily create a dictionary with the id of another one and falsify another
 /// robot's messages.
 #[derive(Debug, Default)]
 pub struct RobotDictionaries(BTreeMap<Name, Dictionaries>);
@@ -268,8 +269,8 @@ impl RobotDictionaries {
         self.0.get(robot).unwrap_or(&NONE)
     }
 
-    /// Adds a dictionary of a robot, replacing one with the same id. If there are too many, the robot that has most
-    /// loses its oldest.
+    /// Adds a dictionary of a robot, replacing one with the same id. If there are too many, the robot that has the
+    /// most loses its oldest one.
     pub fn add(&mut self, robot: &Name, dictionary: Arc<Dictionary>) {
         let dictionaries = self.0.entry(robot.clone()).or_default();
         dictionaries.0.retain(|known| known.id != dictionary.id);

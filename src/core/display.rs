@@ -1,5 +1,5 @@
 //! Makes text from other robots and programs safe to print on a terminal: topics, payloads, errors of services, reports
-//! of a router. Both programs pass every such text through one of these functions.
+//! of a router. `rect` and `rect-router` pass every such text through one of these functions.
 //!
 //! A terminal interprets control characters, and Unicode's bidirectional and invisible format characters make text read
 //! differently. A peer must be able to use neither.
@@ -19,8 +19,8 @@ pub fn line(text: &str) -> Cow<'_, str> {
     Cow::Owned(text.chars().map(shown).collect())
 }
 
-/// Returns `text` with its line breaks and tabs. All lines but the first are indented; harmful characters become
-/// U+FFFD.
+/// Returns `text` with its line breaks and tabs, but without line breaks at the end. All lines but the first are
+/// indented; harmful characters become U+FFFD.
 pub fn paragraph(text: &str) -> Cow<'_, str> {
     if !text.contains(is_harmful) {
         return Cow::Borrowed(text);

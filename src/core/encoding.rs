@@ -1,8 +1,8 @@
 //! Defines the encodings of payloads: what the bytes are, in the form that Zenoh's tools display, and how they are
 //! compressed.
 //!
-//! An encoding is a media type, optionally followed by further parts, each after a `;`. The last part may name a
-//! lossless codec: `application/json;zstd` is JSON in one zstd frame.
+//! An encoding is a media type, optionally followed by further parts, each after a `;`. The last part may name
+//! the codec that compressed the payload: `application/json;zstd` is JSON in one zstd frame.
 use std::{borrow::Cow, fmt};
 
 /// The maximum length of an encoding that can be sent, in bytes. Zenoh allows 255; the rest is reserved for the parts

@@ -55,7 +55,7 @@ pub fn duration_of_s(seconds: f64) -> String {
     Duration::try_from_secs_f64(seconds).map_or_else(|_| "-".to_owned(), duration)
 }
 
-/// Formats a number of bytes, rounded: `512 B`, `12 kB`, `3 MB`.
+/// Formats a number of bytes, rounded down: `512 B`, `12 kB`, `3 MB`.
 pub fn bytes(count: u64) -> String {
     match count {
         0..=9_999 => format!("{count} B"),
@@ -64,8 +64,8 @@ pub fn bytes(count: u64) -> String {
     }
 }
 
-/// Returns the essential part of an error's text, in at most 120 characters: without source locations, and without
-/// steps that only repeat that something failed.
+/// Returns the essential part of an error's text, in at most 120 characters: without source locations and repeated
+/// steps. If the text is still too long, the outermost steps are removed first, and then its end.
 pub fn short_reason(error: &str) -> String {
     let text = clean_up(error);
     // Zenoh's errors are chains from the outermost step to the cause, `...: cause`, in which steps may repeat each

@@ -22,7 +22,7 @@ pub struct KeySpace {
     pub robot: Name,
 }
 
-/// Why a key is not that of a message to this robot.
+/// The reason why a key is not that of a message for this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AddressError {
     /// The key belongs to another fleet, addresses another robot, or is not the key of a message.
@@ -87,8 +87,8 @@ impl KeySpace {
         Name::new(robot).ok()
     }
 
-    /// Returns the address that a key contains. `None` if it is not the key of a message, or of one to another robot
-    /// (which a subscription to `**` also receives).
+    /// Returns the address that a key contains. `None` if the key is not that of a message, or is that of a message to
+    /// another robot alone, which a subscription to `**` also receives.
     pub fn address(&self, key: &str) -> Option<Address> {
         self.parse(key).ok()
     }
@@ -96,7 +96,8 @@ impl KeySpace {
     /// Parses a key that a subscription delivered.
     ///
     /// # Errors
-    /// Returns an [`AddressError`] if it is not the key of a message to this robot.
+    /// Returns an [`AddressError`] if the key is not that of a message of this fleet that was published, or that was
+    /// sent to this robot.
     pub fn parse(&self, key: &str) -> Result<Address, AddressError> {
         let sender = self.robot_of(key).ok_or(AddressError::NotForThisRobot)?;
         let rest = &key[self.fleet.as_str().len() + sender.as_str().len() + 2..];
@@ -141,22 +142,26 @@ mod tests {
             ..me.clone()
         };
         let topic = Topic::new("arm/angle").expect("valid topic");
-        let all = recipient.address(&me.publication(&topic)).expect("address");
+        let published = recipient.address(&me.publication(&topic)).expect("address");
         assert_eq!(
-            (all.sender.as_str(), all.recipient, &all.topic),
+            (
+                published.sender.as_str(),
+                published.recipient,
+                &published.topic
+            ),
             ("wombat-1", None, &topic)
         );
-        let one = recipient
+        let direct = recipient
             .address(&me.message(&other, &topic))
             .expect("address");
         assert_eq!(
-            (one.sender.as_str(), one.recipient, &one.topic),
+            (direct.sender.as_str(), direct.recipient, &direct.topic),
             ("wombat-1", Some(other), &topic)
         );
     }
 
     #[test]
-    fn rejects_keys_of_other_robots_and_of_no_message() {
+    fn rejects_keys_that_are_not_of_a_message_for_this_robot() {
         for key in [
             "rect/a/to/wombat-2/x",
             "rect/a/@rect/status",

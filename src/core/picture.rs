@@ -109,8 +109,8 @@ impl Picture {
         &self.pixels
     }
 
-    /// Returns the picture scaled to another size. Each pixel of a smaller picture is the mean of the pixels that it
-    /// replaces.
+    /// Returns the picture scaled to another size. Each pixel of a smaller picture is a weighted mean of the pixels
+    /// that it replaces and of those around them.
     ///
     /// # Errors
     /// Returns a [`CodecError`] if the size is zero, or exceeds the default [`Limits`].

@@ -14,8 +14,8 @@ pub enum WhenFull {
     DropOldest,
     /// Drops the new item, so that the items in the queue stay contiguous.
     DropNewest,
-    /// Blocks the sender until there is room. Nothing is dropped, but a program that does not read holds up everything
-    /// of that urgency that arrives over the same connection.
+    /// Blocks the sender until there is room. Nothing is dropped, but a program that does not read then blocks
+    /// all messages of the same urgency on the same link.
     Block,
 }
 
@@ -24,7 +24,7 @@ pub enum WhenFull {
 pub enum Pushed<T> {
     /// The item is in the queue.
     Kept,
-    /// The item is in the queue; the oldest one, this, was dropped for it.
+    /// The item is in the queue. The oldest item, which is returned, was dropped to make room.
     DroppedOldest(T),
     /// The item was dropped.
     DroppedNewest(T),

@@ -6,7 +6,7 @@ use super::{
     payload::Payload,
 };
 
-/// Differs from the marks of [`super::attachment`], and cannot begin a text in UTF-8.
+/// The first byte of a header. It differs from those of [`super::attachment`], and no text in UTF-8 begins with it.
 const MARK: u8 = 0xFC;
 
 /// The timeout of a request without a header, in milliseconds. Zenoh's own default.
@@ -53,14 +53,14 @@ pub fn error_to_payload(robot: &Name, error: Payload) -> Payload {
     Payload { encoding, ..error }
 }
 
-/// Splits an error reply into the robot that sent it (`None` if it does not use RECT) and the error.
+/// Splits an error reply into the robot that sent it (`None` if that robot does not use RECT) and the error.
 pub fn error_from_payload(reply: Payload) -> (Option<Name>, Payload) {
-    let from = reply.encoding.as_str().rsplit_once(';');
-    let from = from.and_then(|(what, from)| Some((what, from.strip_prefix(FROM)?)));
-    match from.and_then(|(what, from)| Some((what.to_owned(), Name::new(from).ok()?))) {
-        Some((what, from)) => {
-            let encoding = Encoding::new(what);
-            (Some(from), Payload { encoding, ..reply })
+    let parts = reply.encoding.as_str().rsplit_once(';');
+    let parts = parts.and_then(|(encoding, last)| Some((encoding, last.strip_prefix(FROM)?)));
+    match parts.and_then(|(encoding, robot)| Some((encoding.to_owned(), Name::new(robot).ok()?))) {
+        Some((encoding, robot)) => {
+            let encoding = Encoding::new(encoding);
+            (Some(robot), Payload { encoding, ..reply })
         }
         None => (None, reply),
     }

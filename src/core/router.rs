@@ -97,7 +97,7 @@ impl JoinAttempts {
         }
         let remaining = self.remaining(elapsed);
         if remaining.is_zero() {
-            let reason = self.shown(refusal, reason);
+            let reason = self.describe(refusal, reason);
             return Err(JoinError::NoRouter { reason });
         }
         let pause = self.pause.min(remaining);
@@ -109,7 +109,7 @@ impl JoinAttempts {
         self.timeout.saturating_sub(elapsed)
     }
 
-    fn shown(&self, refusal: Refusal, reason: Option<&str>) -> String {
+    fn describe(&self, refusal: Refusal, reason: Option<&str>) -> String {
         match (refusal, reason) {
             (Refusal::Full, _) => "it has as many sessions as it accepts \
                 (transport/unicast/max_sessions in its configuration)"
@@ -152,8 +152,8 @@ fn system_error(reason: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
 
-/// Returns the key expression of the liveliness tokens that name the robot of the router with that Zenoh id, in any
-/// fleet.
+/// Returns the key expression of the liveliness tokens that name the robot of the router with the Zenoh id `id`, in
+/// any fleet.
 pub fn robot_of_router(id: &str) -> String {
     format!("*/*/{OWN}/alive/{id}")
 }
@@ -214,6 +214,7 @@ impl KeySpace {
         Some(Self { fleet, robot })
     }
 
+    /// Describes the robot for an error message. The fleet is named only if it is not that of `other`.
     fn with_fleet_unlike(&self, other: &Self) -> String {
         let Self { fleet, robot } = self;
         if *fleet == other.fleet {

@@ -11,9 +11,10 @@
 //! The attachment of a frame contains its source (a random number for each of the two keys), its sequence number and
 //! the low 16 bits of the time of sending. From the replies to its queries for the notice, the [`receiver`] learns the
 //! offset between the clocks ([`offset`]), and with it the age of each frame. The *pace* of a frame is its size divided
-//! by the time that it spent in transit. It shows the rate of the slowest link without filling that link, so that the
-//! sender's [`rate`] stays constant instead of oscillating. The [`sender`] chooses the step of its [`ladder`] by that
-//! rate, spaces the frames ([`pacer`]), and separates receivers with very different links into [`groups`].
+//! by the time for which it occupied the slowest link: its age on arrival, minus the delay of a small message. The pace
+//! shows the rate of that link without filling it, so that the sender's [`rate`] stays constant instead of oscillating.
+//! The [`sender`] chooses the step of its [`ladder`] by that rate, spaces the frames ([`pacer`]), and separates
+//! receivers with very different links into [`groups`].
 pub mod feedback;
 pub mod groups;
 pub mod ladder;
@@ -80,22 +81,22 @@ impl Group {
     }
 }
 
-/// Returns the key of the notice of the sender `keys`.
+/// Returns the key of the notice about the stream `topic` of the robot of `keys`.
 pub fn notice_key(keys: &KeySpace, topic: &Topic) -> String {
     keys.own(Some(&keys.robot), &format!("stream/{topic}"))
 }
 
-/// Returns the key of the feedback of the receiver `keys` about a stream of `sender`.
+/// Returns the key of the feedback that the robot of `keys` sends about the stream `topic` of `sender`.
 pub fn feedback_key(keys: &KeySpace, sender: &Name, topic: &Topic) -> String {
     keys.own(Some(&keys.robot), &format!("feedback/{sender}/{topic}"))
 }
 
-/// Returns the key expression of the feedback of all receivers about a stream of the sender `keys`.
+/// Returns the key expression of the feedback of all receivers about the stream `topic` of the robot of `keys`.
 pub fn feedback_keys(keys: &KeySpace, topic: &Topic) -> String {
     keys.own(None, &format!("feedback/{}/{topic}", keys.robot))
 }
 
-/// Returns the robot that published a key that [`feedback_keys`] matches.
+/// Returns the robot that sent feedback on `key`. `None` if it is not a key of feedback.
 pub fn feedback_from(keys: &KeySpace, key: &str) -> Option<Name> {
     let rest = key.strip_prefix(keys.fleet.as_str())?.strip_prefix('/')?;
     let (name, rest) = rest.split_once('/')?;

@@ -14,8 +14,9 @@ pub const MAX_BYTES: usize = 200;
 /// The part of a key that precedes the recipient of a message to one robot.
 pub(super) const TO: &str = "to";
 
-/// The topic of a message: one or more parts separated by `/`, such as `arm/angle`. It has no wildcards, no part begins
-/// with `@` (Zenoh and RECT use such parts internally), and the first part is not `to`.
+/// The topic of a message: one or more parts separated by `/`, such as `arm/angle`; 1 to 200 bytes. It has no wildcards
+/// and no control, invisible or text direction characters, no part begins with `@` (Zenoh and RECT use such parts
+/// internally), and the first part is not `to`.
 ///
 /// ```
 /// use rect::core::topic::Topic;
@@ -27,8 +28,9 @@ pub struct Topic(Arc<str>);
 
 /// Selects messages by sender and topic.
 ///
-/// As text, it is `<robot>/<topic>`, both with Zenoh's wildcards: `wombat-2/arm/angle`, `*/arm/*` (topics of two parts
-/// that begin with `arm`, from any robot), `wombat-2/**` (everything that wombat-2 publishes).
+/// As text, it is `<robot>/<topic>`. The robot is a name, or `*` for any robot. The topic may contain Zenoh's
+/// wildcards: `wombat-2/arm/angle`, `*/arm/*` (topics of two parts, the first of which is `arm`, from any robot),
+/// `wombat-2/**` (everything that wombat-2 publishes, or sends to this robot).
 ///
 /// ```
 /// use rect::core::topic::Pattern;
@@ -139,7 +141,7 @@ impl Pattern {
             return Err(TopicError::Length);
         }
         let mut canonical = topic.to_owned();
-        // zenoh-keyexpr 1.10.2 reads out of bounds when it canonizes a text that ends in these.
+        // zenoh-keyexpr 1.10.2 reads out of bounds when it canonizes a text that ends in `$*$*`.
         while canonical.contains("$*$*") {
             canonical = canonical.replace("$*$*", "$*");
         }

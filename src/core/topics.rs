@@ -1,5 +1,5 @@
-//! Counts the messages of a robot's topics for its router, and builds the router's answers about them. It is given the
-//! time. docs/registry.md describes the form of the answers.
+//! Counts the messages of a robot's topics for its router, and builds the router's answers about them. The caller
+//! passes the time. docs/registry.md describes the form of the answers.
 use std::{
     collections::{BTreeMap, VecDeque},
     time::{Duration, Instant},
@@ -33,7 +33,7 @@ pub struct Topics {
     pub window_s: f64,
     /// The topics.
     pub topics: Vec<TopicReport>,
-    /// The number of topics that are not in the list.
+    /// The number of topics that are not in the list. All topics that could not be counted individually add 1 in total.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub more: usize,
 }
@@ -50,7 +50,7 @@ pub struct TopicReport {
     pub topic: String,
     /// The number of declared publishers.
     pub publishers: usize,
-    /// The encoding of the last message. Empty if no message was counted.
+    /// The encoding of the last message, at most its first 64 bytes. Empty if no message was counted.
     pub encoding: String,
     /// Messages per second.
     pub hz: f64,
@@ -58,7 +58,8 @@ pub struct TopicReport {
     pub bytes_per_s: u64,
     /// The size of the last payload, in bytes.
     pub last_bytes: u64,
-    /// The shortest and the longest interval between two messages, in milliseconds.
+    /// The shortest and the longest interval between two messages, in milliseconds. `None` if the question does
+    /// not select a single topic, or if no interval ended within the window.
     pub interval_ms: Option<(f64, f64)>,
 }
 
@@ -93,7 +94,7 @@ impl From<Row> for TopicReport {
 }
 
 impl From<TopicReport> for Row {
-    fn from(one: TopicReport) -> Self {
+    fn from(report: TopicReport) -> Self {
         let TopicReport {
             topic,
             publishers,
@@ -102,7 +103,7 @@ impl From<TopicReport> for Row {
             bytes_per_s: rate,
             last_bytes: last,
             interval_ms,
-        } = one;
+        } = report;
         match interval_ms {
             Some(intervals) => Self::Long(topic, publishers, encoding, hz, rate, last, intervals),
             None => Self::Short(topic, publishers, encoding, hz, rate, last),
@@ -179,7 +180,9 @@ impl Counter {
             let publishers = publishers.get(topic).copied().unwrap_or_default();
             counted.report(topic, publishers, now, window, oldest)
         });
-        let mut topics: BTreeMap<_, _> = counted.map(|one| (one.topic.clone(), one)).collect();
+        let mut topics: BTreeMap<_, _> = counted
+            .map(|report| (report.topic.clone(), report))
+            .collect();
         for (name, &count) in publishers {
             topics
                 .entry(name.clone())
@@ -216,15 +219,17 @@ fn declared(topic: &str, publishers: usize) -> TopicReport {
 
 fn listed(
     topics: impl Iterator<Item = TopicReport>,
-    only: Option<&str>,
+    selected: Option<&str>,
     window_s: f64,
     more: usize,
 ) -> Topics {
     let mut topics: Vec<_> = topics
-        .filter(|one| only.is_none_or(|only| one.topic == only))
+        .filter(|report| selected.is_none_or(|topic| report.topic == topic))
         .collect();
-    if only.is_none() {
-        topics.iter_mut().for_each(|one| one.interval_ms = None);
+    if selected.is_none() {
+        topics
+            .iter_mut()
+            .for_each(|report| report.interval_ms = None);
     }
     let more = more + topics.len().saturating_sub(MAX_TOPICS);
     topics.truncate(MAX_TOPICS);
@@ -247,7 +252,7 @@ impl Counted {
                 number,
                 ..Bucket::default()
             });
-            // The part that is being filled, and those of the window before it.
+            // Keeps the part that is being filled, and those of the window before it.
             while self.buckets.len() > BUCKETS as usize + 1 {
                 self.buckets.pop_front();
             }
@@ -330,7 +335,7 @@ mod tests {
         BTreeMap::new()
     }
 
-    /// Returns a counter that has counted a message of 24 bytes every 100 ms for that time.
+    /// Returns a counter that has counted a message of 24 bytes every 100 ms for `ms`, and the time after that.
     fn counted(ms: u32) -> (Counter, Instant) {
         let start = Instant::now();
         let mut counter = Counter::new(start);

@@ -1,4 +1,5 @@
-//! Reads the data that a transfer sends: bytes in memory, or a file that must not change meanwhile.
+//! Reads the data that a transfer sends: bytes in memory, or a file that must not change until the
+//! transfer has ended.
 use std::{
     fs::{File, Metadata},
     io::{self, Read, Seek, SeekFrom},
@@ -80,11 +81,11 @@ impl Source {
         self.checksum
     }
 
-    /// Reads a range of bytes.
+    /// Reads a range of bytes, whose start must not exceed its end.
     ///
     /// # Errors
-    /// Returns [`Fault::Changed`] if the file has changed since the source was created, [`Fault::Unreadable`] if it
-    /// cannot be read, and [`Fault::Protocol`] if the range is invalid.
+    /// Returns [`Fault::Changed`] if the file has changed since the source was created or is shorter than the range,
+    /// [`Fault::Unreadable`] if it cannot be read, and [`Fault::Protocol`] if the range exceeds the bytes in memory.
     pub fn read(&self, range: Range<u64>) -> Result<Bytes, Fault> {
         match &self.kind {
             Kind::Bytes(bytes) => {

@@ -48,6 +48,7 @@ pub struct PartFile {
     file: File,
     part: PathBuf,
     record: PathBuf,
+    /// The path of the complete file.
     whole: PathBuf,
     offer: Offer,
     in_use: InUse,
@@ -67,7 +68,7 @@ pub enum Content {
 }
 
 impl Store {
-    /// Creates a store in memory, which is reserved but used only as data arrives.
+    /// Creates a store in memory. The memory is reserved now, but used only as data arrives.
     ///
     /// # Errors
     /// Returns an error if there is not enough memory.
@@ -79,7 +80,7 @@ impl Store {
         Ok(Self::Memory(bytes))
     }
 
-    /// Creates a store in a folder. Returns the ranges that are present from before an interruption.
+    /// Creates a store in a folder. Returns it with the ranges that are present from before an interruption.
     ///
     /// # Errors
     /// Returns an error if the folder cannot be created or written to.

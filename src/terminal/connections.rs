@@ -12,10 +12,10 @@ pub fn connections_of_robots<'a>(
     let columns: Vec<_> = std::iter::once("ROBOT").chain(COLUMNS).collect();
     let mut table = Table::new(&columns);
     for (robot, connections) in robots {
-        for one in connections {
+        for connection in connections {
             let mut cells = vec![robot.into()];
-            cells.extend(row(one));
-            add(&mut table, cells, one);
+            cells.extend(row(connection));
+            add(&mut table, cells, connection);
         }
     }
     table
@@ -24,8 +24,8 @@ pub fn connections_of_robots<'a>(
 /// Returns a table of the connections of one robot.
 pub fn connections_of_robot(connections: &[Connection]) -> Table {
     let mut table = Table::new(&COLUMNS);
-    for one in connections {
-        add(&mut table, row(one).into(), one);
+    for connection in connections {
+        add(&mut table, row(connection).into(), connection);
     }
     table
 }
@@ -43,38 +43,42 @@ const COLUMNS: [&str; 10] = [
     "?RECEIVED",
 ];
 
-fn add(table: &mut Table, cells: Vec<Cell>, one: &Connection) {
+/// Adds the row of a connection, and its last error as a note.
+fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
     table.row(cells);
-    if let Some(trouble) = &one.last_error {
-        let ago = duration_of_s(trouble.ago_s);
+    if let Some(failure) = &connection.last_error {
+        let ago = duration_of_s(failure.ago_s);
         table.note(&format!(
             "last error, {ago} ago: {}",
-            short_reason(&trouble.what)
+            short_reason(&failure.what)
         ));
     }
 }
 
-fn row(one: &Connection) -> [Cell; 10] {
-    let state = match one.state {
+fn row(connection: &Connection) -> [Cell; 10] {
+    let state = match connection.state {
         State::Connected => Cell::styled(Style::Good, "connected"),
         State::Connecting => Cell::styled(Style::Poor, "connecting"),
         State::Discovered => Cell::styled(Style::Faint, "discovered"),
     };
-    let peer = one.peer.as_ref().map(|peer| match &peer.robot {
+    let peer = connection.peer.as_ref().map(|peer| match &peer.robot {
         Some(robot) => robot.clone(),
         // The first 8 characters of the id suffice to distinguish programs and routers.
         None => peer.id.chars().take(8).collect(),
     });
     [
-        one.name.clone().into(),
-        one.method.as_str().into(),
-        one.address.as_str().into(),
+        connection.name.clone().into(),
+        connection.method.as_str().into(),
+        connection.address.as_str().into(),
         state,
         peer.into(),
-        one.round_trip_ms.map(milliseconds).into(),
-        one.rssi_dbm.map(|dbm| format!("{dbm} dBm")).into(),
-        one.up_s.map(duration_of_s).into(),
-        one.sent.map(|sent| bytes(sent.bytes)).into(),
-        one.received.map(|received| bytes(received.bytes)).into(),
+        connection.round_trip_ms.map(milliseconds).into(),
+        connection.rssi_dbm.map(|dbm| format!("{dbm} dBm")).into(),
+        connection.up_s.map(duration_of_s).into(),
+        connection.sent.map(|sent| bytes(sent.bytes)).into(),
+        connection
+            .received
+            .map(|received| bytes(received.bytes))
+            .into(),
     ]
 }

@@ -10,11 +10,12 @@ use serde::Serialize;
 
 use crate::core::display;
 
-/// The exit status after the reader of the standard output has exited, the same as that of a program ended by SIGPIPE.
+/// The exit status after the reader of the standard output has exited: that of a program that SIGPIPE has ended.
 pub const CLOSED_PIPE: u8 = 141;
 
-/// Writes a line to the standard output. If the reader has exited, exits the program with the status
-/// [`CLOSED_PIPE`](crate::terminal::CLOSED_PIPE); after any other error, with a message and the status 1.
+/// Writes a line to the standard output. If the reader has exited, the program exits with the status
+/// [`CLOSED_PIPE`](crate::terminal::CLOSED_PIPE). After any other error, it prints a message to stderr and exits with
+/// the status 1.
 #[macro_export]
 macro_rules! outln {
     ($($arguments:tt)*) => { $crate::terminal::write_out(format_args!($($arguments)*)) };
@@ -39,7 +40,7 @@ pub fn write_out(line: fmt::Arguments<'_>) {
 /// Writes a line to the standard output.
 ///
 /// # Errors
-/// Returns the error if the standard output is closed or the disk is full.
+/// Returns the error of the operating system, for example if the standard output is closed or the disk is full.
 pub fn try_write(line: fmt::Arguments<'_>) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_fmt(line)?;
@@ -53,7 +54,7 @@ pub fn write_err(line: fmt::Arguments<'_>) {
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }
 
-/// Writes a value to the standard output as indented JSON.
+/// Writes a value to the standard output as indented JSON, as [`outln!`](crate::outln) does.
 ///
 /// # Errors
 /// Returns the error if the value cannot be serialized as JSON.
@@ -65,7 +66,7 @@ pub fn json(value: &impl Serialize) -> serde_json::Result<()> {
     Ok(())
 }
 
-/// Writes a value to the standard output as one line of JSON.
+/// Writes a value to the standard output as one line of JSON, as [`outln!`](crate::outln) does.
 ///
 /// # Errors
 /// Returns the error if the value cannot be serialized as JSON.

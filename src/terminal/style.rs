@@ -8,7 +8,8 @@ use std::{
 /// When output is coloured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Colours {
-    /// On a terminal, unless the environment variable `NO_COLOR` is set; always if `CLICOLOR_FORCE` is set.
+    /// On a terminal whose `TERM` is set and not `dumb`, or if the environment variable `CLICOLOR_FORCE` is set and not
+    /// `0`. Never if `NO_COLOR` is set.
     #[default]
     Auto,
     /// Always.
@@ -50,7 +51,8 @@ pub fn choose_colours(colours: Colours) {
     CHOICE.store(choice, Ordering::Relaxed);
 }
 
-/// Returns the environment variable that passes the choice on the command line to a child process, with its value.
+/// Returns the environment variable and its value that pass the choice on the command line to a child process, or
+/// `None` for [`Colours::Auto`].
 pub fn colours_by_environment() -> Option<(&'static str, &'static str)> {
     match CHOICE.load(Ordering::Relaxed) {
         ALWAYS => Some(("CLICOLOR_FORCE", "1")),
@@ -90,13 +92,13 @@ pub(super) fn painted(style: Style, text: &str, has_colours: bool) -> String {
 }
 
 pub(super) fn has_colours(is_terminal: bool) -> bool {
-    let is_set =
+    let is_enabled =
         |name: &str| env::var_os(name).is_some_and(|value| !value.is_empty() && value != "0");
     match CHOICE.load(Ordering::Relaxed) {
         ALWAYS => true,
         NEVER => false,
         _ if env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty()) => false,
-        _ if is_set("CLICOLOR_FORCE") => true,
+        _ if is_enabled("CLICOLOR_FORCE") => true,
         _ => is_terminal && env::var_os("TERM").is_some_and(|term| term != "dumb"),
     }
 }

@@ -1,4 +1,5 @@
-//! Renders tables for a terminal. Optional columns are left out, and cells are shortened, until the lines fit its width.
+//! Renders tables for a terminal. If the lines are wider than the terminal, optional columns are left out, and then
+//! cells are shortened.
 use std::io::{self, IsTerminal};
 
 use unicode_width::UnicodeWidthStr;
@@ -94,7 +95,7 @@ impl Table {
         }
     }
 
-    /// Adds a row with a cell for each column.
+    /// Adds a row with a cell for each column. Missing cells are shown as `-`, and surplus ones are ignored.
     pub fn row(&mut self, mut cells: Vec<Cell>) {
         cells.resize_with(self.columns.len(), || Cell::from(""));
         self.rows.push(Row::Cells(cells));
@@ -113,7 +114,7 @@ impl Table {
         }
     }
 
-    /// Returns the lines of the table, none wider than `width`.
+    /// Returns the lines of the table, no wider than `width` unless it is too narrow for the shortest possible cells.
     fn lines(&self, width: Option<usize>, has_colours: bool) -> Vec<String> {
         let (shown, widths) = self.layout(width);
         let mut lines = Vec::with_capacity(self.rows.len() + 1);
@@ -153,7 +154,7 @@ impl Table {
             shown.remove(last);
         }
         let mut widths: Vec<usize> = shown.iter().map(|&n| natural[n]).collect();
-        // The widest column is shortened by one until the line fits.
+        // The widest column is shortened by one character at a time until the line fits.
         while widths.iter().sum::<usize>() + GAP * widths.len().saturating_sub(1) > width {
             match widths.iter_mut().max() {
                 Some(widest) if *widest > MIN_WIDTH => *widest -= 1,
@@ -215,7 +216,8 @@ fn wrapped(text: &str, width: Option<usize>) -> Vec<String> {
     lines.iter().map(|line| format!("{indent}{line}")).collect()
 }
 
-/// Returns the words of a text in lines of at most `width` columns; a word that is longer is shortened.
+/// Returns the words of a text in lines of at most `width` columns, or in one line if `width` is `None`. A longer word
+/// is shortened. A width below 6 counts as 6.
 pub fn wrap(text: &str, width: Option<usize>) -> Vec<String> {
     let room = width.map_or(usize::MAX, |width| width.max(MIN_WIDTH));
     let mut lines = vec![String::new()];

@@ -1,14 +1,14 @@
 //! Creates pairs of robots in one process, linked over TCP.
-#![allow(dead_code)] // each test file uses a part of it
+#![allow(dead_code)] // each test file uses a part of this module
 
 use std::{net::TcpListener, time::Duration};
 
 use rect::{Options, Robot};
 
-/// Timeout of a step of a test, generous enough for a busy computer.
+/// Timeout of one step of a test, long enough for a busy computer.
 pub const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Returns an endpoint with a free port of this computer.
+/// Returns a TCP endpoint with a free port of this computer.
 pub fn free_endpoint() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     format!("tcp/{}", listener.local_addr().expect("bound"))

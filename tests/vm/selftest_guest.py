@@ -76,7 +76,7 @@ def transfer(sender, receiver, sdus, seed):
     return (sdus - 1) * SDU_BYTES / max(arrivals[-1] - arrivals[0], 1e-9)
 
 
-def ends(sock):
+def end_reason(sock):
     """Returns how a channel ended, as the kernel reports it to a reader."""
     try:
         return "closed" if sock.recv(65535) == b"" else "data"
@@ -104,7 +104,7 @@ def pair():
         assert b.recv(100) == b"late"
         print("freeze and thaw: ok")
         assert tool("room", "drop", "hci0").strip() == "1 links dropped"
-        reasons = {ends(a), ends(b)}
+        reasons = {end_reason(a), end_reason(b)}
         assert reasons == {"Connection timed out"}, reasons
         print("drop: both ends report a supervision timeout")
 

@@ -1,5 +1,5 @@
 //! Simulates a link between two programs: a TCP relay with a limited rate that can be cut and counts its bytes.
-#![allow(dead_code)] // each test file uses a part of it
+#![allow(dead_code)] // each test file uses a part of this module
 
 use std::{
     io::{Read, Write},
@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Forwards connections to another address. Its threads end with the process.
+/// A relay that forwards TCP connections to another address. Its threads end with the process.
 pub struct Wire {
     /// The endpoint to dial.
     pub endpoint: String,
@@ -49,7 +49,7 @@ impl Wire {
         Self { endpoint, shared }
     }
 
-    /// Returns the number of bytes relayed in both directions.
+    /// Returns the number of bytes that were relayed so far, in both directions together.
     pub fn carried(&self) -> u64 {
         self.shared.carried.load(Ordering::SeqCst)
     }
@@ -77,7 +77,7 @@ impl Shared {
     }
 
     fn pump(&self, mut from: TcpStream, mut to: TcpStream) {
-        // Small pieces keep the delay in this relay short; the buffers of the kernel add to it.
+        // Small pieces keep the delay in this relay short. The buffers of the kernel increase it.
         let mut buffer = vec![0; ((self.rate_bytes_per_s / 200.0) as usize).clamp(128, 65536)];
         let mut free_at = Instant::now();
         while let Ok(read @ 1..) = from.read(&mut buffer) {

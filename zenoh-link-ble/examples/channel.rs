@@ -1,10 +1,11 @@
-//! Measures a plain LE L2CAP channel between two adapters, without Zenoh. Used by benchmarks and for experiments.
+//! Measures a bare LE L2CAP channel between two adapters, without Zenoh, for benchmarks and experiments.
 //!
 //! ```text
-//! channel serve hci1                     # accepts channels; echoes SDUs of 20 bytes, and receives all others
-//! channel ping  hci0 ADDRESS 200         # round trips of 20-byte SDUs
-//! channel flood hci0 ADDRESS 500000 4000 # goodput: total bytes, bytes per SDU
-//! channel flood hci0 ADDRESS 500000 4000 16 50 # the same, with an SDU of 16 bytes every 50 ms that is not counted
+//! channel serve hci1                     # accepts channels; answers SDUs of 20 bytes and the last SDU of a flood
+//! channel ping  hci0 ADDRESS 200         # 200 round trips of 20-byte SDUs
+//! channel flood hci0 ADDRESS 500000 4000 # goodput of 500000 bytes in SDUs of 4000 bytes
+//! # The same, with an SDU of 16 bytes every 50 ms that is not counted. It must not have 20 bytes, which are answered.
+//! channel flood hci0 ADDRESS 500000 4000 16 50
 //! ```
 //! Adapters named `sim-...` use the simulated air. The result is one line of JSON.
 use std::{
@@ -44,7 +45,7 @@ async fn main() -> Outcome {
             ping(dial(radio(adapter)?, peer).await?, count.parse()?).await
         }
         ["flood", adapter, peer, bytes, sdu, rest @ ..] => {
-            let beside = match rest {
+            let small_sdus = match rest {
                 [] => None,
                 [small, ms] => Some((small.parse()?, Duration::from_millis(ms.parse()?))),
                 _ => return Err(USAGE.into()),
@@ -53,7 +54,7 @@ async fn main() -> Outcome {
                 dial(radio(adapter)?, peer).await?,
                 bytes.parse()?,
                 sdu.parse()?,
-                beside,
+                small_sdus,
             )
             .await
         }
@@ -108,9 +109,10 @@ async fn find(
 ) -> Result<(zenoh_link_ble::address::DeviceAddress, Psm), RadioError> {
     let mut scan = radio.scan().await?;
     loop {
-        let seen = scan.next().await?;
-        if let (true, Some(advertisement)) = (seen.device.address == address, seen.advertisement) {
-            return Ok((seen.device, advertisement.psm));
+        let report = scan.next().await?;
+        let is_peer = report.device.address == address;
+        if let (true, Some(advertisement)) = (is_peer, report.advertisement) {
+            return Ok((report.device, advertisement.psm));
         }
     }
 }
@@ -138,7 +140,7 @@ async fn flood(
     channel: Arc<dyn Channel>,
     bytes: usize,
     sdu_bytes: usize,
-    beside: Option<(usize, Duration)>,
+    small_sdus: Option<(usize, Duration)>,
 ) -> Outcome {
     let sdu_bytes = sdu_bytes.clamp(PING_BYTES + 1, channel.send_mtu());
     let sdus = bytes.div_ceil(sdu_bytes);
@@ -146,9 +148,9 @@ async fn flood(
     let start = Instant::now();
     let mut due = start;
     for n in 1..=sdus {
-        if let Some((small, every)) = beside.filter(|_| due <= Instant::now()) {
-            channel.send(&vec![0; small]).await?;
-            due += every;
+        if let Some((small_bytes, interval)) = small_sdus.filter(|_| due <= Instant::now()) {
+            channel.send(&vec![0; small_bytes]).await?;
+            due += interval;
         }
         sdu[0] = if n == sdus { LAST } else { 0 };
         channel.send(&sdu).await?;

@@ -1,4 +1,4 @@
-//! Encodes and decodes RECT's advertisement: ten bytes of service data which announce that a Zenoh link listens on a PSM.
+//! Encodes and decodes RECT's advertisement: ten bytes of service data which announce that a node listens on a PSM.
 //!
 //! A legacy advertisement has 31 bytes. The flags take 3 and the header of 128-bit service data takes 18, which leaves 10
 //! (Core Specification, Vol 3, Part C, 11). The readable name is in the scan response.

@@ -11,7 +11,8 @@ use crate::{address::DeviceAddress, radio::AdvertisingReport};
 
 /// How long a node counts as discovered. A robot advertises ten times a second, but this node does not scan all the time.
 const EXPIRY: Duration = Duration::from_secs(60);
-/// Largest number of entries: more than there are robots in a hall, because the name of each new one is requested.
+/// Largest number of entries: more than there are robots in a hall. If there were fewer entries than robots, each robot
+/// would count as new again and again, and its name would be requested from the radio each time.
 const MAX_NODES: usize = 256;
 
 /// A node whose advertisement was received.
@@ -152,9 +153,9 @@ mod tests {
         assert!(nodes.status(now).is_empty());
         for number in 0..300_u16 {
             let [high, low] = number.to_be_bytes();
-            let mut one = report(low, None);
-            one.device.address.0[4] = high;
-            nodes.on_report(&one, now);
+            let mut report = report(low, None);
+            report.device.address.0[4] = high;
+            nodes.on_report(&report, now);
         }
         assert_eq!(nodes.status(now).len(), MAX_NODES);
     }

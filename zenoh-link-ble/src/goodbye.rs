@@ -9,7 +9,7 @@ pub enum Goodbye {
     Replaced,
     /// The side received something that violates the protocol.
     ProtocolError,
-    /// An SDU to this side was lost, damaged or repeated.
+    /// An SDU to the side was lost, damaged or repeated.
     LostOrDamaged,
     /// The peer has acknowledged nothing for too long.
     Unacknowledged,

@@ -11,14 +11,15 @@ use crate::{
     secret::{nonce, ProofTranscript, Secret, Side},
 };
 
-/// How long the peer may take for each message. Ten of the longest connection intervals that BlueZ uses by default fit in.
+/// How long the peer may take for each message: 60 of the longest connection intervals (50 ms) that Linux requests by
+/// default.
 pub(crate) const MESSAGE_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// How long a refused peer may take to close the channel.
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The largest accepted SDU, in bytes. On kernels before 6.10 it determines how many credits the peer gets (one SDU in
-/// flight), so it is larger than any batch.
+/// The largest accepted SDU, in bytes. Kernels before 6.10 grant the peer enough L2CAP credits for one SDU of this
+/// size, so it is larger than any batch.
 const RECV_MTU: u16 = 16_384;
 
 /// Returns the options with which either side opens a channel.
@@ -46,7 +47,8 @@ pub(crate) enum FirstSdu {
     Plain(Vec<u8>),
 }
 
-/// Sends a hello and waits for the peer's acceptance. With a secret, both sides first prove that they have it.
+/// Sends a hello, waits for the peer's acceptance and returns it. With a secret, both sides first prove that they have
+/// it.
 ///
 /// # Errors
 /// Fails if the peer refuses, does not prove the secret, violates the protocol or does not answer in time.
@@ -247,11 +249,11 @@ pub(crate) fn agreed_mtu(
     let header = peer.map_or(0, |_| HEADER);
     let carried = channel.send_mtu().saturating_sub(header);
     let carried = u16::try_from(carried).unwrap_or(u16::MAX);
-    let taken = peer.map_or(own, |peer| {
+    let accepted = peer.map_or(own, |peer| {
         let window = peer.window.min(own_window(channel));
         own.min(peer.mtu).min(credits::largest_batch(window))
     });
-    let mtu = taken.min(carried);
+    let mtu = accepted.min(carried);
     if mtu < MIN_MTU {
         return Err(protocol(
             channel,

@@ -1,5 +1,5 @@
-//! Encodes and decodes the messages of the handshake. The hello, the first message of each side, determines the version, the
-//! MTU and the identities of the two nodes.
+//! Encodes and decodes the messages of the handshake. Each side sends a [`Hello`], the dialler as HELLO and the
+//! listener as ACCEPT. The two determine the version, the MTU and the identities of the nodes.
 //!
 //! For the layout and the rules see section 3 of `PROTOCOL.md`.
 use std::fmt;
@@ -40,7 +40,7 @@ impl fmt::Debug for NodeId {
     }
 }
 
-/// The first message of either side, with its properties.
+/// The content of HELLO and ACCEPT: the properties of the side that sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
     /// From the dialler, the highest version of the wire format that it supports; from the listener, the version that it
@@ -153,15 +153,16 @@ impl fmt::Display for Refusal {
 /// A message of the handshake.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum HandshakeMessage {
-    /// The first message, from the dialler.
+    /// HELLO: the first message, from the dialler.
     Hello(Hello),
-    /// The answer that accepts the link.
+    /// ACCEPT: the answer that accepts the link.
     Accept(Hello),
-    /// The answer that refuses the link.
+    /// REFUSE: the answer that refuses the link.
     Refuse(Refusal),
-    /// The first answer of a listener that has a secret. It proves the secret and requests the dialler's proof.
+    /// CHALLENGE: the first answer of a listener that has a secret. It proves the secret and requests the dialler's
+    /// proof.
     Challenge(Challenge),
-    /// The dialler's answer to the challenge.
+    /// PROOF: the dialler's answer to the challenge.
     Proof(Proof),
 }
 
@@ -180,13 +181,13 @@ pub struct Challenge {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HandshakeMessageError {
     /// The SDU does not begin with [`MAGIC`].
-    #[error("the first sdu is not a hello")]
+    #[error("it sent an sdu that is not a message of the handshake")]
     NotAHello,
     /// The SDU is too short, or larger than [`MAX_SIZE`].
-    #[error("a hello of {0} bytes has the wrong length")]
+    #[error("a handshake message of {0} bytes has the wrong length")]
     Length(usize),
     /// The kind of the message is unknown.
-    #[error("unknown kind {0} of handshake message")]
+    #[error("a handshake message has the unknown kind {0}")]
     Kind(u8),
     /// The version is 0, which does not exist.
     #[error("version 0 does not exist")]
@@ -198,13 +199,14 @@ pub enum HandshakeMessageError {
     #[error("a window of {0} bytes is under the {MIN_WINDOW} that batches need")]
     Window(u16),
     /// The name is too long or not UTF-8.
-    #[error("the name is not valid: at most {MAX_NAME} bytes of utf-8")]
+    #[error("the name is not valid: it must have at most {MAX_NAME} bytes of utf-8")]
     Name,
 }
 
 impl HandshakeMessageError {
-    /// Returns how a listener refuses a first SDU that it cannot decode. It is `None` if the listener does not answer: if the
-    /// SDU is not of this protocol, or is an answer (ACCEPT, REFUSE, CHALLENGE, PROOF), which belongs to another channel.
+    /// Returns the refusal with which a listener answers a first SDU that it cannot decode. Returns `None` if the
+    /// listener does not answer: if the SDU is not of this protocol, or is an answer (ACCEPT, REFUSE, CHALLENGE,
+    /// PROOF), which belongs to another channel.
     pub fn refusal(&self, sdu: &[u8]) -> Option<Refusal> {
         let kind = sdu.strip_prefix(&MAGIC)?.first();
         match (kind, self) {

@@ -16,7 +16,6 @@ pub mod check;
 pub mod credits;
 pub mod flight;
 pub mod path;
-
 pub mod receiver;
 pub mod report;
 pub mod scheduler;
@@ -92,7 +91,7 @@ pub struct Lanes {
 pub enum Change {
     /// A batch can be taken from that lane.
     Batch(Lane),
-    /// More may be sent than before: the peer acknowledged SDUs, or stopped or restarted a lane.
+    /// The peer acknowledged batches, or stopped or restarted a lane: more or less may be sent than before.
     Credits,
     /// The peer ends the link, with the code of its reason. Batches that arrived before can still be taken.
     Goodbye(u8),
@@ -113,7 +112,8 @@ impl Lanes {
         self.out.push(lane, batch, now)
     }
 
-    /// Returns when to offer a batch again that [`Lanes::push`] did not accept, even if nothing is sent until then.
+    /// Returns when to offer a batch again that [`Lanes::push`] did not accept, even if nothing is sent until then: see
+    /// [`Scheduler::retry_at`].
     pub fn retry_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
         self.out.retry_at(lane, batch, now)
     }
@@ -127,7 +127,7 @@ impl Lanes {
         self.out.peek()
     }
 
-    /// Records that the SDU was sent which [`Lanes::peek`] returned last. Nothing may have been queued in between.
+    /// Records that the SDU that [`Lanes::peek`] returned last was sent. Nothing may have been queued in between.
     pub fn on_sent(&mut self, sent: Next, now: Instant) {
         self.out.on_sent(sent, now);
     }
@@ -140,7 +140,8 @@ impl Lanes {
     /// Handles a received SDU.
     ///
     /// # Errors
-    /// Fails if the SDU was lost, damaged or repeated, or breaks the protocol. The link has to end then.
+    /// Fails if an earlier SDU was lost, or if this one is damaged, repeated or breaks the protocol. The link has to
+    /// end then.
     pub fn on_sdu(&mut self, sdu: &[u8], now: Instant) -> Result<Change, Violation> {
         match self.into.on_sdu(sdu)? {
             Received::Batch(lane) => Ok(Change::Batch(lane)),

@@ -34,24 +34,24 @@ pub const DEFAULT_CONNECT_TIMEOUT: Duration = Duration::from_millis(8000);
 /// Stands for any peer of a fleet, in the place of a name.
 const ANY_PEER: &str = "*";
 
-/// The defaults of `queue=`, `backlog=` and `droppable=`. 16 MiB hold one message of the largest size that our
-/// configurations accept. The memory is allocated as needed, and a robot with 1 GB can afford it.
+/// The defaults of `queue=`, `backlog=` and `droppable=`. 16 MiB hold one message of the largest size that the files in
+/// `config/` accept (`max_message_size`). The memory is allocated as needed, and a robot with 1 GB can afford it.
 pub const DEFAULT_BOUNDS: Bounds = Bounds {
     bytes: 16 << 20,
     backlog: Duration::from_millis(1000),
     droppable: Duration::from_millis(100),
 };
-/// The default of `linger=`: how long a closing side waits until the peer has read what was sent before.
+/// The default of `linger=`: how long a closing side waits until the peer has read everything that was queued.
 pub const DEFAULT_LINGER: Duration = Duration::from_secs(5);
 
 /// How the batches of a link are queued. A link with a plain peer has no queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Queueing {
-    /// `queue=` in bytes, `backlog=` and `droppable=` in milliseconds: the limits of what waits on the link. Default:
-    /// [`DEFAULT_BOUNDS`].
+    /// `queue=` in bytes (65,536 to 67,108,864), `backlog=` (50 to 600,000) and `droppable=` (20 to 10,000) in
+    /// milliseconds: the limits of what waits on the link. Default: [`DEFAULT_BOUNDS`].
     pub bounds: Bounds,
-    /// `linger=` in milliseconds: how long a closing side waits until the peer has read what was sent before. Default:
-    /// [`DEFAULT_LINGER`].
+    /// `linger=` in milliseconds, 0 to 60,000: how long a closing side waits until the peer has read everything that
+    /// was queued. Default: [`DEFAULT_LINGER`].
     pub linger: Duration,
 }
 
@@ -100,15 +100,16 @@ pub struct ConnectLocator {
     pub security: Security,
     /// `secret=`: path of the file with the team's secret. Default: the secret of this node's listener.
     pub secret: Option<PathBuf>,
-    /// `mtu=`: the largest batch that this side accepts, in bytes. Default: [`DEFAULT_MTU`].
+    /// `mtu=`: the largest batch that this side accepts, in bytes; [`MIN_MTU`](crate::hello::MIN_MTU) to [`MAX_MTU`].
+    /// Default: [`DEFAULT_MTU`].
     pub mtu: u16,
     /// `queue=`, `backlog=`, `droppable=` and `linger=`.
     pub queueing: Queueing,
-    /// `timeout=` in milliseconds: time for discovery, connecting and the handshake together. Default:
+    /// `timeout=` in milliseconds, 100 to 60,000: time for discovery, connecting and the handshake together. Default:
     /// [`DEFAULT_CONNECT_TIMEOUT`].
     pub timeout: Duration,
-    /// `plain=true`: the link has no hello and no framing, for a peer that sends one bare batch per SDU. Default: as
-    /// advertised.
+    /// `plain=true`: the link has no hello and no framing, because the peer sends one bare batch per SDU.
+    /// `plain=false`: it has both. Default: as advertised.
     pub plain: Option<bool>,
 }
 
@@ -128,11 +129,12 @@ pub struct ListenLocator {
     /// `secret=`: path of the file with the team's secret, which every peer must have. Default: none, and any peer is
     /// accepted.
     pub secret: Option<PathBuf>,
-    /// `mtu=`: the largest batch that this side accepts, in bytes. Default: [`DEFAULT_MTU`].
+    /// `mtu=`: the largest batch that this side accepts, in bytes; [`MIN_MTU`](crate::hello::MIN_MTU) to [`MAX_MTU`].
+    /// Default: [`DEFAULT_MTU`].
     pub mtu: u16,
     /// `queue=`, `backlog=`, `droppable=` and `linger=`.
     pub queueing: Queueing,
-    /// `max_links=`: the largest number of accepted links. Default: [`DEFAULT_MAX_LINKS`].
+    /// `max_links=`: the largest number of accepted links, 1 to 64. Default: [`DEFAULT_MAX_LINKS`].
     pub max_links: usize,
     /// `wait=true`: the listener waits for an adapter that is missing or switched off. Default: that is an error.
     pub wait: bool,

@@ -5,8 +5,8 @@ use tokio_util::task::AbortOnDropHandle;
 
 use crate::{adapter::Adapter, address::DeviceAddress, error::BleError};
 
-/// How long to scan for another robot with the same name before using it: several of RECT's advertising intervals
-/// (`config/bluetooth.conf`), but short, because dialling waits for the result.
+/// How long to scan for another robot with the same name before this node dials: several of RECT's advertising
+/// intervals (`config/bluetooth.conf`), but short, because dialling waits for the result.
 const SEARCH: Duration = Duration::from_millis(500);
 /// How long to continue the scan afterwards: longer than BlueZ's default advertising interval of 1.28 s.
 const WATCH: Duration = Duration::from_millis(2000);
@@ -38,10 +38,10 @@ impl NameConflictCheck {
         let own = self.adapter.radio.address().await?;
         let same_name = self.adapter.scanner.find(|report| {
             let other = report.advertisement.as_ref()?;
-            let clash = other.matches_name(&self.name)
+            let is_conflict = other.matches_name(&self.name)
                 && other.incarnation != self.incarnation
                 && report.device.address != own.address;
-            clash.then_some(report.device)
+            is_conflict.then_some(report.device)
         });
         let found = tokio::time::timeout(limit, same_name).await;
         Ok(found.ok().transpose()?)

@@ -152,8 +152,8 @@ impl RadioError {
 
 /// A local Bluetooth adapter.
 ///
-/// Methods fail with [`RadioError`]. No method blocks forever: a method that waits for a peer is bounded by the
-/// caller's timeout, and its future can be dropped at any await point without leaving a pending operation behind.
+/// Methods fail with [`RadioError`]. A method that waits for a peer or for a change has no timeout of its own: the
+/// caller applies one. The future can be dropped at any await point without leaving a pending operation behind.
 #[async_trait]
 pub trait Radio: Send + Sync {
     /// Returns the adapter's name, such as `hci0` or `sim-wombat-1`.
@@ -162,14 +162,15 @@ pub trait Radio: Send + Sync {
     /// Returns the adapter's own address.
     ///
     /// # Errors
-    /// Fails if the adapter is missing or switched off.
+    /// Fails if the adapter is missing. With BlueZ, it also fails if the adapter is switched off.
     async fn address(&self) -> Result<DeviceAddress, RadioError>;
 
     /// Returns whether the adapter can be used now.
     async fn state(&self) -> AdapterState;
 
-    /// Waits until [`Radio::state`] may have changed since the call: the power, the presence of the adapter, or a
-    /// restart of the service behind it. Spurious wake-ups are allowed.
+    /// Waits until [`Radio::state`] may have changed: the power, the presence of the adapter, or a restart of the
+    /// service behind it. Spurious wake-ups are allowed, and a change may be missed. The caller therefore checks the
+    /// state at intervals as well.
     async fn changed(&self);
 
     /// Returns a counter that increases when listeners and advertisements were lost although the adapter is on: because
@@ -204,6 +205,10 @@ pub trait Radio: Send + Sync {
 
     /// Opens a channel to `peer`. The caller runs at most one connect per adapter at a time and applies a timeout to
     /// it. Dropping the future cancels the attempt.
+    ///
+    /// # Errors
+    /// Fails with [`RadioError::Refused`] if the peer has no listener on `psm`, and with [`RadioError::ChannelDown`] if
+    /// the connection is lost while the channel is being opened.
     async fn connect(
         &self,
         peer: DeviceAddress,
@@ -212,7 +217,7 @@ pub trait Radio: Send + Sync {
     ) -> Result<Arc<dyn Channel>, RadioError>;
 
     /// Closes any connection to the device, so that the next connect starts from a clean state. Called after a failed
-    /// handshake. Does nothing if a failed channel leaves no connection behind.
+    /// handshake. The default does nothing, for a radio on which a failed channel leaves no connection behind.
     async fn disconnect(&self, _peer: DeviceAddress) {}
 }
 
@@ -258,7 +263,7 @@ pub trait Channel: Send + Sync {
     fn send_mtu(&self) -> usize;
 
     /// Returns how many bytes of received SDUs are guaranteed to be buffered while `recv` is not called. Each SDU
-    /// counts [`PER_SDU`](crate::lanes::credits::PER_SDU) bytes in addition to its own size.
+    /// counts [`SDU_OVERHEAD_BYTES`](crate::lanes::credits::SDU_OVERHEAD_BYTES) in addition to its own size.
     fn receive_capacity_bytes(&self) -> usize;
 
     /// Sends one SDU if the controller and the receiver have room for it. Returns `false` if they do not; wait for
@@ -267,10 +272,14 @@ pub trait Channel: Send + Sync {
     /// An SDU must not be empty, because an empty one would be read as the end of the channel. An SDU that was accepted
     /// cannot be overtaken by a more urgent one. The channel therefore accepts no more than it needs to keep the radio
     /// busy.
+    ///
+    /// # Errors
+    /// Fails if the channel is down, or with [`RadioError::SduTooLarge`] if the SDU is larger than
+    /// [`Channel::send_mtu`].
     fn try_send(&self, sdu: &[u8]) -> Result<bool, RadioError>;
 
-    /// Waits until the channel may be writable again after [`Channel::try_send`] returned `false`, or until sending
-    /// fails immediately.
+    /// Waits until the channel may be writable again after [`Channel::try_send`] returned `false`, or until the channel
+    /// is down, so that sending fails at once.
     async fn writable(&self);
 
     /// Sends one SDU, and waits until the channel is writable if necessary.
@@ -284,7 +293,9 @@ pub trait Channel: Send + Sync {
     /// Receives one SDU into `buffer` and returns its size in bytes.
     ///
     /// # Errors
-    /// Fails when the channel is down, or with [`RadioError::SduTooLarge`] if the SDU is larger than `buffer`.
+    /// Fails when the channel is down. If the SDU is larger than `buffer`, the simulated radio fails with
+    /// [`RadioError::SduTooLarge`], and a kernel truncates the SDU without an error. A buffer that is one byte larger
+    /// than the largest expected SDU detects both.
     async fn recv(&self, buffer: &mut [u8]) -> Result<usize, RadioError>;
 
     /// Closes both directions; the peer's `recv` fails. SDUs that are still queued may be lost.

@@ -28,7 +28,7 @@ impl RejectedPeers {
         self.0.push_front((device, now + EXPIRY));
     }
 
-    /// Removes a device that has been authenticated since.
+    /// Removes a device whose handshake has succeeded since.
     pub(crate) fn remove(&mut self, device: DeviceAddress) {
         self.0.retain(|(known, _)| *known != device);
     }

@@ -31,7 +31,8 @@ pub struct NodeStatus {
     pub links: Vec<LinkStatus>,
     /// History of the peers that were linked or dialled.
     pub peers: Vec<PeerStatus>,
-    /// Nodes whose advertisements were received within the last minute. A node scans only while it dials.
+    /// Nodes whose advertisements were received within the last minute. A node scans only while it dials, and while it
+    /// searches for another robot with its name.
     pub discovered: Vec<DiscoveredStatus>,
 }
 
@@ -63,7 +64,7 @@ pub struct LinkStatus {
 pub struct LanesStatus {
     /// Rate of the path while there is enough to send, in bytes per second, once it was measured.
     pub rate_bytes_per_s: Option<f64>,
-    /// Mean time from an SDU to its acknowledgement, in milliseconds, once it was measured.
+    /// Moving average of the time from an SDU to its acknowledgement, in milliseconds, once it was measured.
     pub round_trip_ms: Option<f64>,
     /// Number of bytes that were sent and not acknowledged yet.
     pub in_flight_bytes: u16,
@@ -78,15 +79,15 @@ pub struct LanesStatus {
 /// A lane of a link, in both directions.
 #[derive(Clone, Debug, Serialize)]
 pub struct LaneStatus {
-    /// Zenoh's priority.
+    /// Name of Zenoh's priority, such as `Data`.
     pub priority: String,
     /// Batches that were sent.
     pub sent: Count,
-    /// Batches that wait to be sent.
+    /// Batches that wait to be sent. Here, `bytes` is the memory that they occupy.
     pub waiting: Count,
     /// Number of waiting bytes that count towards `backlog_limit_bytes`: those of messages that are not large.
     pub backlog_bytes: u64,
-    /// How long the oldest waiting batch has waited, in milliseconds.
+    /// How long the oldest waiting batch has waited, in milliseconds; `None` if none waits.
     pub oldest_ms: Option<f64>,
     /// Number of batches that were withdrawn because Zenoh abandoned their message.
     pub abandoned: u64,
@@ -94,7 +95,7 @@ pub struct LaneStatus {
     pub is_stopped: bool,
     /// Batches that were received.
     pub received: Count,
-    /// Number of received bytes that Zenoh has not read yet.
+    /// Number of received bytes that Zenoh has not read yet, with 24 more for each batch.
     pub unread_bytes: usize,
 }
 
@@ -104,8 +105,8 @@ pub fn nodes() -> Vec<NodeStatus> {
     nodes.iter().map(|node| node.status()).collect()
 }
 
-/// Cancels all `ble` dials of this process and prevents new ones. It is for a program that is about to exit: when Zenoh is
-/// closed, it waits for its dials, and an unreachable peer is dialled for seconds.
+/// Cancels all `ble` dials of this process and prevents new ones. It is for a program that is about to exit: Zenoh
+/// waits for its dials when it is closed, and a dial to an unreachable peer takes seconds.
 pub fn stop_dialling() {
     for node in NODES.lock().iter().filter_map(Weak::upgrade) {
         node.stop_dialling.cancel();

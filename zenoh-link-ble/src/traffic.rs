@@ -235,8 +235,8 @@ impl Traffic {
         self.ended.cancelled().await;
     }
 
-    /// Sends what is queued and then the goodbye, and waits until the peer has read it and closes the channel, for at most
-    /// `limit`.
+    /// Sends what is queued and then the goodbye, and waits until the peer has read it and closes the channel. All of
+    /// this takes at most `limit`.
     pub(crate) async fn finish(&self, limit: Duration) {
         self.state.lock().lanes.close(Goodbye::Closing.code());
         self.to_send.notify_one();
@@ -289,7 +289,7 @@ impl Traffic {
         }
     }
 
-    /// Waits for `event`. Returns `None` if the peer has to have acknowledged something before.
+    /// Waits for `event`. Returns `None` if the deadline for the peer's next acknowledgement passes before.
     async fn until_ack_deadline<T>(&self, event: impl Future<Output = T>) -> Option<T> {
         let deadline = self.state.lock().lanes.ack_deadline();
         match deadline {
@@ -298,8 +298,8 @@ impl Traffic {
         }
     }
 
-    /// Tries to send the most urgent SDU. It is selected only when the channel accepts it, so that queued batches can still
-    /// be overtaken.
+    /// Tries to send the most urgent SDU. The SDU is selected again for each attempt, so that a queued batch can be
+    /// overtaken until the channel accepts it.
     fn send_next(&self) -> Result<SendOutcome, RadioError> {
         let mut state = self.state.lock();
         let deadline = state.lanes.ack_deadline();
@@ -332,8 +332,8 @@ impl Traffic {
             };
             let change = match received {
                 Ok(size) => self.on_sdu(sdu.get(..size).unwrap_or_default()),
-                // The simulated radio reports a too large SDU; a kernel truncates it to one byte too many. The peer sees
-                // the same result.
+                // The simulated radio reports an SDU that is too large; a kernel truncates it to the buffer, which is
+                // one byte larger than allowed. Both end the link in the same way.
                 Err(RadioError::SduTooLarge { size, .. }) => Err(self.too_large(size)),
                 Err(error) => break BleError::from(error).into(),
             };

@@ -117,7 +117,7 @@ async fn two_clients_discover_each_other_and_exchange_sdus() {
     let received = timeout(LIMIT, scan.next())
         .await
         .expect("in time")
-        .expect("hears");
+        .expect("receives a report");
     assert_eq!(received.device, b.address().await.expect("has an address"));
     let status = control(&folder.socket(), Control::Status)
         .await
@@ -210,7 +210,7 @@ async fn disconnects_a_client_that_sends_garbage_without_affecting_others() {
     let messages: [&[u8]; 4] = [
         b"GET / HTTP/1.1\r\n\r\n",
         &[4, 0, 0, 0, 0xff, 0xff, 0xff, 0xff],
-        // A command before the first message.
+        // A command as the first message.
         &[3, 0, 0, 0, 2, 2, 1],
         // An invalid adapter name.
         &[6, 0, 0, 0, 0, 1, 3, b'h', b'c', b'i'],
@@ -236,7 +236,7 @@ async fn socket_is_private_and_replaces_a_stale_file_and_is_removed_on_exit() {
     assert!(path.exists(), "a dead server leaves its file");
     let server = serve(&path);
     let mode = std::fs::metadata(&path)
-        .expect("has an address")
+        .expect("exists")
         .permissions()
         .mode();
     assert_eq!(mode & 0o777, 0o600);

@@ -109,7 +109,8 @@ async fn throughput(options: AirOptions, during: Duration) -> f64 {
     rate(&b, during).await
 }
 
-/// Checks one row of the table in `facts/ble-and-peers.md`, section 2: the rate is within 5 % of `expected_kbit_s`.
+/// Asserts that the rate is within 5 % of `expected_kbit_s`: the bits of a full L2CAP frame, divided by the duration of
+/// the exchanges of full packets that carry it.
 async fn check_throughput(phy: Phy, pdu: LlPayload, mps: u16, expected_kbit_s: f64) {
     let options = AirOptions {
         phy,

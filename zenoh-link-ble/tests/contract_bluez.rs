@@ -22,7 +22,8 @@ fn world() -> Option<World> {
     let (a, b) = adapters
         .split_once(',')
         .expect("two adapters, as hci0,hci1");
-    // bluetoothd ends the advertisements and scans of the previous test when it notices that their client has disconnected.
+    // Waits for the end of the previous test's advertisements and scans. bluetoothd ends them when it notices that
+    // their client has disconnected.
     for adapter in [a, b] {
         run("adapter", ["idle", adapter]);
     }

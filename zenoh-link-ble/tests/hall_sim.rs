@@ -209,10 +209,10 @@ impl Hall {
     fn busy(&self) -> (Duration, Duration) {
         let adapters = self.air.status().adapters;
         let busy = adapters.iter().map(|adapter| adapter.stats.busy);
-        let (most, all) = busy.fold((Duration::ZERO, Duration::ZERO), |(most, all), busy| {
-            (most.max(busy), all + busy)
+        let (max, sum) = busy.fold((Duration::ZERO, Duration::ZERO), |(max, sum), busy| {
+            (max.max(busy), sum + busy)
         });
-        (most, all / u32::try_from(adapters.len()).expect("few"))
+        (max, sum / u32::try_from(adapters.len()).expect("few"))
     }
 }
 
@@ -257,9 +257,9 @@ async fn fleets_of_45_robots_link_and_stay_linked_for_an_hour() {
         hall.ended.load(Ordering::Relaxed),
         hall.batches.load(Ordering::Relaxed),
     );
-    let (most_before, mean_before) = hall.busy();
+    let (max_before, mean_before) = hall.busy();
     sleep(HOUR).await;
-    let (most, mean) = hall.busy();
+    let (max, mean) = hall.busy();
     let share = |busy: Duration| 100.0 * busy.as_secs_f64() / HOUR.as_secs_f64();
     let batches = hall.batches.load(Ordering::Relaxed) - batches_before;
     println!(
@@ -267,7 +267,7 @@ async fn fleets_of_45_robots_link_and_stay_linked_for_an_hour() {
          advertising takes {:.2} % more (computed)",
         ROBOTS_OF_A_FLEET - 1,
         share(mean - mean_before),
-        share(most - most_before),
+        share(max - max_before),
         100.0 * advertising_share(),
     );
     assert_eq!(
@@ -281,7 +281,7 @@ async fn fleets_of_45_robots_link_and_stay_linked_for_an_hour() {
         batches.abs_diff(sent) <= 2 * PAIRS as u64,
         "{batches} of {sent}"
     );
-    assert!(share(most - most_before) < 5.0);
+    assert!(share(max - max_before) < 5.0);
 
     // Two more robots are switched on in the crowded hall.
     let one = hall.air.radio("sim-late-1").await.expect("attaches");

@@ -64,7 +64,7 @@ async fn finds_its_fleet_among_intruders_that_use_the_fleets_name() {
     println!("found after {:.1} s", start.elapsed().as_secs_f64());
     let far = mate.incoming().await;
     assert_delivers(&near, &far, b"there").await;
-    // Dialling them by name fails too, and they cannot dial in.
+    // Dialling an intruder by name fails too, and no intruder can dial in.
     for name in ["ble/intruder-0", "ble/intruder-1"] {
         own.dial(name).await.expect_err(name);
     }
@@ -74,7 +74,7 @@ async fn finds_its_fleet_among_intruders_that_use_the_fleets_name() {
     assert!(own.no_more_incoming());
 }
 
-/// Each intruder has a separate address, keeps its channel open as long as possible, and opens the next one then.
+/// Each intruder has its own address, keeps its channel open as long as possible, and then opens the next one.
 #[tokio::test(start_paused = true)]
 async fn intruders_that_occupy_all_handshakes_do_not_delay_a_robot() {
     let folder = tempfile::tempdir().expect("makes a folder");

@@ -38,13 +38,14 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 /// The gate of this process.
 static GATE: RwLock<Option<Arc<Gate>>> = RwLock::new(None);
 
-/// Applies these limits to every link, except those of `ble`, that is accepted by a link manager created from now on.
-/// Must be called before Zenoh is opened.
+/// Applies these limits to every link that is accepted by a link manager created from now on, except those of `ble` and
+/// `placeholder`. Must be called before Zenoh is opened.
 pub fn set_limits(limits: Limits) {
     *GATE.write() = Some(Arc::new(Gate::new(limits)));
 }
 
-/// Returns a channel to which a link manager sends accepted links. Admitted links are forwarded to `new_links`.
+/// Returns a channel to which a link manager sends accepted links. Admitted links are forwarded to `new_links`. If no
+/// limits are set, `new_links` itself is returned.
 pub(crate) fn gated(new_links: NewLinkChannelSender) -> NewLinkChannelSender {
     let Some(gate) = GATE.read().clone() else {
         return new_links;
@@ -75,7 +76,7 @@ struct Gate {
 struct State {
     permits: Permits,
     log: RefusalLog,
-    /// Cancels the handshake of a link that has not completed it.
+    /// Tokens that cancel the handshakes that are not complete.
     handshakes: HashMap<PermitId, CancellationToken>,
 }
 

@@ -1,10 +1,10 @@
 //! Replaces the published crate `zenoh-link` 1.10.2: all links of Zenoh, plus `ble` and `placeholder`.
 //!
 //! Zenoh's links are a closed enum (zenoh#2707). A new link is possible only if this crate takes the place of the
-//! published one: `[patch.crates-io] zenoh-link = { path = "zenoh-link" }`. This crate contains only the table of
-//! links; each link is implemented in its own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`,
-//! `zenoh-link-placeholder`). A router may limit which accepted links are passed on to Zenoh (`admission`). All public
-//! items of the published crate exist here with the same names; `tests/` checks this.
+//! published one: `[patch.crates-io] zenoh-link = { path = "zenoh-link" }`. This crate contains the table of links,
+//! and a gate with which a router may limit the accepted links that are passed on to Zenoh (`admission`). Each link is
+//! implemented in its own crate (`zenoh-link-tcp`, ..., `zenoh-link-ble`, `zenoh-link-placeholder`). All public items
+//! of the published crate exist here with the same names; `tests/` checks this.
 
 use std::{collections::HashMap, sync::Arc};
 

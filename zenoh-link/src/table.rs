@@ -6,7 +6,7 @@
 //! #[cfg(feature = "transport_x")]                      // the row exists only when this holds
 //! Kind: crate_of_the_link as module, PREFIX, Inspector, Manager
 //!     [, config Configurator]                          // the link reads settings from Zenoh's config
-//!     [, only reliable | best_effort, else "feature"]  // it accepts only such locators; feature of the link for the others
+//!     [, only reliable | best_effort, else "feature"]  // it accepts only such locators; others need this feature
 //!     ;
 //! ```
 //!

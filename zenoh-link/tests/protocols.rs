@@ -64,7 +64,7 @@ async fn unixpipe_carries_data() {
 async fn serial_carries_data() {
     let cable = SerialCable::new();
     let [listen, connect] =
-        // `tout`, in microseconds: the listener is ready shortly after it reports so.
+        // The listener is not ready at once, so the timeout `tout`, in microseconds, is long.
         cable.ends.each_ref().map(|end| format!("serial/{}#baudrate=115200;exclusive=false;tout=5000000", end.display()));
     carries_data(&listen, &connect, &[]).await;
 }

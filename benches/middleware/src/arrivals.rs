@@ -7,7 +7,7 @@ use std::{
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 
-/// The requests that are not answered by their own payload.
+/// The requests that read and reset the count.
 pub const COUNT: &[u8] = b"count";
 pub const RESET: &[u8] = b"reset";
 
@@ -45,7 +45,7 @@ impl ArrivalCounter {
         arrivals.last = Some(now);
     }
 
-    /// Returns the reply to a request: its own payload, unless it asks for the count or resets it.
+    /// Returns the reply to a request: its own payload, or the count for `COUNT`. `RESET` resets the count.
     pub fn answer(&self, asked: Bytes) -> Bytes {
         let mut arrivals = self.arrivals.lock().unwrap_or_else(PoisonError::into_inner);
         match &asked[..] {

@@ -44,7 +44,7 @@ pub fn run(address: SocketAddr) -> Outcome<()> {
         metrics: None,
     };
     thread::spawn(move || {
-        while !send_at_once(address) {
+        while !disable_nagle(address) {
             thread::sleep(Duration::from_millis(10));
         }
     });
@@ -53,7 +53,7 @@ pub fn run(address: SocketAddr) -> Outcome<()> {
 
 /// Sets TCP_NODELAY on the broker's listener, as all other programs do: rumqttd does not set it and has no option for it.
 /// On Linux accepted sockets inherit it. Returns `false` if the broker does not listen yet.
-fn send_at_once(address: SocketAddr) -> bool {
+fn disable_nagle(address: SocketAddr) -> bool {
     let open = fs::read_dir("/proc/self/fd")
         .into_iter()
         .flatten()

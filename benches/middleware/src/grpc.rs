@@ -1,4 +1,4 @@
-//! Implements the jobs with gRPC, using tonic: published messages share one stream, a request is a unary call. The service
+//! Implements [`Peer`] with gRPC, using tonic: published messages share one stream, a request is a unary call. The service
 //! is written by hand as tonic's generator would write it, because the generator requires protoc:
 //!
 //! ```text

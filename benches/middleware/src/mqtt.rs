@@ -1,5 +1,5 @@
-//! Implements the jobs with MQTT: rumqttc as a client of version 3.1.1, all messages at QoS 1, so that none is lost. MQTT
-//! has no requests, so each is a message and its answer, one at a time.
+//! Implements [`Peer`] with MQTT: rumqttc as a client of version 3.1.1, all messages at QoS 1, so that none is lost. MQTT
+//! has no requests, so a request is a message and its answer, one at a time.
 use std::{process, sync::Arc, time::Duration};
 
 use bytes::Bytes;
@@ -34,7 +34,7 @@ impl Peer for Mqtt {
         }
         loop {
             let Publish { topic, payload, .. } = next(&mut events).await?;
-            // Without waiting, because this loop is what makes room.
+            // `try_publish`, because this loop must not wait: only it empties the queue.
             match topic.as_str() {
                 SERVICE => {
                     client.try_publish(ANSWER, QoS::AtLeastOnce, false, arrivals.answer(payload))?

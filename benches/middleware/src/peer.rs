@@ -12,7 +12,8 @@ pub type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
 pub struct Meeting {
     /// The address of the serving program, or of the router or broker.
     pub address: SocketAddr,
-    /// Whether it is a router; otherwise the serving program listens there. MQTT always has a broker, gRPC never.
+    /// Whether it is the address of a router or broker; otherwise the serving program listens there. MQTT always has a broker,
+    /// gRPC never.
     pub router: bool,
 }
 
@@ -25,7 +26,7 @@ pub enum About {
     Flood,
 }
 
-/// A middleware: the measuring side, and how the other side serves it.
+/// A middleware. A value of this type is the measuring side; `serve` runs the other side.
 pub trait Peer: Sized + Send + Sync + 'static {
     /// Serves as long as the program runs: echoes messages, counts them with `arrivals`, and answers requests.
     fn serve(
@@ -36,7 +37,7 @@ pub trait Peer: Sized + Send + Sync + 'static {
     /// Joins as the measuring side.
     fn join(meeting: Meeting) -> impl Future<Output = Outcome<Self>> + Send;
 
-    /// Publishes a message; waits while there is no room.
+    /// Publishes a message. Waits while the send queue is full.
     fn publish(&self, about: About, payload: Bytes) -> impl Future<Output = Outcome<()>> + Send;
 
     /// Returns the next echo.

@@ -1,4 +1,4 @@
-//! Implements the jobs with RECT's library in its default configuration.
+//! Implements [`Peer`] with RECT's library in its default configuration.
 use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;

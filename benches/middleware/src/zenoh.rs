@@ -1,4 +1,4 @@
-//! Implements the jobs with plain zenoh: with RECT's keys, priority and congestion control, and nothing else of RECT.
+//! Implements [`Peer`] with plain zenoh: with RECT's keys, priority and congestion control, and nothing else of RECT.
 use std::sync::Arc;
 
 use bytes::Bytes;

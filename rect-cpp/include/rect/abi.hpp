@@ -1,6 +1,6 @@
 /// @file
 /// Selects the inline namespace, which differs between C++17, C++20 and C++23. Types differ between these standards
-/// (`std::span`, `std::expected`), and this way object files of several standards can be linked together.
+/// (`std::span`, `std::expected`); separate namespaces permit linking object files of several standards together.
 #ifndef RECT_ABI_HPP
 #define RECT_ABI_HPP
 

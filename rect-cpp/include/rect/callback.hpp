@@ -48,7 +48,7 @@ bool guarded(Run run) noexcept {
     return false;
 }
 
-/// A C++ function that is passed to C, which takes ownership of it.
+/// A C++ function that is passed to C. C owns it, and deletes it with `release`.
 template <class F>
 class Callback {
 public:

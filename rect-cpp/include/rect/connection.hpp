@@ -38,7 +38,7 @@ enum class ConnectionState {
     discovered = RECT_CONNECTION_STATE_DISCOVERED,
 };
 
-/// A connection of a robot's router (docs/registry.md).
+/// A connection of a robot's router (docs/registry.md). Unknown values are empty.
 struct Connection {
     /// The name of a named connection; otherwise empty.
     std::string name;
@@ -90,7 +90,7 @@ struct Connection {
           last_error_ago_s(detail::value_if_known(raw.last_error_ago_s)) {}
 };
 
-/// A named connection to add to a router: Robot::add_connection.
+/// A named connection to add to a router with Robot::add_connection. `name`, `method` and `address` are required.
 struct NamedConnection {
     /// The name of the connection.
     std::string name;
@@ -98,7 +98,7 @@ struct NamedConnection {
     std::string method;
     /// For `ble`, the name or Bluetooth address of a robot; for other methods, a host.
     std::string address;
-    /// The port, for methods that have ports.
+    /// The port, for methods that have ports. 0 means none.
     std::uint16_t port = 0;
     /// The L2CAP PSM, for `ble`. If 0, the advertised PSM is used.
     std::uint16_t psm = 0;

@@ -24,15 +24,15 @@ inline namespace RECT_ABI {
 enum class Code {
     /// There are no more items: all robots have replied, or the end of the transfer has already been reported.
     end = RECT_CODE_END,
-    /// The timeout expired. Retry, allow more time, or check the link with `rect connections`.
+    /// The timeout expired. Try again, allow more time, or check the link with `rect connections`.
     timed_out = RECT_CODE_TIMED_OUT,
-    /// An argument is not UTF-8, contains a zero byte, or is out of range. The text names it.
+    /// An argument is not UTF-8, contains a zero byte, or is out of range. The text names the argument.
     argument = RECT_CODE_ARGUMENT,
     /// The object was moved from or dropped.
     handle = RECT_CODE_HANDLE,
     /// The session was closed, or another thread dropped the object while the call was waiting.
     closed = RECT_CODE_CLOSED,
-    /// The name of a robot or fleet is invalid. Choose another one.
+    /// The name of a robot or fleet, or the file name of a transfer, is invalid. Choose another one.
     name = RECT_CODE_NAME,
     /// A topic or pattern is invalid. The text explains the rule that it breaks.
     topic = RECT_CODE_TOPIC,

@@ -13,8 +13,8 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// An object of the library, which is dropped when this is destroyed. Calls on an object that was moved from or dropped fail
-/// with Code::handle.
+/// The owner of an object of the library, which is dropped when its owner is destroyed. Calls on an object that was moved
+/// from or dropped fail with Code::handle.
 class Handle {
 public:
     /// Takes ownership of a handle of rect.h.
@@ -33,8 +33,8 @@ public:
     Handle& operator=(const Handle&) = delete;
     ~Handle() { drop(); }
 
-    /// Drops the object now. When this returns, no callback of it runs any more, except the one that calls this. May be
-    /// called repeatedly, and by several threads at once.
+    /// Drops the object now. When this returns, no callback of the object runs any more, except one that called this
+    /// function. May be called repeatedly, and by several threads at once.
     void drop() noexcept {
         auto id = id_.exchange(0);
         rect_drop(&id, nullptr);

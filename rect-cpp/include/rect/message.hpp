@@ -71,7 +71,7 @@ public:
     [[nodiscard]] std::string_view topic() const noexcept { return detail::view(raw_.topic); }
     /// Returns the urgency.
     [[nodiscard]] Urgency urgency() const noexcept { return static_cast<Urgency>(raw_.urgency); }
-    /// Returns the time of sending by the sender's clock, or nothing if the sender is a plain Zenoh program. The clock of a
+    /// Returns the time of sending by the sender's clock, or nothing if the sender is a stock Zenoh program. The clock of a
     /// robot without a real-time clock may be wrong by years.
     [[nodiscard]] std::optional<std::chrono::system_clock::time_point> sent() const noexcept {
         if (raw_.sent_ms < 0) {
@@ -79,7 +79,7 @@ public:
         }
         return std::chrono::system_clock::time_point(std::chrono::milliseconds(raw_.sent_ms));
     }
-    /// Returns the sequence number of its publisher, or nothing if the sender is a plain Zenoh program.
+    /// Returns the sequence number that its publisher gave it, or nothing if the sender is a stock Zenoh program.
     [[nodiscard]] std::optional<std::uint32_t> sequence() const noexcept {
         if (raw_.sequence < 0) {
             return std::nullopt;
@@ -128,7 +128,7 @@ public:
     using Handle::Handle;
 
     /// Waits for the next message. Fails with Code::timed_out if none arrives within `timeout`, and with Code::closed if the
-    /// session was closed or another thread dropped this.
+    /// session was closed or another thread dropped this subscriber.
     [[nodiscard]] expected<Message> next(std::chrono::milliseconds timeout = forever) const {
         rect_message message;
         rect_error error;

@@ -30,7 +30,7 @@ struct Cbor {
 /// @cond
 namespace detail {
 
-/// The depth to which the library reads. A limit is needed because a peer could otherwise exhaust the stack.
+/// The maximum nesting depth of a value that is read. Without a limit, a peer could exhaust the stack.
 constexpr int max_depth = 128;
 
 /// Parses without storing anything, and stops when the value is nested too deeply.

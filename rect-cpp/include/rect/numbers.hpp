@@ -12,7 +12,7 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// Makes a payload of a container of numbers, whose elements are contiguous. Without a shape it has one dimension.
+/// Makes a payload of a container of numbers, whose elements are contiguous. Without a shape, the array has one dimension.
 ///
 ///     robot.publish("scan", rect::must(rect::numbers(distances)));
 ///     robot.publish("map", rect::must(rect::numbers(cells, {480, 640})));

@@ -13,8 +13,8 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// How to connect, if the router of this computer is not to be used with its default settings. Fields that are empty or 0
-/// keep their defaults.
+/// The options of rect::connect. Fields that are empty or 0 keep their defaults, which connect to the router of this
+/// computer.
 ///
 ///     rect::Options options;
 ///     options.router = "tcp/192.168.0.7:7447";
@@ -42,8 +42,8 @@ struct Options {
     /// Settings of Zenoh as pairs of a path, e.g. `transport/unicast/max_links`, and a value in JSON. They take precedence
     /// over RECT's own settings.
     std::vector<std::pair<std::string, std::string>> zenoh{};
-    /// Connects even if the router belongs to another robot, for programs that deliberately use another name. The access
-    /// control that `rect-router init` sets up drops whatever such a program publishes.
+    /// Whether to connect even if the router belongs to another robot, for programs that deliberately use another name. The
+    /// access control that `rect init` sets up drops everything that such a program publishes.
     bool allow_name_mismatch{false};
 };
 

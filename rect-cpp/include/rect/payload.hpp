@@ -100,7 +100,7 @@ private:
 /// A payload that owns its bytes.
 class Payload {
 public:
-    /// Takes the bytes, in a string, and their encoding.
+    /// Takes ownership of the bytes, which are stored in a string, and of their encoding.
     Payload(std::string bytes, std::string encoding) : bytes_(std::move(bytes)), encoding_(std::move(encoding)) {}
     /// Copies a payload.
     explicit Payload(const PayloadView& view)
@@ -133,8 +133,9 @@ private:
     PayloadView payload_;
 };
 
-/// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`. Robot::with_codec encodes
-/// everything that a robot publishes and sends. Fails with Code::codec if the codec is unknown or does not suit the payload.
+/// Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`. A handle of
+/// Robot::with_codec encodes the payloads of all its messages and requests. Fails with Code::codec if the codec is unknown
+/// or does not suit the payload.
 [[nodiscard]] inline expected<Buffer> encode(const Text& codec, const PayloadView& payload) {
     rect_buffer buffer;
     rect_error error;

@@ -23,8 +23,9 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// A program's connection to the other robots. All functions may be called by several threads at a time, and in callbacks.
-/// The session ends when the robot and everything that was created with it are destroyed, or with `close`.
+/// A handle of a program's session, through which it communicates as one robot of the fleet. All functions may be called by
+/// several threads at a time, and in callbacks. The session ends when all handles of the robot and everything that was
+/// created with them are destroyed, or with `close`.
 ///
 /// The values that can be published, sent and transferred are text, bytes (a span or vector of `std::uint8_t`), numbers,
 /// bools, a Picture, a Payload, and all types that have an Adapter. `rect/nlohmann.hpp` adds all types that nlohmann::json
@@ -49,7 +50,7 @@ public:
         return detail::value_or_error<std::string>(code, error, [&] { return std::string(name); });
     }
 
-    /// Returns a handle of the same robot that publishes and sends with another urgency:
+    /// Returns a handle of the same robot whose messages and requests have another urgency:
     /// `robot.with_urgency(rect::Urgency::urgent)`.
     [[nodiscard]] expected<Robot> with_urgency(Urgency urgency) const {
         return derive([&](rect_robot* derived, rect_error* error) {
@@ -57,16 +58,16 @@ public:
         });
     }
 
-    /// Returns a handle of the same robot that encodes everything it publishes and sends: `robot.with_codec("zstd:9")`.
-    /// Fails with Code::codec if the codec is unknown.
+    /// Returns a handle of the same robot that encodes the payloads of its messages and requests:
+    /// `robot.with_codec("zstd:9")`. Receivers decode them automatically. Fails with Code::codec if the codec is unknown.
     [[nodiscard]] expected<Robot> with_codec(const Text& codec) const {
         return derive([&](rect_robot* derived, rect_error* error) {
             return rect_robot_with_codec(raw(), codec.c_str(), derived, error);
         });
     }
 
-    /// Returns a handle of the same robot that compresses everything it publishes and sends with a dictionary. Receivers
-    /// fetch the dictionary once, automatically.
+    /// Returns a handle of the same robot that compresses the payloads of its messages and requests with a dictionary. Small
+    /// JSON messages become much smaller. Receivers fetch the dictionary once, automatically.
     [[nodiscard]] expected<Robot> with_dictionary(const Dictionary& dictionary) const {
         return derive([&](rect_robot* derived, rect_error* error) {
             return rect_robot_with_dictionary(raw(), {dictionary.handle_id()}, derived, error);
@@ -83,8 +84,8 @@ public:
         });
     }
 
-    /// Sends a value on `topic` to one robot only. Otherwise the same as `publish`. The sender is not notified whether the
-    /// recipient is reachable; use `request` if that matters.
+    /// Sends a value on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use
+    /// `request` if that matters. Fails like `publish`, and with Code::name if the recipient is invalid.
     template <class T>
     expected<void> send(const Text& recipient, const Text& topic, const T& value) const {
         return detail::with_payload(value, [&](const rect_payload& payload) {
@@ -104,7 +105,8 @@ public:
     }
 
     /// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The Subscriber receives the matching
-    /// messages that are published, and those that are sent to this robot. Fails with Code::topic if the pattern is invalid.
+    /// messages that are published, and those that are sent to this robot. Fails with Code::topic or Code::name if the
+    /// pattern is invalid.
     [[nodiscard]] expected<Subscriber> subscribe(const Text& pattern, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
         rect_subscriber subscriber;
@@ -115,7 +117,7 @@ public:
 
     /// Calls `function(const rect::MessageView&)` for each message that matches a pattern, one after another, on a thread of
     /// its own, until the Subscription is destroyed. The function may use all of RECT. Exceptions that it throws are passed
-    /// to rect::on_callback_error.
+    /// to the function of rect::on_callback_error. Fails with Code::topic or Code::name if the pattern is invalid.
     template <class F, class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const MessageView&>>>
     [[nodiscard]] expected<Subscription> subscribe(const Text& pattern, F&& function, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
@@ -155,9 +157,13 @@ public:
         return requested ? expected<Replies>(Replies(replies.id)) : unexpected<Error>(requested.error());
     }
 
-    /// Serves requests to `topic` with `function(const rect::Request&)`, which returns the reply. If it throws a Refusal, or
-    /// returns an `expected` with an error, that is sent as an error. Up to 16 requests are handled at a time, on several
-    /// threads, until the Service is destroyed. The function may use all of RECT.
+    /// Serves requests to `topic` with `function(const rect::Request&)`, which returns the reply. If the function throws a
+    /// Refusal, or returns an `expected` with an error, the service replies with that error. After any other exception it
+    /// replies that it has failed with an internal error, and the exception is passed to the function of
+    /// rect::on_callback_error.
+    ///
+    /// Up to 16 requests are handled at a time, on several threads, until the Service is destroyed. The function may use all
+    /// of RECT. Fails with Code::topic if the topic is invalid.
     template <class F>
     [[nodiscard]] expected<Service> serve(const Text& topic, F&& function) const {
         detail::Callback<std::decay_t<F>> callback(std::forward<F>(function));
@@ -168,8 +174,8 @@ public:
         return detail::value_or_error<Service>(code, error, [&] { return Service(service.id); });
     }
 
-    /// Creates a stream of which only the newest frame matters: a slow link drops older ones. Fails with Code::argument if
-    /// an option is invalid.
+    /// Creates a stream of which only the newest frame matters: a slow link drops older ones. Fails with Code::topic if the
+    /// topic is invalid, and with Code::argument if an option is.
     [[nodiscard]] expected<Stream> stream(const Text& topic, StreamOptions options = {}) const {
         const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp, options.max_frames_per_s,
                                               options.min_frames_per_s};
@@ -179,7 +185,8 @@ public:
         return detail::value_or_error<Stream>(code, error, [&] { return Stream(stream.id); });
     }
 
-    /// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program.
+    /// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program. Fails with
+    /// Code::name or Code::topic if the sender or the topic is invalid.
     [[nodiscard]] expected<Watch> watch(const Text& sender, const Text& topic, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
         rect_watch watch;
@@ -202,8 +209,9 @@ public:
     }
 
     /// Transfers a File, or a value of any size, to the robot `recipient`, and waits until it is complete and verified.
-    /// Fails with Code::transfer_refused, Code::transfer_failed, Code::file, or Code::timed_out if `options.timeout`
-    /// expired.
+    ///
+    /// Fails with Code::name or Code::topic if an argument is invalid, with Code::transfer_refused or Code::transfer_failed,
+    /// with Code::file if the file cannot be read, and with Code::timed_out if `options.timeout` has expired.
     template <class T>
     expected<void> transfer(const Text& recipient, const Text& topic, const T& source,
                             const TransferOptions& options = {}) const {
@@ -220,7 +228,8 @@ public:
         return transfer ? transfer->wait() : unexpected<Error>(transfer.error());
     }
 
-    /// Starts a transfer without waiting for it. It runs until it is complete, fails, or the Transfer is destroyed.
+    /// Starts a transfer without waiting for it. It runs until it is complete, fails, or the Transfer is destroyed. Fails
+    /// with Code::name or Code::topic if the recipient or the topic is invalid; Transfer::wait returns all later errors.
     template <class T>
     [[nodiscard]] expected<Transfer> begin_transfer(const Text& recipient, const Text& topic, const T& source,
                                                     const TransferOptions& options = {}) const {
@@ -255,8 +264,10 @@ public:
     }
 
     /// Receives the transfers that others send to this robot and that match a pattern, e.g. `*/maps/*`, until the Transfers
-    /// object is destroyed. Transfers that no receiver matches are refused. Fails with Code::argument if `options.max_bytes`
-    /// is 0.
+    /// object is destroyed. Transfers whose topics match no receiver are refused.
+    ///
+    /// Fails with Code::topic or Code::name if the pattern is invalid, with Code::argument if `options.max_bytes` is 0, and
+    /// with Code::file if the folder cannot be used.
     [[nodiscard]] expected<Transfers> receive_transfers(const Text& pattern, const ReceiveOptions& options) const {
         const rect_receive_options raw_options{detail::or_null(options.folder), options.max_bytes, options.max_concurrent,
                                                detail::ms(options.timeout)};
@@ -283,7 +294,7 @@ public:
 
     /// Returns the connections of a router. `filter` selects connections, e.g. `method=ble` or
     /// `peer=wombat-2;state=connected` (docs/registry.md). `target` is the robot whose router is queried; empty means this
-    /// robot.
+    /// robot. Fails with Code::no_service if the router does not answer.
     [[nodiscard]] expected<std::vector<Connection>> connections(const Text& filter = "", const std::string& target = {}) const {
         rect_connections connections;
         rect_error error;
@@ -291,8 +302,8 @@ public:
         return detail::value_or_error<std::vector<Connection>>(code, error, [&] {
             const Handle handle(connections.id);
             std::vector<Connection> all;
-            for (const auto& one : span<const rect_connection>(connections.items, connections.len)) {
-                all.emplace_back(one);
+            for (const auto& connection : span<const rect_connection>(connections.items, connections.len)) {
+                all.emplace_back(connection);
             }
             return all;
         });
@@ -322,15 +333,16 @@ public:
         return detail::ok_or_error(rect_robot_add_connection(raw(), detail::or_null(target), &raw_connection, &error), error);
     }
 
-    /// Removes a named connection from a router and closes its link. Fails with Code::service if there is no such
-    /// connection.
+    /// Removes a named connection from a router and closes its link. `target` is the same as for `add_connection`. Fails
+    /// with Code::service if there is no connection with this name.
     expected<void> remove_connection(const Text& name, const std::string& target = {}) const {
         rect_error error;
         return detail::ok_or_error(rect_robot_remove_connection(raw(), detail::or_null(target), name.c_str(), &error), error);
     }
 
     /// Calls `function(const rect::Event&)` for each event, like `subscribe` does for messages: robots, links and the router
-    /// that become reachable or unreachable. At first it is called for everything that is already reachable.
+    /// that become reachable or unreachable. The first calls report the robots that are already reachable and the links that
+    /// the router already has.
     template <class F>
     [[nodiscard]] expected<Subscription> on_event(F&& function) const {
         return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
@@ -348,7 +360,7 @@ public:
         return detail::value_or_error<Counters>(code, error, [&] { return counters; });
     }
 
-    /// Closes the session and everything that belongs to it.
+    /// Closes the session and everything that belongs to it, regardless of other handles.
     expected<void> close() const {
         rect_error error;
         return detail::ok_or_error(rect_robot_close(raw(), &error), error);
@@ -376,8 +388,8 @@ private:
     }
 };
 
-/// Connects as a program of a robot, to the router of this computer or as the options specify. Blocks until the router
-/// answers, at most `options.timeout`.
+/// Connects as a program of the robot `robot`, to the router of this computer or as the options specify. Blocks until the
+/// router answers, at most `options.timeout`.
 ///
 ///     const auto robot = rect::must(rect::connect("wombat-1"));
 ///

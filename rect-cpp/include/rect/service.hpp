@@ -64,7 +64,8 @@ public:
     /// The payload.
     PayloadView payload;
 
-    /// Returns the robot that sent the request; empty if the sender is a plain Zenoh program.
+    /// Returns the robot that sent the request, according to the request itself; empty if the sender is a stock Zenoh
+    /// program. The name is not verified: do not base permissions on it.
     [[nodiscard]] std::string_view sender() const noexcept { return detail::view(raw_.sender); }
     /// Returns the time until the sender stops waiting for the reply.
     [[nodiscard]] std::chrono::milliseconds remaining() const noexcept {

@@ -19,7 +19,7 @@ struct StreamOptions {
     enum class Mode : std::uint32_t {
         /// Pictures are scaled and compressed automatically so that they fit what the links can carry.
         adaptive = RECT_STREAM_MODE_ADAPTIVE,
-        /// Frames are sent unchanged, at most `max_frames_per_s`.
+        /// Frames are sent unchanged, at most `max_frames_per_s` per second.
         fixed = RECT_STREAM_MODE_FIXED,
         /// Values of a sensor: frames are sent unchanged, as often as they come, and receivers send no feedback.
         sensor = RECT_STREAM_MODE_SENSOR,
@@ -29,7 +29,8 @@ struct StreamOptions {
     Mode mode = Mode::adaptive;
     /// Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     bool webp = false;
-    /// Maximum frame rate, in frames per second. 0 means the default, 15. Required for a fixed stream.
+    /// Maximum frame rate, in frames per second. 0 means the default: 15 for an adaptive stream, no limit for a sensor.
+    /// Required for a fixed stream.
     double max_frames_per_s = 0;
     /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. 0 means the
     /// default, 5.
@@ -61,8 +62,9 @@ public:
         return done ? expected<std::uint32_t>(sent) : unexpected<Error>(done.error());
     }
 
-    /// Sends a picture, scaled and compressed as the links require. Returns the number of groups of receivers that it is
-    /// sent to, 0 to 2. Takes as long as compressing the picture; if no receiver needs a frame now, it returns immediately.
+    /// Sends a picture. An adaptive stream scales and compresses it as the links require; other streams send it
+    /// uncompressed. Returns the number of groups of receivers that it is sent to, 0 to 2. Takes as long as compressing the
+    /// picture; if no receiver needs a frame now, the call returns immediately.
     expected<std::uint32_t> send(const Picture& picture) const {
         std::uint32_t sent = 0;
         rect_error error;
@@ -99,7 +101,7 @@ public:
     /// of receivers.
     [[nodiscard]] std::uint32_t number() const noexcept { return raw_.number; }
     /// Returns the age of the frame on arrival. Until the offset of the sender's clock is known, this is the delay relative
-    /// to the fastest frame of the last minute. Returns nothing if the sender is a plain Zenoh program.
+    /// to the fastest frame of the last minute. Returns nothing if the sender is a stock Zenoh program.
     [[nodiscard]] std::optional<std::chrono::microseconds> age() const noexcept {
         if (raw_.age_us < 0) {
             return std::nullopt;
@@ -140,7 +142,7 @@ public:
     using Handle::Handle;
 
     /// Waits for the next frame. Fails with Code::timed_out if none arrives within `timeout`, and with Code::closed if the
-    /// session was closed or another thread dropped this. this.
+    /// session was closed or another thread dropped this watch.
     [[nodiscard]] expected<Frame> next(std::chrono::milliseconds timeout = forever) const {
         rect_frame frame;
         rect_error error;

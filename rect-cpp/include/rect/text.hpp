@@ -14,8 +14,8 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// A text argument: a literal, a `std::string` or a `std::string_view`. The call fails with Code::argument if the text
-/// contains a zero byte.
+/// A text argument: a literal, a `std::string` or a `std::string_view`. A call with a text that contains a zero byte fails
+/// with Code::argument.
 class Text {
 public:
     /// Refers to a text with a terminating zero byte, which must outlive the call.

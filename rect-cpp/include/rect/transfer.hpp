@@ -23,9 +23,9 @@ struct File {
 
 /// The options of an outgoing transfer.
 struct TransferOptions {
-    /// The name that the receiver gets. If it is empty, a file keeps its own name, and a value has none.
+    /// The file name at the receiver. If it is empty, a file keeps its own name, and a value has none.
     std::string name{};
-    /// The encoding of a file. If it is empty, the file is arbitrary bytes.
+    /// The encoding of the content. If it is empty, a value keeps its own encoding, and a file is `zenoh/bytes`.
     std::string encoding{};
     /// How long the receiver may be unreachable before the transfer fails. 0 means no limit.
     std::chrono::milliseconds timeout{0};
@@ -35,13 +35,14 @@ struct TransferOptions {
 struct ReceiveOptions {
     /// Maximum size of a transfer in bytes. Larger ones are refused. Required.
     std::uint64_t max_bytes = 0;
-    /// The folder for received files. Each sender has a subfolder, and files keep the names that their senders give. If it
+    /// The folder for received files, which no other receiver may use. Each sender has a subfolder. Files keep the names
+    /// that their senders give, and replace files of the same name. Transfers into a folder resume after a restart. If this
     /// is empty, transfers are kept in memory.
     std::string folder{};
     /// Maximum number of transfers at the same time, of which at most half (rounded up) have the same sender. 0 means the
     /// default, 4.
     std::size_t max_concurrent = 0;
-    /// How long a transfer may make no progress before it is given up. 0 means the default, 10 minutes.
+    /// How long a transfer may make no progress before the receiver abandons it. 0 means the default, 10 minutes.
     std::chrono::milliseconds timeout{0};
 };
 
@@ -71,8 +72,9 @@ public:
     /// Waits until the transfer is complete and verified, or has failed. Must not be called in the transfer's own callback.
     ///
     /// Fails with Code::timed_out if the transfer is still running after `timeout`, or if the timeout of its options has
-    /// expired; with Code::transfer_refused, Code::transfer_failed or Code::file; with Code::closed if the session was
-    /// closed or another thread dropped this; and with Code::end if an earlier call has already returned the result.
+    /// expired; with Code::transfer_refused or Code::transfer_failed; with Code::file if its file cannot be read; with
+    /// Code::name if its file name is invalid; with Code::closed if the session was closed or another thread dropped this
+    /// transfer; and with Code::end if an earlier call has already returned the result.
     expected<void> wait(std::chrono::milliseconds timeout = forever) const {
         rect_error error;
         const auto code = rect_transfer_wait({handle_id()}, detail::ms(timeout), &error);
@@ -94,9 +96,10 @@ public:
     [[nodiscard]] std::string_view sender() const noexcept { return detail::view(raw_.sender); }
     /// Returns the topic.
     [[nodiscard]] std::string_view topic() const noexcept { return detail::view(raw_.topic); }
-    /// Returns the name that the sender gave it; may be empty.
+    /// Returns the file name that the sender gave the transfer; may be empty.
     [[nodiscard]] std::string_view name() const noexcept { return detail::view(raw_.name); }
-    /// Returns the path of the received file, which remains when this is destroyed; empty if the transfer is in memory.
+    /// Returns the path of the received file, which remains when this object is destroyed. Empty if the transfer is in
+    /// memory.
     [[nodiscard]] std::string_view file() const noexcept { return detail::view(raw_.file); }
     /// Returns the size of the transfer in bytes.
     [[nodiscard]] std::uint64_t size_bytes() const noexcept { return raw_.size_bytes; }
@@ -106,7 +109,7 @@ private:
     rect_received raw_;
 };
 
-/// A receiver of transfers. Destroying it ends the receiving.
+/// A receiver of transfers. Destroying it ends the reception.
 ///
 ///     rect::ReceiveOptions options;
 ///     options.max_bytes = 100 << 20;
@@ -119,7 +122,7 @@ public:
 
     /// Waits for the next transfer to finish. Fails with Code::transfer_failed if an incoming transfer failed, after which
     /// there may be more; with Code::timed_out if none finished within `timeout`; and with Code::closed if the session was
-    /// closed or another thread dropped this.
+    /// closed or another thread dropped this receiver.
     [[nodiscard]] expected<Received> next(std::chrono::milliseconds timeout = forever) const {
         rect_received received;
         rect_error error;

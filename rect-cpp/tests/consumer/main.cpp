@@ -1,4 +1,4 @@
-// Connects without a router and publishes a message, which has no subscribers.
+// Connects without a router and publishes a message, which has no subscribers, in C++.
 #include <cstdio>
 #include <rect.hpp>
 

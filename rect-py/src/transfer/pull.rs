@@ -28,7 +28,7 @@ use crate::{
     key_space::KeySpace,
 };
 
-/// Interval for saving which pieces are stored.
+/// Minimum interval between two saves of the record of the stored pieces.
 const SAVE_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Decides which offers a program accepts.
@@ -50,16 +50,19 @@ pub struct Offered {
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Pull(Mutex<Pulling>);
 
+/// The state of an incoming transfer.
 struct Pulling {
     offer: Offer,
     core: Receiver,
     store: Option<Store>,
-    asks: HashMap<u64, PieceRequest>,
+    /// The requests that have no reply yet, by their id.
+    requests: HashMap<u64, PieceRequest>,
+    /// The time of the last save, and the number of bytes that were stored then.
     saved: (Instant, u64),
     result: Option<Result<Content, Fault>>,
 }
 
-/// The transfer that begins, or the id of one that continues.
+/// The transfer that begins, or the id of a transfer that continues.
 type Accepted = (Option<Offered>, Option<String>);
 
 /// The next step: `request` (id, payload and timeout in seconds), `wait` (time in seconds) or `finished`.
@@ -67,7 +70,8 @@ type NextStep<'py> = (&'static str, u64, Option<Bound<'py, PyBytes>>, f64);
 
 #[pymethods]
 impl Admission {
-    /// Creates the admission for a pattern. `folder` is where files are stored; `None` for memory.
+    /// Creates the admission for a pattern. `folder` is where transfers are stored; `None` for memory. Creates the
+    /// folder, and removes outdated parts of interrupted transfers from it. Raises `FileError`.
     #[new]
     fn new(
         py: Python<'_>,
@@ -95,7 +99,7 @@ impl Admission {
         Ok(Self(Mutex::new(admission)))
     }
 
-    /// Handles an offer. Returns the answer, and the id of the transfer if it is in progress.
+    /// Handles an offer. Returns the answer, and, if the transfer is already in progress, its id.
     fn on_offer<'py>(
         &self,
         py: Python<'py>,
@@ -109,7 +113,8 @@ impl Admission {
         (PyBytes::new(py, &answer.encode()), running)
     }
 
-    /// Returns the next question, or the time to wait in seconds (`None` means until the next event).
+    /// Returns the next question. If there is none, returns the time to wait in seconds (`None` means until the next
+    /// event).
     fn poll(&self) -> (Option<Question>, Option<f64>) {
         match lock(&self.0).poll(Instant::now()) {
             admission::Step::Ask(question) => (Some(Question(question)), None),
@@ -134,7 +139,7 @@ impl Admission {
         lock(&self.0).on_no_reply(Instant::now(), &question.0);
     }
 
-    /// Handles an accepted transfer that does not begin, because the program receives no more transfers.
+    /// Handles an accepted transfer that does not begin, because the program has stopped receiving transfers.
     fn on_stopped(&self, offered: &Offered) {
         lock(&self.0).on_ended(offered.id, &Err(Fault::Stopped));
     }
@@ -163,7 +168,7 @@ impl Question {
         self.0.sender.as_str()
     }
 
-    /// The key to query, after that robot's `@rect/`.
+    /// The key to query: the part after that robot's `@rect/`.
     #[getter]
     fn key(&self) -> String {
         transfer::source(self.0.id)
@@ -214,7 +219,7 @@ impl Offered {
         self.offer.size_bytes
     }
 
-    /// The key of the pieces, after the sender's `@rect/`.
+    /// The key of the pieces: the part after the sender's `@rect/`.
     #[getter]
     fn key(&self) -> String {
         transfer::source(self.id)
@@ -223,7 +228,8 @@ impl Offered {
 
 #[pymethods]
 impl Pull {
-    /// Begins a transfer, or continues one that a restart interrupted. `folder` is where it is stored; `None` for memory.
+    /// Begins a transfer, or continues one that a restart interrupted. `folder` is where it is stored; `None` for
+    /// memory. `timeout_s` is how long nothing may arrive before the transfer fails.
     #[new]
     fn new(
         py: Python<'_>,
@@ -251,7 +257,7 @@ impl Pull {
             offer,
             core,
             store,
-            asks: HashMap::new(),
+            requests: HashMap::new(),
             saved,
             result,
         })))
@@ -260,10 +266,10 @@ impl Pull {
     /// Returns the next step. After the last piece, this call computes the checksum.
     fn poll<'py>(&self, py: Python<'py>) -> NextStep<'py> {
         match detached(py, || lock(&self.0).poll()) {
-            Step::Request(ask) => {
-                let payload = PyBytes::new(py, &ask.request.encode());
-                let (ticket, timeout) = (ask.id, ask.timeout.as_secs_f64());
-                ("request", ticket, Some(payload), timeout)
+            Step::Request(piece) => {
+                let payload = PyBytes::new(py, &piece.request.encode());
+                let timeout = piece.timeout.as_secs_f64();
+                ("request", piece.id, Some(payload), timeout)
             }
             Step::Wait(until) => ("wait", 0, None, seconds_until(until)),
             Step::Check | Step::Finished(_) => ("finished", 0, None, 0.0),
@@ -271,22 +277,22 @@ impl Pull {
     }
 
     /// Handles the reply to a request.
-    fn on_reply(&self, py: Python<'_>, ticket: u64, bytes: &[u8]) {
-        detached(py, || lock(&self.0).on_reply(ticket, bytes));
+    fn on_reply(&self, py: Python<'_>, id: u64, bytes: &[u8]) {
+        detached(py, || lock(&self.0).on_reply(id, bytes));
     }
 
     /// Handles an error reply. Errors of Zenoh itself, such as a timeout, are not from the sender and are ignored.
-    fn on_error(&self, ticket: u64, bytes: &[u8]) {
+    fn on_error(&self, id: u64, bytes: &[u8]) {
         if let Some(fault) = Fault::decode(bytes) {
-            lock(&self.0).core.on_fault(ticket, fault);
+            lock(&self.0).core.on_fault(id, fault);
         }
     }
 
     /// Handles the end of the replies to a request.
-    fn on_end(&self, ticket: u64) {
+    fn on_end(&self, id: u64) {
         let mut pulling = lock(&self.0);
-        pulling.asks.remove(&ticket);
-        pulling.core.on_no_reply(Instant::now(), ticket);
+        pulling.requests.remove(&id);
+        pulling.core.on_no_reply(Instant::now(), id);
     }
 
     /// Handles a repeated offer of the sender.
@@ -299,13 +305,13 @@ impl Pull {
         lock(&self.0).core.end(Fault::Stopped);
     }
 
-    /// Returns the number of stored bytes, and the size.
+    /// Returns the number of stored bytes, and the size of the transfer in bytes.
     fn progress(&self) -> (u64, u64) {
         let progress = lock(&self.0).core.progress();
         (progress.received_bytes, progress.size_bytes)
     }
 
-    /// Whether the program stopped it.
+    /// Whether the program stopped the transfer.
     #[getter]
     fn is_stopped(&self) -> bool {
         matches!(lock(&self.0).result, Some(Err(Fault::Stopped)))
@@ -338,12 +344,12 @@ impl Pulling {
         if self.result.is_some() {
             return Step::Finished(Ok(()));
         }
-        self.save_sometimes();
+        self.save_if_due();
         loop {
             match self.core.poll(Instant::now()) {
-                Step::Request(ask) => {
-                    self.asks.insert(ask.id, ask.clone());
-                    return Step::Request(ask);
+                Step::Request(piece) => {
+                    self.requests.insert(piece.id, piece.clone());
+                    return Step::Request(piece);
                 }
                 Step::Wait(until) => return Step::Wait(until),
                 Step::Check => self.check(),
@@ -355,16 +361,19 @@ impl Pulling {
         }
     }
 
-    fn on_reply(&mut self, ticket: u64, bytes: &[u8]) {
+    fn on_reply(&mut self, id: u64, bytes: &[u8]) {
         // Only one reply per request counts: more would fill the memory.
-        let (Some(ask), Some(store)) = (self.asks.remove(&ticket), self.store.as_mut()) else {
+        let (Some(piece), Some(store)) = (self.requests.remove(&id), self.store.as_mut()) else {
             return;
         };
-        if !self.core.on_reply(Instant::now(), &ask, bytes.len() as u64) {
+        if !self
+            .core
+            .on_reply(Instant::now(), &piece, bytes.len() as u64)
+        {
             return;
         }
-        match store.write(ask.range.start, bytes) {
-            Ok(()) => self.core.on_written(ask.range),
+        match store.write(piece.range.start, bytes) {
+            Ok(()) => self.core.on_written(piece.range),
             Err(error) => self.core.on_write_failed(error.to_string()),
         }
     }
@@ -379,10 +388,10 @@ impl Pulling {
         }
     }
 
-    fn save_sometimes(&mut self) {
-        let (at, bytes) = self.saved;
+    fn save_if_due(&mut self) {
+        let (saved_at, saved_bytes) = self.saved;
         let received_bytes = self.core.progress().received_bytes;
-        if received_bytes == bytes || at.elapsed() < SAVE_INTERVAL {
+        if received_bytes == saved_bytes || saved_at.elapsed() < SAVE_INTERVAL {
             return;
         }
         if let Some(Err(error)) = self

@@ -39,7 +39,7 @@ pub struct TransferSender {
     core: Mutex<Sender>,
 }
 
-/// The data of a transfer.
+/// The data of a transfer: bytes, or the path of a file.
 #[derive(FromPyObject)]
 enum Data<'py> {
     Bytes(Bound<'py, PyBytes>),
@@ -48,7 +48,9 @@ enum Data<'py> {
 
 #[pymethods]
 impl TransferSender {
-    /// Prepares a transfer. Reads the data once, for its checksum.
+    /// Prepares a transfer. Reads the data once, for its checksum. `call` is a random number that identifies the call
+    /// of the program. `timeout_s` is how long the receiver may be silent; `None` for no limit. Raises `FileError` if
+    /// the file cannot be read, and `TransferError` if the name is not a valid file name.
     #[new]
     #[pyo3(signature = (key_space, recipient, topic, source, call, *, name=None, encoding=None, timeout_s=None))]
     #[allow(clippy::too_many_arguments)]
@@ -98,7 +100,7 @@ impl TransferSender {
         })
     }
 
-    /// The key at which this robot serves the pieces, after its `@rect/`.
+    /// The key at which this robot serves the pieces: the part after `@rect/`.
     #[getter]
     fn key(&self) -> String {
         transfer::source(self.offer.id(&self.recipient))
@@ -110,8 +112,8 @@ impl TransferSender {
         PyBytes::new(py, &self.offer.encode())
     }
 
-    /// Returns the next step: `offer` (with the timeout in seconds), `wait` (with the time in seconds) or `done`. Raises
-    /// `TransferRefused`, `TransferFailed` and `TimedOut`.
+    /// Returns the next step: `offer` (with the timeout of the offer in seconds), `wait` (with the time to wait in
+    /// seconds) or `done`. Raises `TransferRefused`, `TransferFailed` and `TimedOut`.
     fn poll(&self, py: Python<'_>) -> PyResult<(&'static str, f64)> {
         let step = self.core().poll(Instant::now());
         match step {
@@ -129,8 +131,9 @@ impl TransferSender {
         self.core().on_answers(Instant::now(), &answers);
     }
 
-    /// Handles a request of the receiver. Returns the reply (`True`), or the error (`False`), or the number of the offer up to
-    /// whose answers the query must stay open. Returns `None` if the request is invalid.
+    /// Handles a request of the receiver. Returns `(True, reply, 0)`, or `(False, error, 0)` for an error reply.
+    /// Returns `(True, None, number)` if the query must stay open until the offer with that number has been answered.
+    /// Returns `None` if the request is invalid.
     fn on_request<'py>(
         &self,
         py: Python<'py>,
@@ -154,7 +157,7 @@ impl TransferSender {
         })
     }
 
-    /// Returns the number of bytes that the receiver has stored, and the size.
+    /// Returns the number of bytes that the receiver has stored, and the size of the transfer in bytes.
     fn progress(&self) -> (u64, u64) {
         let progress = self.core().progress();
         (progress.received_bytes, progress.size_bytes)

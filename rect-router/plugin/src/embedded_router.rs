@@ -20,8 +20,7 @@ use zenoh::{
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Time after which a missing listener of the host is logged.
 const LISTENER_WARNING_DELAY: Duration = Duration::from_secs(5);
-/// The parts of the host's configuration that the plugin's router uses, too: logins, access control, quality of service and
-/// timestamps.
+/// The parts of the host's configuration that the plugin's router uses, too. `transport` includes the logins.
 const SHARED_SETTINGS: [&str; 6] = [
     "transport",
     "access_control",

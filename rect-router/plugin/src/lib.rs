@@ -78,7 +78,9 @@ impl Plugin for RectPlugin {
 /// The state shared with the thread that opens the router.
 #[derive(Default)]
 struct State {
+    /// The plugin's router, once it is open.
     router: OnceLock<EmbeddedRouter>,
+    /// The reason why the router could not be opened.
     trouble: OnceLock<String>,
     is_stopped: AtomicBool,
 }

@@ -113,7 +113,7 @@ pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, 
             }
         }
     }
-    answers.sort_by(|(one, _), (other, _)| one.cmp(other));
+    answers.sort_by(|(robot, _), (other_robot, _)| robot.cmp(other_robot));
     Ok(answers)
 }
 

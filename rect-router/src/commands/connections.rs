@@ -15,7 +15,7 @@ pub fn run(args: &ConnectionsArgs) -> Result<(), Failure> {
         let read = |(robot, answer): &(String, serde_json::Value)| {
             let connections: Vec<Connection> =
                 serde_json::from_value(answer.clone()).map_err(|error| {
-                    format!("cannot parse the connections of {robot}; do both run the same version of RECT? {error}")
+                    format!("cannot parse the connections of {robot}; does that robot run the same version of RECT? {error}")
                 })?;
             Ok((robot.clone(), connections))
         };

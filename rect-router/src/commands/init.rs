@@ -43,11 +43,11 @@ const PRIVATE_FOLDER_MODE: u32 = 0o750;
 /// Writes the files, and starts the service if requested.
 ///
 /// # Errors
-/// Fails if a name is invalid, if one of the files exists already, or if a file cannot be written. No existing file is
-/// changed.
+/// Fails if a name is invalid, if one of the files exists already, if a file cannot be written, or if the service cannot be
+/// started. No existing file is changed.
 pub fn run(args: &InitArgs) -> Result<(), Failure> {
-    for (what, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
-        Name::new(name).map_err(|error| format!("{what}: {error}"))?;
+    for (argument, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
+        Name::new(name).map_err(|error| format!("{argument}: {error}"))?;
     }
     let users = match &args.users {
         Some(path) => fs::read_to_string(path)
@@ -82,7 +82,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
         ),
         (
             folder.join("robot.json5"),
-            robot(args, &folder, state, login_as),
+            configuration(args, &folder, state, login_as),
             &root,
         ),
     ];
@@ -188,7 +188,7 @@ fn login_as<'a>(args: &'a InitArgs, users: &str) -> Option<&'a str> {
 }
 
 /// Returns the shipped configuration with this robot's name, fleet, adapter, port and folders.
-fn robot(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<&str>) -> String {
+fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<&str>) -> String {
     let login_as = login_as.map_or_else(String::new, |user| format!(", login_as: {}", json(user)));
     let settings = format!(
         "  // RECT's own settings: the fleet and this robot's name, its named connections, and the user as which it logs in.\n  plugins: {{\n    \

@@ -121,6 +121,9 @@ fn start(
 }
 
 /// Waits for one polling interval.
+///
+/// # Errors
+/// Fails if a signal arrives or a router ends by itself.
 fn pause(signals: &Receiver<()>, robots: &mut [SimulatedRobot]) -> Result<(), Interrupted> {
     match signals.recv_timeout(POLL_INTERVAL) {
         Err(RecvTimeoutError::Timeout) => {

@@ -91,8 +91,8 @@ fn address(endpoint: &EndPoint) -> Option<String> {
     };
     // Port 0 means any free port.
     let is_here = |ip: IpAddr| TcpListener::bind((ip, 0)).is_ok();
-    let none_is = !resolved.map(|address| address.ip()).any(is_here);
-    none_is.then(|| "this computer does not have that address; use one of its own".to_owned())
+    let is_elsewhere = !resolved.map(|address| address.ip()).any(is_here);
+    is_elsewhere.then(|| "this computer does not have that address; use one of its own".to_owned())
 }
 
 #[cfg(test)]

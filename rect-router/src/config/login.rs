@@ -24,6 +24,10 @@ pub(super) struct Logins {
     text: String,
 }
 
+/// Reads the login file that the configuration names; `None` if it names none.
+///
+/// # Errors
+/// Fails if the file cannot be read or is empty.
 pub(super) fn logins(config: &Config) -> Result<Option<Logins>, ConfigError> {
     let Some(path) = login_file(config) else {
         return Ok(None);
@@ -97,6 +101,10 @@ pub fn exposed_login_file(config: &Config) -> Option<ExposedLogins> {
     ExposedLogins::find(&login_file(config)?)
 }
 
+/// Makes this router log in as `user` when it dials, with the password from the login file.
+///
+/// # Errors
+/// Fails if there is no login file, or if it has no line for `user`.
 pub(super) fn log_in_as(
     config: &mut Config,
     user: &str,

@@ -25,7 +25,7 @@ pub struct NamedConnection {
 /// The state of a connection, changed by its links and its dialler.
 #[derive(Default)]
 struct State {
-    /// Whether the connection was removed from the file.
+    /// Whether the connection was removed from the file or replaced by a changed one.
     is_removed: bool,
     /// The open links: one, or one for each reliability.
     links: Vec<Weak<ObservedLink>>,

@@ -74,7 +74,7 @@ impl Edit {
 
 /// Adds a connection to the text, or replaces the one of the same name.
 fn added(text: String, connection: &str, limits: &Limits) -> Result<String, EditError> {
-    let spec = one(connection, limits)?;
+    let spec = single_connection(connection, limits)?;
     let text = match text.trim().is_empty() {
         true => EMPTY.to_owned(),
         false => text,
@@ -122,7 +122,7 @@ fn removed(text: &str, name: &str, limits: &Limits) -> Result<String, EditError>
 }
 
 /// Parses a single connection.
-fn one(connection: &str, limits: &Limits) -> Result<Spec, EditError> {
+fn single_connection(connection: &str, limits: &Limits) -> Result<Spec, EditError> {
     let alone = format!("{{\"connections\":[{connection}]}}");
     let limits = Limits {
         max_connections: 1,
@@ -153,11 +153,11 @@ fn named(list: &CstArray, name: &str) -> Option<CstObject> {
         .elements()
         .into_iter()
         .filter_map(|element| element.as_object());
-    all.find(|one| {
-        let its = one
+    all.find(|connection| {
+        let its_name = connection
             .get("name")
             .and_then(|field| field.value()?.as_string_lit());
-        its.is_some_and(|its| its.decoded_value().is_ok_and(|its| its == name))
+        its_name.is_some_and(|text| text.decoded_value().is_ok_and(|text| text == name))
     })
 }
 

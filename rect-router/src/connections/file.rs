@@ -65,7 +65,7 @@ pub struct Mistake {
 /// The contents of a valid file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FileContents {
-    /// The connections; no two have the same name or the same peer.
+    /// The connections; no two have the same name, or the same method and address.
     pub connections: Vec<Spec>,
     /// Overrides `auto_connect` of the settings, if present.
     pub auto_connect: Option<AutoConnect>,

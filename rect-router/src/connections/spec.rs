@@ -132,8 +132,8 @@ impl Spec {
 }
 
 fn check_name(name: &str) -> Result<(), SpecError> {
-    let is_known = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.');
-    if (1..=MAX_NAME).contains(&name.len()) && name.bytes().all(is_known) {
+    let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.');
+    if (1..=MAX_NAME).contains(&name.len()) && name.bytes().all(is_allowed) {
         return Ok(());
     }
     let problem = format!("a name has 1 to {MAX_NAME} letters, digits, `-`, `_` or `.`");

@@ -56,14 +56,14 @@ impl Store {
     /// # Errors
     /// Fails if the folder cannot be read or a file cannot be removed.
     pub fn remove_leftovers(&self) -> io::Result<usize> {
-        let Target { folder, new, .. } = self.target()?;
-        let new = new.into_encoded_bytes();
+        let Target { folder, prefix, .. } = self.target()?;
+        let prefix = prefix.into_encoded_bytes();
         let mut removed = 0;
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
             let name = entry.file_name().into_encoded_bytes();
             let is_left = name
-                .strip_prefix(&new[..])
+                .strip_prefix(&prefix[..])
                 .is_some_and(|random| random.len() == RANDOM_CHARACTERS);
             if is_left && entry.file_type()?.is_file() {
                 fs::remove_file(entry.path())?;
@@ -87,20 +87,25 @@ impl Store {
             }
             Err(error) => return Err(error),
         };
-        let mut new = OsString::from(TEMPORARY_PREFIX);
-        new.push(path.file_name().unwrap_or_default());
-        new.push("-");
+        let mut prefix = OsString::from(TEMPORARY_PREFIX);
+        prefix.push(path.file_name().unwrap_or_default());
+        prefix.push("-");
         let folder = match path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
             _ => PathBuf::from("."),
         };
-        Ok(Target { path, folder, new })
+        Ok(Target {
+            path,
+            folder,
+            prefix,
+        })
     }
 
     /// Replaces the text of the file.
     ///
     /// # Errors
-    /// Fails if the file is not a regular file or cannot be written. The file has its old text then.
+    /// Fails if the file is not a regular file or cannot be written. The file has its old text then, unless only the last step
+    /// failed, which makes the replacement durable.
     pub fn replace(&self, text: &str) -> io::Result<()> {
         self.replace_in_steps(text, |_| Ok(()))
     }
@@ -111,13 +116,17 @@ impl Store {
         text: &str,
         mut after: impl FnMut(Step) -> io::Result<()>,
     ) -> io::Result<()> {
-        let Target { path, folder, new } = self.target()?;
+        let Target {
+            path,
+            folder,
+            prefix,
+        } = self.target()?;
         if fs::metadata(&path).is_ok_and(|existing| !existing.is_file()) {
             let problem = "it is not a regular file, and is not replaced";
             return Err(io::Error::new(io::ErrorKind::InvalidInput, problem));
         }
         let mut new = tempfile::Builder::new()
-            .prefix(&new)
+            .prefix(&prefix)
             .rand_bytes(RANDOM_CHARACTERS)
             .tempfile_in(&folder)?;
         if let Ok(before) = fs::metadata(&path) {
@@ -136,11 +145,11 @@ impl Store {
     }
 }
 
-/// The location of the file, and the prefix of the temporary file that replaces it.
+/// The location of the file, and the prefix of the name of the temporary file that replaces it.
 struct Target {
     path: PathBuf,
     folder: PathBuf,
-    new: OsString,
+    prefix: OsString,
 }
 
 /// Returns the revision of a text for `expect=`: the first 8 bytes of its SHA-256 in hexadecimal.

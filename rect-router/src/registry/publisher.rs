@@ -121,8 +121,8 @@ struct PublishedPeers(BTreeSet<(String, Option<String>)>);
 impl PublishedPeers {
     /// Replaces the peers by those of `connections`, and returns whether they differ.
     fn update(&mut self, connections: &[Connection]) -> bool {
-        let peer = |one: &Connection| match (one.state, &one.peer) {
-            (State::Discovered, _) => Some((one.address.clone(), None)),
+        let peer = |connection: &Connection| match (connection.state, &connection.peer) {
+            (State::Discovered, _) => Some((connection.address.clone(), None)),
             (_, Some(peer)) => Some((peer.id.clone(), Some(peer.robot.clone()?))),
             (_, None) => None,
         };

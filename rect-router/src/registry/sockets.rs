@@ -1,7 +1,7 @@
 //! Reads the kernel's traffic counters and round-trip times of TCP links, as `ss --info` does (sock_diag(7)).
 //!
-//! The counters cover links in both directions and the links of a plugin's host. The kernel replies at once and only knows
-//! the sockets of this computer.
+//! The counters cover dialled and accepted links, and the links of a plugin's host. The kernel replies at once, and only
+//! knows the sockets of this computer.
 use std::{
     io,
     net::{IpAddr, SocketAddr},

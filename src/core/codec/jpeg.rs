@@ -84,7 +84,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
         .set_max_height(side)
         .jpeg_set_max_scans(MAX_SCANS);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers().map_err(wrong)?;
+    decoder.decode_headers().map_err(invalid)?;
     let (width, height) = decoder
         .dimensions()
         .ok_or_else(|| damaged(FORMAT, "it has no dimensions"))?;
@@ -95,7 +95,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
     };
     limits.picture(FORMAT, size, format.channels())?;
     decoder.set_options(options.jpeg_set_out_colorspace(space));
-    let pixels = decoder.decode().map_err(wrong)?;
+    let pixels = decoder.decode().map_err(invalid)?;
     if !has_end(bytes) {
         return Err(damaged(FORMAT, "it is truncated"));
     }
@@ -108,6 +108,6 @@ fn has_end(bytes: &[u8]) -> bool {
     last(0xd9) > last(0xda)
 }
 
-fn wrong(error: DecodeErrors) -> CodecError {
+fn invalid(error: DecodeErrors) -> CodecError {
     damaged(FORMAT, error)
 }

@@ -1,4 +1,4 @@
-//! Encodes pictures as PNG: lossless; photographs take about half of their raw size.
+//! Encodes pictures as PNG, without loss. Photographs take about half of their raw size.
 use std::io::Cursor;
 
 use png::{BitDepth, ColorType, Compression, Decoder, Encoder, Transformations};
@@ -69,33 +69,34 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
     decoder.set_transformations(Transformations::normalize_to_color8());
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    let info = decoder.read_header_info().map_err(wrong)?;
+    let info = decoder.read_header_info().map_err(invalid)?;
     let (width, height) = (info.width, info.height);
     // Checks the limit for four bytes per pixel, which is the maximum even if a later chunk adds transparency.
     limits.picture(FORMAT, [width, height], Format::Rgba8.channels())?;
-    let mut reader = decoder.read_info().map_err(wrong)?;
+    let mut reader = decoder.read_info().map_err(invalid)?;
     let (color, _) = reader.output_color_type();
     let size = reader
         .output_buffer_size()
         .ok_or_else(|| damaged(FORMAT, "its size is not possible"))?;
     let mut pixels = vec![0; limits.bytes(FORMAT, size as u64)?];
-    reader.next_frame(&mut pixels).map_err(wrong)?;
-    // Rejects a picture without its end.
-    reader.finish().map_err(wrong)?;
+    reader.next_frame(&mut pixels).map_err(invalid)?;
+    // Rejects a picture whose end is missing.
+    reader.finish().map_err(invalid)?;
     let (format, pixels) = match color {
         ColorType::Grayscale => (Format::Grey8, pixels),
-        ColorType::GrayscaleAlpha => (Format::Rgba8, colored(&pixels)),
+        ColorType::GrayscaleAlpha => (Format::Rgba8, grey_alpha_to_rgba(&pixels)),
         ColorType::Rgb | ColorType::Indexed => (Format::Rgb8, pixels),
         ColorType::Rgba => (Format::Rgba8, pixels),
     };
     Picture::new(width, height, format, pixels)
 }
 
-fn colored(pixels: &[u8]) -> Vec<u8> {
+/// Converts grey pixels with opacity to [`Format::Rgba8`].
+fn grey_alpha_to_rgba(pixels: &[u8]) -> Vec<u8> {
     let pixels = pixels.chunks_exact(2);
     pixels.flat_map(|p| [p[0], p[0], p[0], p[1]]).collect()
 }
 
-fn wrong(error: png::DecodingError) -> CodecError {
+fn invalid(error: png::DecodingError) -> CodecError {
     damaged(FORMAT, error)
 }

@@ -1,6 +1,6 @@
 //! Encodes pictures as WebP: photographs take two thirds of the bytes of JPEG, for several times the work.
 //!
-//! libwebp encodes, because there is no encoder in Rust; a decoder in Rust reads what peers send.
+//! libwebp encodes, because there is no lossy encoder in Rust. A decoder in Rust decodes what peers send.
 use std::{io::Cursor, slice};
 
 use image_webp::{DecodingError, WebPDecoder};
@@ -19,6 +19,7 @@ const FORMAT: &str = "WebP";
 /// libwebp's effort, 0 to 6. Compared with its default, 4, this takes a quarter of the time for 4 to 7 percent more
 /// bytes.
 const METHOD: i32 = 2;
+/// The maximum width and height of a WebP picture, in pixels.
 const MAX_SIDE: u32 = 16383;
 
 /// A lossy codec for raw pictures. Transparency is kept; grey pictures become coloured ones.
@@ -69,7 +70,7 @@ impl Codec for Webp {
 
 /// Decodes any WebP, lossy or lossless. Of an animation, decodes the first picture.
 pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
-    let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(wrong)?;
+    let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(invalid)?;
     let (width, height) = decoder.dimensions();
     let format = match decoder.has_alpha() {
         true => Format::Rgba8,
@@ -84,7 +85,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, Co
     if decoder.output_buffer_size() != Some(size) {
         return Err(damaged(FORMAT, "its size is not possible"));
     }
-    decoder.read_image(&mut pixels).map_err(wrong)?;
+    decoder.read_image(&mut pixels).map_err(invalid)?;
     Picture::new(width, height, format, pixels)
 }
 
@@ -94,7 +95,7 @@ fn is_whole(bytes: &[u8]) -> bool {
     size.is_some_and(|size| u64::from(u32::from_le_bytes(size)) + 8 <= bytes.len() as u64)
 }
 
-fn wrong(error: DecodingError) -> CodecError {
+fn invalid(error: DecodingError) -> CodecError {
     damaged(FORMAT, error)
 }
 

@@ -2,7 +2,7 @@
 //! decompressed size is limited.
 //!
 //! If a frame states the size of its content, as RECT's frames do, a buffer of exactly that size is used. For other
-//! frames (of other programs that stream), the buffer grows up to the limit.
+//! frames (of programs that compress a stream), the buffer grows up to the limit.
 use std::cell::RefCell;
 
 use zstd::zstd_safe::{self, CCtx, DCtx, DParameter, InBuffer, OutBuffer};
@@ -17,8 +17,8 @@ use crate::core::{
 /// The name of the codec, and the last part of the encoding of its output.
 pub const NAME: &str = "zstd";
 
-/// A lossless codec for any payload. Higher levels are smaller and slower: 3 suits most payloads; 19 takes several
-/// hundred times as long.
+/// A lossless codec for any payload. Higher levels compress better and take longer: 3 suits most payloads; 19 takes
+/// several hundred times as long.
 #[derive(Clone, Copy, Debug)]
 pub struct Zstd {
     level: u8,
@@ -53,11 +53,12 @@ impl Codec for Zstd {
     }
 }
 
-/// Returns the compressed payload, or the original one if compression saves nothing.
+/// Returns the compressed payload, or the original one if compression saves nothing or the encoding would become too
+/// long.
 pub(super) fn smaller_of(payload: &Payload, frame: Vec<u8>) -> Result<Payload, CodecError> {
     let encoding = payload.encoding.with_suffix(NAME);
-    let more = encoding.as_str().len() - payload.encoding.as_str().len();
-    let is_smaller = frame.len() + more < payload.bytes.len();
+    let suffix_bytes = encoding.as_str().len() - payload.encoding.as_str().len();
+    let is_smaller = frame.len() + suffix_bytes < payload.bytes.len();
     if !is_smaller || encoding.as_str().len() > encoding::MAX_BYTES {
         return Ok(payload.clone());
     }
@@ -122,7 +123,7 @@ pub(super) fn decompress(
     if !frame.starts_with(&[0x28, 0xB5, 0x2F, 0xFD]) {
         return Err(damaged(NAME, "it does not begin with the magic number"));
     }
-    let length = zstd_safe::find_frame_compressed_size(frame).map_err(wrong)?;
+    let length = zstd_safe::find_frame_compressed_size(frame).map_err(invalid)?;
     if length != frame.len() {
         return Err(damaged(NAME, "there is data after its end"));
     }
@@ -142,13 +143,18 @@ pub(super) fn decompress(
                 max_bytes,
                 ..Limits::default()
             };
-            whole(frame, limits.bytes(NAME, length)?, prepared)
+            decompress_sized(frame, limits.bytes(NAME, length)?, prepared)
         }
-        None => growing(frame, max_bytes, prepared),
+        None => decompress_unsized(frame, max_bytes, prepared),
     }
 }
 
-fn whole(frame: &[u8], length: usize, prepared: Option<&Prepared>) -> Result<Vec<u8>, CodecError> {
+/// Decompresses a frame that states the length of its content.
+fn decompress_sized(
+    frame: &[u8],
+    length: usize,
+    prepared: Option<&Prepared>,
+) -> Result<Vec<u8>, CodecError> {
     let mut bytes = Vec::with_capacity(length);
     DECOMPRESS
         .with_borrow_mut(|context| match prepared {
@@ -157,14 +163,15 @@ fn whole(frame: &[u8], length: usize, prepared: Option<&Prepared>) -> Result<Vec
                 context.decompress_using_ddict(&mut bytes, frame, prepared.decompress())
             }
         })
-        .map_err(wrong)?;
+        .map_err(invalid)?;
     if bytes.len() != length {
         return Err(damaged(NAME, "its content does not have the stated length"));
     }
     Ok(bytes)
 }
 
-fn growing(
+/// Decompresses a frame that does not state the length of its content.
+fn decompress_unsized(
     frame: &[u8],
     max_bytes: usize,
     prepared: Option<&Prepared>,
@@ -174,9 +181,9 @@ fn growing(
     let window_log = max_bytes.max(1).ilog2().clamp(23, 27);
     context
         .set_parameter(DParameter::WindowLogMax(window_log))
-        .map_err(wrong)?;
+        .map_err(invalid)?;
     if let Some(prepared) = prepared {
-        context.ref_ddict(prepared.decompress()).map_err(wrong)?;
+        context.ref_ddict(prepared.decompress()).map_err(invalid)?;
     }
     let mut input = InBuffer::around(frame);
     let mut bytes = Vec::new();
@@ -185,7 +192,7 @@ fn growing(
         let mut output = OutBuffer::around(&mut piece);
         let rest = context
             .decompress_stream(&mut output, &mut input)
-            .map_err(wrong)?;
+            .map_err(invalid)?;
         let chunk = output.as_slice();
         if bytes.len() + chunk.len() > max_bytes {
             return Err(CodecError::TooLarge {
@@ -205,6 +212,6 @@ fn growing(
     }
 }
 
-fn wrong(code: zstd_safe::ErrorCode) -> CodecError {
+fn invalid(code: zstd_safe::ErrorCode) -> CodecError {
     damaged(NAME, zstd_safe::get_error_name(code))
 }

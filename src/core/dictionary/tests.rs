@@ -2,14 +2,14 @@
 use super::*;
 
 fn samples(kind: usize) -> Vec<String> {
-    let one = |n| {
+    let sample = |n| {
         format!(
             r#"{{"kind":{kind},"seq":{n},"t":{}.{},"ok":true}}"#,
             n * 7,
             n % 13
         )
     };
-    (0..1500).map(one).collect()
+    (0..1500).map(sample).collect()
 }
 
 fn trained(kind: usize) -> Arc<Dictionary> {
@@ -128,7 +128,7 @@ fn each_robot_has_dictionaries_of_its_own_and_cannot_displace_others() {
         dictionaries
             .of(robot)
             .get(first.id())
-            .map(|dictionaries| dictionaries.bytes.clone())
+            .map(|dictionary| dictionary.bytes.clone())
     };
     assert_eq!(found(&dictionaries, &honest), Some(first.bytes.clone()));
     assert_eq!(found(&dictionaries, &other), Some(same_id.bytes.clone()));

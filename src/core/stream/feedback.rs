@@ -1,4 +1,5 @@
-//! Encodes the feedback that a receiver sends to a stream's sender twice per second, in at most [`MAX_BYTES`] bytes.
+//! Encodes the feedback that a receiver sends to a stream's sender, by default twice per second, in at most
+//! [`MAX_BYTES`] bytes.
 //!
 //! | bytes | content |
 //! |---|---|
@@ -37,7 +38,8 @@ pub struct Feedback {
     pub skipped: u32,
     /// 90th percentile of the age of the frames on arrival, in milliseconds.
     pub age_ms: u32,
-    /// Pace at which the frames arrived, in bytes per second. `None` if the offset of the clocks is unknown.
+    /// Pace at which the frames arrived, in bytes per second. `None` if the offset of the clocks is unknown,
+    /// or if all frames were too small to measure it.
     pub pace_bytes_per_s: Option<u32>,
 }
 

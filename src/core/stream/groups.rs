@@ -19,7 +19,7 @@ const SLOW_AFTER: Duration = Duration::from_secs(2);
 /// A robot returns to the main group after this time above this share.
 const MAIN_ABOVE: f64 = 0.6;
 const MAIN_AFTER: Duration = Duration::from_secs(4);
-/// How often the waiting time of a robot that becomes slow repeatedly doubles at most.
+/// The maximum number of times that the waiting time of a robot that becomes slow repeatedly is doubled.
 const MAX_DOUBLINGS: u32 = 4;
 /// How long slowdowns and absent robots are remembered.
 const REMEMBERED: Duration = Duration::from_secs(60);
@@ -27,7 +27,7 @@ const REMEMBERED: Duration = Duration::from_secs(60);
 #[derive(Clone, Copy, Debug)]
 struct Member {
     group: Group,
-    /// Since when it has belonged to the other group.
+    /// Since when its rate has been that of the other group.
     wrong_since: Option<Instant>,
     /// When it was moved to its current group.
     moved: Option<Instant>,
@@ -43,7 +43,7 @@ pub struct Groups {
 }
 
 impl Groups {
-    /// Returns the group of a robot.
+    /// Returns the group of a robot. `None` if the robot is unknown or absent.
     pub fn of(&self, robot: &Name) -> Option<Group> {
         let member = self.members.get(robot)?;
         member.absent_since.is_none().then_some(member.group)

@@ -206,7 +206,8 @@ impl Ladder {
         self.bytes_of(self.at)
     }
 
-    /// Returns the rate in bytes per second beyond which more is of no use, because it suffices for the best step.
+    /// Returns the rate in bytes per second that suffices for the best step, so that a higher one is of no use.
+    /// Infinite before the first frame.
     pub fn max_useful_bytes_per_s(&self) -> f64 {
         if self.pixels > 0.0 {
             self.needs(0) * HEADROOM
@@ -255,8 +256,8 @@ impl Ladder {
     /// Returns the rate that a step requires at its target frame rate.
     fn needs(&self, index: usize) -> f64 {
         let down = index as f64 / (self.steps.len() - 1).max(1) as f64;
-        let few = (self.min_frames_per_s / self.max_frames_per_s).powf(down);
-        self.bytes_of(index) * self.max_frames_per_s * few
+        let share = (self.min_frames_per_s / self.max_frames_per_s).powf(down);
+        self.bytes_of(index) * self.max_frames_per_s * share
     }
 
     fn bytes_of(&self, index: usize) -> f64 {

@@ -14,10 +14,10 @@ pub const MAX_NAMES: usize = 64;
 pub struct Notice {
     /// Time of the sender's clock, in milliseconds since 1970. Frames contain its low 16 bits.
     pub time_ms: u64,
-    /// Group of receivers whose robot is not named.
+    /// Group that new receivers join, unless their robot is named.
     #[serde(default)]
     pub join: Group,
-    /// Interval at which receivers send feedback, in milliseconds. 0 for no feedback.
+    /// Interval at which receivers send feedback, in milliseconds. 0 for no feedback. Default: 500.
     #[serde(default = "default_feedback_ms")]
     pub feedback_ms: u32,
     /// Robots in the main group.

@@ -11,6 +11,7 @@ use std::{
 
 /// How long the fastest frame is remembered. Longer would be wrong, because clocks drift.
 const WINDOW: Duration = Duration::from_secs(60);
+/// The duration of each part of the window, of which only the smallest difference is stored.
 const PART: Duration = Duration::from_secs(10);
 /// The maximum drift between two clocks: 100 ppm, twice what crystals are specified for.
 const DRIFT_MS_PER_S: f64 = 0.1;
@@ -97,7 +98,7 @@ impl Offset {
     /// Handles a frame that was sent at `sent_low`, and returns its age.
     pub fn on_frame(&mut self, sent_low: u16, now: Instant) -> Age {
         let difference = self.unwrapped(self.own.low(now).wrapping_sub(sent_low));
-        self.note(difference, now);
+        self.on_difference(difference, now);
         if let Some(reply) = self.reply {
             let age_ms = difference as f64 - reply.difference_ms;
             let error_ms = reply.round_trip.as_secs_f64() * 500.0;
@@ -127,7 +128,8 @@ impl Offset {
         self.reply.map(|reply| reply.round_trip)
     }
 
-    fn note(&mut self, difference: i64, now: Instant) {
+    /// Updates the fastest frames.
+    fn on_difference(&mut self, difference: i64, now: Instant) {
         let is_old = |at: Instant| now.saturating_duration_since(at) > WINDOW;
         while self.fastest.front().is_some_and(|&(at, _)| is_old(at)) {
             self.fastest.pop_front();
@@ -140,6 +142,7 @@ impl Offset {
         }
     }
 
+    /// Extends the low 16 bits of a difference to the value that is closest to the previous difference.
     fn unwrapped(&mut self, low: u16) -> i64 {
         let near = self.near.unwrap_or_else(|| i64::from(low));
         let step = low.wrapping_sub(near as u16) as i16;

@@ -26,6 +26,7 @@ impl Pacer {
     }
 }
 
+/// How late a frame may be, compared with the maximum frame rate, without delaying the next ones.
 const SLACK: Duration = Duration::from_millis(100);
 
 fn gap(frames_per_s: f64) -> Duration {
@@ -36,7 +37,7 @@ fn gap(frames_per_s: f64) -> Duration {
 mod tests {
     use super::*;
 
-    /// Returns the frames and bytes per second that are sent of a camera at 30 Hz.
+    /// Returns the frames and bytes per second that are sent if a camera takes 30 pictures per second.
     fn run(bytes: usize, bytes_per_s: f64, frames_per_s: f64) -> (f64, f64) {
         let start = Instant::now();
         let (mut pacer, mut frames) = (Pacer::default(), 0);

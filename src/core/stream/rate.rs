@@ -19,13 +19,14 @@ const WEIGHT_LOSS: f64 = 0.15;
 /// The share of lost frames above which the rate backs off. Fewer losses are normal for radio links.
 const HIGH_LOSS: f64 = 0.2;
 const BACKOFF: f64 = 0.85;
-/// The growth per report after backing off because of losses, and for how long it applies.
+/// The growth per report after backing off, and how long it applies. Without a pace, it applies for a fifth of this.
 const CAUTIOUS_GROWTH: f64 = 1.01;
 const CAUTIOUS_TIME: Duration = Duration::from_secs(10);
 /// Without a pace, frames that are later than the fastest ones by more than this are assumed to queue.
 const LATE_MS: u32 = 150;
+/// The growth per report without a pace, after the rate has backed off once.
 const BLIND_GROWTH: f64 = 1.1;
-/// After this time without feedback the rate is halved, and again every second.
+/// After this time without feedback the rate is halved, and again every second, down to the initial rate.
 const SILENCE: Duration = Duration::from_secs(2);
 
 /// The limits of a stream's data rate, in bytes per second.

@@ -8,22 +8,27 @@ use crate::core::{
     name::Name,
 };
 
-/// If the sender does not reply within this time, it does not use RECT, and its frames are on the stream's own key.
+/// If the sender does not reply within this time, it is assumed not to use RECT, and to publish its frames on the key
+/// of the main group.
 const FOREIGN_AFTER: Duration = Duration::from_millis(1500);
 /// The feedback interval while no frames arrive.
 const IDLE: Duration = Duration::from_secs(2);
-/// How often the sender's clock is queried. It is queried a few times at first, so that one of the replies is likely to
-/// be fast.
+/// The pause before an unanswered query to the sender is repeated. For a receiver older than 4 s, it is five times as
+/// long.
 const QUERY_RETRY: Duration = Duration::from_secs(1);
+/// The pause after each of the first replies. Several queries make it likely that one of the replies is fast.
 const FIRST_QUERY_INTERVAL: Duration = Duration::from_millis(400);
-const QUERY_INTERVAL: Duration = Duration::from_secs(15);
 const FIRST_QUERIES: u32 = 4;
-/// A frame of another source that is older by at most this was sent before a change of groups.
+/// The pause after each later reply.
+const QUERY_INTERVAL: Duration = Duration::from_secs(15);
+/// A frame of another source is dropped if it was sent at most this long before the newest frame: it belongs to the
+/// group that the receiver has left.
 const OVERTAKEN_MS: i16 = -2000;
 /// The shortest time in transit that the clocks can resolve.
 const SHORTEST: Duration = Duration::from_millis(1);
 /// The minimum size of frames that the pace is measured with. Smaller frames take as long as any message.
 const MIN_PACED_BYTES: usize = 500;
+/// The maximum number of frames per report whose age is used.
 const MAX_AGES: usize = 1024;
 
 /// A frame that the program receives.
@@ -199,8 +204,8 @@ impl Receiver {
             self.has_reported &= self.group == Some(group);
             self.group = Some(group);
         }
-        let every = Duration::from_millis(u64::from(notice.feedback_ms.clamp(200, 10_000)));
-        self.feedback_interval = (notice.feedback_ms > 0).then_some(every);
+        let interval = Duration::from_millis(u64::from(notice.feedback_ms.clamp(200, 10_000)));
+        self.feedback_interval = (notice.feedback_ms > 0).then_some(interval);
     }
 
     /// Returns the group to subscribe to. `None` if it is not known yet.
@@ -229,13 +234,13 @@ impl Receiver {
     /// Returns the feedback to send now, if there is any. No feedback is sent to a sender that does not reply to
     /// queries.
     pub fn poll_feedback(&mut self, now: Instant) -> Option<Feedback> {
-        let every = self.feedback_interval?;
+        let interval = self.feedback_interval?;
         let group = self.group.filter(|_| self.replies > 0)?;
         let passed = now.saturating_duration_since(self.span.since);
         let wait = if self.span.frames > 0 {
-            every
+            interval
         } else {
-            IDLE.max(every)
+            IDLE.max(interval)
         };
         if self.has_reported && passed < wait {
             return None;
@@ -257,20 +262,20 @@ impl Receiver {
         })
     }
 
-    /// Returns the time of the next poll, unless the sender replies or publishes a notice before that.
+    /// Returns the time at which to poll next, unless the sender replies or publishes a notice before that.
     pub fn poll_at(&self, now: Instant) -> Instant {
         let group = (self.group.is_none()).then(|| self.created_at + FOREIGN_AFTER);
         let feedback = self
             .feedback_interval
             .filter(|_| self.group.is_some() && self.replies > 0);
-        let feedback = feedback.map(|every| {
+        let feedback = feedback.map(|interval| {
             let from = if self.span.frames > 0 {
                 self.span.since
             } else {
                 // Frames that arrive meanwhile are reported at most one interval later.
-                now.min(self.span.since + IDLE.max(every) - every)
+                now.min(self.span.since + IDLE.max(interval) - interval)
             };
-            from + every
+            from + interval
         });
         let first = [group, feedback].into_iter().flatten().min();
         first.map_or(self.query_at, |first| first.min(self.query_at))
@@ -375,7 +380,7 @@ mod tests {
 
     #[test]
     fn measures_the_links_pace_with_and_without_queueing() {
-        // 30 kB/s and a delay of 20 ms: a frame of 3 kB takes 120 ms. It is sent every 200 ms or every 90 ms.
+        // 30 kB/s and a delay of 20 ms: a frame of 3 kB takes 120 ms. One is sent every 200 ms or every 90 ms.
         for every_ms in [200, 90] {
             let start = Instant::now();
             let mut receiver = receiver(start);
@@ -395,7 +400,10 @@ mod tests {
                 .poll_feedback(start + ms(free_ms + 500))
                 .expect("feedback");
             let pace = feedback.pace_bytes_per_s.expect("known");
-            assert!((27_000..33_000).contains(&pace), "every {every_ms}: {pace}");
+            assert!(
+                (27_000..33_000).contains(&pace),
+                "every {every_ms} ms: {pace}"
+            );
             assert_eq!(
                 (feedback.frames, feedback.bytes, feedback.skipped),
                 (5, 15_000, 0)

@@ -21,20 +21,20 @@ use crate::core::{
     name::Name,
 };
 
-/// How long a receiver may be silent before it is removed. With a long feedback interval, three intervals.
+/// How long a receiver may be silent before it is removed, but at least three feedback intervals.
 const REMOVED_AFTER: Duration = Duration::from_secs(6);
-/// How long after a report from the wrong group the notice is published again.
+/// The pause before the notice is published again after a report from the wrong group.
 const REPEAT_NOTICE: Duration = Duration::from_secs(1);
 /// The maximum number of receivers of a stream that are tracked.
 pub const MAX_RECEIVERS: usize = 256;
 /// The maximum number of receivers of one robot, so that no robot displaces the others.
 pub const MAX_RECEIVERS_OF_ROBOT: usize = 16;
-/// How long a receiver limits the rate without having reported a frame.
+/// How long a new receiver that has not reported a frame yet limits the rate.
 const NEWCOMER: Duration = Duration::from_secs(3);
-/// How long a robot that was moved to the other group still counts in its previous group. With a long feedback
-/// interval, three intervals.
+/// How long a robot that was moved to the other group still counts in its previous group, but at least three feedback
+/// intervals.
 const LEAVES_WITHIN: Duration = Duration::from_secs(3);
-/// The slowest robot of the slow group limits the rate to no less than this share of the next one's rate.
+/// The slowest robot of the slow group limits the rate to no less than this share of the second slowest one's rate.
 const MIN_SHARE_OF_NEXT: f64 = 1.0 / 3.0;
 
 /// The options of a stream.
@@ -51,7 +51,8 @@ const MIN_SHARE_OF_NEXT: f64 = 1.0 / 3.0;
 pub struct Options {
     /// Whether quality, size and rate adapt to the links. Default: adaptive.
     pub mode: Mode,
-    /// Minimum frame rate in frames per second, which the smallest step is chosen for. Default: 5.
+    /// Minimum frame rate in frames per second: the target of the smallest step. If a link is too slow even for that
+    /// step, the rate is lower. Default: 5.
     pub min_frames_per_s: f64,
     /// Maximum frame rate in frames per second. Default: 15.
     pub max_frames_per_s: f64,
@@ -61,7 +62,8 @@ pub struct Options {
     pub lossy_format: LossyFormat,
     /// Steps of the ladder, best first. Empty (the default) for [`super::ladder::PICTURES`].
     pub steps: Vec<Step>,
-    /// Interval at which receivers send feedback of 20 to 30 bytes. Zero for none. Default: 500 ms.
+    /// Interval at which receivers send feedback (20 to 30 bytes), from 0.2 to 10 s; receivers clamp other values. Zero
+    /// for no feedback. Default: 500 ms.
     pub feedback_interval: Duration,
 }
 
@@ -247,7 +249,7 @@ impl Sender {
         }
     }
 
-    /// Handles Zenoh's report whether a group's key has subscribers.
+    /// Handles Zenoh's report of whether a group's key has subscribers.
     pub fn on_subscribers(&mut self, group: Group, has_subscribers: bool) {
         self.outputs[group.index()].has_subscribers = Some(has_subscribers);
     }
@@ -289,8 +291,8 @@ impl Sender {
         self.poll(now);
     }
 
-    /// Returns whether the feedback is about frames of this sender, or about none yet. Feedback about an earlier
-    /// program of the same robot is meaningless.
+    /// Returns whether the feedback is about frames of this sender, or about none yet. Feedback about the
+    /// frames of an earlier program of this robot is ignored.
     fn is_of_this_stream(&self, feedback: &Feedback) -> bool {
         let is_newcomer = feedback.source == 0 && feedback.frames == 0;
         let was_sent = |output: &GroupOutput| {
@@ -425,7 +427,8 @@ impl Sender {
         potentials
     }
 
-    /// Returns the lowest rate among the receivers that are assigned to a group or have not left it yet.
+    /// Returns the lowest rate among the receivers that are assigned to a group or have not left it yet. `None` if
+    /// there are none. In the slow group, [`MIN_SHARE_OF_NEXT`] limits the influence of the slowest robot.
     fn rate_of(&self, group: Group) -> Option<f64> {
         let now = self.polled;
         let leaves_within = LEAVES_WITHIN.max(self.options.feedback_interval * 3);
@@ -451,8 +454,8 @@ impl Sender {
         })
     }
 
-    /// Returns the group that newcomers join. If the main group's frames would fill a slow link for seconds, it is the
-    /// slow group.
+    /// Returns the group that newcomers join: the slow group if the main group's frames would fill a slow link for
+    /// seconds, and otherwise the main group.
     fn join(&self) -> Group {
         let first = self.options.rates.initial_bytes_per_s;
         let is_heavy = self

@@ -123,7 +123,7 @@ pub struct World {
     camera_every: Duration,
     camera_at: Instant,
     pixels: usize,
-    /// How many times the usual size the pictures have.
+    /// The size of the pictures at some time, as a multiple of the usual size.
     pub scene: Box<dyn Fn(Duration) -> f64>,
     steps: Vec<(u64, Group, Step)>,
     /// The changes of each group's step.
@@ -269,10 +269,10 @@ impl World {
             super::ladder::Coding::Lossless => 100,
             super::ladder::Coding::Lossy(quality) => u64::from(quality),
         };
-        let wrong = 0.75 + 0.6 * Random(quality * 31 + u64::from(step.quarters)).share();
+        let bias = 0.75 + 0.6 * Random(quality * 31 + u64::from(step.quarters)).share();
         let noise = 0.9 + 0.2 * self.random.share();
         let scene = (self.scene)(self.now - self.start);
-        (step.guess() * self.pixels as f64 * wrong * noise * scene) as usize
+        (step.guess() * self.pixels as f64 * bias * noise * scene) as usize
     }
 
     fn step(&mut self, n: usize) {

@@ -23,7 +23,7 @@ pub struct GroupStatus {
     pub group: Group,
     /// Rate at which frames may be sent, in bytes per second.
     pub bytes_per_s: f64,
-    /// Current step. `None` if the program chooses the size and quality itself.
+    /// Current step. `None` before the first frame, and if the program chooses the size and quality itself.
     pub step: Option<Step>,
     /// Mean size of a frame, in bytes.
     pub frame_bytes: f64,

@@ -453,7 +453,7 @@ fn a_robot_that_reports_a_low_rate_limits_others_for_seconds_only() {
         let mut world = world(1);
         world.add("laptop", 2, |_| Condition::of(20e6));
         world.forge = Box::new(move |sender, newest, since, now| {
-            // It ignores the notices and stays in its group.
+            // The attacker ignores the notices and stays in its group.
             let feedback = reported(newest, Group::Main, 1);
             if let Some(feedback) = feedback.filter(|_| since >= secs(forge_from)) {
                 sender.on_feedback(&attacker(), &feedback, now);

@@ -95,7 +95,7 @@ pub enum Step {
     /// Ask this sender. Report the replies with [`Admission::on_confirmed`], and then their end with
     /// [`Admission::on_no_reply`].
     Ask(Question),
-    /// Wait until then, unless an event occurs. `None` to wait for the next event.
+    /// Wait until this time, unless an event occurs. `None` to wait for the next event.
     Wait(Option<Instant>),
 }
 
@@ -149,7 +149,7 @@ impl Admission {
             }
             let received_bytes = running.received_bytes;
             if running.offer.call != offer.call {
-                // The sender was restarted, or another robot offers in its name. Only the sender itself can tell.
+                // The sender was restarted, or another robot makes the offer in its name. Only the sender knows which.
                 self.ask(now, id, &offer.sender);
             }
             return Decision::Running(id, Answer::Running { received_bytes });
@@ -189,7 +189,8 @@ impl Admission {
         Step::Wait(times.min())
     }
 
-    /// Handles an untrusted reply to a question.
+    /// Handles an untrusted reply to a question. Returns `None` if it does not confirm the offer, or if the transfer is
+    /// not accepted any more.
     pub fn on_confirmed(&mut self, question: &Question, reply: &[u8]) -> Option<Confirmed> {
         let offer = Offer::decode(reply).ok()?;
         let id = offer.id(&self.me);
@@ -237,7 +238,7 @@ impl Admission {
         known.pause = (known.pause * 2).min(LAST_PAUSE);
     }
 
-    /// Schedules a question to this robot. Returns `false` if too many robots are being asked already.
+    /// Schedules a question to the robot `from`. Returns `false` if too many questions are pending already.
     fn ask(&mut self, now: Instant, id: TransferId, from: &Name) -> bool {
         if self.unconfirmed.contains_key(&id) {
             return true;
@@ -326,11 +327,11 @@ impl Admission {
     }
 
     /// Handles the end of a transfer. One that timed out or was stopped by the program may be offered again.
-    pub fn on_ended(&mut self, id: TransferId, how: &Result<(), Fault>) {
+    pub fn on_ended(&mut self, id: TransferId, result: &Result<(), Fault>) {
         let Some(running) = self.running.remove(&id) else {
             return;
         };
-        let answer = match how {
+        let answer = match result {
             Ok(()) => Answer::Done,
             Err(Fault::TimedOut(_) | Fault::Stopped) => return,
             Err(fault) => Answer::Failed(fault.clone()),

@@ -13,7 +13,7 @@ pub enum Answer {
         /// Number of bytes received so far.
         received_bytes: u64,
     },
-    /// The maximum number of concurrent transfers is reached. Offer it again later.
+    /// The maximum number of concurrent transfers is reached. Offer the transfer again later.
     Busy,
     /// The transfer is complete, and its checksum is correct.
     Done,
@@ -33,7 +33,7 @@ pub enum Refusal {
     /// The transfer is larger than the receiving program accepts.
     #[error("it is larger than the {limit_bytes} bytes that the receiver accepts")]
     TooLarge {
-        /// Maximum size that it accepts, in bytes.
+        /// Maximum size that the program accepts, in bytes.
         limit_bytes: u64,
     },
     /// The receiver cannot read the offer: its version differs, or the name is not valid for a file.
@@ -44,7 +44,8 @@ pub enum Refusal {
 /// The reason why a transfer failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
-    /// The received data does not match the checksum of the offer. It probably changed meanwhile: send it again.
+    /// The received data does not match the checksum of the offer. The source probably changed while it was sent: send
+    /// it again.
     #[error(
         "the checksum is wrong: the source changed while it was sent, or the data was damaged"
     )]
@@ -61,8 +62,8 @@ pub enum Fault {
     /// The sender's reply does not match the request.
     #[error("the sender violated the protocol: {0}")]
     Protocol(String),
-    /// Nothing was received for too long, in seconds. If the receiver stores transfers in a folder, a new offer
-    /// continues where this one stopped.
+    /// Nothing was received for this many seconds, which exceeds the timeout. If the receiver stores transfers
+    /// in a folder, a new offer continues where this one stopped.
     #[error("nothing was received from the sender for {0} s")]
     TimedOut(u64),
     /// The receiving program ended the transfer.
@@ -148,7 +149,7 @@ impl Refusal {
 }
 
 impl Fault {
-    /// Encodes the fault, which a sender replies to a request as an error.
+    /// Encodes the fault. A sender returns it as an error reply to a request.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![VERSION];
         self.write(&mut out);

@@ -32,8 +32,9 @@ pub struct Offer {
     pub size_bytes: u64,
     /// Checksum of the data.
     pub checksum: Checksum,
-    /// Random number of the program's call. An offer that is repeated has the same number; the same data sent by
-    /// another call has another one. An interrupted transfer continues under any number.
+    /// Random number that identifies the program's call to send the data. A repeated offer has the same number; if the
+    /// program sends the same data with another call, the number differs. An interrupted transfer continues under any
+    /// number.
     pub call: u64,
 }
 
@@ -60,9 +61,9 @@ pub enum OfferError {
     /// The offer is truncated or too long, or the bytes are something else.
     #[error("invalid offer of a transfer: its {0} cannot be read")]
     Malformed(&'static str),
-    /// The file name could refer to another folder, or to a hidden file.
+    /// The file name is too long, contains a character that is not allowed, or is that of a hidden file.
     #[error(
-        "{0:?} is not a valid file name: use up to {MAX_NAME_BYTES} bytes, no `/` or `\\`, no control characters, \
+        "{0:?} is not a valid file name: use up to {MAX_NAME_BYTES} bytes, no `/`, `\\` or `:`, no control characters, \
          no `.` at the beginning"
     )]
     Name(String),
@@ -123,7 +124,7 @@ impl Offer {
         }
         let call = reader.array().ok_or(Malformed("call"))?;
         let sender = reader.text(crate::core::name::MAX_BYTES);
-        // The sender becomes a folder's name, and `...` is a valid name of a robot.
+        // The sender becomes a folder's name, which must not be hidden, but the name of a robot may begin with a dot.
         let sender = sender.filter(|text| !text.starts_with('.'));
         let sender = sender.and_then(|text| Name::new(text).ok());
         let topic = reader.text(topic::MAX_BYTES);
@@ -155,7 +156,8 @@ impl FileName {
     /// Creates a file name after checking it. The empty name stands for data without a name.
     ///
     /// # Errors
-    /// Returns [`OfferError::Name`] if the name could refer to another folder, or to a hidden file.
+    /// Returns [`OfferError::Name`] if the name is longer than [`MAX_NAME_BYTES`], contains `/`, `\`, `:` or a control
+    /// character, or begins with `.`.
     pub fn new(text: &str) -> Result<Self, OfferError> {
         let bad = |c: char| c.is_control() || matches!(c, '/' | '\\' | ':');
         if text.len() > MAX_NAME_BYTES || text.starts_with('.') || text.contains(bad) {

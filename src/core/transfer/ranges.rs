@@ -26,8 +26,8 @@ impl Ranges {
         if range.is_empty() {
             return;
         }
-        // The ranges that touch it: from the first that does not end before it, to the last that does not begin after
-        // it.
+        // The known ranges that touch the new one: from the first that does not end before it, to the last that does
+        // not begin after it.
         let first = self.0.partition_point(|r| r.end < range.start);
         let last = self.0.partition_point(|r| r.start <= range.end);
         let merged = match self.0.get(first..last) {

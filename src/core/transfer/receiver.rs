@@ -69,7 +69,7 @@ struct InFlight {
 pub enum Step {
     /// Send this request.
     Request(PieceRequest),
-    /// Wait until then, unless an event occurs.
+    /// Wait until this time, unless an event occurs.
     Wait(Instant),
     /// Everything was received. Compute the checksum, and report it with [`Receiver::on_checked`].
     Check,
@@ -117,8 +117,8 @@ impl Receiver {
             .filter(|(_, in_flight)| in_flight.due <= now);
         let late: Vec<u64> = late.map(|(&id, _)| id).collect();
         late.into_iter().for_each(|id| self.on_no_reply(now, id));
-        if let State::Finished(how) = &self.state {
-            return Step::Finished(how.clone());
+        if let State::Finished(result) = &self.state {
+            return Step::Finished(result.clone());
         }
         if self.state != State::Checking && self.held.contains(&(0..self.size_bytes)) {
             self.state = State::Checking;
@@ -154,9 +154,9 @@ impl Receiver {
         Step::Wait(due.unwrap_or(now + LAST_PAUSE))
     }
 
-    fn finish(&mut self, how: Result<(), Fault>) -> Step {
-        self.state = State::Finished(how.clone());
-        Step::Finished(how)
+    fn finish(&mut self, result: Result<(), Fault>) -> Step {
+        self.state = State::Finished(result.clone());
+        Step::Finished(result)
     }
 
     fn next_request(&mut self, now: Instant) -> Option<PieceRequest> {
@@ -187,6 +187,7 @@ impl Receiver {
         })
     }
 
+    /// Removes a request from those in flight.
     fn take(&mut self, id: u64) -> Option<InFlight> {
         let in_flight = self.in_flight.remove(&id)?;
         self.in_flight_bytes -= in_flight.range.end - in_flight.range.start;
@@ -194,7 +195,8 @@ impl Receiver {
     }
 
     /// Handles a reply of `bytes` bytes. Returns whether to store them and then call [`Self::on_written`]; otherwise
-    /// they are present already, or the transfer has finished.
+    /// they are present already, or the transfer has finished. A reply of another length than requested ends the
+    /// transfer with [`Fault::Protocol`].
     pub fn on_reply(&mut self, now: Instant, request: &PieceRequest, bytes: u64) -> bool {
         if matches!(self.state, State::Finished(_)) {
             return false;

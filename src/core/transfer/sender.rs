@@ -41,8 +41,8 @@ pub struct Sender {
 
 #[derive(Clone, Debug, PartialEq)]
 enum State {
-    /// An offer is in flight. `again`: the receiver reported an event since; repeat the offer as soon as this one is
-    /// answered.
+    /// An offer is in flight. `again`: the receiver has since reported the end of the transfer; the offer is repeated
+    /// as soon as this one is answered.
     Offering {
         until: Instant,
         again: bool,
@@ -71,7 +71,7 @@ pub enum Outcome {
 pub enum Step {
     /// Send the offer, wait for answers for at most this long, and report them with [`Sender::on_answers`].
     Offer(Duration),
-    /// Wait until then, unless an event occurs.
+    /// Wait until this time, unless an event occurs.
     Wait(Instant),
     /// The transfer has finished.
     Finished(Outcome),
@@ -209,7 +209,7 @@ impl Sender {
         }
     }
 
-    /// Suspends the offers until then, because the receiver is active.
+    /// Suspends the offers until this time, because the receiver is active.
     fn quiet_until(&mut self, until: Instant) {
         if let State::Waiting { .. } = self.state {
             self.state = State::Waiting { until };
@@ -236,8 +236,9 @@ impl Sender {
     }
 }
 
-/// Combines the answers of several programs of a robot to one offer. A program that is receiving it takes precedence,
-/// then one that has received it, then one that failed. The offer is refused only if all programs refuse it.
+/// Combines the answers of several programs of a robot to one offer. A program that is receiving the transfer
+/// takes precedence, then one that has received it, then one that failed. The offer is refused only if all programs
+/// refuse it.
 fn settled(answers: &[Answer]) -> Option<Outcome> {
     let rank = |answer: &Answer| match answer {
         Answer::Running { .. } | Answer::Busy => 0,

@@ -83,6 +83,7 @@ pub struct Result {
 }
 
 impl Result {
+    /// Returns a percentile of the waits.
     pub fn wait(&self, per_cent: usize) -> Duration {
         let last = self.waits.len().saturating_sub(1);
         self.waits
@@ -140,7 +141,7 @@ impl World {
             link,
         };
         for cut in world.link.interruptions.clone() {
-            world.at(start + cut.at, Event::Interruption(cut.reported));
+            world.schedule(start + cut.at, Event::Interruption(cut.reported));
         }
         world
     }
@@ -164,14 +165,14 @@ impl World {
 
     /// Runs until all transfers have ended, or for at most `limit`, and returns the results.
     pub fn run(mut self, limit: Duration) -> Vec<Result> {
-        (0..self.flows.len()).for_each(|flow| self.turn(flow));
+        (0..self.flows.len()).for_each(|flow| self.poll(flow));
         while let Some(Reverse((at, id))) = self.events.pop() {
             if at > self.start + limit || self.flows.iter().all(|f| f.result.ended.is_some()) {
                 break;
             }
             self.now = at;
             if let Some((era, event)) = self.pending.remove(&id) {
-                self.happen(era, event);
+                self.on_event(era, event);
             }
         }
         let done = |mut flow: Flow| {
@@ -181,7 +182,7 @@ impl World {
         self.flows.into_iter().map(done).collect()
     }
 
-    fn at(&mut self, at: Instant, event: Event) {
+    fn schedule(&mut self, at: Instant, event: Event) {
         self.events.push(Reverse((at, self.next)));
         self.pending.insert(self.next, (self.era, event));
         self.next += 1;
@@ -208,7 +209,7 @@ impl World {
         }
     }
 
-    fn happen(&mut self, era: u64, event: Event) {
+    fn on_event(&mut self, era: u64, event: Event) {
         let one_way = self.link.round_trip / 2;
         match event {
             Event::Interruption(reported) => {
@@ -220,7 +221,7 @@ impl World {
                 });
                 for (flow, request) in out.collect::<Vec<_>>() {
                     if reported {
-                        self.at(self.now, Event::TimedOut(flow, request));
+                        self.schedule(self.now, Event::TimedOut(flow, request));
                     }
                 }
             }
@@ -232,7 +233,7 @@ impl World {
                 let all = bytes + u64::from(self.link.overhead_bytes);
                 self.busy_until = starts + Duration::from_secs_f64(all as f64 / self.rate());
                 let arrives = self.event_after(self.busy_until + one_way);
-                self.at(arrives, Event::Reply(flow, request));
+                self.schedule(arrives, Event::Reply(flow, request));
             }
             Event::Reply(flow, request) if era == self.era => {
                 let this = &mut self.flows[flow];
@@ -241,23 +242,24 @@ impl World {
                 if this.receiver.on_reply(self.now, &request, end - start) {
                     this.receiver.on_written(start..end);
                 }
-                self.turn(flow);
+                self.poll(flow);
             }
             Event::TimedOut(flow, request) => {
                 let this = &mut self.flows[flow];
                 this.out.remove(&request.id);
                 this.receiver.on_no_reply(self.now, request.id);
-                self.turn(flow);
+                self.poll(flow);
             }
             Event::Wake(flow) => {
                 self.flows[flow].wakes_at = None;
-                self.turn(flow);
+                self.poll(flow);
             }
             Event::Request(..) | Event::Reply(..) => {}
         }
     }
 
-    fn turn(&mut self, flow: usize) {
+    /// Polls a receiver until it waits.
+    fn poll(&mut self, flow: usize) {
         loop {
             let this = &mut self.flows[flow];
             match this.receiver.poll(self.now) {
@@ -275,7 +277,7 @@ impl World {
                     if this.wakes_at.is_none_or(|at| until < at) {
                         this.wakes_at = Some(until);
                         let until = until.max(self.now + Duration::from_micros(1));
-                        self.at(until, Event::Wake(flow));
+                        self.schedule(until, Event::Wake(flow));
                     }
                     return;
                 }
@@ -291,14 +293,14 @@ impl World {
     fn send(&mut self, flow: usize, request: PieceRequest) {
         if let Some(cut) = self.interruption_now() {
             if cut.reported {
-                self.at(
+                self.schedule(
                     self.now + Duration::from_millis(1),
                     Event::TimedOut(flow, request),
                 );
             }
         } else if self.random.below(1000) >= self.link.lost_per_mille {
             let arrives = self.event_after(self.now + self.link.round_trip / 2);
-            self.at(arrives, Event::Request(flow, request));
+            self.schedule(arrives, Event::Request(flow, request));
         }
     }
 }

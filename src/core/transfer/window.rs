@@ -90,7 +90,8 @@ impl Default for Window {
 }
 
 impl Window {
-    /// Returns how many bytes to request now at most, given the bytes in flight. `None` to wait for these.
+    /// Returns the maximum number of bytes to request now, given the bytes in flight. `None` to wait until some of
+    /// those have arrived.
     pub fn room(&mut self, now: Instant, in_flight: u64) -> Option<u32> {
         let limit = match self.phase {
             Phase::Draining { .. } => u64::from(self.piece),
@@ -106,7 +107,7 @@ impl Window {
         Some(self.piece)
     }
 
-    /// Handles a piece that was requested at `requested_at`.
+    /// Handles the arrival of a piece of `bytes` bytes that was requested at `requested_at`.
     pub fn on_piece(&mut self, now: Instant, requested_at: Instant, bytes: u32) {
         let elapsed = now.saturating_duration_since(requested_at);
         self.smoothed = Some(match self.smoothed {
@@ -114,9 +115,9 @@ impl Window {
             None => elapsed,
         });
         // The last piece may be shorter, and then takes less time for reasons that have nothing to do with the link.
-        let usual = bytes == self.piece;
+        let is_full_size = bytes == self.piece;
         match self.phase {
-            Phase::Draining { since } if requested_at >= since && usual => {
+            Phase::Draining { since } if requested_at >= since && is_full_size => {
                 self.base = Some(Base {
                     shortest: elapsed,
                     at: now,
@@ -126,12 +127,12 @@ impl Window {
                 self.round = Some(Round::new(now));
                 return;
             }
-            _ if usual => self.on_usual(now, elapsed),
+            _ if is_full_size => self.on_full_size_piece(now, elapsed),
             _ => {}
         }
         let round = self.round.get_or_insert(Round::new(now));
         round.bytes += u64::from(bytes);
-        if usual {
+        if is_full_size {
             round.shortest = Some(
                 round
                     .shortest
@@ -144,7 +145,8 @@ impl Window {
         }
     }
 
-    fn on_usual(&mut self, now: Instant, elapsed: Duration) {
+    /// Updates the base with the time that a piece took.
+    fn on_full_size_piece(&mut self, now: Instant, elapsed: Duration) {
         let shortest = self.base.map(|base| base.shortest);
         // Almost the same time counts as equal; otherwise a jitter of microseconds would make the measurement look
         // outdated.
@@ -154,6 +156,7 @@ impl Window {
         }
     }
 
+    /// Updates the throughput, the limit and the size of pieces at the end of a round.
     fn on_round(&mut self, now: Instant, round: &Round) {
         let seconds = now.saturating_duration_since(round.since).as_secs_f64();
         let Some(base) = self.base.filter(|_| seconds > 0.0) else {

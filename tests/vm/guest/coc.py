@@ -38,7 +38,8 @@ def _socket(local, psm, mtu, timeout):
 
 
 def listen(local, psm=128, mtu=65535, timeout=30):
-    """Returns a listening socket on the adapter with this address, for use with `accept(socket)`."""
+    """Returns a listening socket on the adapter with this address, for `accept`. `mtu` is the largest SDU that is
+    received, in bytes; `timeout` is in seconds."""
     sock = _socket(local, psm, mtu, timeout)
     sock.listen(8)
     return sock

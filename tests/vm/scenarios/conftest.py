@@ -27,7 +27,7 @@ def start_bluetoothd() -> None:
 
 
 def power(adapter: str, state: str) -> None:
-    """Switches an adapter on or off. Restarts bluetoothd if it crashes, as systemd does: BlueZ 5.66 sometimes does."""
+    """Switches an adapter on or off. Restarts bluetoothd if it crashes, as systemd does; BlueZ 5.66 may crash then."""
 
     def switched() -> bool:
         guest("bluetoothd", "start")
@@ -64,15 +64,15 @@ def fresh_bluetooth():
 @pytest.fixture
 def robots(tmp_path: Path):
     """Creates robots `wombat-1` on hci0, `wombat-2` on hci1, and so on, and stops them after the test."""
-    made: list[Robot] = []
+    running: list[Robot] = []
 
     def make(count: int) -> list[Robot]:
         for n in range(count):
-            made.append(Robot(f"wombat-{n + 1}", f"hci{n}", tmp_path / f"wombat-{n + 1}.log"))
-        return made
+            running.append(Robot(f"wombat-{n + 1}", f"hci{n}", tmp_path / f"wombat-{n + 1}.log"))
+        return running
 
     yield make
-    for robot in made:
+    for robot in running:
         robot.kill()
 
 

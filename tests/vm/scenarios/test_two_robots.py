@@ -101,7 +101,7 @@ def test_frozen_receiver_loses_no_messages(robots, bytes_per_s):
                 here.put("rect/frozen", message, congestion_control=zenoh.CongestionControl.BLOCK)
                 if message is messages[50]:
                     two.freeze()
-            # The duration is part of the test (less than Zenoh's lease); it does not wait for anything.
+            # This pause is part of the scenario (shorter than Zenoh's lease), and not a wait for a condition.
             time.sleep(5)
             two.thaw()
             assert collector.take(len(messages)) == messages
@@ -124,7 +124,7 @@ def test_reconnects_after_peer_restart(robots, side, away_s):
     with other.session() as there:
         stopped.kill()
         wait_until("the end is detected", 30, lambda: not other.ble_links())
-        # The duration is part of the test; it does not wait for anything.
+        # This pause is part of the scenario, and not a wait for a condition.
         time.sleep(away_s)
         restarted = time.monotonic()
         stopped.start()

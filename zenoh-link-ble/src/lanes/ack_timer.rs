@@ -1,9 +1,9 @@
 //! Detects a peer that has stopped acknowledging.
 //!
-//! A receiver acknowledges once it has taken [`credits::ack_due_bytes`](super::credits::ack_due_bytes). If at least that
-//! much is unacknowledged for [`ACK_TIMEOUT`] and no acknowledgement arrives, the peer does not read, or does not follow
-//! the protocol. SDUs that are sent meanwhile do not restart the timer, because Zenoh sends keep-alives regardless of the
-//! peer.
+//! A receiver acknowledges once it has received [`credits::ack_due_bytes`](super::credits::ack_due_bytes). If at least
+//! that much is unacknowledged for [`ACK_TIMEOUT`] and no new acknowledgement arrives, the peer does not read, or does
+//! not follow the protocol. SDUs that are sent meanwhile do not restart the timer, because Zenoh sends keep-alives
+//! regardless of the peer.
 use std::time::{Duration, Instant};
 
 use super::credits::ack_due_bytes;

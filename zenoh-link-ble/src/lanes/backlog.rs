@@ -79,7 +79,8 @@ impl Backlog {
         }
     }
 
-    /// Returns when the lane accepts a batch of that kind even without room for it.
+    /// Returns when the lane accepts a batch of that kind even without room for it, or `None` if it has accepted none
+    /// yet.
     pub fn overdue_at(&self, kind: BatchKind) -> Option<Instant> {
         let timeout = match kind {
             BatchKind::Whole { .. } => BATCH_STALL_TIMEOUT,

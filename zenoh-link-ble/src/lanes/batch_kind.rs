@@ -15,12 +15,12 @@ use zenoh_protocol::{
 pub enum BatchKind {
     /// One or more whole messages.
     Whole {
-        /// Whether Zenoh may drop the first of them instead of waiting long.
+        /// Whether Zenoh may drop the first of them if the lane has no room.
         is_droppable: bool,
     },
     /// The first fragment of a message.
     FirstFragment {
-        /// Whether Zenoh may drop the message instead of waiting long.
+        /// Whether Zenoh may drop the message if the lane has no room.
         is_droppable: bool,
     },
     /// A further fragment of the message whose fragments came before.

@@ -5,8 +5,9 @@
 //! link began, in bytes modulo 2^16, rather than a difference. A late acknowledgement therefore changes nothing, and an
 //! impossible one is detected.
 
-/// Number of bytes that an SDU costs in addition to its batch. The kernel's bookkeeping counts against the buffer of the
-/// socket, and if the radio's packets are short (27 bytes), the shortest SDU occupies as much of it as one of 23 bytes.
+/// Number of bytes that an SDU costs in addition to its batch. The kernel's bookkeeping for each K-frame counts against
+/// the buffer of the socket, and even the shortest SDU takes one K-frame. If the radio's packets are short (27 bytes),
+/// a K-frame carries up to 23 bytes.
 pub const SDU_OVERHEAD_BYTES: u16 = 24;
 /// The largest window, in bytes. Totals can be compared only within half of their range.
 pub const MAX_WINDOW: u16 = 16_384;
@@ -27,7 +28,8 @@ pub fn cost(bytes: usize) -> u16 {
     u16::try_from(bytes).map_or(u16::MAX, |bytes| bytes.saturating_add(SDU_OVERHEAD_BYTES))
 }
 
-/// Returns the window of a receiver whose socket holds at least `kept_unread_bytes` unread bytes.
+/// Returns the window of a receiver whose socket holds at least `receive_capacity_bytes` unread bytes; [`MIN_WINDOW`]
+/// to [`MAX_WINDOW`].
 pub fn window_of(receive_capacity_bytes: usize) -> u16 {
     let window = u16::try_from(receive_capacity_bytes).unwrap_or(MAX_WINDOW);
     window.clamp(MIN_WINDOW, MAX_WINDOW)

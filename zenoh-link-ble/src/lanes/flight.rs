@@ -13,11 +13,12 @@ use super::{credits::ack_due_bytes, Lane, LANES};
 
 /// How long an SDU may wait behind others, measured on the fastest SDU of a round.
 const MAX_QUEUEING_DELAY: Duration = Duration::from_millis(7);
-/// The shortest duration of a round. Three of the connection intervals that BlueZ requests.
+/// The shortest duration of a round: two to three of the connection intervals (30 to 50 ms) that Linux requests by
+/// default.
 const ROUND: Duration = Duration::from_millis(100);
 /// The smallest number of acknowledgements in a round.
 const MIN_ROUND_ACKS: u32 = 4;
-/// Divisor that gives the part by which the limit is reduced when too much was in flight.
+/// The limit is reduced by its value divided by this number when too much was in flight.
 const DECREASE_DIVISOR: u16 = 4;
 
 /// An SDU in flight.
@@ -34,7 +35,7 @@ struct Round {
     since: Instant,
     acks: u32,
     min_delay: Duration,
-    /// Whether something had to wait because of the limit.
+    /// Whether the limit was reached, so that another SDU of the largest size had to wait.
     was_full: bool,
 }
 
@@ -49,7 +50,7 @@ pub struct Flight {
     /// Amount by which the limit is increased, in bytes: one of the largest SDUs.
     step: u16,
     window: u16,
-    /// Delay of an SDU that waits behind no other.
+    /// The shortest measured delay, which is taken for that of an SDU that waits behind no other.
     base_delay: Option<Duration>,
     round: Option<Round>,
 }
@@ -73,7 +74,8 @@ impl Flight {
         }
     }
 
-    /// Returns whether an SDU of that lane may be sent. SDUs of less urgent lanes that are in flight do not count.
+    /// Returns whether an SDU of that lane and cost may be sent. SDUs of less urgent lanes that are in flight do not
+    /// count. If nothing else is in flight, an SDU of any cost may be sent.
     pub fn has_room(&self, lane: Lane, cost: u16) -> bool {
         let before = self.in_flight_bytes(lane);
         before == 0 || before + u32::from(cost) <= u32::from(self.limit)
@@ -87,8 +89,8 @@ impl Flight {
             total,
             sent_at: now,
         });
-        if let Some(of_lane) = self.costs.get_mut(lane.index()) {
-            *of_lane = of_lane.saturating_add(cost);
+        if let Some(lane_bytes) = self.costs.get_mut(lane.index()) {
+            *lane_bytes = lane_bytes.saturating_add(cost);
         }
         let is_full =
             self.in_flight_bytes(Lane::last()) + u32::from(self.step) > u32::from(self.limit);
@@ -98,7 +100,7 @@ impl Flight {
     }
 
     /// Handles an acknowledgement of `total` bytes since the link began. Returns the time since the last of their SDUs was
-    /// sent.
+    /// sent, or `None` if `total` is not the total of an SDU in flight.
     pub fn on_ack(&mut self, total: u16, now: Instant) -> Option<Duration> {
         let mut last = None;
         while let Some(sdu) = self.sdus.front() {
@@ -107,8 +109,8 @@ impl Flight {
             }
             // Earlier SDUs waited at the receiver until the acknowledgement was due.
             last = (sdu.total == total).then_some(sdu.sent_at);
-            if let Some(of_lane) = self.costs.get_mut(sdu.lane.index()) {
-                *of_lane = of_lane.saturating_sub(sdu.cost);
+            if let Some(lane_bytes) = self.costs.get_mut(sdu.lane.index()) {
+                *lane_bytes = lane_bytes.saturating_sub(sdu.cost);
             }
             self.sdus.pop_front();
         }

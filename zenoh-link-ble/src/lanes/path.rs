@@ -1,7 +1,7 @@
 //! Estimates the rate and the round-trip time of the path to the peer from the times of acknowledgements.
 use std::time::{Duration, Instant};
 
-/// Divisor that gives the weight of one measurement in an estimate.
+/// Reciprocal of the weight of one measurement in an estimate.
 const WEIGHT: f64 = 4.0;
 /// The shortest time over which the rate is measured. Acknowledgements arrive in bursts, once per connection event.
 const MIN_SPAN: Duration = Duration::from_millis(200);
@@ -60,7 +60,7 @@ impl Path {
         self.rate_bytes_per_s
     }
 
-    /// Returns the mean time from sending an SDU to its acknowledgement; `None` until it was measured.
+    /// Returns the moving average of the time from sending an SDU to its acknowledgement; `None` until it was measured.
     pub fn round_trip(&self) -> Option<Duration> {
         self.round_trip
     }

@@ -9,8 +9,9 @@ use super::{
     Lane, HEADER, LANES,
 };
 
-/// Number of unread bytes above which a lane is stopped. It covers a short time of a fast radio while Zenoh is busy. Each
-/// batch counts with its cost in credits, so that small batches do not occupy more memory than large ones.
+/// Number of unread bytes above which a lane is stopped. Up to it, a fast radio can continue for a short time while
+/// Zenoh is busy. Each batch counts with its cost in credits, so that small batches do not occupy more memory than
+/// large ones.
 pub const HIGH_WATERMARK: usize = 16_384;
 /// Number of unread bytes at which a stopped lane is restarted.
 const LOW_WATERMARK: usize = HIGH_WATERMARK / 2;
@@ -39,7 +40,7 @@ pub enum Violation {
     #[error("a batch arrived on lane {} during Zenoh's handshake, which takes place on lane 0", .0.number())]
     Handshake(Lane),
     /// An SDU arrived after the goodbye.
-    #[error("an sdu after the goodbye")]
+    #[error("it sent an sdu after the goodbye")]
     AfterGoodbye,
 }
 
@@ -75,6 +76,7 @@ pub struct Receiver {
     signals: VecDeque<Content<'static>>,
     mtu: usize,
     window: usize,
+    /// Number of SDUs that were received.
     number: u32,
     is_finished: bool,
 }
@@ -97,7 +99,8 @@ impl Receiver {
     /// Handles a received SDU.
     ///
     /// # Errors
-    /// Fails if the SDU was lost, damaged or repeated, or breaks the protocol. The link has to end then.
+    /// Fails if an earlier SDU was lost, or if this one is damaged, repeated or breaks the protocol. The link has to
+    /// end then.
     pub fn on_sdu(&mut self, sdu: &[u8]) -> Result<Received, Violation> {
         if self.is_finished {
             return Err(Violation::AfterGoodbye);

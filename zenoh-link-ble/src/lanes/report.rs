@@ -1,4 +1,4 @@
-//! Defines the counts and the state that lanes report. They are always kept.
+//! Defines the counts and the state that lanes report.
 use std::{ops::Add, time::Duration};
 
 use serde::Serialize;

@@ -44,7 +44,7 @@ struct Waiting {
     sdu: Vec<u8>,
     kind: BatchKind,
     since: Instant,
-    /// Whether it counts towards the lane's backlog.
+    /// Whether the batch counts towards the lane's backlog.
     counts: bool,
 }
 
@@ -188,6 +188,7 @@ pub struct Scheduler {
     flight: Flight,
     ack_timer: AckTimer,
     path: Path,
+    /// Number of SDUs that were sent.
     number: u32,
 }
 
@@ -251,6 +252,7 @@ impl Scheduler {
     }
 
     /// Returns when to offer a batch again that [`Scheduler::push`] did not accept, even if nothing is sent until then.
+    /// Returns `None` if the batch is accepted only after something was sent.
     pub fn retry_at(&self, lane: Lane, batch: &[u8], now: Instant) -> Option<Instant> {
         // A `Lane` is always less than LANES.
         let backlog = &self.lanes[lane.index()].backlog;
@@ -304,7 +306,7 @@ impl Scheduler {
         self.ack_timer.deadline()
     }
 
-    /// Records that the SDU was sent which [`Scheduler::peek`] returned last. Nothing may have been queued in between.
+    /// Records that the SDU that [`Scheduler::peek`] returned last was sent. Nothing may have been queued in between.
     pub fn on_sent(&mut self, sent: Next, now: Instant) {
         self.number = self.number.wrapping_add(1);
         match sent {

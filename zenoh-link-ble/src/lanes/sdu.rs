@@ -15,7 +15,8 @@ const GOODBYE: u8 = 4;
 pub enum Content<'a> {
     /// One Zenoh batch, never empty.
     Batch(Lane, &'a [u8]),
-    /// The total number of bytes that the receiver has read from its socket: see `credits`.
+    /// The total cost of the batches that the receiver has read from its socket since the link began, in bytes modulo
+    /// 2^16: see `credits`.
     Ack(u16),
     /// The receiver holds enough of that lane. The sender sends no more of it until [`Content::Go`].
     Stop(Lane),
@@ -29,7 +30,7 @@ pub enum Content<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SduError {
     /// The SDU has a wrong length for its kind.
-    #[error("an sdu of {0} bytes")]
+    #[error("an sdu of {0} bytes, which is a wrong length for its kind")]
     Size(usize),
     /// The kind or the lane in the first byte is unknown.
     #[error("an sdu of unknown kind {0:#04x}")]
@@ -58,14 +59,14 @@ impl Content<'_> {
     }
 }
 
-/// Writes the check of an SDU that is sent as the one with that number.
+/// Writes the check into an SDU. `number` is the number of SDUs that were sent on the link before.
 pub fn seal(number: u32, sdu: &mut [u8]) {
     if let [head, low, high, body @ ..] = sdu {
         [*low, *high] = check::compute(number, *head, body);
     }
 }
 
-/// Verifies and decodes the SDU with that number.
+/// Verifies and decodes an SDU. `number` is the number of SDUs that were received on the link before.
 ///
 /// # Errors
 /// Fails if the check does not match, or if the kind, the lane or the size is not one of the protocol.

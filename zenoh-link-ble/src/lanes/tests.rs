@@ -214,9 +214,9 @@ fn lane_never_waits_for_an_acknowledgement_that_is_not_due() {
             for n in 0..200 {
                 assert!(pair.push(5, &vec![5; mtu]));
                 pair.settle();
-                let what = format!("batch {n} of {mtu} bytes, window {window}");
-                assert!(pair.take(5).is_some(), "{what}");
-                assert_eq!(pair.waiting(5), 0, "{what}");
+                let case = format!("batch {n} of {mtu} bytes, window {window}");
+                assert!(pair.take(5).is_some(), "{case}");
+                assert_eq!(pair.waiting(5), 0, "{case}");
             }
             for _ in 0..10 {
                 assert!(pair.push(5, &vec![5; mtu]));
@@ -308,18 +308,18 @@ fn droppable_batches_of_these_tests_have_the_format_of_zenoh() {
 fn droppable_message_is_accepted_only_while_little_waits_and_then_completely() {
     let mut pair = Pair::new();
     assert!(pair.push(5, &droppable(Kind::First, MTU)));
-    let mut taken = 1;
+    let mut accepted = 1;
     while pair.waiting(5) < 20_000 {
         assert!(
             pair.push(5, &droppable(Kind::Next, MTU)),
             "a started message is accepted completely"
         );
-        taken += 1;
+        accepted += 1;
     }
     assert!(!pair.push(5, &droppable(Kind::First, MTU)));
     assert!(!pair.push(5, &droppable(Kind::Whole, 50)));
     assert!(pair.push(5, b"a message that must arrive is accepted"));
-    for _ in 0..taken {
+    for _ in 0..accepted {
         pair.settle();
         assert!(pair.take(5).is_some());
     }
@@ -435,7 +435,7 @@ fn started_message_is_accepted_completely_and_a_large_one_does_not_delay_the_nex
     assert_eq!(pair.fill(5), 0);
     pair.run(34_000.0, Duration::from_secs(2));
     assert_eq!(pair.backlog(5), 0);
-    // 70 kB: a message that no longer counts once it is known to be large.
+    // 70 kB: a message that does not count once it is known to be large.
     assert!(pair.push_message(5, 70));
     assert_eq!(pair.backlog(5), 0);
     assert!(pair.waiting(5) > 70_000);
@@ -448,9 +448,9 @@ fn bound_in_bytes_holds_for_large_messages() {
     let mut pair = Pair::with(HALF_A_SECOND, MTU, WINDOW);
     assert!(pair.push_message(5, 70));
     assert!(pair.push(5, &must_arrive(Kind::First, MTU)));
-    let taken = std::iter::repeat_with(|| pair.push(5, &must_arrive(Kind::Next, MTU)));
-    let taken = taken.take_while(|is_accepted| *is_accepted).count();
-    assert!(taken < 30, "{taken}");
+    let pushed = std::iter::repeat_with(|| pair.push(5, &must_arrive(Kind::Next, MTU)));
+    let accepted = pushed.take_while(|is_accepted| *is_accepted).count();
+    assert!(accepted < 30, "{accepted}");
     assert!(pair.waiting(5) <= BOUNDS.bytes as u64);
 }
 
@@ -601,7 +601,7 @@ fn sdu_over_the_mtu_ends_the_link() {
 #[test]
 fn every_lane_delivers_everything_in_order_for_any_order_of_events() {
     for seed in 0..200 {
-        let mut dice = Pcg32::seed_from_u64(seed);
+        let mut rng = Pcg32::seed_from_u64(seed);
         let mut pair = Pair::new();
         let mut pushed = [0_u32; LANES];
         let mut taken = [0_u32; LANES];
@@ -613,14 +613,14 @@ fn every_lane_delivers_everything_in_order_for_any_order_of_events() {
             }
         };
         for round in 0..6000 {
-            let number = (dice.next_u32() % LANES as u32) as u8;
-            match dice.next_u32() % if round < 5000 { 5 } else { 3 } {
+            let number = (rng.next_u32() % LANES as u32) as u8;
+            match rng.next_u32() % if round < 5000 { 5 } else { 3 } {
                 0 => drop(pair.step()),
                 1 => drop(pair.step_back()),
                 2 => take(&mut pair, number, &mut taken),
                 _ => {
                     let at = usize::from(number);
-                    let mut batch = vec![0; 4 + dice.next_u32() as usize % (MTU - 3)];
+                    let mut batch = vec![0; 4 + rng.next_u32() as usize % (MTU - 3)];
                     batch[..4].copy_from_slice(&pushed[at].to_le_bytes());
                     pushed[at] += u32::from(pair.push(number, &batch));
                 }

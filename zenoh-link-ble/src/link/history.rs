@@ -1,6 +1,6 @@
 //! Keeps the history of each peer: the number of its links, why the last one ended, and which dials failed.
 //!
-//! The history is bounded. A device that uses many names only displaces the peers without an event for the longest time.
+//! The history is bounded. A device that uses many names displaces only the peers whose last event was longest ago.
 use std::{collections::VecDeque, time::Instant};
 
 use serde::Serialize;
@@ -20,7 +20,7 @@ pub struct Event {
 /// The history of one peer.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PeerStatus {
-    /// Name of the peer, or its address if it has no name.
+    /// Name of the peer, or its address if it has no name. For failed dials, the target as given in the locator.
     pub peer: String,
     /// Number of links with it so far; all but the first are reconnections.
     pub links: u64,

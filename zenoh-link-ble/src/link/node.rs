@@ -241,7 +241,7 @@ impl Node {
     }
 }
 
-/// Represents a handshake with a device that has opened a channel. Dropping it ends the handshake.
+/// A handshake with a device that has opened a channel. Dropping the guard ends the handshake.
 pub(crate) struct HandshakeGuard {
     node: Arc<Node>,
     device: DeviceAddress,

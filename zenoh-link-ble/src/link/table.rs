@@ -1,9 +1,9 @@
 //! Keeps the table of a node's links and dials, and ensures that a pair of nodes has one link. This is plain logic: the
 //! caller reports events and acts on the answers.
 //!
-//! If the hellos of two nodes cross, the dial of the node with the lower id proceeds and the other one is refused. A dial
-//! that has not sent its hello yet yields. A node dials only if it has no link, so a link that this side still has with it
-//! is stale.
+//! If the hellos of two nodes cross, the dial of the node with the lower id proceeds and the other one is refused. A
+//! dial that has not sent its hello yet yields. A peer dials only if it has no link with this node, so a link that this
+//! side still has with that peer is stale.
 use std::{
     collections::HashMap,
     time::{Duration, Instant},
@@ -111,8 +111,8 @@ impl LinkTable {
         }
     }
 
-    /// Records that a dial is about to send its hello. Returns `false` if the dial must not: it has yielded to the dial of
-    /// the peer.
+    /// Records that a dial is about to send its hello. Returns `false` if it must not do so, because it has yielded to
+    /// the dial of the peer.
     pub fn on_sending_hello(&mut self, dial: LinkNumber) -> bool {
         match self.dials.get_mut(&dial) {
             Some(dial) if !dial.cancel.is_cancelled() => {
@@ -134,7 +134,7 @@ impl LinkTable {
         self.dials.remove(&dial);
     }
 
-    /// Turns a dial into a link after the peer accepted it. The link is asked to end through `end`.
+    /// Turns a dial into a link after the peer accepted it. `end` is cancelled if another link replaces this one.
     ///
     /// # Errors
     /// Fails if there is a link with that peer by now. The caller then closes the new channel.
@@ -167,7 +167,7 @@ impl LinkTable {
     }
 
     /// Decides about the hello of a peer that has dialled this node, and adds the link if it is accepted. `peer` is `None`
-    /// for a plain peer, which is identified by its address. The link is asked to end through `end`.
+    /// for a plain peer, which is identified by its address. `end` is cancelled if another link replaces this one.
     pub fn on_hello(
         &mut self,
         own_name: &str,
@@ -267,8 +267,8 @@ impl LinkTable {
             if has_name && (peer.name == own_name || self.established.values().any(has_same_name)) {
                 return Some(Refusal::NameTaken);
             }
-            // A dial without a channel may wait for a long time: the kernel does not notice that the BLE connection of the
-            // peer would serve it as well.
+            // A dial that has not sent its hello yields. It may have no channel yet and wait for a long time, because
+            // the kernel does not notice that the BLE connection of the peer would serve it as well.
             let is_crossing = |dial: &Dial| dial.hello_sent && dial.is_to(&peer.name, device);
             if self.node < peer.node && self.dials.values().any(is_crossing) {
                 return Some(Refusal::Crossing);

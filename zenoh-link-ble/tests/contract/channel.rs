@@ -19,7 +19,7 @@ pub async fn reports_an_advertisement_unchanged_and_repeatedly(world: World) {
     let device = world.b.address().await.expect("has an address");
     let mut scan = world.a.scan().await.expect("scans");
     for _ in 0..2 {
-        let seen = within("seeing the advertisement", async {
+        let report = within("receiving the advertisement", async {
             loop {
                 let report = scan.next().await.expect("keeps scanning");
                 if report.device == device && report.advertisement.is_some() {
@@ -28,7 +28,7 @@ pub async fn reports_an_advertisement_unchanged_and_repeatedly(world: World) {
             }
         })
         .await;
-        assert_eq!(seen.advertisement, Some(sent));
+        assert_eq!(report.advertisement, Some(sent));
     }
 }
 
@@ -79,7 +79,7 @@ pub async fn closing_a_channel_ends_the_peers_receive(world: World) {
     );
 }
 
-/// The error is also returned if a send already returned the reason and the socket has no error left.
+/// Every call fails with `ChannelDown`, even after a send has returned the reason and the socket has no error left.
 pub async fn channel_stays_down_after_repeated_calls(world: World) {
     let (_near, far, _listener) = channel_pair(&world).await;
     (world.lose_links)();
@@ -201,8 +201,8 @@ pub async fn refuses_an_sdu_above_the_channels_limit(world: World) {
     );
 }
 
-/// BlueZ's sockets report a connect too early (and bluer with them); an SDU that is sent immediately would be refused
-/// or lost.
+/// BlueZ's sockets, and bluer with them, report too early that they are connected. An SDU that is sent immediately
+/// after that would be refused or lost.
 pub async fn can_send_immediately_after_connect(world: World) {
     let listener = world.b.listen(None, OPTIONS).await.expect("listens");
     let _advertising = world

@@ -45,11 +45,11 @@ pub async fn bounds_an_unread_lane_of_a_flooding_peer(world: World) {
     let flooding = raw.flood(&mut credits, lane, &[7; SIZE], false);
     let received = within("the goodbye", flooding).await;
     assert_eq!(received, FloodEnd::Goodbye(Goodbye::ProtocolError.code()));
-    let most = HIGH_WATERMARK + SIZE + usize::from(credits.window());
+    let max_held = HIGH_WATERMARK + SIZE + usize::from(credits.window());
     let held = cost_of(readable(&far, Priority::Data).await);
     assert!(
-        held > HIGH_WATERMARK && held <= most,
-        "{held} of {most} bytes"
+        held > HIGH_WATERMARK && held <= max_held,
+        "{held} of {max_held} bytes"
     );
     let error = far.read(&mut [0; 2000], None).await.expect_err("it ended");
     let error = error.to_string();
@@ -70,15 +70,15 @@ pub async fn delivers_everything_from_full_lanes(world: World) {
         let spent = usize::from(credits.sent().wrapping_sub(before));
         sent[lane.index()] = spent / usize::from(cost(SIZE)) * SIZE;
     }
-    let most = HIGH_WATERMARK + SIZE + usize::from(credits.window());
+    let max_held = HIGH_WATERMARK + SIZE + usize::from(credits.window());
     for lane in Lane::all() {
         let priority = Priority::try_from(lane.number()).expect("every lane has a priority");
         let held = readable(&far, priority).await;
         assert_eq!(held, sent[lane.index()], "lane {}", lane.number());
         let held = cost_of(held);
         assert!(
-            held > HIGH_WATERMARK && held <= most,
-            "{held} of {most} bytes"
+            held > HIGH_WATERMARK && held <= max_held,
+            "{held} of {max_held} bytes"
         );
     }
 }

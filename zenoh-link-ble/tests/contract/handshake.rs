@@ -103,7 +103,7 @@ pub async fn answers_a_later_version_with_its_own_version(world: World) {
     );
 }
 
-/// The listener cannot distinguish it from data that is sent after ACCEPT.
+/// The listener cannot distinguish such a batch from one that is sent after ACCEPT.
 pub async fn delivers_a_batch_sent_before_the_accept(world: World) {
     let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     let channel = raw_channel(&world.a, &world.b).await;

@@ -64,7 +64,7 @@ fn batch(size: usize) -> Vec<u8> {
     Content::Batch(lane(0), &vec![7; size]).encode()
 }
 
-async fn is_dropped(channel: &Arc<dyn Channel>) {
+async fn wait_until_dropped(channel: &Arc<dyn Channel>) {
     within("being dropped", async {
         while channel.recv(&mut [0; 2000]).await.is_ok() {}
     })
@@ -125,7 +125,7 @@ pub async fn accepts_all_lanes_after_the_zenoh_handshake(world: World) {
         (Some(Priority::RealTime), b"urgent"),
     ] {
         let size = within("reading", far.read(&mut buffer, priority)).await;
-        assert_eq!(&buffer[..size.expect("the link lives")], batch);
+        assert_eq!(&buffer[..size.expect("the link is open")], batch);
     }
 }
 
@@ -180,11 +180,11 @@ pub async fn drops_garbage_and_silent_peers_without_affecting_others(world: Worl
     ] {
         let channel = raw_channel(&world.a, &world.b).await;
         channel.send(&first).await.expect("sends");
-        is_dropped(&channel).await;
+        wait_until_dropped(&channel).await;
         assert_delivers(&near, &far, b"the good link is not affected").await;
     }
     let silent = raw_channel(&world.a, &world.b).await;
-    is_dropped(&silent).await;
+    wait_until_dropped(&silent).await;
     assert_delivers(&far, &near, b"still there").await;
     assert!(b.no_more_incoming(), "none of them became a link");
 }
@@ -313,7 +313,7 @@ pub async fn ignores_data_after_a_goodbye(world: World) {
     raw.send_sdu(batch(30)).await;
     let mut buffer = [0; 100];
     let size = within("the batch before", far.read(&mut buffer, None)).await;
-    assert_eq!(size.expect("came in time"), 20);
+    assert_eq!(size.expect("arrived"), 20);
     let end = tokio::time::timeout(END_LIMIT, far.read(&mut buffer, None)).await;
     let error = end
         .expect("the read ends")

@@ -55,8 +55,8 @@ async fn receive_message(channel: &Arc<dyn Channel>) -> HandshakeMessage {
     HandshakeMessage::decode(&buffer[..size.expect("receives")]).expect("a handshake message")
 }
 
-async fn send_message(channel: &Arc<dyn Channel>, opening: &HandshakeMessage) {
-    let sent = within("sending", channel.send(&opening.encode())).await;
+async fn send_message(channel: &Arc<dyn Channel>, message: &HandshakeMessage) {
+    let sent = within("sending", channel.send(&message.encode())).await;
     sent.expect("sends");
 }
 

@@ -59,7 +59,7 @@ impl Robots {
             };
             self.on_linked(dialling_since);
             tokio::join!(self.talk(&near, &far), self.talk(&far, &near));
-            assert!(self.fault_occurred.get(), "the link ended by itself");
+            assert!(self.fault_occurred.get(), "the link ended without a fault");
             self.apart_since.set(Some(Instant::now()));
         }
     }
@@ -67,14 +67,14 @@ impl Robots {
     /// Returns the incoming link whose first batch came from `near`. Links that were lost during the handshake arrive
     /// before it.
     async fn other_end(&self, near: &LinkUnicast) -> Option<LinkUnicast> {
-        let word = near.get_src().as_str().as_bytes();
-        near.write_all(word, Some(Priority::Control)).await.ok()?;
+        let marker = near.get_src().as_str().as_bytes();
+        near.write_all(marker, Some(Priority::Control)).await.ok()?;
         let finding = async {
             loop {
                 let far = self.pair.far.incoming().await;
                 let mut received = [0; 100];
                 let read = far.read(&mut received, Some(Priority::Control)).await;
-                if read.is_ok_and(|size| received[..size] == *word) {
+                if read.is_ok_and(|size| received[..size] == *marker) {
                     return far;
                 }
             }
@@ -136,7 +136,7 @@ impl Robots {
     async fn run_fault(&self, rng: &mut Pcg32) {
         let air = &self.pair.air;
         let name = ["sim-near", "sim-far"][rng.next_u32() as usize % 2];
-        let lasts = Duration::from_millis(u64::from(rng.next_u32()) % 30_000);
+        let duration = Duration::from_millis(u64::from(rng.next_u32()) % 30_000);
         self.fault_occurred.set(true);
         self.reachable_since.set(None);
         match rng.next_u32() % 8 {
@@ -146,7 +146,7 @@ impl Robots {
             // A short shadow, as behind a wall: about as long as the supervision timeout.
             3 | 4 => {
                 air.cut();
-                sleep(lasts / 12).await;
+                sleep(duration / 12).await;
                 air.restore();
             }
             5 => air.power(name, false).expect("is attached"),
@@ -156,7 +156,7 @@ impl Robots {
                 air.power(name, true).expect("is attached");
             }
         }
-        sleep(lasts).await;
+        sleep(duration).await;
         air.restore();
         air.set_condition(Condition::Room);
         for name in ["sim-near", "sim-far"] {

@@ -15,7 +15,7 @@ use crate::shared::{
 const RECONNECTS: usize = 10_000;
 /// Number of reconnects after which every table has reached its final size.
 const WARM: usize = 1_000;
-/// Allowed growth of the heap in bytes: far less than one byte per reconnect.
+/// Allowed growth of the heap in bytes: less than one byte per reconnect.
 const SLACK: isize = 4_096;
 
 /// Ends a link in one of ten ways.

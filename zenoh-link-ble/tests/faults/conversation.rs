@@ -14,8 +14,8 @@ const LANES: [Priority; 4] = [
     Priority::Data,
     Priority::Background,
 ];
-/// Sizes of the batches of a lane, in bytes: part of a packet, the maximum, exactly one packet, one more part, several
-/// packets.
+/// Sizes of the batches of a lane, in bytes: a small part of a packet, the maximum, almost a whole packet, another
+/// small part, several packets.
 const SIZES: [usize; 5] = [5, DEFAULT_MTU as usize, 237, 20, 600];
 
 /// Batches received by one side, by lane.

@@ -32,8 +32,11 @@ fn power(air: &SimAir, name: &str, on: bool) {
     air.power(name, on).expect("is on the air");
 }
 
+/// Limit for a fault of the local adapter.
 const AT_ONCE: Duration = Duration::ZERO;
+/// Limit for the loss of the peer without a termination: the supervision timeout and a margin.
 const SILENTLY: Duration = Duration::from_millis(2100);
+/// Limit for the loss of the peer with a termination.
 const IN_ORDER: Duration = EVENTS;
 
 const FAULTS: [Fault; 7] = [
@@ -93,7 +96,7 @@ const FAULTS: [Fault; 7] = [
     },
 ];
 
-/// Asserts that a link fails within `limit` while it reads and writes. Drops the link then, as Zenoh does.
+/// Asserts that a read of the link fails within `limit`, and a write after it too. Then drops the link, as Zenoh does.
 async fn assert_ends(link: LinkUnicast, limit: Duration, what: &str) {
     let mut buffer = [0; 100];
     let reading = link.read(&mut buffer, None);
@@ -160,7 +163,7 @@ async fn reconnects_within_a_second_after_an_adapter_reset() {
 async fn listener_with_wait_option_waits_for_its_adapter() {
     let pair = Pair::on(Condition::Room, 5).await;
     let radio: Arc<dyn Radio> = pair.air.radio("sim-late").await.expect("attaches");
-    for (off, away) in [
+    for (reason, disable) in [
         (
             "is switched off",
             (|air| power(air, "sim-late", false)) as fn(&SimAir),
@@ -170,17 +173,17 @@ async fn listener_with_wait_option_waits_for_its_adapter() {
         }),
     ] {
         let late = Peer::on(&radio);
-        away(&pair.air);
-        let error = late.try_listen("name=late").await.expect_err(off);
-        assert!(error.to_string().contains(off), "{error}");
-        late.try_listen("name=late;wait=true").await.expect(off);
+        disable(&pair.air);
+        let error = late.try_listen("name=late").await.expect_err(reason);
+        assert!(error.to_string().contains(reason), "{error}");
+        late.try_listen("name=late;wait=true").await.expect(reason);
         sleep(Duration::from_secs(61)).await;
         power(&pair.air, "sim-late", true);
         let start = Instant::now();
         let link = pair.near.dial("ble/late").await.expect("dials");
         assert!(
             start.elapsed() <= RECONNECT_LIMIT,
-            "{off}: {:?}",
+            "{reason}: {:?}",
             start.elapsed()
         );
         assert_delivers(&link, &late.incoming().await, b"there").await;
@@ -216,8 +219,8 @@ async fn restarted_dialler_replaces_its_earlier_link() {
         drop(near);
         pair.near = Peer::on(&radio);
         let what = format!("run {n} of the dialler");
-        let notice_limits = assert_ends(far, RECONNECT_LIMIT, &what);
-        drop(tokio::join!(pair.link_again(start, &what), notice_limits));
+        let detection = assert_ends(far, RECONNECT_LIMIT, &what);
+        drop(tokio::join!(pair.link_again(start, &what), detection));
     }
 }
 

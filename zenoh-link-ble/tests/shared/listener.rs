@@ -14,11 +14,12 @@ pub const OPTIONS: ChannelOptions = ChannelOptions {
     security: Security::Low,
     passkey: None,
 };
+
 /// Returns the PSM that a listener advertises.
 pub async fn psm_of(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>) -> Psm {
     let to = to.address().await.expect("has an address");
     let mut scan = from.scan().await.expect("scans");
-    within("seeing the listener", async {
+    within("discovering the listener", async {
         loop {
             let report = scan.next().await.expect("keeps scanning");
             if let (true, Some(advertisement)) = (report.device == to, report.advertisement) {

@@ -19,6 +19,7 @@ pub const SUPERVISION: Duration = Duration::from_secs(2);
 /// advertisement to respond to, three events to set the connection up, and the round trips of the channel and the
 /// handshake.
 pub const RECONNECT_LIMIT: Duration = Duration::from_secs(1);
+
 /// Two nodes: `near` dials, `far` listens.
 pub struct Pair {
     pub air: SimAir,

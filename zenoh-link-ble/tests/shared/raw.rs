@@ -50,7 +50,7 @@ pub fn hello(node: u64, name: &str) -> Hello {
     }
 }
 
-/// Receives the answer to a first SDU; `None` if the channel is closed without one.
+/// Sends the first SDU of a channel and returns the answer; `None` if the channel is closed without one.
 pub async fn answer_to(channel: &Arc<dyn Channel>, first: &[u8]) -> Option<HandshakeMessage> {
     channel.send(first).await.expect("sends");
     let mut buffer = [0; 2000];

@@ -12,7 +12,8 @@ use zenoh_protocol::core::Locator;
 /// Limits of accepted links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Maximum number of unfinished handshakes. One more evicts the oldest handshake of the source that has the most.
+    /// Maximum number of unfinished handshakes; 0 counts as 1. One more evicts the oldest handshake of the source that
+    /// has the most.
     pub handshakes: usize,
     /// Maximum number of sessions (links with a completed handshake), of all sources.
     pub sessions: usize,

@@ -76,7 +76,7 @@ impl Drop for Program {
     }
 }
 
-/// Publishes until the sender is dropped.
+/// Starts a thread that publishes the angle until the returned sender is dropped.
 fn publish(
     session: &Session,
     fleet: &Name,

@@ -53,21 +53,22 @@ impl NameConflicts {
     /// Returns the identifiers of the routers that are present and have been for longer than the grace period.
     pub fn active(&self, now: Instant) -> Vec<String> {
         let others = self.0.iter();
-        let others = others.filter(|(_, one)| !one.has_disappeared && now - one.since >= GRACE);
+        let others = others
+            .filter(|(_, conflict)| !conflict.has_disappeared && now - conflict.since >= GRACE);
         others.map(|(id, _)| id.clone()).collect()
     }
 
     /// Returns the changes since the last call.
     pub fn take_events(&mut self, now: Instant) -> Vec<NameConflictEvent> {
         let mut events = Vec::new();
-        self.0.retain(|id, one| {
-            if one.has_disappeared {
+        self.0.retain(|id, conflict| {
+            if conflict.has_disappeared {
                 events.push(NameConflictEvent::Resolved(id.clone()));
-            } else if !one.is_reported && now - one.since >= GRACE {
-                one.is_reported = true;
+            } else if !conflict.is_reported && now - conflict.since >= GRACE {
+                conflict.is_reported = true;
                 events.push(NameConflictEvent::Found(id.clone()));
             }
-            !one.has_disappeared
+            !conflict.has_disappeared
         });
         events
     }

@@ -75,6 +75,7 @@ impl Body<'_> {
         Ok(numbers)
     }
 
+    /// Reads the next exception, if any of the `left` exceptions remains.
     fn next<T: Float>(
         &self,
         exceptions: &mut &[u8],
@@ -87,7 +88,7 @@ impl Body<'_> {
         self.exception(exceptions).map(Some)
     }
 
-    /// Reads how many numbers precede an exception, and the exception.
+    /// Reads the count of numbers since the previous exception, and the exception.
     fn exception<T: Float>(&self, bytes: &mut &[u8]) -> Result<(u64, T), CodecError> {
         let between = varint::read(bytes).ok_or_else(truncated)?;
         let (number, rest) = bytes

@@ -6,11 +6,11 @@ use crate::core::array::Number;
 
 /// The largest level; larger numbers are exceptions. Up to here, every whole number is an `f64`, and differences of
 /// differences fit 64 bits.
-const MOST: f64 = (1u64 << 51) as f64;
+const MAX_LEVEL: f64 = (1u64 << 51) as f64;
 
 /// The floating-point types.
 pub trait Float: Number {
-    /// Half of the gap between two adjacent values near 1: the largest rounding error of the type.
+    /// Half of the gap between two adjacent values near 1: the largest relative rounding error of the type.
     const HALF_GAP: f64;
     /// Converts without loss.
     fn wide(self) -> f64;
@@ -42,7 +42,8 @@ impl Float for f64 {
     }
 }
 
-/// Returns the step for which hardly any number is off by more than `error`: twice that, reduced by the rounding error.
+/// Returns the step for which hardly any number is off by more than `error`: twice the error, reduced by the rounding
+/// error of the type.
 pub fn step<T: Float>(numbers: &[T], error: f64) -> f32 {
     let sizes = numbers.iter().map(|number| number.wide().abs());
     let largest = sizes.filter(|size| size.is_finite()).fold(0.0, f64::max);
@@ -66,10 +67,10 @@ pub fn number<T: Float>(level: i64, step: f32) -> T {
     T::narrow(level as f64 * f64::from(step))
 }
 
-/// Returns the level of a number. `None` if none is close enough.
+/// Returns the level of a number. `None` if no level is closer to it than `error`.
 pub fn level<T: Float>(value: T, step: f32, error: f64) -> Option<i64> {
     let steps = (value.wide() / f64::from(step)).round();
-    if steps.is_nan() || steps.abs() > MOST {
+    if steps.is_nan() || steps.abs() > MAX_LEVEL {
         return None;
     }
     let level = steps as i64;

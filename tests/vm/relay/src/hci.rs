@@ -109,7 +109,7 @@ pub enum Role {
 #[derive(Debug, PartialEq, Eq)]
 pub enum ControllerEvent {
     OwnAddress(Address),
-    /// Response to LE Read Buffer Size, both versions; the values are at fixed positions.
+    /// Response to either version of LE Read Buffer Size; the values are at the same positions in both.
     BufferSize,
     DisconnectStatus,
     Connected {

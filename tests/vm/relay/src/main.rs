@@ -3,7 +3,7 @@
 //! Each controller consists of a `/dev/vhci` device towards the kernel and a connection to `btvirt -s` towards the
 //! emulation. btvirt handles advertising, scanning, connecting and pairing. This program carries ACL data from one
 //! kernel device to the other, because btvirt (5.66) has no rate limit and delivers data under the sender's handle,
-//! which confuses the links of an adapter that has two of them. `room.rs` contains the logic, `hci.rs` parses and
+//! which confuses the links of an adapter that has more than one. `room.rs` contains the logic, `hci.rs` parses and
 //! builds packets, `serve.rs` moves bytes, and `ctl.rs` sends requests to a running relay. Started in the guest by
 //! `tests/vm/guest/room`; unit tests: `cargo test -p ble-relay`.
 
@@ -33,7 +33,7 @@ enum Command {
     Serve(serve::Options),
     /// Send one request to a running relay and print its reply: `add`, `remove hciN`, `swap hciN hciM` (unplugs both
     /// and plugs them in in the opposite order), `list`, `freeze hciN` (radio silence), `thaw hciN`, `drop hciN` (ends
-    /// its links with a supervision timeout at both ends), `pace hciN BYTES_PER_S` (rate limit).
+    /// its links with a supervision timeout at both ends), `pace hciN BYTES_PER_S` (rate limit; 0: none).
     Ctl { request: Vec<String> },
 }
 

@@ -1,8 +1,8 @@
 //! Decides what happens to each packet, without I/O: keeps track of the links, the rate limits and the injected faults.
 //!
-//! A controller sends one packet at a time. The packet arrives when its airtime at the configured rate has elapsed. Only
-//! then does the kernel learn that the buffer is free, so its own flow control follows the rate. All other packets are
-//! forwarded immediately.
+//! A controller sends one packet at a time. The packet arrives when its airtime at the configured rate has elapsed.
+//! Only then does the kernel learn that the buffer is free, so its own flow control follows the rate. Commands and
+//! events are forwarded immediately, except advertising reports (`advertising.rs`).
 
 mod advertising;
 mod controller;
@@ -210,8 +210,8 @@ impl Room {
 
     /// Returns the next time at which `on_time` must be called.
     pub fn deadline(&self) -> Option<Instant> {
-        let speaking = self.controllers.values().filter(|c| !c.frozen);
-        let data = speaking.filter_map(|c| c.on_air.as_ref().map(|t| t.ends));
+        let active = self.controllers.values().filter(|c| !c.frozen);
+        let data = active.filter_map(|c| c.on_air.as_ref().map(|t| t.ends));
         data.chain(self.reports.front().map(|(delivery, ..)| *delivery))
             .min()
     }

@@ -24,9 +24,13 @@ use crate::{
 const VHCI: &str = "/dev/vhci";
 /// Size of the read buffer: more than the largest packet that the kernel writes to vhci.
 const READ_BYTES: usize = 4096;
+/// Maximum number of packets that the kernel may send before it reports the index of a new device.
 const EARLY_PACKETS: usize = 16;
+/// Maximum time until a new emulated controller responds.
 const WAKE_TIMEOUT: Duration = Duration::from_secs(30);
+/// Maximum time for a client to send its request, and to read the reply.
 const CONTROL_TIMEOUT: Duration = Duration::from_millis(500);
+/// Maximum length of a request, in bytes.
 const CONTROL_LINE_BYTES: u64 = 256;
 
 #[derive(Args)]
@@ -142,8 +146,8 @@ impl Relay<'_> {
         self.plug(connected.map_err(|source| self.btvirt_error(source))?)
     }
 
-    /// Replaces the kernel devices of two controllers, each with the number of the other if the kernel assigns the
-    /// lowest free number. Returns the new names of `one` and `other`.
+    /// Replaces the kernel devices of two controllers in the opposite order. The controllers exchange their numbers if
+    /// the kernel assigns the lowest free number. Returns the new names of `one` and `other`.
     fn swap(&mut self, one: Id, other: Id) -> Result<String, RelayError> {
         let mut unplug = |id| {
             self.room.remove(id);

@@ -18,8 +18,8 @@ use crate::{
 /// Incoming channels that the kernel holds until they are accepted.
 const BACKLOG: u32 = 8;
 /// Receive buffer space, in bytes, that one byte of an SDU takes at most, if each SDU is counted with 24 additional
-/// bytes (`PER_SDU`). The kernel takes about 770 bytes for a K-frame, and a K-frame carries 23 bytes if packets have
-/// 27.
+/// bytes (`SDU_OVERHEAD_BYTES`). The kernel takes about 770 bytes for a K-frame, and a K-frame carries 23 bytes if
+/// packets have 27.
 const BUFFER_BYTES_PER_SDU_BYTE: usize = 34;
 
 pub(super) struct BluezListener {
@@ -39,10 +39,10 @@ impl BluezListener {
         let socket = bind(own, psm, options)
             .and_then(|socket| socket.listen(BACKLOG))
             .map_err(&failed)?;
-        let taken = socket.as_ref().local_addr().map_err(&failed)?;
-        let psm = Psm::new(taken.psm).ok_or_else(|| RadioError::System {
+        let bound = socket.as_ref().local_addr().map_err(&failed)?;
+        let psm = Psm::new(bound.psm).ok_or_else(|| RadioError::System {
             action: "listen",
-            source: format!("the kernel chose psm {}", taken.psm).into(),
+            source: format!("the kernel chose psm {}", bound.psm).into(),
         })?;
         Ok(Self {
             adapter: adapter.to_owned(),

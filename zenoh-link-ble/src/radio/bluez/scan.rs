@@ -20,7 +20,7 @@ use crate::{
 /// Minimum time between two reads of one device. Each read is a D-Bus round trip, which adds up if many devices are in
 /// range.
 const MIN_READ_INTERVAL: Duration = Duration::from_millis(150);
-/// Number of devices for which the time of the last read is kept.
+/// Maximum number of devices for which the time of the last read is kept.
 const MAX_DEVICES: usize = 1024;
 /// Time after which the discovery is restarted. The controller reports an unchanged advertisement once per scan; a new
 /// scan reports every device again.

@@ -41,7 +41,7 @@ impl SduSocket {
     pub(super) fn try_send(&self, sdu: &[u8]) -> io::Result<usize> {
         let mut was_empty = false;
         let send = |socket: &Socket| loop {
-            // No signal: the process that loads a plugin may not ignore SIGPIPE.
+            // Without SIGPIPE: the process that loads the plugin does not necessarily ignore that signal.
             let sent = check_hung_up(socket, socket.send_with_flags(sdu, libc::MSG_NOSIGNAL));
             match &sent {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock && is_empty(socket) => {
@@ -180,7 +180,7 @@ mod tests {
     async fn reads_an_empty_sdu_as_the_end() {
         let (near, far) = Socket::pair(socket2::Domain::UNIX, socket2::Type::SEQPACKET, None)
             .expect("creates a socket pair");
-        let near = SduSocket::new(&near).expect("made");
+        let near = SduSocket::new(&near).expect("wraps the socket");
         far.send(&[]).expect("sends");
         assert_eq!(near.recv(&mut [0; 100]).await.expect("receives"), 0);
     }
@@ -190,8 +190,8 @@ mod tests {
         let (near, far) = Socket::pair(socket2::Domain::UNIX, socket2::Type::SEQPACKET, None)
             .expect("creates a socket pair");
         let (near, far) = (
-            SduSocket::new(&near).expect("made"),
-            SduSocket::new(&far).expect("made"),
+            SduSocket::new(&near).expect("wraps the socket"),
+            SduSocket::new(&far).expect("wraps the socket"),
         );
         near.writable().await;
         assert_eq!(near.try_send(b"to the far end").expect("sends"), 14);

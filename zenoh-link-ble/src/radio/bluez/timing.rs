@@ -18,8 +18,10 @@ struct Parameter {
     file: &'static str,
     /// Key in `main.conf`.
     key: &'static str,
-    /// Default of Linux (net/bluetooth/hci_core.c). Any other value was set deliberately.
+    /// Default of Linux (net/bluetooth/hci_core.c), in units of 1.25 ms for an interval and of 10 ms for the timeout.
+    /// Any other value was set deliberately.
     default: u16,
+    /// Value for robots, in the same unit.
     target: u16,
 }
 
@@ -50,8 +52,8 @@ const PARAMETERS: [Parameter; 3] = [
 pub(super) struct Timing(AtomicBool);
 
 impl Timing {
-    /// Sets the parameters for robots where the adapter still has the defaults of Linux. They apply to new connections.
-    /// Logs once what the user can do if this process lacks the permission.
+    /// Sets each parameter that still has the default of Linux to the value for robots, which applies to new
+    /// connections. If that fails and the parameters are not configured externally, logs once what the user can do.
     pub(super) fn apply(&self, adapter: &str) {
         let root = Path::new("/");
         let Err(error) = write_targets(&root.join(DEBUGFS).join(adapter)) else {

@@ -63,7 +63,7 @@ pub(super) struct Adapter {
     pub(super) address: DeviceAddress,
     pub(super) state: AdapterState,
     pub(super) advertisements: BTreeMap<RequestId, Advertising>,
-    /// While it scans: the time at which each advertisement was last reported.
+    /// Time at which each advertisement was last reported; `None` if the adapter does not scan.
     pub(super) scan: Option<BTreeMap<(AdapterId, RequestId), Duration>>,
     /// Receive MTU of each listener, by PSM.
     pub(super) listeners: BTreeMap<u16, u16>,
@@ -89,7 +89,7 @@ pub(super) struct Dial {
 /// Traffic that an adapter has sent since it was attached.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdapterStats {
-    /// Number of SDUs that its channels accepted.
+    /// Number of SDUs that its channels accepted for sending.
     pub sdus: u64,
     /// Size of these SDUs in bytes, without the headers of L2CAP and the link layer.
     pub sdu_bytes: u64,

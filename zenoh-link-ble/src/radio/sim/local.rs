@@ -89,7 +89,7 @@ impl SimAir {
     /// Returns the adapter of that name. Attaches it, powered on, unless this process has already attached it.
     ///
     /// # Errors
-    /// Fails if the name is invalid.
+    /// Fails if the name is invalid or if a client of the air's [`AirServer`](super::AirServer) has attached it.
     // Async although it does not wait: attaching to another process does, and tests use both.
     #[allow(clippy::unused_async)]
     pub async fn radio(&self, name: &str) -> Result<Arc<SimRadio>, RadioError> {
@@ -146,11 +146,17 @@ impl SimAir {
     }
 
     /// Switches an adapter on (also a removed one) or off.
+    ///
+    /// # Errors
+    /// Fails if no adapter of that name is attached.
     pub fn power(&self, name: &str, on: bool) -> Result<(), NoSuchAdapter> {
         self.shared.with_air(|air, now| air.power(name, on, now))
     }
 
-    /// Removes an adapter without notice, as when a dongle is unplugged.
+    /// Removes an adapter without notice, as when a dongle is unplugged. [`SimAir::power`] adds it again.
+    ///
+    /// # Errors
+    /// Fails if no adapter of that name is attached.
     pub fn remove(&self, name: &str) -> Result<(), NoSuchAdapter> {
         self.shared.with_air(|air, now| air.remove(name, now))
     }

@@ -65,7 +65,7 @@ pub enum Command {
         /// Id of the request.
         request: RequestId,
     },
-    /// Queues an SDU. The response is `Event::Sent`, when the peer's controller has received all of it.
+    /// Queues an SDU. One or more `Event::Sent` report the bytes that the peer's controller has received.
     Send {
         /// Channel.
         channel: ChannelId,
@@ -212,7 +212,7 @@ pub enum Violation {
     /// The name does not fit into the scan response.
     #[error("a name over 29 bytes")]
     Name,
-    /// The adapter has too many pending listeners, advertisements or connects.
+    /// The adapter has too many advertisements or pending connects.
     #[error("too many requests at once")]
     TooManyRequests,
     /// The id belongs to a request that is pending.

@@ -31,10 +31,10 @@ pub const ADVERTISING_INTERVAL: Duration = Duration::from_millis(100);
 /// Maximum random delay of an advertising event.
 pub const ADVERTISING_DELAY: Duration = Duration::from_millis(10);
 
-/// Minimum time between two reports of the same device in a scan.
+/// Minimum time between two reports of the same advertisement in a scan.
 pub const REPORT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Time from the connect packet to the first connection event.
+/// Minimum time from the connect packet to the first connection event.
 pub const TRANSMIT_WINDOW: Duration = Duration::from_micros(2500);
 
 /// Number of connection events used for the exchange of versions, features and data length before a channel is

@@ -12,7 +12,7 @@ pub(super) struct Packet {
     pub(super) bytes: usize,
     /// Content that is delivered with this packet; set in the last packet of a frame.
     pub(super) content: Option<PacketContent>,
-    /// Channel and number of SDU bytes that are complete once this packet is acknowledged.
+    /// Channel and number of SDU bytes in this packet, which are reported as sent when it is acknowledged.
     pub(super) completes: Option<(ChannelId, usize)>,
     pub(super) is_delivered: bool,
     pub(super) is_repeated: bool,

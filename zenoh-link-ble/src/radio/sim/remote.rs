@@ -78,7 +78,7 @@ pub fn radio_at(path: &Path, name: &str) -> Result<Arc<SimRadio>, RadioError> {
     let air = RemoteAir {
         path: path.to_owned(),
         connection: Arc::clone(&connection),
-        _gone: cancelled.clone().drop_guard(),
+        _cancel_on_drop: cancelled.clone().drop_guard(),
     };
     let attachment = Attachment::new(name, address_of(name), Box::new(air)).attaching();
     let attachment = Arc::new(attachment);
@@ -128,7 +128,7 @@ pub async fn control(path: &Path, control: Control) -> Result<Option<AirStatus>,
 struct RemoteAir {
     path: PathBuf,
     connection: Arc<Mutex<ServerConnection>>,
-    _gone: DropGuard,
+    _cancel_on_drop: DropGuard,
 }
 
 enum ServerConnection {
@@ -177,12 +177,12 @@ async fn keep_attached(
             Ok((from, to)) => {
                 let (sender, commands) = mpsc::unbounded_channel();
                 *connection.lock() = ServerConnection::Up(sender);
-                let Some(here) = attachment.upgrade() else {
+                let Some(strong) = attachment.upgrade() else {
                     return;
                 };
-                here.on_adapter_state(AdapterState::On);
-                here.set_ready();
-                drop(here);
+                strong.on_adapter_state(AdapterState::On);
+                strong.set_ready();
+                drop(strong);
                 tokio::select! {
                     reason = receive_events(from, attachment) => reason,
                     reason = forward_commands(commands, to) => reason,
@@ -191,12 +191,12 @@ async fn keep_attached(
             Err(reason) => reason,
         };
         *connection.lock() = ServerConnection::Down(reason);
-        let Some(here) = attachment.upgrade() else {
+        let Some(strong) = attachment.upgrade() else {
             return;
         };
-        here.on_adapter_state(AdapterState::Missing);
-        here.set_ready();
-        drop(here);
+        strong.on_adapter_state(AdapterState::Missing);
+        strong.set_ready();
+        drop(strong);
         sleep(RETRY_INTERVAL).await;
     }
 }

@@ -46,6 +46,7 @@ pub enum SocketError {
 /// A listening socket. Its file is removed when it is dropped.
 pub(super) struct SocketFile {
     path: PathBuf,
+    /// Device and inode number of the file.
     identity: (u64, u64),
 }
 
@@ -70,16 +71,16 @@ impl SocketFile {
         }
         // Created under another name, so that nobody can connect before its mode is set. Renaming it also replaces a
         // stale file.
-        let mut made = path.as_os_str().to_owned();
-        made.push(format!(".{}", std::process::id()));
-        let made = PathBuf::from(made);
-        let _ = fs::remove_file(&made);
-        let listener = UnixListener::bind(&made).map_err(failed)?;
-        let identity = fs::set_permissions(&made, fs::Permissions::from_mode(0o600))
-            .and_then(|()| fs::rename(&made, path))
+        let mut temporary = path.as_os_str().to_owned();
+        temporary.push(format!(".{}", std::process::id()));
+        let temporary = PathBuf::from(temporary);
+        let _ = fs::remove_file(&temporary);
+        let listener = UnixListener::bind(&temporary).map_err(failed)?;
+        let identity = fs::set_permissions(&temporary, fs::Permissions::from_mode(0o600))
+            .and_then(|()| fs::rename(&temporary, path))
             .and_then(|()| identity(path))
             .and_then(|identity| listener.set_nonblocking(true).map(|()| identity))
-            .inspect_err(|_| drop(fs::remove_file(&made)))
+            .inspect_err(|_| drop(fs::remove_file(&temporary)))
             .map_err(failed)?;
         let file = Self {
             path: path.to_owned(),

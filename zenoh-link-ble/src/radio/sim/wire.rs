@@ -76,7 +76,7 @@ pub(super) enum WireError {
     Excess(usize),
 }
 
-/// Reads a message. Returns `None` if the other end closed the socket between two messages.
+/// Reads a message. Returns `None` if the other end closed the socket before the length of the message was complete.
 pub(super) async fn read<T: DeserializeOwned>(
     from: &mut (impl AsyncRead + Unpin),
 ) -> Result<Option<T>, WireError> {

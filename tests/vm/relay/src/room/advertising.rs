@@ -17,8 +17,8 @@ impl Room {
         now: Instant,
     ) {
         let advertiser = self.controllers.values().find(|c| c.is_at(&from));
-        let scans = self.controllers.get(&scanner);
-        if advertiser.into_iter().chain(scans).any(|c| c.frozen) {
+        let receiver = self.controllers.get(&scanner);
+        if advertiser.into_iter().chain(receiver).any(|c| c.frozen) {
             return;
         }
         let interval = advertiser.map_or(DEFAULT_ADVERTISING_INTERVAL, |c| c.advertising_interval);

@@ -31,12 +31,16 @@ pub(super) struct Controller {
     /// Maximum time between two advertising events.
     pub(super) advertising_interval: Duration,
     pub(super) links: BTreeMap<Handle, Link>,
+    /// ACL packets of the kernel that wait for their transmission.
     pub(super) waiting: VecDeque<Vec<u8>>,
+    /// Rate limit in bytes of ACL data per second; 0: no limit.
     pub(super) bytes_per_s: u32,
+    /// Packet in transmission.
     pub(super) on_air: Option<Transmission>,
     pub(super) frozen: bool,
     /// One entry per pending Disconnect command: `true` if the relay sent it, `false` if the kernel did.
     pub(super) disconnects: VecDeque<bool>,
+    /// Number of bytes of ACL data that arrived at a peer, without headers.
     pub(super) sent_bytes: u64,
 }
 

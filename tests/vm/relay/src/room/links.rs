@@ -16,7 +16,7 @@ impl Room {
             .unwrap_or(FIRST_HANDLE)
     }
 
-    /// Removes the links of a controller that ended without a termination. Its peers receive supervision timeouts.
+    /// Removes all links of a controller without a termination. Its peers receive supervision timeouts.
     pub(super) fn forget_links(&mut self, id: Id) {
         let handles: Vec<Handle> = self
             .controllers
@@ -39,6 +39,7 @@ impl Room {
         }
     }
 
+    /// Adds one end of a link, and joins it with the other end if that was reported before.
     pub(super) fn on_connected(&mut self, id: Id, handle: Handle, peer: Address) {
         let other_end = self
             .controllers
@@ -63,6 +64,7 @@ impl Room {
         }
     }
 
+    /// Removes one end of a link, with its packets that have not arrived.
     pub(super) fn on_disconnected(&mut self, id: Id, handle: Handle) {
         let mut other_end = None;
         self.edit(id, |c| {

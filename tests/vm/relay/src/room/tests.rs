@@ -33,6 +33,7 @@ fn acl(handle: u8, payload: usize) -> Vec<u8> {
     [&[hci::ACL, handle, 0, low, high][..], &vec![7; payload]].concat()
 }
 
+/// A room whose controllers have the addresses 0, 1, ..., and a simulated clock.
 struct Bed {
     room: Room,
     ids: Vec<Id>,

@@ -15,9 +15,9 @@ impl Room {
         Some((handle, to, to_handle))
     }
 
-    /// Starts the transmission of the first packet that can be sent, unless one is in progress. A silent link does not
-    /// block others.
-    pub(super) fn transmit_next(&mut self, id: Id, from: Instant) {
+    /// Starts the transmission of the first packet that can be sent, at `start`, unless one is in progress. A link with
+    /// a frozen end does not block others.
+    pub(super) fn transmit_next(&mut self, id: Id, start: Instant) {
         let Some(controller) = self.controllers.get(&id).filter(|c| c.on_air.is_none()) else {
             return;
         };
@@ -30,7 +30,7 @@ impl Room {
         };
         self.edit(id, |c| {
             c.on_air = c.waiting.remove(index).map(|packet| Transmission {
-                ends: from + c.airtime(&packet),
+                ends: start + c.airtime(&packet),
                 packet,
             });
         });
@@ -57,8 +57,8 @@ impl Room {
             .push_back(Output::Host(to, hci::acl_for_peer(packet, to_handle)));
         self.outputs
             .push_back(Output::Host(id, hci::one_packet_completed(handle)));
-        let late_at_most = now.checked_sub(CATCH_UP).unwrap_or(now);
-        self.transmit_next(id, ends.max(late_at_most));
+        let earliest_start = now.checked_sub(CATCH_UP).unwrap_or(now);
+        self.transmit_next(id, ends.max(earliest_start));
         true
     }
 }

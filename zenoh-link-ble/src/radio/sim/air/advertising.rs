@@ -31,25 +31,25 @@ impl Air {
             name: advertising.name.clone(),
             rssi_dbm: self.figures.rssi_dbm,
         };
-        let listeners = self
+        let receivers = self
             .adapters
             .iter()
             .filter(|(_, a)| a.receives_advertisements());
-        let others: Vec<_> = listeners.map(|(id, _)| *id).collect();
-        for other in others {
-            if other != advertiser && self.is_in_range(other, advertiser) {
-                self.on_advertisement_in_range(other, (advertiser, request), &received);
+        let receivers: Vec<_> = receivers.map(|(id, _)| *id).collect();
+        for receiver in receivers {
+            if receiver != advertiser && self.is_in_range(receiver, advertiser) {
+                self.on_advertisement_in_range(receiver, (advertiser, request), &received);
             }
         }
     }
 
     fn on_advertisement_in_range(
         &mut self,
-        listener: AdapterId,
+        receiver: AdapterId,
         source: (AdapterId, RequestId),
         received: &ReceivedAdvertisement,
     ) {
-        let Some(adapter) = self.adapters.get(&listener) else {
+        let Some(adapter) = self.adapters.get(&receiver) else {
             return;
         };
         let matches = |dial: &Dial| dial.peer == received.device;
@@ -60,10 +60,10 @@ impl Air {
         if !self.rng.random_bool(self.figures.advertisement_reception) {
             return;
         }
-        self.report(listener, source, received);
+        self.report(receiver, source, received);
         let (advertiser, _) = source;
-        if is_initiator && self.connection_between(listener, advertiser).is_none() {
-            self.establish(listener, advertiser);
+        if is_initiator && self.connection_between(receiver, advertiser).is_none() {
+            self.establish(receiver, advertiser);
         }
     }
 
@@ -177,9 +177,9 @@ impl Air {
         let interval_ns = interval.as_nanos();
         // All phases are relative to `earliest`, so that they describe the gaps in which a new event would lie.
         let phase = |anchor: Duration| {
-            let apart =
+            let offset =
                 anchor.as_nanos() + interval_ns * 1_000_000 - earliest.as_nanos() % interval_ns;
-            apart % interval_ns
+            offset % interval_ns
         };
         let mut phases: Vec<u128> = self
             .connections
@@ -191,15 +191,16 @@ impl Air {
         let Some(first) = phases.first().copied() else {
             return earliest;
         };
-        let mut best = (0, 0);
+        // The size of the largest gap, and its middle.
+        let mut largest_gap = (0, 0);
         for (index, from) in phases.iter().enumerate() {
             let to = phases
                 .get(index + 1)
                 .copied()
                 .unwrap_or(first + interval_ns);
-            best = best.max((to - from, from + (to - from) / 2));
+            largest_gap = largest_gap.max((to - from, from + (to - from) / 2));
         }
-        let offset_ns = best.1 % interval_ns;
+        let offset_ns = largest_gap.1 % interval_ns;
         earliest + Duration::from_nanos(u64::try_from(offset_ns).unwrap_or(0))
     }
 }

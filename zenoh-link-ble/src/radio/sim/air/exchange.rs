@@ -110,10 +110,10 @@ impl Air {
             exchange.ends_at =
                 self.now + self.options.phy.exchange(central_bytes, peripheral_bytes);
         }
-        let taken = exchange.ends_at - self.now;
+        let duration = exchange.ends_at - self.now;
         for adapter in [central, peripheral] {
             if let Some(stats) = self.stats_mut(adapter) {
-                stats.busy += taken;
+                stats.busy += duration;
             }
         }
         if let Some(connection) = self.connections.get_mut(&id) {
@@ -194,7 +194,7 @@ impl Air {
         })
     }
 
-    /// Sends the termination of the side that left, until the other side receives it.
+    /// Sends the termination of the side that left. This is repeated at every event until the other side receives it.
     fn terminate(&mut self, id: ConnectionId) {
         let Some(connection) = self.connections.get(&id) else {
             return;

@@ -23,7 +23,7 @@ fn request(number: u32) -> RequestId {
     RequestId(number)
 }
 
-/// `sim-a` dials `sim-b`, which listens and advertises.
+/// Returns an air on which `sim-a` dials `sim-b`, which listens and advertises.
 fn dialling(seed: u64, condition: Condition) -> Air {
     let mut air = Air::new(AirOptions {
         seed,
@@ -79,8 +79,8 @@ fn until(air: &mut Air, limit: Duration, matches: impl Fn(&TimedEvent) -> bool) 
 
 fn connected(seed: u64, condition: Condition) -> (Air, ChannelId) {
     let mut air = dialling(seed, condition);
-    let event = until(&mut air, ms(20_000), |h| {
-        matches!(h.event, Event::Connected { .. })
+    let event = until(&mut air, ms(20_000), |timed| {
+        matches!(timed.event, Event::Connected { .. })
     });
     let Event::Connected { channel, .. } = event.event else {
         unreachable!()
@@ -153,8 +153,8 @@ fn reports_every_event_on_time_if_polled_at_wakeups() {
     for condition in Condition::ALL {
         let all = trace_by(every_step, 5, condition);
         assert!(trace(5, condition) == all, "{condition}");
-        let is_end = |h: &TimedEvent| matches!(h.event, Event::Closed { .. });
-        let ends = all.iter().filter(|h| is_end(h)).count();
+        let is_end = |timed: &TimedEvent| matches!(timed.event, Event::Closed { .. });
+        let ends = all.iter().filter(|timed| is_end(timed)).count();
         assert_eq!(ends, 2, "{condition}: both sides receive the end");
     }
 }
@@ -163,12 +163,12 @@ fn reports_every_event_on_time_if_polled_at_wakeups() {
 fn wakes_up_once_per_supervision_timeout_for_an_idle_link() {
     let (mut air, _) = connected(1, Condition::Room);
     air.poll(ms(1000));
-    let mut looks = 0;
+    let mut wakeups = 0;
     while let Some(next) = air.next_wakeup().filter(|next| *next <= ms(61_000)) {
         air.poll(next);
-        looks += 1;
+        wakeups += 1;
     }
-    assert!((30..=62).contains(&looks), "{looks} in a minute");
+    assert!((30..=62).contains(&wakeups), "{wakeups} in a minute");
 }
 
 #[test]
@@ -186,11 +186,11 @@ fn produces_the_same_events_after_a_late_poll() {
 #[test]
 fn connect_includes_advertisement_setup_and_channel_request() {
     let mut air = dialling(1, Condition::Desk);
-    let incoming = until(&mut air, ms(1000), |h| {
-        matches!(h.event, Event::Incoming { .. })
+    let incoming = until(&mut air, ms(1000), |timed| {
+        matches!(timed.event, Event::Incoming { .. })
     });
-    let connected = until(&mut air, ms(1000), |h| {
-        matches!(h.event, Event::Connected { .. })
+    let connected = until(&mut air, ms(1000), |timed| {
+        matches!(timed.event, Event::Connected { .. })
     });
     assert!(
         incoming.at > ms(90),
@@ -216,8 +216,8 @@ fn reports_an_orderly_detach_at_the_next_event() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     air.detach(B, now);
-    let closed = until(&mut air, now + ms(100), |h| {
-        h.event == Event::Closed { channel }
+    let closed = until(&mut air, now + ms(100), |timed| {
+        timed.event == Event::Closed { channel }
     });
     assert_eq!(closed.adapter, A);
     assert!(closed.at <= now + ms(30));
@@ -228,8 +228,8 @@ fn reports_a_removed_peer_after_the_supervision_timeout() {
     let (mut air, channel) = connected(1, Condition::Desk);
     let now = air.now;
     air.remove("sim-b", now).expect("is attached");
-    let closed = until(&mut air, now + ms(3000), |h| {
-        h.event == Event::Closed { channel }
+    let closed = until(&mut air, now + ms(3000), |timed| {
+        timed.event == Event::Closed { channel }
     });
     assert_eq!(closed.adapter, A);
     assert!(closed.at > now + ms(1900), "{:?}", closed.at - now);
@@ -244,7 +244,7 @@ fn fails_a_connect_if_the_link_is_lost_during_setup() {
     }
     let now = air.now;
     air.cut(now);
-    let failed = until(&mut air, now + ms(1000), |h| h.adapter == A);
+    let failed = until(&mut air, now + ms(1000), |timed| timed.adapter == A);
     let why = ConnectFailure::LinkLost;
     let request = request(7);
     assert_eq!(failed.event, Event::ConnectFailed { request, why });
@@ -261,7 +261,7 @@ fn delivers_exactly_the_packets_before_a_scheduled_cut() {
                 .expect("room");
         }
         air.poll(now + ms(1000));
-        let received = |h: TimedEvent| match h.event {
+        let received = |timed: TimedEvent| match timed.event {
             Event::Received { sdu, .. } => Some(sdu[0]),
             _ => None,
         };
@@ -282,8 +282,8 @@ fn does_not_report_a_detach_to_a_peer_out_of_range() {
     let now = air.now;
     air.cut_between("sim-b", "sim-a", now);
     air.power("sim-b", false, now).expect("is attached");
-    let closed = until(&mut air, now + ms(3000), |h| {
-        h.event == Event::Closed { channel }
+    let closed = until(&mut air, now + ms(3000), |timed| {
+        timed.event == Event::Closed { channel }
     });
     assert!(closed.at > now + ms(1900), "{:?}", closed.at - now);
 }
@@ -297,7 +297,7 @@ fn cutting_one_pair_does_not_affect_a_third_adapter() {
     let peer = air.adapters[&B].address;
     air.command(c, connect(peer), now)
         .expect("accepts the command");
-    until(&mut air, now + ms(1000), |h| h.adapter == c);
+    until(&mut air, now + ms(1000), |timed| timed.adapter == c);
     air.restore(now);
 }
 
@@ -311,7 +311,9 @@ fn reports_a_scanned_device_a_few_times_per_second() {
     let events = air.drain();
     let count = events
         .iter()
-        .filter(|h| h.adapter == c && matches!(h.event, Event::AdvertisementReceived(_)))
+        .filter(|timed| {
+            timed.adapter == c && matches!(timed.event, Event::AdvertisementReceived(_))
+        })
         .count();
     assert!((30..=50).contains(&count), "{count} in ten seconds");
 }
