@@ -35,10 +35,12 @@ pub enum Error {
     /// A topic or pattern is invalid. The text describes the expected form.
     #[error(transparent)]
     Topic(#[from] TopicError),
-    /// A value cannot be sent, or a payload cannot be read as the requested type.
+    /// A value cannot be sent, or a payload cannot be read as the requested type. Read it as the type that its encoding
+    /// states.
     #[error(transparent)]
     Payload(#[from] PayloadError),
-    /// A codec does not support the payload, or an encoded payload is damaged.
+    /// A codec does not support the payload, or an encoded payload is damaged. Choose a codec for this kind of payload,
+    /// or have the payload sent again.
     #[error(transparent)]
     Codec(#[from] CodecError),
     /// No router answers at the endpoint. Start one, or select another one with [`Options::router`](crate::Options::router).
@@ -58,7 +60,7 @@ pub enum Error {
     /// The router belongs to another robot. Connect under the router's name, or to the right router.
     #[error(transparent)]
     WrongRobot(#[from] WrongRobot),
-    /// Zenoh rejects a locator or another value of the options.
+    /// Zenoh rejects a locator or another value of the options. Correct the value; the text contains Zenoh's reason.
     #[error("the option {option} cannot be {value:?}: {reason}")]
     Option {
         /// The name of the option.
@@ -71,14 +73,14 @@ pub enum Error {
     /// No program provides the service. Is the robot reachable, and is its program running?
     #[error("no program serves {topic} at {robot}; reachable robots: {available}")]
     NoService {
-        /// The robot that was asked; `*` if all robots were asked.
+        /// The robot that was asked.
         robot: String,
         /// The topic of the service.
         topic: String,
         /// The names of the reachable robots, separated by commas; `none` if there is none.
         available: String,
     },
-    /// The timeout expired. Try again, allow more time, or check the link (`rect connections`).
+    /// The timeout expired. Try again, set a longer timeout, or check the link (`rect connections`).
     #[error("no {expected} within {}", humanize::duration(*.timeout))]
     TimedOut {
         /// The item that the call waited for, as a noun phrase.
@@ -86,7 +88,7 @@ pub enum Error {
         /// How long it waited.
         timeout: Duration,
     },
-    /// The service replied with an error.
+    /// The service replied with an error. The payload describes it.
     #[error("{} replied with an error: {}", .robot.as_ref().map_or("the service", Name::as_str), beginning(.payload))]
     Service {
         /// The robot that replied; `None` if the service is a stock Zenoh program, whose replies do not name one.
@@ -94,10 +96,10 @@ pub enum Error {
         /// The error, as the service returned it.
         payload: Payload,
     },
-    /// A Zenoh operation failed, often because the session is closed.
+    /// A Zenoh operation failed, often because the session is closed. If so, connect again.
     #[error("{operation}: {reason}")]
     Zenoh {
-        /// The operation that failed, such as "cannot declare the publisher".
+        /// The failure, such as "cannot declare the publisher".
         operation: &'static str,
         /// The reason that Zenoh reports.
         reason: String,
@@ -125,7 +127,7 @@ pub enum Error {
         #[source]
         fault: Fault,
     },
-    /// A file or folder of a transfer cannot be used.
+    /// A file or folder of a transfer cannot be used. Check that it exists, and its permissions.
     #[error("{}: {reason}", .path.display())]
     File {
         /// The path of the file or folder.
@@ -137,7 +139,7 @@ pub enum Error {
     /// The file name of a transfer is invalid. Choose another name.
     #[error(transparent)]
     Offer(#[from] OfferError),
-    /// The session was closed.
+    /// The session was closed. Connect again to continue.
     #[error("the session is closed")]
     Closed,
 }
@@ -155,7 +157,7 @@ impl From<std::convert::Infallible> for Error {
 }
 
 impl Error {
-    /// Returns a function that converts an error of Zenoh; `operation` is the failed operation: "cannot ...".
+    /// Returns a function that converts an error of Zenoh. `operation` states what failed, in the form "cannot ...".
     pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
         move |error| Self::Zenoh {
             operation,

@@ -14,6 +14,7 @@ use pair::{dialling, pair, TIMEOUT};
 use rect::{Error, Json, Robot, Service};
 use zenoh::Wait;
 
+/// Serves `double`, which returns twice the number of the request.
 async fn doubling(robot: &Robot) -> Service {
     let served = robot.serve("double", |request| async move {
         let number: f64 = request.payload.value().map_err(|error| error.to_string())?;
@@ -22,11 +23,11 @@ async fn doubling(robot: &Robot) -> Service {
     served.await.expect("served")
 }
 
-/// Sends a request until the service is discovered.
-async fn asked(robot: &Robot, of: &str, topic: &str, value: f64) -> Result<rect::Reply, Error> {
+/// Repeats a request to `server` until the service is discovered, and returns its result.
+async fn asked(robot: &Robot, server: &str, topic: &str, value: f64) -> Result<rect::Reply, Error> {
     let deadline = Instant::now() + TIMEOUT;
     loop {
-        match robot.request(of, topic, Json(value), TIMEOUT).await {
+        match robot.request(server, topic, Json(value), TIMEOUT).await {
             Err(Error::NoService { .. }) if Instant::now() < deadline => {}
             answer => return answer,
         }
@@ -49,7 +50,7 @@ async fn request_returns_the_reply_and_its_sender() {
 async fn error_of_a_service_is_returned_to_the_requester() {
     let (a, b) = pair("a", "b").await;
     let _service = doubling(&a).await;
-    asked(&b, "a", "double", 1.0).await.expect("known by now");
+    asked(&b, "a", "double", 1.0).await.expect("discovered");
     let error = b.request("a", "double", "no number", TIMEOUT).await;
     let error = error.expect_err("text is not a number");
     let Error::Service { robot, payload } = &error else {
@@ -85,7 +86,7 @@ async fn request_carries_sender_and_deadline() {
     let asking = tokio::spawn({
         let b = b.clone();
         async move {
-            let _known = asked(&b, "a", "slow", 0.0).await;
+            let _discovered = asked(&b, "a", "slow", 0.0).await;
             let timeout = Duration::from_millis(300);
             b.request("a", "slow", "", timeout).await
         }
@@ -184,4 +185,29 @@ async fn error_reply_is_attributed_to_the_robot_that_was_asked() {
         Error::Service { robot, .. } => assert_eq!(robot.expect("a name"), "a"),
         other => panic!("{other}"),
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn expired_query_of_the_registry_is_a_timeout() {
+    let (a, b) = pair("a", "b").await;
+    let registry = a.zenoh().declare_queryable("rect/a/@rect/connections");
+    let registry = registry.callback(|query| {
+        // The error reply that Zenoh creates itself when a query expires.
+        query.reply_err("Timeout").wait().expect("replied");
+    });
+    let _registry = registry.wait().expect("declared");
+    let began = Instant::now();
+    let error = loop {
+        match b.connections_of("a", "").await {
+            // The queryable is not discovered yet.
+            Err(Error::NoService { .. }) if began.elapsed() < TIMEOUT => {}
+            answer => break answer.expect_err("no reply"),
+        }
+    };
+    assert!(matches!(error, Error::TimedOut { .. }), "{error:?}");
+    let text = error.to_string();
+    assert!(
+        text.contains("the router of a about connections within 5 s"),
+        "{text}"
+    );
 }

@@ -1,4 +1,4 @@
-//! Tests the `rect` command together with a program that uses the library: `cargo test -p rect --test tool`
+//! Tests the `rect` command, connected to a robot in the test's own process: `cargo test -p rect --test tool`
 mod pair;
 
 use std::{
@@ -12,12 +12,14 @@ use pair::{free_endpoint, TIMEOUT};
 use rect::{blocking, Options};
 use serde_json::Value;
 
+/// Returns the `rect` command with `arguments`, ready to be started.
 fn rect(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rect"));
     command.args(arguments).stdin(Stdio::null());
     command
 }
 
+/// Runs `rect` with `arguments` until it exits.
 fn ran(arguments: &[&str]) -> Output {
     rect(arguments).output().expect("started")
 }
@@ -34,6 +36,7 @@ fn robot(name: &str) -> (blocking::Robot, String) {
     (robot, endpoint)
 }
 
+/// A process that is killed when this value is dropped.
 struct Killed(Child);
 
 impl Drop for Killed {
@@ -48,12 +51,12 @@ fn pub_and_send_deliver_messages() {
     let (a, endpoint) = robot("a");
     let mut messages = a.subscribe("b/**").expect("subscribed");
     let join = ["--as", "b", "--router", &endpoint];
-    let json = ran(&[
+    let published = ran(&[
         &["pub", "arm/angle", "12.5", "--urgency", "urgent"],
         &join[..],
     ]
     .concat());
-    assert!(json.status.success(), "{}", text(&json.stderr));
+    assert!(published.status.success(), "{}", text(&published.stderr));
     let message = messages.next_timeout(TIMEOUT).expect("received");
     assert_eq!(
         (message.sender.as_str(), message.topic.as_str()),
@@ -61,15 +64,15 @@ fn pub_and_send_deliver_messages() {
     );
     assert_eq!(message.payload.value::<f64>().expect("JSON"), 12.5);
     assert_eq!(message.urgency, rect::Urgency::Urgent);
-    let encoded = ran(&[
+    let sent = ran(&[
         &["send", "a", "note", "hello there", "--codec", "zstd:5"],
         &join[..],
     ]
     .concat());
-    assert!(encoded.status.success(), "{}", text(&encoded.stderr));
+    assert!(sent.status.success(), "{}", text(&sent.stderr));
     let message = messages.next_timeout(TIMEOUT).expect("received");
     assert_eq!(message.payload.text().expect("text"), "hello there");
-    assert_eq!(message.recipient.expect("to one"), "a");
+    assert_eq!(message.recipient.expect("a recipient"), "a");
 }
 
 #[test]
@@ -87,7 +90,7 @@ fn sub_prints_messages_as_text_or_json() {
                 .expect("started"),
         );
         let began = Instant::now();
-        while child.0.try_wait().expect("our child").is_none() {
+        while child.0.try_wait().expect("the child's status").is_none() {
             assert!(began.elapsed() < TIMEOUT, "ends after one message");
             a.publish("x", serde_json::json!({"n": 1}))
                 .expect("published");
@@ -139,6 +142,59 @@ fn serve_replies_with_program_output_or_failure() {
         error.contains("no arm") && error.contains("b replied"),
         "{error}"
     );
+}
+
+#[test]
+fn serve_passes_large_requests_to_programs_that_read_and_write_at_once() {
+    let (a, endpoint) = robot("a");
+    let join = ["--as", "b", "--router", &endpoint];
+    let serve = |topic: &str, program: &[&str]| {
+        let arguments = [&["serve", topic], &join[..], &["--"], program].concat();
+        let mut command = rect(&arguments);
+        Killed(command.stderr(Stdio::null()).spawn().expect("started"))
+    };
+    let _echoing = serve("echo", &["cat"]);
+    let _ignoring = serve("ignore", &["sh", "-c", "sleep 0.1; echo done"]);
+    // Larger than the pipes of a program.
+    let large = "a".repeat(1 << 20);
+    let asked = |topic: &str| {
+        let deadline = Instant::now() + TIMEOUT;
+        loop {
+            match a.request("b", topic, large.as_str(), TIMEOUT) {
+                Err(rect::Error::NoService { .. }) if Instant::now() < deadline => {}
+                answer => break answer.expect("a reply").payload,
+            }
+        }
+    };
+    let echoed = asked("echo");
+    assert!(echoed.text().expect("text") == large, "the same text");
+    assert_eq!(asked("ignore").text().expect("text"), "done");
+}
+
+#[test]
+fn serve_ends_a_program_that_never_reads_at_the_timeout() {
+    let (a, endpoint) = robot("a");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("pid").display().to_string();
+    let program = ["sh", "-c", "echo $$ > $0; exec sleep 600", file.as_str()];
+    let arguments = ["serve", "stuck", "--as", "b", "--router", &endpoint, "--"];
+    let mut serving = rect(&[&arguments[..], &program[..]].concat());
+    let _serving = Killed(serving.stderr(Stdio::null()).spawn().expect("started"));
+    let large = "a".repeat(1 << 20);
+    let deadline = Instant::now() + TIMEOUT;
+    let pid = loop {
+        // Fails at once until the service is discovered, and then at the timeout.
+        let _ = a.request("b", "stuck", large.as_str(), Duration::from_secs(1));
+        let pid = std::fs::read_to_string(&file).unwrap_or_default();
+        if pid.ends_with('\n') {
+            break pid;
+        }
+        assert!(Instant::now() < deadline, "the program is started");
+    };
+    while std::path::Path::new("/proc").join(pid.trim()).exists() {
+        assert!(Instant::now() < deadline, "the program is ended");
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }
 
 #[test]
@@ -317,7 +373,7 @@ fn closed_pipe_ends_a_command_without_a_message() {
         drop(child.0.stdout.take());
         let began = Instant::now();
         let status = loop {
-            if let Some(status) = child.0.try_wait().expect("our child") {
+            if let Some(status) = child.0.try_wait().expect("the child's status") {
                 break status;
             }
             assert!(began.elapsed() < TIMEOUT, "runs without a reader");
@@ -393,10 +449,10 @@ fn control_characters_from_other_robots_are_replaced() {
         .count()
         < 2
     {
-        shown.push(lines.next().expect("it continues").expect("text"));
+        shown.push(lines.next().expect("a line").expect("text"));
     }
     drop(stop);
-    publishing.join().expect("it ends");
+    publishing.join().expect("no panic");
     for line in &shown {
         assert!(!line.contains(['\x1b', '\x07']), "{line:?}");
         assert!(!line.starts_with("fake/"), "{line:?}");
@@ -441,7 +497,7 @@ fn sub_prints_a_hint_if_the_robot_is_unreachable() {
             continue;
         }
         let began = Instant::now();
-        while child.0.try_wait().expect("our child").is_none() {
+        while child.0.try_wait().expect("the child's status").is_none() {
             assert!(began.elapsed() < TIMEOUT, "ends after one message");
             a.publish("x", "1").expect("published");
             std::thread::sleep(Duration::from_millis(10));
@@ -453,17 +509,16 @@ fn sub_prints_a_hint_if_the_robot_is_unreachable() {
 
 #[test]
 fn output_is_coloured_on_terminals_or_on_demand() {
-    let (a, endpoint) = robot("a");
-    let shown = |more: &[&str]| {
+    let (_a, endpoint) = robot("a");
+    let shown = |options: &[&str]| {
         let mut arguments = vec!["peers", "--as", "b", "--router", &endpoint];
-        arguments.extend(more);
+        arguments.extend(options);
         let output = rect(&arguments)
             .env_remove("CLICOLOR_FORCE")
             .output()
             .expect("started");
         text(&output.stdout)
     };
-    let _stay = a;
     assert!(!shown(&[]).contains('\x1b'));
     assert!(shown(&["--color", "always"]).contains('\x1b'));
     assert!(!shown(&["--color", "never"]).contains('\x1b'));
@@ -485,7 +540,7 @@ fn router_address_without_protocol_defaults_to_tcp() {
 
 #[test]
 fn usage_errors_suggest_a_solution() {
-    for (arguments, named) in [
+    for (arguments, suggestion) in [
         (&["pub", "a/*", "1"][..], "wildcard"),
         (&["sub", "angle"], "<robot>/<topic>"),
         (&["pub", "x", "1", "--codec", "zip", "--as", "b"], "zstd"),
@@ -504,7 +559,7 @@ fn usage_errors_suggest_a_solution() {
         let failed = ran(&all);
         assert!(!failed.status.success());
         let message = text(&failed.stderr);
-        assert!(message.contains(named), "{arguments:?}: {message}");
+        assert!(message.contains(suggestion), "{arguments:?}: {message}");
         assert!(
             !message.contains(".rs:"),
             "no source lines in messages: {message}"

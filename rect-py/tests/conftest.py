@@ -1,4 +1,4 @@
-"""Defines fixtures and helpers: two robots in one process, linked directly, and functions that wait for discovery."""
+"""Defines fixtures and helpers: two directly linked robots in one process, and functions that wait for discovery."""
 
 from __future__ import annotations
 

@@ -21,13 +21,14 @@ _MAX_PIXELS = 4096
 
 
 def cases(file: str) -> list[Any]:
-    """Returns the cases of a file: each `in` with its `out`."""
+    """Returns the cases of a file: the input (`in`) and the expected output (`out`) of each."""
     vectors = json.loads((_VECTORS / f"{file}.json").read_text())["cases"]
     assert vectors, file
     return [pytest.param(case["in"], case["out"], id=str(n)) for n, case in enumerate(vectors)]
 
 
 def kind(error: rect.PayloadError) -> dict[str, Any]:
+    """Returns an error in the form of the vectors: its kind, and the id of the missing dictionary, if any."""
     dictionary = getattr(error, "dictionary", None)
     return {"error": error.kind} if dictionary is None else {"error": error.kind, "id": dictionary}
 

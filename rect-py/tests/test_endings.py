@@ -16,7 +16,7 @@ from conftest import DEADLINE, free_port
 _BEGINNING = """
 import os, signal, sys, threading, time
 import rect
-# The tests may run in the background, where Ctrl-C is ignored.
+# The tests may run in the background, where SIGINT is ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 endpoint = "tcp/127.0.0.1:{port}"
 one = rect.connect("wombat-1", listen=[endpoint])
@@ -98,8 +98,8 @@ def test_ctrl_c_interrupts_every_wait(waiting: str) -> None:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == "waiting\n"
-            # Ctrl-C must also work if the wait has not begun yet.
-            # (An exception that is raised in a finaliser is lost, though.)
+            # Ctrl-C must also work if the wait has not begun yet, unless Python is running a finaliser: an exception
+            # that is raised there is lost.
             process.send_signal(signal.SIGINT)
             _, error = process.communicate(timeout=10)
         finally:

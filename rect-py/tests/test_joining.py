@@ -26,7 +26,7 @@ Setting = dict[str, object]
 
 @contextmanager
 def router(settings: Setting) -> Iterator[str]:
-    """Starts a router with these settings and returns its locator."""
+    """Starts a router with these settings and yields its locator."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [program("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting"]
     command += [part for key, value in settings.items() for part in ("--cfg", f"{key}:{json.dumps(value)}")]
@@ -51,7 +51,7 @@ def router(settings: Setting) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def router_with_logins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """Starts a router that requires a login; returns its locator and login file."""
+    """Starts a router that requires a login; yields its locator and its login file."""
     users = tmp_path_factory.mktemp("logins") / "users"
     users.write_text("fleet:secret\n")
     with router({"transport/auth/usrpwd/dictionary_file": str(users)}) as endpoint:

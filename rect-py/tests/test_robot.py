@@ -16,7 +16,8 @@ from typing import Any
 import numpy
 import pytest
 import rect
-from conftest import DEADLINE, free_port, until_subscribed
+from conftest import DEADLINE, free_port, until_served, until_subscribed
+from rect.receive_queue import DEFAULT_CAPACITY
 
 Pair = tuple[rect.Robot, rect.Robot]
 
@@ -215,6 +216,24 @@ def test_events_are_passed_to_callback(pair: Pair) -> None:
     assert seen == [rect.Event("peer_up", "wombat-1")]
 
 
+def test_subscription_to_events_has_counts(pair: Pair) -> None:
+    _, two = pair
+    received = threading.Event()
+    with two.on_event(lambda event: received.set()) as events, two.watch("wombat-1", "x", print) as frames:
+        assert received.wait(DEADLINE)
+        for subscription in (events, frames):
+            assert (subscription.dropped, subscription.counts_by_sender) == (0, {})
+
+
+def test_full_queue_of_events_counts_drops(pair: Pair) -> None:
+    _, two = pair
+    with two.events() as events:
+        events.next(DEADLINE)
+        for _ in range(DEFAULT_CAPACITY + 3):
+            events._queue.push(rect.Event("router_up"))
+        assert events.dropped == 3
+
+
 _TOO_LONG = "is 304 bytes long, but an encoding has at most 200"
 _NUMBER: Any = 7
 _TEXT: Any = "x"
@@ -325,10 +344,18 @@ def test_no_router_error_contains_command_that_starts_one() -> None:
 
 
 def test_invalid_locator_or_setting_is_named() -> None:
-    with pytest.raises(rect.OptionError, match="listen or endpoint"):
+    with pytest.raises(rect.OptionError, match="listen or endpoints"):
         rect.connect("wombat-1", listen=["nonsense/127.0.0.1:7447"])
-    with pytest.raises(rect.OptionError, match="listen/endpoints"):
-        rect.connect("wombat-1", listen=["nonsense"])
+    nonsense: list[tuple[str, dict[str, Any]]] = [
+        ("listen", {"listen": ["nonsense"]}),
+        ("endpoints", {"endpoints": ["nonsense"]}),
+        ("router", {"router": "nonsense"}),
+    ]
+    for option, options in nonsense:
+        with pytest.raises(rect.OptionError, match=f'the option {option} cannot be "nonsense"'):
+            rect.connect("wombat-1", **options)
+    with pytest.raises(rect.OptionError, match=r"the option zenoh cannot be .*connect/endpoints"):
+        rect.connect("wombat-1", router="tcp/127.0.0.1:7447", zenoh={"connect/endpoints": ["nonsense"]})
     with pytest.raises(rect.OptionError, match="no/such/setting"):
         rect.connect("wombat-1", listen=["tcp/127.0.0.1:0"], zenoh={"no/such/setting": 1})
     wrong: Any = "tcp/127.0.0.1:0"
@@ -408,6 +435,30 @@ def test_closed_robot_raises_closed(pair: Pair) -> None:
             call()
 
 
+def test_closed_handle_is_named(pair: Pair) -> None:
+    one, _ = pair
+    for handle, name in (
+        (one.subscribe("*/x"), "subscriber"),
+        (one.watch("wombat-2", "x"), "watch"),
+        (one.events(), "subscription to events"),
+        (one.receive_transfers("*/x"), "transfer receiver"),
+    ):
+        handle.close()
+        with pytest.raises(rect.Closed, match=f"^the {name} is closed$"):
+            while True:
+                handle.next(1)
+
+
+def test_expired_query_of_registry_is_timeout(pair: Pair) -> None:
+    one, two = pair
+    # The error reply is the one that Zenoh creates itself when a query expires.
+    registry = one.zenoh.declare_queryable("rect/wombat-1/@rect/connections", lambda query: query.reply_err(b"Timeout"))
+    until_served(two, "wombat-1", "@rect/connections")
+    with pytest.raises(rect.TimedOut, match="no reply from the router of wombat-1 about connections within 5 s"):
+        two.connections("wombat-1")
+    registry.undeclare()
+
+
 def test_many_threads_publish_concurrently(pair: Pair) -> None:
     one, two = pair
     subscriber = two.subscribe("wombat-1/count", capacity=10_000)
@@ -445,8 +496,8 @@ def test_dictionary_of_one_robot_is_not_used_for_messages_of_another() -> None:
         rect.connect("honest", endpoints=[endpoint]) as honest,
     ):
         subscriber = two.subscribe("*/telemetry")
-        for robot, known in ((other, same_id), (honest, dictionary)):
-            codec = robot.share_dictionary(known)
+        for robot, shared in ((other, same_id), (honest, dictionary)):
+            codec = robot.share_dictionary(shared)
             until_subscribed(robot, "telemetry")
             robot.publish("telemetry", value, codec=codec)
             message = subscriber.next(DEADLINE)

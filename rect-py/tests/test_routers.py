@@ -1,5 +1,5 @@
-"""Tests two routers on the simulated air: a Python robot at one, and the Rust library (the `rect` tool) or another
-Python robot at the other.
+"""Tests two routers that are linked on the simulated air. A Python program uses one router. The `rect` tool, which uses
+the Rust library, or another Python program uses the other.
 
 RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_routers.py
 """
@@ -50,10 +50,10 @@ class Routers:
     @contextmanager
     def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:
         """Runs the `rect` command at the router of a robot."""
-        own = ["--as", robot, "--router", self.endpoints[robot]]
+        options = ["--as", robot, "--router", self.endpoints[robot]]
         # The arguments after `--` belong to another program.
-        at = arguments.index("--") if "--" in arguments else len(arguments)
-        command = [program("RECT_TOOL", "rect"), *arguments[:at], *own, *arguments[at:]]
+        end = arguments.index("--") if "--" in arguments else len(arguments)
+        command = [program("RECT_TOOL", "rect"), *arguments[:end], *options, *arguments[end:]]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             tool = Tool(process)
             try:
@@ -245,9 +245,9 @@ def test_two_python_programs_communicate_over_bluetooth(routers: Routers) -> Non
 def test_registry_queries(routers: Routers) -> None:
     with routers.connect("wombat-1") as robot:
         linked = robot.connections(filter="method=ble;state=connected")
-        assert [(one.method, one.state, one.robot) for one in linked] == [("ble", "connected", "wombat-2")]
+        assert [(row.method, row.state, row.robot) for row in linked] == [("ble", "connected", "wombat-2")]
         assert "<td>wombat-2</td>" in linked._repr_html_()
-        assert [one.robot for one in robot.connections("wombat-2", "method=ble;state=connected")] == ["wombat-1"]
+        assert [row.robot for row in robot.connections("wombat-2", "method=ble;state=connected")] == ["wombat-1"]
         count = robot.query_registry("connections/count", filter="state=connected")
         assert count["methods"]["ble"]["connected"] == 1
         with pytest.raises(rect.ServiceError, match="state"):
@@ -257,10 +257,13 @@ def test_registry_queries(routers: Routers) -> None:
 
 
 def until_named(robot: rect.Robot, name: str, addresses: list[str]) -> None:
-    """Waits until the registry lists these addresses: a connection is removed only after its dialling has ended."""
-    until = time.monotonic() + DEADLINE
-    while [one.address for one in robot.connections(filter=f"name={name}")] != addresses:
-        assert time.monotonic() < until
+    """Waits until the connections of that name have these addresses.
+
+    A removed connection is listed until its dialling has ended.
+    """
+    deadline = time.monotonic() + DEADLINE
+    while [row.address for row in robot.connections(filter=f"name={name}")] != addresses:
+        assert time.monotonic() < deadline
 
 
 def test_connections_are_added_and_removed(routers: Routers) -> None:

@@ -116,6 +116,7 @@ def test_unread_frames_are_counted_as_skipped(pair: Pair) -> None:
             send()
         later = send_until(watch, send, lambda frame: frame.skipped > 0)
         assert later.number > first.number + later.skipped
+        assert watch.dropped > 0
 
 
 def test_frames_of_stock_program_have_no_age(pair: Pair) -> None:

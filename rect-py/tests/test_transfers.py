@@ -145,7 +145,7 @@ def test_stopped_outgoing_transfer_raises_closed(pair: Pair) -> None:
 
 
 def _offer(sender: str, data: bytes) -> bytes:
-    """Makes an offer to wombat-2 in the name of `sender`, as any program can."""
+    """Returns an offer to wombat-2 that names `sender`. Any program can make such an offer."""
     key_space = _rect.KeySpace("rect", sender)
     return _rect.TransferSender(key_space, "wombat-2", "maps", data, 1, name="map.bin").offer
 
@@ -183,7 +183,7 @@ def test_forged_offer_changes_nothing(trio: tuple[rect.Robot, rect.Robot, rect.R
         for sender in ("honest", "nobody"):
             for data in (b"", b"forged"):
                 _send_offer(forger, _offer(sender, data))
-        # The forged offers have no more effects after a later transfer has ended.
+        # If the forged offers have any effect, it occurs before these later transfers end.
         for _ in range(3):
             honest.transfer("wombat-2", "maps", b"another", name="other.bin")
             assert maps.next(DEADLINE).name == "other.bin"

@@ -163,7 +163,8 @@ impl Decoder {
 }
 
 impl Robot {
-    /// Returns a handle that compresses payloads with `dictionary` and zstd, which makes small JSON messages much smaller.
+    /// Returns a handle that compresses the payloads of messages and requests with zstd and `dictionary`, which makes
+    /// small JSON messages much smaller.
     ///
     /// Each receiver fetches the dictionary once. This program serves it until the session ends.
     ///

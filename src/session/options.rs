@@ -22,7 +22,7 @@ use crate::{
 
 const DEFAULT_FLEET: &str = "rect";
 
-/// Builds a session with settings other than the defaults of [`connect`](crate::connect).
+/// The settings of a session, for programs that need other settings than the defaults of [`connect`](crate::connect).
 ///
 /// ```no_run
 /// # async fn open() -> Result<(), rect::Error> {
@@ -35,7 +35,7 @@ pub struct Options {
     router: String,
     endpoints: Vec<String>,
     listen: Vec<String>,
-    login: Option<(String, String)>,
+    login: Option<Login>,
     login_file: PathBuf,
     allows_name_mismatch: bool,
     timeout: Duration,
@@ -99,8 +99,8 @@ impl Options {
 
     /// Adds an endpoint to which this program opens a direct link, such as `ble/wombat-2` or `udp/192.168.0.8:7447`.
     ///
-    /// A program with direct links does not use a router. The endpoint is dialled until the link is up, and again when it is
-    /// lost; [`connect`](Self::connect) does not wait for it.
+    /// A program with direct links does not use a router. The endpoint is dialled until the link is up, and again after
+    /// the link is lost. [`connect`](Self::connect) does not wait for the link.
     #[must_use]
     pub fn endpoint(mut self, endpoint: impl Into<String>) -> Self {
         self.endpoints.push(endpoint.into());
@@ -116,14 +116,15 @@ impl Options {
         self
     }
 
-    /// Sets the user name and password; default: the first line of the login file, `user:password`, if it can be read.
+    /// Sets the user name and password; default: the first login of the [login file](Self::login_file), if the file can
+    /// be read.
     #[must_use]
     pub fn login(mut self, user: impl Into<String>, password: impl Into<String>) -> Self {
-        self.login = Some((user.into(), password.into()));
+        self.login = Some(Login::given(user, password));
         self
     }
 
-    /// Sets the file whose first line, `user:password`, is the login; default:
+    /// Sets the login file, whose first line of the form `user:password` is the login; default:
     /// [`default_login_file`](Self::default_login_file).
     #[must_use]
     pub fn login_file(mut self, file: impl Into<PathBuf>) -> Self {
@@ -133,7 +134,8 @@ impl Options {
 
     /// Permits connecting to the router of another robot, for programs that use another name on purpose.
     ///
-    /// With the access control that `rect-router init` writes, a router drops the messages that such a program publishes.
+    /// With the access control that `rect-router init` configures, a router drops the messages that such a program
+    /// publishes.
     #[must_use]
     pub fn allow_name_mismatch(mut self) -> Self {
         self.allows_name_mismatch = true;
@@ -141,7 +143,7 @@ impl Options {
     }
 
     /// Sets how long [`connect`](Self::connect) waits for the router; default: 5 s, so that a program and its router can be
-    /// started at the same time.
+    /// started at the same time. Direct links ignore it.
     #[must_use]
     pub fn timeout(mut self, timeout: Duration) -> Self {
         self.timeout = timeout;
@@ -159,9 +161,9 @@ impl Options {
     /// Opens the session: connects to the router, or opens the direct links.
     ///
     /// # Errors
-    /// [`Error::NoRouter`] if no router replies within the [timeout](Self::timeout), [`Error::LoginRefused`] if it rejects
-    /// the login, [`Error::WrongRobot`] if it serves another robot, and [`Error::Option`] if Zenoh rejects one of the
-    /// options.
+    /// [`Error::NoRouter`] if no router replies within the [timeout](Self::timeout), [`Error::LoginRefused`] if the
+    /// router rejects the login, [`Error::WrongRobot`] if it serves another robot, [`Error::Option`] if Zenoh rejects
+    /// one of the options, and [`Error::Zenoh`] if the session ends while it is being set up.
     pub async fn connect(self) -> Result<Robot, Error> {
         if self.is_direct() {
             let opened = zenoh::open(self.config(None)?).await;
@@ -213,11 +215,8 @@ impl Options {
 
     fn refused(&self, error: &zenoh::Error) -> Error {
         let all = self.listen.iter().chain(&self.endpoints);
-        Error::Option {
-            option: "listen or endpoint",
-            value: all.cloned().collect::<Vec<_>>().join(" "),
-            reason: humanize::with_causes(error.as_ref()),
-        }
+        let all = all.cloned().collect::<Vec<_>>().join(" ");
+        option_error("listen or endpoint", all, error)
     }
 
     /// Returns Zenoh's configuration. `credentials` are for the router; direct links use the login of the options.
@@ -261,26 +260,32 @@ impl Options {
             let login = json!({ "user": user, "password": password });
             settings.push(("transport/auth/usrpwd", login));
         }
-        let given = self
-            .zenoh
-            .iter()
-            .map(|(key, value)| (key.as_str(), value.clone()));
-        for (key, value) in settings.into_iter().chain(given) {
-            let text = value.to_string();
-            config
-                .insert_json5(key, &text)
-                .map_err(|error| Error::Option {
-                    option: "zenoh",
-                    value: format!("{key}: {text}"),
-                    reason: humanize::with_causes(error.as_ref()),
-                })?;
+        for (key, value) in settings {
+            let inserted = config.insert_json5(key, &value.to_string());
+            inserted.map_err(|error| self.rejected(key, &value, &error))?;
+        }
+        for (key, value) in &self.zenoh {
+            let inserted = config.insert_json5(key, &value.to_string());
+            inserted.map_err(|error| option_error("zenoh", format!("{key}: {value}"), &error))?;
         }
         Ok(config)
     }
 
+    /// Returns the error for a setting of RECT that Zenoh rejects. It names the option that determines the setting.
+    fn rejected(&self, key: &str, value: &Value, error: &zenoh::Error) -> Error {
+        match key {
+            "connect/endpoints" if !self.is_direct() => {
+                option_error("router", self.router.clone(), error)
+            }
+            "connect/endpoints" => option_error("endpoint", self.endpoints.join(" "), error),
+            "listen/endpoints" => option_error("listen", self.listen.join(" "), error),
+            _ => option_error("zenoh", format!("{key}: {value}"), error),
+        }
+    }
+
     fn login_or_file(&self) -> Login {
         match &self.login {
-            Some((user, password)) => Login::given(user, password),
+            Some(login) => login.clone(),
             None => {
                 let text = fs::read_to_string(&self.login_file);
                 let text = text.as_deref().map_err(ToString::to_string);
@@ -290,6 +295,54 @@ impl Options {
     }
 }
 
+fn option_error(option: &'static str, value: String, error: &zenoh::Error) -> Error {
+    Error::Option {
+        option,
+        value,
+        reason: humanize::with_causes(error.as_ref()),
+    }
+}
+
 fn retry(first_ms: u32) -> Value {
     json!({ "period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options() -> Options {
+        Options::new("wombat-1")
+            .expect("a name")
+            .login_file("/none")
+    }
+
+    /// Returns the option and the value that are named in the error about these options.
+    fn rejected(options: &Options) -> (&'static str, String) {
+        match options.config(None) {
+            Err(Error::Option { option, value, .. }) => (option, value),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn debug_output_omits_the_password() {
+        let text = format!("{:?}", options().login("fleet", "secret"));
+        assert!(text.contains("fleet") && !text.contains("secret"), "{text}");
+    }
+
+    #[test]
+    fn error_names_the_option_of_an_invalid_locator() {
+        let wrong = || "192.168.0.7:7447".to_owned();
+        for (options, option) in [
+            (options().router(wrong()), "router"),
+            (options().endpoint(wrong()), "endpoint"),
+            (options().listen(wrong()), "listen"),
+        ] {
+            assert_eq!(rejected(&options), (option, wrong()));
+        }
+        let given = options().zenoh("connect/endpoints", wrong());
+        let expected = format!("connect/endpoints: {:?}", wrong());
+        assert_eq!(rejected(&given), ("zenoh", expected));
+    }
 }

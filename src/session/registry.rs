@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::de::DeserializeOwned;
 use zenoh::{bytes::ZBytes, query::Reply};
 
-use super::robot::Robot;
+use super::{request::is_timeout, robot::Robot};
 use crate::{
     core::{
         connection::Connection,
@@ -52,7 +52,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::NoService`] if the robot has no router with RECT's registry, [`Error::Service`] if the router rejects the
-    /// query, and [`Error::Zenoh`] if the session is closed.
+    /// query, [`Error::TimedOut`] if no reply arrives within 5 s, and [`Error::Zenoh`] if the session is closed.
     pub async fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.connections_of(self.name().clone(), "").await
     }
@@ -78,7 +78,7 @@ impl Robot {
     /// deserializes the JSON reply as `T`.
     ///
     /// # Errors
-    /// Returns the errors of [`connections_of`](Self::connections_of), and [`Error::Payload`] if the reply cannot be
+    /// Returns the errors of [`connections`](Self::connections), and [`Error::Payload`] if the reply cannot be
     /// deserialized as `T`.
     pub async fn query_registry<T: DeserializeOwned>(
         &self,
@@ -102,7 +102,8 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Service`] with the reason if the router rejects the connection; [`Error::NoService`] if the robot has no
-    /// router whose configuration names a connections file (`plugins/rect/connections`).
+    /// router whose configuration names a connections file (`plugins/rect/connections`); [`Error::TimedOut`] if no reply
+    /// arrives within 5 s.
     pub async fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
         let robot = self.name().clone();
         self.add_connection_of(robot, connection).await
@@ -127,8 +128,8 @@ impl Robot {
     /// Removes a named connection from this robot's router and closes its link.
     ///
     /// # Errors
-    /// [`Error::Service`] if the router has no connection of that name; [`Error::NoService`] as for
-    /// [`add_connection`](Self::add_connection).
+    /// [`Error::Service`] if the router has no connection of that name; [`Error::NoService`] and [`Error::TimedOut`] as
+    /// for [`add_connection`](Self::add_connection).
     pub async fn remove_connection(&self, name: &str) -> Result<(), Error> {
         let robot = self.name().clone();
         self.remove_connection_of(robot, name).await
@@ -181,7 +182,13 @@ impl Robot {
         match replies.recv_async().await.map(Reply::into_result) {
             Ok(Ok(sample)) => Ok(json(sample.payload())),
             Ok(Err(error)) => {
-                let (_, payload) = error_from_payload(json(error.payload()));
+                let (replied, payload) = error_from_payload(json(error.payload()));
+                if is_timeout(replied.as_ref(), &payload) {
+                    return Err(Error::TimedOut {
+                        expected: format!("reply from the router of {robot} about {question}"),
+                        timeout: TIMEOUT,
+                    });
+                }
                 let robot = Some(robot);
                 Err(Error::Service { robot, payload })
             }

@@ -69,9 +69,10 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Service`] if the service replies with an error, [`Error::NoService`] if no program at `robot` serves the
-    /// topic, [`Error::TimedOut`] if no reply arrives within `timeout`; [`Error::Name`], [`Error::Topic`] or
-    /// [`Error::Payload`] if an argument is invalid; [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Service`] if the service replies with an error, [`Error::NoService`] if no program at `robot` serves
+    /// the topic, [`Error::TimedOut`] if no reply arrives within `timeout`; [`Error::Name`], [`Error::Topic`] or
+    /// [`Error::Payload`] if an argument is invalid; [`Error::Codec`] if the codec of this handle does not support the
+    /// value or the reply cannot be decoded; [`Error::Zenoh`] if the session is closed.
     pub async fn request<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -109,7 +110,8 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] or [`Error::Payload`] if an argument is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Topic`] or [`Error::Payload`] if an argument is invalid, [`Error::Codec`] if the codec of this handle
+    /// does not support the value, and [`Error::Zenoh`] if the session is closed.
     pub async fn request_all<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -186,11 +188,12 @@ impl Robot {
 }
 
 impl Replies {
-    /// Waits for the next reply; returns `None` once all services have replied.
+    /// Waits for the next reply; returns `None` once all services have replied, or after the timeout was reported.
     ///
     /// # Errors
-    /// [`Error::Service`] if a service replied with an error, [`Error::Codec`] if a reply cannot be decoded, and
-    /// [`Error::TimedOut`] if the timeout expired before all services had replied.
+    /// [`Error::Service`] if a service replied with an error, [`Error::Codec`] if a reply cannot be decoded,
+    /// [`Error::TimedOut`] if the timeout expired before all services had replied, and [`Error::Zenoh`] if the key of a
+    /// reply is not that of a robot. Further calls return the other replies.
     pub async fn next(&mut self) -> Option<Result<Reply, Error>> {
         let timed_out = || Error::TimedOut {
             expected: self.expected.clone(),
@@ -217,8 +220,7 @@ impl Replies {
             Err(error) => {
                 let (robot, payload) =
                     error_from_payload(payload(error.payload(), error.encoding()));
-                // This error is Zenoh's own: the timeout has expired.
-                if robot.is_none() && payload.bytes == b"Timeout"[..] {
+                if is_timeout(robot.as_ref(), &payload) {
                     Err(timed_out())
                 } else {
                     // Only the robot that was asked can reply, whichever name the error contains.
@@ -229,6 +231,11 @@ impl Replies {
         };
         Some(answer)
     }
+}
+
+/// Returns whether an error reply of `robot` is Zenoh's own: the timeout of the query has expired.
+pub(super) fn is_timeout(robot: Option<&Name>, error: &Payload) -> bool {
+    robot.is_none() && error.bytes == b"Timeout"[..]
 }
 
 impl fmt::Debug for Replies {
@@ -250,5 +257,21 @@ impl Drop for Replies {
         // is running now and finds the queue closed. That wait is not needed, and a task for it would wake a thread.
         let cancelled = pin!(self.cancellation.cancel().into_future());
         let _ = cancelled.poll(&mut Context::from_waker(Waker::noop()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::encoding::Encoding;
+
+    #[test]
+    fn only_an_error_without_a_robot_is_a_timeout() {
+        let timeout = Payload::new("Timeout", Encoding::TEXT);
+        let other = Payload::new("the arm is stuck", Encoding::TEXT);
+        let robot = Name::new("wombat-2").expect("a name");
+        assert!(is_timeout(None, &timeout));
+        assert!(!is_timeout(Some(&robot), &timeout));
+        assert!(!is_timeout(None, &other));
     }
 }

@@ -33,7 +33,8 @@ const MAX_PUBLICATIONS: usize = 256;
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet.
 ///
-/// Clones are cheap and share the session, which ends when the last clone is dropped or [`close`](Self::close) is called.
+/// Clones are cheap and share the session. The session ends when [`close`](Self::close) is called, or when the last
+/// clone is dropped and no subscriber, service, stream or transfer that was created with it is left.
 #[derive(Clone)]
 pub struct Robot {
     pub(super) inner: Arc<Inner>,
@@ -128,13 +129,13 @@ impl Robot {
         &self.inner.place.fleet
     }
 
-    /// Returns the underlying Zenoh session, for features of Zenoh that this API does not cover. Urgent and bulk messages use
-    /// separate sessions.
+    /// Returns the underlying Zenoh session, for features of Zenoh that this API does not cover. If the program uses a
+    /// router, urgent and bulk messages have separate sessions.
     pub fn zenoh(&self) -> &Session {
         &self.inner.session
     }
 
-    /// Returns a handle that publishes, sends and requests with `urgency`.
+    /// Returns a handle that publishes, sends, requests and streams with `urgency`.
     ///
     /// ```no_run
     /// # async fn stop(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -161,7 +162,8 @@ impl Robot {
         self.with_urgency(Urgency::Bulk)
     }
 
-    /// Returns a handle that encodes payloads with `codec`; receivers decode them automatically.
+    /// Returns a handle that encodes the payloads of messages and requests with `codec`; receivers decode them
+    /// automatically. Replies, streams and transfers are not affected.
     ///
     /// ```no_run
     /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {

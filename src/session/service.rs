@@ -54,7 +54,7 @@ pub struct Request {
     pub sender: Option<Name>,
     /// The value of the request.
     pub payload: Payload,
-    /// The time at which the requester's timeout expires.
+    /// The time of arrival plus the requester's timeout, or plus 10 s if a stock Zenoh program sent the request.
     pub deadline: Instant,
 }
 
@@ -107,8 +107,11 @@ impl Robot {
         })
     }
 
-    /// Declares the service `topic`, and replies to each request with the result of `answer`. An error arrives at the
-    /// requester as [`Error::Service`]. Up to 16 requests are processed concurrently.
+    /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned
+    /// service is dropped. An error, or a panic of `answer`, arrives at the requester as [`Error::Service`].
+    ///
+    /// Up to 16 requests are processed concurrently. A request whose [deadline](Request::deadline) has passed while it
+    /// waited is dropped.
     ///
     /// ```no_run
     /// # async fn serve(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -168,8 +171,8 @@ impl Robot {
 }
 
 impl Requests {
-    /// Waits for the next request; returns `None` once the session is closed. A request that cannot be decoded is refused
-    /// with the reason.
+    /// Waits for the next request; returns `None` once the session is closed. A request whose payload cannot be decoded
+    /// is refused with the reason.
     pub async fn next(&self) -> Option<Request> {
         loop {
             let mut request = self.queue.pop().await?;
@@ -234,7 +237,7 @@ impl Request {
         }
     }
 
-    /// Returns the time left until the requester's timeout expires.
+    /// Returns the time left until the [deadline](Self::deadline).
     pub fn remaining(&self) -> Duration {
         self.deadline.saturating_duration_since(Instant::now())
     }

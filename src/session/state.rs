@@ -28,7 +28,8 @@ use crate::{
 
 /// Receives the [events](Event) of robots, links and the router; created by [`Robot::events`].
 ///
-/// The first events report the robots that are already reachable. Dropping it ends the subscription.
+/// At first, events report the robots that are already reachable and, with a router, the links that are already up.
+/// Dropping this value ends the subscription.
 #[derive(Debug)]
 pub struct Events {
     queue: Arc<ReceiveQueue<Event>>,
@@ -136,7 +137,7 @@ impl Robot {
         Ok(Subscription::of(task))
     }
 
-    /// Returns the numbers of messages and bytes that this program has sent and received.
+    /// Returns the counters of this session: messages and bytes sent and received, and messages missed and rejected.
     pub fn counters(&self) -> Counters {
         self.inner.counting.read()
     }

@@ -1,4 +1,5 @@
-//! Implements subscriptions: to be read from ([`Subscriber`]), with a callback ([`Subscription`]), or for one message.
+//! Implements subscriptions: with a receive queue ([`Subscriber`]), with a callback ([`Subscription`]), or for one
+//! message.
 use std::{
     any::Any,
     fmt,
@@ -42,9 +43,9 @@ use crate::{
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueOptions {
-    /// The largest number of waiting messages; default: 256.
+    /// The largest number of waiting messages or frames; default: 256. A capacity of 0 counts as 1.
     pub capacity: usize,
-    /// The rule for a message that arrives when the queue is full; default: the oldest one is dropped.
+    /// The rule for a message or frame that arrives when the queue is full; default: the oldest one is dropped.
     pub when_full: WhenFull,
 }
 
@@ -59,7 +60,7 @@ impl Default for QueueOptions {
 
 /// Receives the messages that match a pattern; created by [`Robot::subscribe`].
 ///
-/// It also implements [`Stream`]. Dropping it ends the subscription.
+/// It also implements [`futures_core::Stream`]. Dropping it ends the subscription.
 pub struct Subscriber {
     queue: Arc<ReceiveQueue<Message>>,
     inbound: Arc<Mutex<Inbound>>,
@@ -212,14 +213,11 @@ impl Robot {
         Error: From<N::Error>,
     {
         let pattern = Pattern::of(Some(robot.try_into()?), topic)?;
-        let what = format!("message {pattern}");
+        let expected = format!("message {pattern}");
         let subscriber = self.subscribed(&pattern, QueueOptions::default())?;
         match tokio::time::timeout(timeout, subscriber.next()).await {
             Ok(message) => message.ok_or(Error::Closed),
-            Err(_) => Err(Error::TimedOut {
-                expected: what,
-                timeout,
-            }),
+            Err(_) => Err(Error::TimedOut { expected, timeout }),
         }
     }
 }
@@ -227,13 +225,14 @@ impl Robot {
 impl Subscriber {
     /// Waits for the next message; returns `None` once the session or the subscriber is closed.
     ///
-    /// If a message is compressed with a dictionary that is not known yet, the call also waits for the dictionary. Dropping
-    /// the future at that point loses the message.
+    /// If a message is compressed with a dictionary that is not known yet, the call also waits for the dictionary, at
+    /// most 5 s. Dropping the future at that point loses the message.
     pub async fn next(&self) -> Option<Message> {
         decoded(&self.queue, &self.decoder).await
     }
 
-    /// Returns the next message if one is queued.
+    /// Returns the next message if one is queued. If the message is compressed with a dictionary that is not known yet,
+    /// its payload stays encoded, and [`Message::problem`] gives the reason.
     pub fn try_next(&self) -> Option<Message> {
         let mut message = self.queue.try_pop()?;
         self.decoder.decode_message_now(&mut message);
@@ -250,7 +249,7 @@ impl Subscriber {
         self.queue.dropped()
     }
 
-    /// Returns the numbers of received and missed messages of each robot.
+    /// Returns how many messages of each robot were received and missed.
     pub fn counts_by_sender(&self) -> Vec<(Name, SenderCounts)> {
         let inbound = lock(&self.inbound);
         inbound

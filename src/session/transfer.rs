@@ -28,8 +28,9 @@ impl Robot {
     /// Prepares a transfer of a file or buffer of any size to `robot`. It starts when the returned [`Transfer`] is awaited,
     /// and completes when the receiver has verified the whole content.
     ///
-    /// All other messages overtake transfers. A transfer resumes after links are lost and after either program is restarted.
-    /// Dropping the future stops the transfer; a receiver that keeps it in a folder keeps the received part.
+    /// Urgent and normal messages overtake transfers. A transfer resumes after a link is lost. It also resumes after the
+    /// receiving program restarts, if that program receives into a folder, and after this program restarts and makes
+    /// the same call again. Dropping the future stops the transfer; a receiver with a folder keeps the received part.
     ///
     /// ```no_run
     /// # async fn send(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -42,9 +43,10 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid. The awaited transfer returns
-    /// [`Error::TransferRefused`] if the receiver refuses it, [`Error::TransferFailed`] if it fails, [`Error::File`] if the
-    /// file cannot be read, [`Error::TimedOut`] if a [timeout](Transfer::timeout) was set and has expired, and
-    /// [`Error::Closed`] if the session is closed.
+    /// [`Error::TransferRefused`] if the receiver refuses it, [`Error::TransferFailed`] if it fails, [`Error::File`] if
+    /// the file cannot be read, [`Error::Offer`] if the file [name](Transfer::name) is invalid, [`Error::Payload`] if
+    /// the encoding is too long, [`Error::TimedOut`] if a [timeout](Transfer::timeout) was set and has expired, and
+    /// [`Error::Closed`] or [`Error::Zenoh`] if the session is closed.
     pub fn transfer<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -66,7 +68,9 @@ impl Robot {
     }
 
     /// Receives the transfers to this robot that match `pattern`, such as `*/maps/*`, until the returned value is dropped.
-    /// Transfers that no program receives are refused.
+    ///
+    /// A transfer is refused if programs of this robot receive transfers, but the pattern of none matches it. While no
+    /// program receives any, senders wait.
     ///
     /// ```no_run
     /// # async fn receive(robot: rect::Robot) -> Result<(), rect::Error> {

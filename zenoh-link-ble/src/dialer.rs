@@ -9,7 +9,7 @@ use crate::{
     adapter::Adapter,
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
-    error::BleError,
+    error::{BleError, DialStep},
     handshake::{agreed_mtu, channel_options, dialler_handshake, own_window},
     hello::{Hello, NodeId, Refusal, VERSION},
     link::{node::Node, table::LinkNumber, Framing, LinkBle, Opened},
@@ -35,29 +35,44 @@ const PAIRING: Duration = Duration::from_secs(4);
 /// Dials a peer once. Waits until the peer is discovered and has no link, for at most `locator.timeout` in total.
 ///
 /// # Errors
-/// Fails if the peer is not discovered in time, is linked already or refuses, or if the radio or the handshake fails.
+/// Fails if there is no link within the timeout, if the peer is linked already or refuses, or if the radio or the
+/// handshake fails.
 pub(crate) async fn dial(
     node: &Arc<Node>,
     locator: &ConnectLocator,
 ) -> Result<Arc<LinkBle>, BleError> {
     let adapter = node.adapter(locator.adapter.as_deref())?;
     let start = Instant::now();
-    match tokio::time::timeout(locator.timeout, dial_when_free(node, &adapter, locator)).await {
-        Ok(linked) => linked,
-        Err(_) if node.link_table().is_linked(&locator.target) => Err(already_linked(locator)),
-        Err(_) => Err(BleError::NotFound {
-            target: locator.target.to_string(),
+    let mut step = DialStep::OtherDial;
+    let dialling = dial_when_free(node, &adapter, locator, &mut step);
+    if let Ok(dialled) = tokio::time::timeout(locator.timeout, dialling).await {
+        return dialled;
+    }
+    // After the handshake, the link with the peer is the one of this dial.
+    if step != DialStep::RerouteHoldoff && node.link_table().is_linked(&locator.target) {
+        return Err(already_linked(locator));
+    }
+    let target = locator.target.to_string();
+    Err(match step {
+        DialStep::Discovery => BleError::NotFound {
+            target,
             adapter: adapter.radio.name().to_owned(),
             waited: start.elapsed(),
-        }),
-    }
+        },
+        step => BleError::DialTimedOut {
+            target,
+            step,
+            limit: locator.timeout,
+        },
+    })
 }
 
-/// Dials the peer once there is no link with it and no other dial to it.
+/// Dials the peer once there is no link with it and no other dial to it. Sets `step` to the current step.
 async fn dial_when_free(
     node: &Arc<Node>,
     adapter: &Adapter,
     locator: &ConnectLocator,
+    step: &mut DialStep,
 ) -> Result<Arc<LinkBle>, BleError> {
     let cancel = CancellationToken::new();
     let mut dialling = loop {
@@ -69,7 +84,7 @@ async fn dial_when_free(
         link_ended.await;
     };
     tokio::select! {
-        linked = dial_once(node, adapter, locator, &mut dialling) => linked,
+        linked = dial_once(node, adapter, locator, &mut dialling, step) => linked,
         () = cancel.cancelled() => Err(already_linked(locator)),
     }
 }
@@ -80,17 +95,20 @@ async fn dial_once(
     adapter: &Adapter,
     locator: &ConnectLocator,
     dialling: &mut DialEntry,
+    step: &mut DialStep,
 ) -> Result<Arc<LinkBle>, BleError> {
+    *step = DialStep::Discovery;
     let candidate = adapter
         .scanner
         .find(|report| Candidate::of(report, locator).filter(|c| may_be_dialled(node, locator, c)))
         .await?;
+    *step = DialStep::Connect;
     node.link_table()
         .on_discovered(dialling.number, candidate.device);
     if yields_to(node, &candidate) {
         tokio::time::sleep(YIELD_TIME).await;
     }
-    let opened = open(node, dialling.number, adapter, locator, &candidate).await;
+    let opened = open(node, dialling.number, adapter, locator, &candidate, step).await;
     // After a refusal, the BLE connection may carry the link that the peer has dialled.
     let is_in_use = matches!(
         opened,
@@ -129,6 +147,7 @@ async fn dial_once(
             what: error.to_string(),
         }
     })?;
+    *step = DialStep::RerouteHoldoff;
     tokio::select! {
         () = node.wait_for_holdoff(dialling.number) => {}
         () = link.ended() => {}
@@ -144,6 +163,7 @@ async fn open(
     adapter: &Adapter,
     locator: &ConnectLocator,
     candidate: &Candidate,
+    step: &mut DialStep,
 ) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
     let mut limit = connect_timeout(node.id, dial);
     if locator.security != Security::Low {
@@ -166,6 +186,7 @@ async fn open(
     if is_plain {
         return Ok((channel, None));
     }
+    *step = DialStep::Handshake;
     let own = Hello {
         version: VERSION,
         node: node.id,
@@ -227,8 +248,8 @@ fn yields_to(node: &Node, candidate: &Candidate) -> bool {
     !name.is_empty() && candidate.name_hash.is_some_and(|peer| peer < own)
 }
 
-/// Returns whether a candidate may be dialled. Of a fleet, it must be another node, without a link yet, and not a rejected
-/// peer.
+/// Returns whether a candidate may be dialled. If the target is a fleet, the candidate must be another node, must have
+/// no link or dial yet, and must not be a rejected peer.
 fn may_be_dialled(node: &Node, locator: &ConnectLocator, candidate: &Candidate) -> bool {
     let own = Advertisement::hash_of_name(&node.name());
     match locator.target {
@@ -311,5 +332,86 @@ impl Drop for DialEntry {
             self.node.link_table().on_dial_ended(self.number);
             self.node.link_ended.notify_waiters();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::radio::{
+        sim::{AirOptions, SimAir, SimRadio},
+        Radio,
+    };
+
+    const LISTENER: ChannelOptions = ChannelOptions {
+        recv_mtu: 1024,
+        security: Security::Low,
+        passkey: None,
+    };
+
+    /// Returns a node with the radio `sim-a`, and the radio of its peer.
+    async fn node_and_peer() -> (Arc<Node>, Arc<SimRadio>) {
+        let air = SimAir::new(AirOptions::default());
+        let radio: Arc<dyn Radio> = air.radio("sim-a").await.expect("attaches");
+        let peer = air.radio("sim-b").await.expect("attaches");
+        let open_radio = Box::new(move |_: Option<&str>| Ok(Arc::clone(&radio)));
+        (Node::new(NodeId(1), flume::unbounded().0, open_radio), peer)
+    }
+
+    /// Returns the error of a dial to the peer `raw`.
+    async fn failed_dial(node: &Arc<Node>) -> BleError {
+        let endpoint = "ble/raw#timeout=2500".parse().expect("an endpoint");
+        let locator = ConnectLocator::parse(&endpoint).expect("a locator");
+        match dial(node, &locator).await {
+            Ok(_) => panic!("dialled"),
+            Err(error) => error,
+        }
+    }
+
+    fn assert_timed_out(error: &BleError, expected: DialStep) {
+        match error {
+            BleError::DialTimedOut { target, step, .. } => {
+                assert_eq!((target.as_str(), *step), ("raw", expected));
+            }
+            other => panic!("{other}"),
+        }
+        let text = error.to_string();
+        assert!(
+            text.starts_with("cannot connect to raw within 2.5s: "),
+            "{text}"
+        );
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn timeout_names_the_incomplete_step() {
+        let (node, peer) = node_and_peer().await;
+        assert!(matches!(
+            failed_dial(&node).await,
+            BleError::NotFound { .. }
+        ));
+
+        let target = Target::Name("raw".to_owned());
+        let other_dial = DialEntry::begin(&node, &target, &CancellationToken::new());
+        assert_timed_out(&failed_dial(&node).await, DialStep::OtherDial);
+        drop(other_dial);
+
+        // A listener that accepts channels and never answers.
+        let listener = peer.listen(None, LISTENER).await.expect("listens");
+        let advertisement = Advertisement {
+            psm: listener.psm(),
+            plain: false,
+            name_hash: Advertisement::hash_of_name("raw"),
+            fleet_hash: 0,
+            incarnation: 1,
+        };
+        let _advertising = peer.advertise(&advertisement, "raw").await;
+        let adapter = node.adapter(None).expect("the radio");
+        let connecting = adapter.connecting.acquire().await.expect("open");
+        assert_timed_out(&failed_dial(&node).await, DialStep::Connect);
+        drop(connecting);
+
+        let accepting = async { listener.accept().await.expect("accepts") };
+        let (error, _channel) = tokio::join!(failed_dial(&node), accepting);
+        assert_timed_out(&error, DialStep::Handshake);
     }
 }

@@ -1,6 +1,6 @@
 //! Defines why a link cannot be opened or has ended, with advice for the user, and converts these errors into Zenoh's error
 //! type.
-use std::{sync::Arc, time::Duration};
+use std::{fmt, sync::Arc, time::Duration};
 
 use crate::{
     address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError,
@@ -16,7 +16,8 @@ pub enum BleError {
     /// The radio reported an error.
     #[error(transparent)]
     Radio(#[from] RadioError),
-    /// The `secret=` file contains no secret. Correct it.
+    /// The `secret=` file contains no valid secret or cannot be read, or the system provides no random numbers for a
+    /// nonce.
     #[error(transparent)]
     Secret(#[from] SecretError),
     /// The peer did not prove that it has this side's secret. It belongs to another team, or one of the two has the wrong
@@ -29,15 +30,26 @@ pub enum BleError {
     /// `sec=high` needs a secret, from which the passkey for pairing is derived. Give both sides the same `secret=` file.
     #[error("sec=high needs a secret: give both sides the same file as secret=")]
     HighWithoutSecret,
-    /// No advertisement of the target was received. Switch the robot on, move closer, or check the name.
+    /// The dial timed out because no advertisement of the target was received. Switch the robot on, move closer, or check
+    /// the name.
     #[error("cannot connect to {target}: no advertisement received within {waited:.1?} on {adapter}. Is its router running, in range and listening with that name?")]
     NotFound {
         /// The name or address that was dialled.
         target: String,
         /// Name of the adapter that scanned.
         adapter: String,
-        /// How long the adapter scanned.
+        /// How long the dial took.
         waited: Duration,
+    },
+    /// The dial timed out before or after the discovery of the target. Move closer, or set a longer `timeout=`.
+    #[error("cannot connect to {target} within {limit:?}: {step}. Move closer, or set a longer timeout=")]
+    DialTimedOut {
+        /// The name or address that was dialled.
+        target: String,
+        /// The step that was not complete.
+        step: DialStep,
+        /// The timeout of all steps together.
+        limit: Duration,
     },
     /// There is a link with that robot already. A pair of robots has only one.
     #[error("{target} is linked already: a pair of robots has one ble link")]
@@ -119,6 +131,33 @@ pub enum BleError {
     /// The link manager is shutting down, or was asked to stop dialling.
     #[error("the link manager is shutting down")]
     ShuttingDown,
+}
+
+/// A step of a dial, in the order of the steps. As text, it states what is not complete during that step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DialStep {
+    /// Waiting until another dial to the same target, or the link with it, has ended.
+    OtherDial,
+    /// Waiting for an advertisement of the target.
+    Discovery,
+    /// Connecting a channel to the discovered peer.
+    Connect,
+    /// Performing the handshake on the channel.
+    Handshake,
+    /// Waiting for the reroute holdoff of the opened link.
+    RerouteHoldoff,
+}
+
+impl fmt::Display for DialStep {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::OtherDial => "another dial to it has not ended",
+            Self::Discovery => "no advertisement received",
+            Self::Connect => "it was discovered, but connecting the channel is not complete",
+            Self::Handshake => "the channel is connected, but the handshake is not complete",
+            Self::RerouteHoldoff => "the link was opened, but the reroute holdoff has not ended",
+        })
+    }
 }
 
 /// Describes an error with all its causes in one line.

@@ -29,6 +29,6 @@ pub mod secret;
 pub mod status;
 mod traffic;
 
-pub use error::BleError;
+pub use error::{BleError, DialStep};
 pub use locator::BLE_LOCATOR_PREFIX;
 pub use manager::{BleLocatorInspector, LinkManagerUnicastBle};

@@ -12,7 +12,7 @@ use zenoh_result::ZResult;
 
 use crate::{
     dialer::dial,
-    error::{describe, into_zenoh, BleError},
+    error::{describe, into_zenoh, BleError, DialStep},
     hello::NodeId,
     link::{node::Node, table::LinkCounts},
     listener::Listener,
@@ -72,7 +72,7 @@ impl LinkManagerUnicastBle {
     }
 
     /// Creates a manager for the radios that `open_radio` returns, with its tasks on `runtime`: for tests. `node` must be
-    /// unique. All random decisions of the node are derived from it.
+    /// unique. The node's incarnation and its connect timeouts are derived from it, so that tests are reproducible.
     pub fn with_radios(
         links: NewLinkChannelSender,
         runtime: Handle,
@@ -123,7 +123,11 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
                     let is_failure = match error {
                         BleError::AlreadyLinked { .. } | BleError::ShuttingDown => false,
                         // A fleet need not have any more robots.
-                        BleError::NotFound { .. } => !matches!(locator.target, Target::Fleet(_)),
+                        BleError::NotFound { .. }
+                        | BleError::DialTimedOut {
+                            step: DialStep::OtherDial,
+                            ..
+                        } => !matches!(locator.target, Target::Fleet(_)),
                         _ => true,
                     };
                     if is_failure {

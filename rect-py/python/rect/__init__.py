@@ -8,7 +8,7 @@
             print(message.sender, message.value)
 
 `connect` joins a fleet and returns a `Robot`, which publishes, subscribes, requests, serves, streams and transfers.
-`rect.aio` is the same API for asyncio. All errors are subclasses of `RectError`.
+`rect.aio` is the API for asyncio. All errors are subclasses of `RectError`.
 """
 
 from rect._rect import Codec, Dictionary, __version__

@@ -7,6 +7,7 @@
 
 A robot belongs to the event loop in which it was connected. Callbacks and handlers may be plain functions or
 `async def`; they run in that loop. The classes of the same names in `rect` document parameters, defaults and errors.
+`Robot.outgoing_transfer` and `Stream.send_with` exist only there.
 """
 
 from __future__ import annotations
@@ -309,7 +310,7 @@ class Robot:
         return self._robot.counters()
 
     async def close(self) -> None:
-        """Closes the session and everything that belongs to it."""
+        """Closes the session and everything that belongs to it, and waits until running callbacks and handlers end."""
         await asyncio.to_thread(self._robot.close)
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
@@ -375,7 +376,7 @@ class _Source(_Handle, Generic[T]):
         try:
             return await self._pop(timeout)
         except Ended:
-            raise self._handle._session.closed_error() from None
+            raise self._handle._session.closed_error(self._handle._HANDLE) from None
         except TimeoutError:
             raise TimedOut(self._expected, timeout or 0) from None
 
@@ -407,7 +408,7 @@ class Subscriber(_Source[Message]):
 
     @property
     def counts_by_sender(self) -> dict[str, SenderCounts]:
-        """Number of received and missed messages by sender."""
+        """Numbers of received and missed messages, by sender."""
         return self._subscriber.counts_by_sender
 
     def __enter__(self) -> Subscriber:
@@ -433,15 +434,20 @@ class Subscriber(_Source[Message]):
 class Events(_Source[Event]):
     """Iterates over events with `async for`; see `rect.Events`."""
 
-    dropped = 0
     counts_by_sender: Mapping[str, SenderCounts] = {}
 
     def __init__(self, events: BlockingEvents) -> None:
         super().__init__(events, events._EXPECTED, events._queue.pop_async)
+        self._events = events
 
     async def next(self, timeout: float | None = None) -> Event:
         """Waits for the next event and returns it; see `rect.Events.next`."""
         return await self._next(timeout)
+
+    @property
+    def dropped(self) -> int:
+        """Number of events dropped because the receive queue was full."""
+        return self._events.dropped
 
 
 class Subscription(Generic[T]):
@@ -459,12 +465,12 @@ class Subscription(Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """Number of items dropped because the receive queue was full while the callback ran."""
+        """Number of messages, frames or events dropped because the receive queue was full."""
         return int(self._source.dropped)
 
     @property
     def counts_by_sender(self) -> dict[str, SenderCounts]:
-        """Number of received and missed messages by sender."""
+        """Number of received and missed messages by sender. Empty for frames and events."""
         return dict(self._source.counts_by_sender)
 
     def close(self) -> None:
@@ -504,7 +510,6 @@ class Stream(_Handle):
 class Watch(_Source[Frame]):
     """Receives the frames of a stream, for `async for`; see `rect.Watch`."""
 
-    dropped = 0
     counts_by_sender: Mapping[str, SenderCounts] = {}
 
     def __init__(self, watch: BlockingWatch) -> None:
@@ -514,6 +519,11 @@ class Watch(_Source[Frame]):
     async def next(self, timeout: float | None = None) -> Frame:
         """Waits for a frame that was not returned yet and returns it; see `rect.Watch.next`."""
         return await self._next(timeout)
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames dropped because the receive queue was full; see `rect.Watch.dropped`."""
+        return self._watch.dropped
 
     @property
     def round_trip(self) -> float | None:

@@ -9,12 +9,12 @@ Urgency = Literal["urgent", "normal", "bulk"]
 """The urgency of a message: `urgent` messages overtake all others, and `bulk` messages are overtaken by all others."""
 
 WhenFull = Literal["drop_oldest", "drop_newest", "block"]
-"""The rule of a full receive queue: `drop_oldest` drops the item that has waited longest, `drop_newest` drops the item
+"""The rule for a full receive queue: `drop_oldest` drops the item that has waited longest, `drop_newest` drops the item
 that arrived last, and `block` makes the sender wait (backpressure)."""
 
 StreamMode = Literal["adaptive", "fixed", "sensor"]
 """The mode of a stream: `adaptive` adjusts the size, quality and rate of pictures to the link, `fixed` sends frames
-unchanged up to a frame rate, and `sensor` sends every value."""
+unchanged up to a maximum rate, and `sensor` sends every value."""
 
 LossyFormat = Literal["jpeg", "webp"]
 """The lossy format of an adaptive stream's pictures. WebP pictures are smaller and take longer to encode."""

@@ -1,4 +1,4 @@
-"""Defines the exceptions of the package. Their texts match those of the Rust library and say what to do."""
+"""Defines the exceptions of the package. Their texts match those of the Rust library."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class OptionError(RectError, ValueError):
 
 
 class PayloadError(RectError, ValueError):
-    """A value cannot be encoded, or a payload cannot be decoded as requested."""
+    """A value cannot be encoded, or a payload cannot be decoded."""
 
     def __init__(self, text: str, kind: str = "other") -> None:
         super().__init__(text)
@@ -43,7 +43,7 @@ class CodecError(PayloadError):
 
     def __init__(self, text: str, kind: str, dictionary: int | None = None) -> None:
         super().__init__(text, kind)
-        #: Id of the missing dictionary, if `kind` is `dictionary`.
+        #: Id of the missing dictionary, if `kind` is `dictionary`; otherwise `None`.
         self.dictionary = dictionary
 
 
@@ -65,7 +65,10 @@ class NoRouter(RectError, ConnectionError):
 
 
 class LoginRefused(RectError, ConnectionError):
-    """The router requires a login, and the login of this program is missing or wrong. Select the team's login file."""
+    """The router requires a login, and the login of this program is missing or wrong.
+
+    Select the team's login file with the option `login_file` or the environment variable `RECT_LOGIN`.
+    """
 
     def __init__(self, text: str, endpoint: str) -> None:
         super().__init__(text)
@@ -83,7 +86,7 @@ class WrongRobot(RectError):
 
 
 class NoService(RectError, LookupError):
-    """No program serves the topic. Is the robot reachable, and is its program running?"""
+    """No program of the robot serves the topic. Is the robot reachable, and is its program running?"""
 
     def __init__(self, robot: str, topic: str, available: list[str]) -> None:
         names = ", ".join(available) or "none"
@@ -93,7 +96,7 @@ class NoService(RectError, LookupError):
 
 
 class TimedOut(RectError, TimeoutError):
-    """The timeout expired. Try again, allow more time, or check the link (`python -m rect connections`)."""
+    """The timeout has expired. Try again, allow more time, or check the link (`python -m rect connections`)."""
 
     def __init__(self, expected: str, timeout: float) -> None:
         super().__init__(f"no {expected} within {_seconds(timeout)}")
@@ -108,7 +111,7 @@ class ServiceError(RectError):
         super().__init__(f"{robot or 'the service'} replied with an error: {text[:500]}")
         #: Name of the robot that replied. `None` if its program does not use RECT.
         self.robot = robot
-        #: The error as the service sent it.
+        #: The decoded error that the service sent, or its bytes if they cannot be decoded.
         self.value = value
 
 
@@ -124,11 +127,11 @@ class TransferError(RectError):
 
 
 class TransferRefused(TransferError):
-    """The receiver refused the transfer. Its program states what it accepts with `receive_transfers`."""
+    """The receiver refused the transfer. The call of `receive_transfers` on that robot defines what is accepted."""
 
 
 class TransferFailed(TransferError):
-    """A transfer began and ended before it was complete. The text says why, and so whether to send it again."""
+    """A transfer ended before it was complete. The reason in the text shows whether to send it again."""
 
 
 class FileError(RectError, OSError):
@@ -140,7 +143,10 @@ class FileError(RectError, OSError):
 
 
 class Closed(RectError):
-    """The robot was closed, or belongs to another process (after a fork)."""
+    """The robot or the handle is closed, or the transfer was stopped.
+
+    Also raised for a robot of the parent process after a fork.
+    """
 
     def __init__(self, text: str = "the session is closed") -> None:
         super().__init__(text)

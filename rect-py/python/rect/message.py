@@ -26,8 +26,8 @@ class Message:
         #: The method by which the message arrived, such as `ble`. `None` if it is unknown, or if the sender has links
         #: of several methods to this robot.
         self.method = method
-        #: Why `payload` could not be decoded and is still compressed: it is damaged, or its codec is not supported
-        #: here. `None` if the payload was decoded.
+        #: Why `payload` could not be decoded and is still compressed: it is damaged, its codec is not supported, or the
+        #: sender did not send the dictionary. `None` if the payload was decoded.
         self.problem: CodecError | None = None
 
     @property
@@ -49,7 +49,7 @@ class Message:
 
     @property
     def recipient(self) -> str | None:
-        """Name of the robot that the message was sent to directly. `None` if it was published to all robots."""
+        """Name of the robot that the message was sent to. `None` if the message was published to all robots."""
         return self._metadata.recipient
 
     @property
@@ -78,17 +78,17 @@ class Message:
 
     @property
     def sequence(self) -> int | None:
-        """Sequence number of the message at its publisher. `None` if the sender does not use RECT."""
+        """Sequence number of the message at its source, modulo 2**32. `None` if the sender does not use RECT."""
         return self._metadata.sequence
 
     @property
     def missed(self) -> int:
-        """Number of messages that the publisher sent just before this one and that did not arrive."""
+        """Number of messages of the same source, directly before this one, that did not arrive."""
         return self._metadata.missed
 
     @property
     def late(self) -> bool:
-        """Whether a message that was published later arrived before this one."""
+        """Whether a message of the same source with a higher sequence number arrived before this one."""
         return self._metadata.late
 
     def __repr__(self) -> str:

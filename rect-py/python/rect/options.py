@@ -32,7 +32,7 @@ _DIAGNOSIS: dict[str, Any] = {
 
 
 def default_router() -> str:
-    """Returns the router of programs that name none: the value of `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`."""
+    """Returns the router's locator for programs that name none: `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`."""
     return os.environ.get(ROUTER_VARIABLE) or DEFAULT_ROUTER
 
 
@@ -98,7 +98,7 @@ class Options:
         began = time.monotonic()
         while True:
             settings = self._settings(attempts.credentials())
-            _config(settings)
+            _config(settings, self._locators())
             reason: str | None
             try:
                 return call_interruptibly(
@@ -113,12 +113,12 @@ class Options:
             time.sleep(attempts.on_failure(time.monotonic() - began, reason))
 
     def _open_directly(self, attempts: _rect.JoinAttempts) -> zenoh.Session:
-        config = _config(self._settings(attempts.credentials()))
+        config = _config(self._settings(attempts.credentials()), self._locators())
         try:
             return call_interruptibly(lambda: zenoh.open(config), lambda session: session.close())
         except zenoh.ZError as error:
             locators = " ".join([*self.listen, *self.endpoints])
-            raise OptionError("listen or endpoint", locators, _rect.on_one_line(str(error))) from None
+            raise OptionError("listen or endpoints", locators, _rect.on_one_line(str(error))) from None
 
     def _join_attempts(self) -> _rect.JoinAttempts:
         file = Path(self.login_file or default_login_file())
@@ -168,15 +168,23 @@ class Options:
             settings["transport/auth/usrpwd"] = {"user": user, "password": password}
         return {**settings, **self.settings}
 
+    def _locators(self) -> dict[str, tuple[str, str]]:
+        """Returns the option and the value that determine each setting with locators."""
+        dialled = ("endpoints", " ".join(self.endpoints)) if self.is_direct else ("router", self.endpoint)
+        options = {"connect/endpoints": dialled, "listen/endpoints": ("listen", " ".join(self.listen))}
+        return {key: option for key, option in options.items() if key not in self.settings}
 
-def _config(settings: Mapping[str, Any]) -> zenoh.Config:
+
+def _config(settings: Mapping[str, Any], options: Mapping[str, tuple[str, str]] | None = None) -> zenoh.Config:
+    """Returns Zenoh's configuration. `options` are the options and values that errors about a setting name."""
     config = zenoh.Config()
     for key, value in settings.items():
         value = json.dumps(value)
         try:
             config.insert_json5(key, value)
         except zenoh.ZError as error:
-            raise OptionError("zenoh", f"{key}: {value}", _rect.on_one_line(str(error))) from None
+            option, given = (options or {}).get(key, ("zenoh", f"{key}: {value}"))
+            raise OptionError(option, given, _rect.on_one_line(str(error))) from None
     return config
 
 

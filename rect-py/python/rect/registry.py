@@ -11,9 +11,9 @@ import zenoh
 from rect import _rect
 from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.choices import ConnectionState
-from rect.errors import NoService, PayloadError
+from rect.errors import NoService, PayloadError, TimedOut
 from rect.receive_queue import Ended, ReceiveQueue
-from rect.request import service_error
+from rect.request import ZENOH_TIMEOUT, service_error
 from rect.values import JSON, Payload
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class Peer:
 
     #: Zenoh id of the router or program.
     id: str
-    #: Name of the robot, if it uses RECT.
+    #: Name of the robot. `None` if it is unknown, or if the peer does not use RECT.
     robot: str | None = None
 
 
@@ -44,11 +44,11 @@ class Connection:
     address: str
     #: State: `connected`, `connecting` or `discovered`.
     state: ConnectionState
-    #: Name in the connections file. `None` if the connection is not configured there.
+    #: Name in the connections file. `None` if the connection has none.
     name: str | None = None
     #: The other end, once it is known.
     peer: Peer | None = None
-    #: Time since the link was opened, in seconds.
+    #: Time since the link was opened, in seconds. `None` if there is no link.
     up_s: float | None = None
     #: Batches and bytes sent: `{"batches": ..., "bytes": ...}`. `None` if they are not counted; `batches` is `None` if
     #: only bytes are counted.
@@ -59,11 +59,11 @@ class Connection:
     round_trip_ms: float | None = None
     #: Received signal strength, in dBm. `None` if no signal was received within the last minute.
     rssi_dbm: int | None = None
-    #: Number of times that the link was opened.
+    #: Number of times that the link was opened. `None` if it is not counted.
     linked: int | None = None
-    #: Number of failed attempts since the link was last opened.
+    #: Number of failed attempts since the link was last opened. `None` if they are not counted.
     failed: int | None = None
-    #: The last error: `{"what": ..., "ago_s": ...}`.
+    #: The last error, and its age in seconds: `{"what": ..., "ago_s": ...}`. `None` if there was none.
     last_error: dict[str, Any] | None = None
 
     @property
@@ -112,14 +112,22 @@ def _query_router(session: Session, robot: str, question: str, parameters: str, 
         reply = replies.pop(_TIMEOUT_S)
     except zenoh.ZError as error:
         raise zenoh_error("cannot query the router", error) from None
-    except (Ended, TimeoutError):
+    except Ended:
         raise NoService(robot, _service_name(question), peers(session)) from None
+    except TimeoutError:
+        raise _timed_out(robot, question) from None
     finally:
         session.receive_queues.discard(replies)
     if reply.ok is not None:
         return Payload(payload_bytes(reply.ok.payload), JSON)
     error_bytes = payload_bytes(None if reply.err is None else reply.err.payload)
+    if error_bytes == ZENOH_TIMEOUT:
+        raise _timed_out(robot, question)
     raise service_error(robot, Payload(error_bytes, "text/plain"))
+
+
+def _timed_out(robot: str, question: str) -> TimedOut:
+    return TimedOut(f"reply from the router of {robot} about {question}", _TIMEOUT_S)
 
 
 def peers(session: Session) -> list[str]:

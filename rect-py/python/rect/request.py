@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: Number of replies that may wait for the program. A service that sends more is blocked.
 _REPLIES = 64
 #: Payload of the error that Zenoh itself sends when a request times out.
-_TIMEOUT = b"Timeout"
+ZENOH_TIMEOUT = b"Timeout"
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class Reply:
 class Replies:
     """Iterates over the replies to one request as they arrive. Returned by `Robot.request_all`.
 
-    The iteration ends when all services have replied. Each step raises `ServiceError` if a service answered with an
-    error (the iteration can be continued after it), `TimedOut` after the timeout, and `Closed` if the robot is closed.
-    Closing this object cancels the request.
+    The iteration ends when all services have replied. Each step raises `ServiceError` if a service replied with an
+    error (the iteration can be continued after that), `PayloadError` if a reply cannot be decoded, `TimedOut` after the
+    timeout, and `Closed` if the robot is closed. Closing this object cancels the request.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class Replies:
             return ZenohError("the reply is neither a value nor an error", repr(reply))
         robot, encoding = _rect.error_from(str(error.encoding))
         payload = Payload(payload_bytes(error.payload), encoding)
-        if robot is None and payload.bytes == _TIMEOUT:
+        if robot is None and payload.bytes == ZENOH_TIMEOUT:
             return self.timed_out()
         # Only the requested robot can reply, so the name in the reply is not trusted.
         return service_error(None if robot is None else self._robot or robot, payload)

@@ -29,7 +29,7 @@ from rect.values import codec_of, payload_of
 #: Default timeout of a request, in seconds.
 DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_MS / 1000
 
-#: Default for the size of the largest transfer that is accepted, in bytes.
+#: Default maximum size of a transfer that is accepted, in bytes.
 DEFAULT_MAX_BYTES = 64 << 20
 
 Handler = Callable[[Request], Any]
@@ -54,16 +54,18 @@ def connect(
     - `fleet`: name of the team's fleet. Default: `rect`.
     - `router`: locator of another router, such as `tcp/192.168.0.7:7447`. Default: the value of the environment
       variable `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`.
-    - `endpoints`, `listen`: locators for a program that uses no router: `endpoints` are dialled until they are
-      reachable, such as `["ble/wombat-2"]`, and at `listen` others may connect, such as `["tcp/0.0.0.0:7447"]`. This
-      function does not wait for these links.
+    - `endpoints`: locators that the program dials directly, without a router, until they are reachable, such as
+      `["tcp/192.168.0.7:7447"]`. This function does not wait for the links. Only routers support `ble/` locators.
+    - `listen`: locators at which the program accepts direct links, without a router, such as `["tcp/0.0.0.0:7447"]`.
     - `login`: user and password. Default: the first line of `login_file`, `user:password`, if it can be read.
     - `login_file`: path of the login file. Default: the value of the environment variable `RECT_LOGIN`, or else
       `/etc/rect/users`.
     - `timeout`: time to wait for the router, in seconds, so that a program can be started together with it. Default: 5.
-    - `zenoh`: settings of Zenoh's configuration by their paths. They override the settings of this package.
+    - `zenoh`: settings of Zenoh's configuration by their paths, such as `{"scouting/multicast/enabled": True}`. They
+      override the settings of this package.
     - `allow_name_mismatch`: connects even if the router serves another robot, for a program that uses another name on
-      purpose. A router with access control as written by `rect-router init` drops what such a program publishes.
+      purpose. A router with the access control that `rect-router init` writes drops what such a program publishes.
+      Default: `False`.
 
     Raises `NoRouter`, `LoginRefused`, `WrongRobot`, `InvalidNameError` and `OptionError`.
 
@@ -78,7 +80,8 @@ def connect(
 class Robot:
     """A program of a robot, connected to the other robots of the fleet.
 
-    Returned by `connect`. It may be used from several threads. Every method raises `Closed` after `close`.
+    Returned by `connect`. It may be used from several threads. After `close`, every method except `counters` and
+    `close` raises `Closed`. A call that Zenoh rejects for another reason raises `ZenohError`.
     """
 
     def __init__(self, options: Options) -> None:
@@ -111,10 +114,10 @@ class Robot:
     def publish(self, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
         """Publishes `value` on `topic` to every subscriber.
 
-        - `value`: text, bytes, a picture, a numpy array, or whatever JSON can represent: dicts, lists, numbers,
-          dataclasses and so on.
+        - `value`: text, bytes, a picture, a numpy array, or a value that JSON can represent: dicts, lists, numbers,
+          dataclasses and so on. A `Cbor` or a `Payload` selects another encoding.
         - `urgency`: `urgent` overtakes all other messages, and `bulk` is overtaken by them. Default: `normal`.
-        - `codec`: compresses the value: the name of a codec such as `zstd:9` or `jpeg:60`, or the result of
+        - `codec`: codec that compresses the value: a name such as `zstd:9` or `jpeg:60`, a `Codec`, or the result of
           `share_dictionary`. Default: no compression.
 
         Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `OptionError` and `Closed`.
@@ -159,16 +162,17 @@ class Robot:
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
     ) -> Subscriber | Subscription[Message]:
-        """Subscribes to a pattern: messages that are published to all robots, or sent to this one.
+        """Subscribes to the messages that match a pattern and are published to all robots, or sent to this one.
 
-        A pattern is `<robot>/<topic>`, both with wildcards: `*/arm/*`. Without a callback, returns a `Subscriber` to
-        iterate over. With a callback, calls it for each message, one call at a time, on a separate thread.
+        A pattern is `<robot>/<topic>`. Both parts may contain wildcards: `*/arm/*`. Without a callback, this method
+        returns a `Subscriber` to iterate over. With a callback, it calls the callback for each message, one call at a
+        time, on a separate thread.
 
-        - `capacity`: number of messages that may wait for the program.
+        - `capacity`: number of messages that may wait for the program, at least 1. Default: 256.
         - `when_full`: `drop_oldest` (default) drops the message that has waited longest, `drop_newest` drops the
           message that arrived last, and `block` makes the sender wait.
 
-        Raises `InvalidTopicError`, `OptionError` and `Closed`. Example:
+        Raises `InvalidTopicError`, `InvalidNameError`, `OptionError` and `Closed`. Example:
 
             for message in robot.subscribe("*/arm/angle"):
                 print(message.sender, message.value)
@@ -181,10 +185,10 @@ class Robot:
     def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
         """Waits for the next message of `robot` on `topic` and returns it.
 
-        Only messages that are sent after this call count. `timeout` is in seconds; `None`, the default, waits without
-        limit.
+        Messages that were sent before this call are not received. `timeout` is in seconds; `None`, the default, waits
+        without limit.
 
-        Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError` and `Closed`.
+        Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`.
         """
         if timeout is not None:
             seconds("timeout", timeout)
@@ -203,11 +207,13 @@ class Robot:
     ) -> Reply:
         """Sends a request to a service of `robot`, and returns its first reply.
 
-        `timeout` is in seconds; default: 10. For `urgency` and `codec` see `publish`.
+        - `value`: payload of the request. Default: an empty text.
+        - `timeout`: time to wait for the reply, in seconds. Default: 10.
+        - `urgency`, `codec`: see `publish`.
 
         Raises `ServiceError` if the service replies with an error, `NoService` if no program of that robot serves the
         topic (its text lists the reachable robots), `TimedOut`, `InvalidNameError`, `InvalidTopicError`,
-        `PayloadError` and `Closed`.
+        `PayloadError`, `OptionError` and `Closed`.
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     service = robot.serve("double", lambda request: request.value * 2)
@@ -233,7 +239,7 @@ class Robot:
     ) -> Replies:
         """Sends a request to the services of all robots that serve `topic`, and returns an iterator of their replies.
 
-        The iteration ends when all have replied. For the parameters see `request`.
+        The iteration ends when all services have replied; `Replies` lists its errors. For the parameters see `request`.
         """
         return self._request(None, topic, value, timeout, urgency, codec)
 
@@ -244,9 +250,9 @@ class Robot:
     def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
         """Serves requests on `topic` by calling `handler` with each `Request`.
 
-        The return value of the handler is sent as the reply; a generator sends several. An exception of the handler
-        arrives at the requester as `ServiceError`, and is logged here unless it is a `Refusal`. Without `handler`, this
-        method is a decorator:
+        The return value of the handler is sent as the reply; a generator sends several replies. If the handler raises
+        an exception, the requester receives a `ServiceError`, and the exception is logged here unless it is a `Refusal`
+        or a `RectError`. Without `handler`, this method is a decorator:
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     @robot.serve("double")
@@ -278,18 +284,18 @@ class Robot:
         lossy_format: LossyFormat = "jpeg",
         urgency: Urgency = "normal",
     ) -> Stream:
-        """Opens a stream for sending frames. Only the newest frame counts: a slow link drops older ones.
+        """Opens a stream for sending frames. A slow link drops the frames for which it has no room.
 
         - `mode`: `adaptive` sends pictures at the size, quality and rate that the link allows (the default without a
           codec); `fixed` sends frames unchanged, at most `max_frames_per_s` (the default with a codec); `sensor` sends
           every value and receives no feedback.
         - `codec`: compresses each frame; see `publish`.
-        - `max_frames_per_s`: maximum rate of frames. Default: 15.
+        - `max_frames_per_s`: maximum rate of frames. Default: 15, or no maximum for `sensor`.
         - `min_frames_per_s`: rate that an adaptive stream maintains by reducing the size and quality of pictures.
           Default: 5.
         - `max_bytes_per_s`: maximum rate of bytes of an adaptive stream. Default: 20 million.
-        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never) to 3600. Default:
-          0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
+        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never) to 3600. Receivers
+          use at least 0.2 and at most 10. Default: 0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
         - `lossy_format`: format of an adaptive stream's lossy pictures: `jpeg` (default), or `webp`, which is smaller
           and takes longer to encode.
         - `urgency`: see `publish`.
@@ -347,9 +353,12 @@ class Robot:
     ) -> Watch | Subscription[Frame]:
         """Receives the stream of `robot` on `topic`.
 
-        Without a callback, returns a `Watch` to iterate over. With a callback, calls it for each frame, one call at a
-        time, on a separate thread. By default only the newest frame waits for the program; to receive all values of a
-        sensor, choose a larger `capacity`. For `when_full` see `subscribe`.
+        Without a callback, this method returns a `Watch` to iterate over. With a callback, it calls the callback for
+        each frame, one call at a time, on a separate thread.
+
+        - `capacity`: number of frames that may wait for the program. Default: 1, so only the newest frame waits. To
+          receive all values of a sensor, choose a larger number.
+        - `when_full`: see `subscribe`.
 
         Raises `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`. Example:
 
@@ -373,16 +382,17 @@ class Robot:
     ) -> None:
         """Transfers a file or bytes of any size to one robot, and waits until the data has arrived and is verified.
 
-        All other messages overtake a transfer. It continues after a link was interrupted or either program restarted.
+        All other messages overtake a transfer. A transfer resumes after the link was interrupted or either program was
+        restarted.
 
-        - `data`: the path of a file (as text or `Path`), bytes, or any other value that `publish` accepts.
+        - `data`: the path of a file (text or `Path`), bytes, or any other value that `publish` accepts, except text.
         - `name`: file name for the receiver. Default: the name of the file.
-        - `timeout`: longest time without any sign of the receiver, in seconds. Default: no limit, so the receiver may
-          return at any time.
+        - `timeout`: longest time without an answer from the receiver, in seconds. Default: no limit, so the receiver
+          may be unreachable for any length of time.
         - `on_progress`: called with a `Progress`, at most ten times a second.
 
-        Raises `TransferRefused`, `TransferFailed`, `TimedOut`, `FileError`, `InvalidNameError`, `InvalidTopicError` and
-        `Closed`. Example:
+        Raises `TransferRefused`, `TransferFailed`, `TransferError` if `name` is not a valid file name, `TimedOut`,
+        `FileError`, `PayloadError`, `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`. Example:
 
             robot.transfer("wombat-2", "maps", "kitchen.pcd", on_progress=print)
         """
@@ -420,17 +430,18 @@ class Robot:
     ) -> Transfers:
         """Accepts the transfers that match a pattern such as `*/maps/*`, and returns an iterator of those that ended.
 
-        A robot refuses all transfers that none of its programs accepts. Closing the iterator ends the acceptance.
+        A robot refuses all transfers that none of its programs accepts. When the iterator is closed, this program
+        accepts no further transfers.
 
-        - `folder`: stores transfers as files, in one subfolder per sender, so that they continue after a restart of the
-          program. Default: in memory.
-        - `max_bytes`: larger transfers are refused. Default: 64 MiB.
+        - `folder`: folder in which transfers are stored as files, in one subfolder per sender, so that they resume
+          after a restart of the program. Default: they are kept in memory.
+        - `max_bytes`: maximum size of a transfer, in bytes. Larger ones are refused. Default: 64 MiB.
         - `max_concurrent`: number of transfers received concurrently; further ones wait. One sender may use at most
           half of them, rounded up. Default: 4.
-        - `timeout`: a transfer fails if nothing of it arrives for this time, in seconds. Default: 600.
+        - `timeout`: time after which a transfer fails if nothing of it arrives, in seconds. Default: 600.
         - `on_progress`: called with the transfer and its `Progress`, at most ten times a second.
 
-        Raises `InvalidTopicError`, `FileError`, `OptionError` and `Closed`. Example:
+        Raises `InvalidTopicError`, `InvalidNameError`, `FileError`, `OptionError` and `Closed`. Example:
 
             for received in robot.receive_transfers("*/maps", folder="maps"):
                 print(received.error or received.content)
@@ -472,7 +483,8 @@ class Robot:
 
         `filter` selects some of them, such as `method=ble` or `peer=wombat-2;state=connected` (docs/registry.md).
 
-        Raises `NoService` if there is no router with a registry, `ServiceError` if the filter is invalid, and `Closed`.
+        Raises `NoService` if no router with a registry answers, `ServiceError` if the filter is invalid, `TimedOut` if
+        no reply arrives within 5 s, and `Closed`.
         """
         self._session.check()
         return registry.connections(self._session, robot or self.name, filter)
@@ -490,7 +502,7 @@ class Robot:
     ) -> None:
         """Adds a named connection to the router of `robot`. Default: this robot.
 
-        The connection replaces one of the same name. The router dials it from now on, also after a restart.
+        The new connection replaces one of the same name. The router keeps it connected, also after a restart.
 
         - `method`: `ble`, `tcp` or `udp`.
         - `address`: a host, or for `ble` a robot's name or Bluetooth address.
@@ -498,7 +510,8 @@ class Robot:
         - `options`: options of the method's locator, such as `{"mtu": 512}`.
 
         Raises `ServiceError` if the connection is invalid (its text says why), `NoService` if the router's settings
-        name no connections file, `OptionError` and `Closed`.
+        name no connections file or its access control forbids the change, `TimedOut` if no reply arrives within 5 s,
+        `OptionError` and `Closed`.
         """
         self._session.check()
         encoded_options = _rect.write_value(dict(options or {}))[0]
@@ -513,7 +526,8 @@ class Robot:
         """Removes a named connection from the router of `robot`, and closes its link. Default: this robot.
 
         Raises `ServiceError` if there is no connection of that name, `NoService` if the router's settings name no
-        connections file, and `Closed`.
+        connections file or its access control forbids the change, `TimedOut` if no reply arrives within 5 s, and
+        `Closed`.
         """
         self._session.check()
         registry.configure(self._session, robot or self.name, _rect.REMOVE, text("name", name))
@@ -523,7 +537,8 @@ class Robot:
 
         docs/registry.md lists the questions and filters. `robot` defaults to this robot.
 
-        Raises `NoService` if there is no router with a registry, `ServiceError` if the filter is invalid, and `Closed`.
+        Raises `NoService` if no router with a registry answers the question, `ServiceError` if the filter is invalid,
+        `TimedOut` if no reply arrives within 5 s, and `Closed`.
         """
         self._session.check()
         return registry.query(self._session, robot or self.name, text("question", question), filter)
@@ -549,7 +564,7 @@ class Robot:
         return Counters(*self._session.counters.read())
 
     def close(self) -> None:
-        """Closes the session and everything that belongs to it. Closing it again has no effect."""
+        """Closes the session and everything that belongs to it. Closing the robot again has no effect."""
         self._session.close()
 
     def __enter__(self) -> Robot:

@@ -29,18 +29,19 @@ MAX_CONCURRENT = 16
 
 
 class Refusal(Exception):
-    """Answers a request with an error. To be raised by a handler.
+    """Refuses a request: a handler raises this exception to answer the request with an error.
 
-    The requester receives `value` in a `ServiceError`. Unlike for any other exception, nothing is logged.
+    The requester receives `value` in a `ServiceError`. Nothing is logged.
     """
 
     def __init__(self, value: Any) -> None:
         super().__init__(value)
+        #: The error to send: any value that `Robot.publish` accepts.
         self.value = value
 
 
 class Request:
-    """A request to a service. If it is closed without a reply, the requester receives none."""
+    """A request to a service. If a request is closed without a reply, the requester receives none."""
 
     __slots__ = ("_key", "_me", "_query", "deadline", "payload", "sender")
 
@@ -103,7 +104,10 @@ class Request:
         self._query.drop()
 
     def refuse_for(self, error: BaseException) -> None:
-        """Sends an error that describes the exception of a handler, and logs it unless it was raised on purpose."""
+        """Sends an error that describes the exception of a handler.
+
+        Logs the exception unless it is a `Refusal` or a `RectError`.
+        """
         if isinstance(error, Refusal):
             self.refuse(error.value)
             return

@@ -78,8 +78,9 @@ class Session:
     def is_closed(self) -> bool:
         return self._why_closed is not None
 
-    def closed_error(self) -> Closed:
-        return Closed(self._why_closed or "the session is closed")
+    def closed_error(self, handle: str = "session") -> Closed:
+        """Returns the error that the session is closed, or else that `handle` is."""
+        return Closed(self._why_closed or f"the {handle} is closed")
 
     def check(self) -> None:
         """Raises `Closed` if the session is closed. Ends the garbage-collected handles."""

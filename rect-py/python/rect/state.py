@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Event:
-    """A robot, a link or the router that appeared or disappeared."""
+    """A change: a robot, a link or the router appeared or disappeared."""
 
     #: Kind of the event.
     kind: EventKind
-    #: Name of the robot, if it is known.
+    #: Name of the robot. `None` if it is unknown, and for events about the router.
     robot: str | None = None
-    #: Method of the link: `ble`, `tcp`, `udp` and so on. `None` for other kinds.
+    #: Method of the link: `ble`, `tcp`, `udp` and so on. `None` unless the event is about a link.
     method: str | None = None
-    #: Address of the peer of the link. `None` for other kinds.
+    #: Address of the peer of the link. `None` unless the event is about a link.
     address: str | None = None
 
 
@@ -58,8 +58,8 @@ class Events:
     The first events report the robots and links that exist already.
     """
 
-    dropped = 0
     _EXPECTED = "event"
+    _HANDLE = "subscription to events"
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -116,12 +116,12 @@ class Events:
 
         `timeout` is in seconds; `None`, the default, waits without limit.
 
-        Raises `TimedOut` if there is none in time, and `Closed` if this object or the robot is closed.
+        Raises `TimedOut` if no event occurs in time, and `Closed` if this object or the robot is closed.
         """
         try:
             return self._queue.pop(timeout)
         except Ended:
-            raise self._session.closed_error() from None
+            raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
             raise TimedOut(self._EXPECTED, timeout or 0) from None
 
@@ -133,6 +133,11 @@ class Events:
             return self._queue.pop()
         except Ended:
             raise StopIteration from None
+
+    @property
+    def dropped(self) -> int:
+        """Number of events dropped because the receive queue was full."""
+        return self._queue.dropped
 
     def close(self) -> None:
         """Ends the subscription to events."""

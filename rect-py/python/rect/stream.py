@@ -73,7 +73,7 @@ class Stream:
         self._declared.leave_with(self)
 
     def send(self, frame: Any) -> int:
-        """Sends a frame if a receiver is due for one. Does not wait for the link.
+        """Sends a frame to the receivers that are due for one. Does not wait for the link.
 
         Returns the number of groups of receivers to which the frame was sent: 0 to 2. A picture (numpy, Pillow or
         `Picture`) of an adaptive stream is sent at the size and quality that the link allows. Any other frame is sent
@@ -105,9 +105,9 @@ class Stream:
         """Sends a frame of `pixels` pixels that the program encodes itself.
 
         Calls `encode(quality, scale)` once for each group of receivers that is due for a frame, and not at all if there
-        is none. `quality` is 1 to 100, or `None` for lossless; `scale` applies to width and height. Both are `None` if
-        the stream is not adaptive. `encode` returns the frame, for example as a `Payload`. Returns the number of groups
-        to which the frame was sent: 0 to 2.
+        is none. `quality` is 1 to 100, or `None` for lossless; `scale` is the factor for width and height, at most 1.
+        Both are `None` if the stream is not adaptive. `encode` returns the frame, for example as a `Payload`. Returns
+        the number of groups to which the frame was sent: 0 to 2.
 
         Raises `PayloadError` and `Closed`.
         """
@@ -132,7 +132,10 @@ class Stream:
         self._declared.end()
 
     def finish(self, timeout: float) -> None:
-        """Waits for a frame that is being sent: Python aborts if a thread is inside Zenoh when it exits."""
+        """Waits until no frame is being sent, for at most `timeout` seconds.
+
+        Python aborts on exit if a thread is inside Zenoh.
+        """
         if self._sending.acquire(timeout=timeout):
             self._sending.release()
 
@@ -193,7 +196,7 @@ class Frame:
     #: Age of the frame on arrival, in seconds. If the offset of the clocks is unknown, the delay relative to the
     #: fastest frame of the last minute. `None` if the sender does not use RECT.
     age: float | None
-    #: Number of frames before this one that a link dropped, or that the program was too slow to read.
+    #: Number of frames directly before this one that a link dropped, or that the program was too slow to read.
     skipped: int
 
     @property
@@ -212,7 +215,7 @@ class Watch:
     Iterating waits for one frame after another and skips outdated ones; it ends when the watch or the robot is closed.
     """
 
-    dropped = 0
+    _HANDLE = "watch"
 
     def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str) -> None:
         self._session = session
@@ -222,7 +225,7 @@ class Watch:
         self._receiver.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Frame:
-        """Waits for a frame that was not returned yet and returns it; by default the newest one.
+        """Waits for a frame that was not returned yet and returns it. By default that is the newest frame.
 
         `timeout` is in seconds; `None`, the default, waits without limit.
 
@@ -231,7 +234,7 @@ class Watch:
         try:
             return self.counted(self._receiver.queue.pop(timeout))
         except Ended:
-            raise self._session.closed_error() from None
+            raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
             raise TimedOut(f"frame of {self._name}", timeout or 0) from None
 
@@ -247,6 +250,11 @@ class Watch:
     async def next_async(self, timeout: float | None = None) -> Frame:
         """Does the same as `next`, for asyncio. Raises `Ended` and `TimeoutError`."""
         return self.counted(await self._receiver.queue.pop_async(timeout))
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames dropped because the receive queue was full: by default, those that newer ones replaced."""
+        return self._receiver.queue.dropped
 
     @property
     def round_trip(self) -> float | None:

@@ -51,6 +51,8 @@ class Subscriber:
     hello
     """
 
+    _HANDLE = "subscriber"
+
     def __init__(self, session: Session, pattern: str, capacity: int, when_full: str) -> None:
         self._session = session
         self._pattern = pattern
@@ -78,7 +80,7 @@ class Subscriber:
         try:
             return self._decoded(undecoded(self._queue.pop(timeout)))
         except Ended:
-            raise self._session.closed_error() from None
+            raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
             raise TimedOut(f"message {self._pattern}", timeout or 0) from None
 
@@ -98,7 +100,7 @@ class Subscriber:
 
     @property
     def counts_by_sender(self) -> dict[str, SenderCounts]:
-        """Number of received and missed messages by sender."""
+        """Numbers of received and missed messages, by sender."""
         return {robot: SenderCounts(received, missed) for robot, received, missed in self._inbound.counts_by_sender()}
 
     def close(self) -> None:
@@ -199,14 +201,13 @@ class Subscription(Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """Number of items dropped because the receive queue was full while the callback ran."""
+        """Number of messages, frames or events dropped because the receive queue was full."""
         return int(self._source.dropped)
 
     @property
     def counts_by_sender(self) -> dict[str, SenderCounts]:
-        """Number of received and missed messages by sender."""
-        counts_by_sender: dict[str, SenderCounts] = self._source.counts_by_sender
-        return counts_by_sender
+        """Numbers of received and missed messages, by sender. Empty for frames and events."""
+        return self._source.counts_by_sender if isinstance(self._source, Subscriber) else {}
 
     def close(self) -> None:
         """Ends the subscription. Does not wait for a running callback."""

@@ -90,7 +90,10 @@ class Received:
 
     @property
     def value(self) -> Any:
-        """The decoded content; see `Message.value`. Reads the file, if there is one. Raises `error` if it failed."""
+        """The decoded content; see `Message.value`. Reads the file, if there is one.
+
+        Raises `error` if the transfer failed.
+        """
         content = self.content
         return Payload(content.read_bytes() if isinstance(content, Path) else content, self.encoding).value
 
@@ -243,11 +246,13 @@ class OutgoingTransfer:
 class Transfers:
     """Iterates over the transfers that ended, complete or failed (see `Received.error`).
 
-    Returned by `Robot.receive_transfers`. Closing it refuses further transfers, and interrupts those in progress. With
-    a folder, their received parts are kept.
+    Returned by `Robot.receive_transfers`. Closing this object refuses further transfers, and interrupts those in
+    progress. With a folder, the parts that were received are kept.
     """
 
+    #: Always 0: a full receive queue makes the transfers wait.
     dropped = 0
+    _HANDLE = "transfer receiver"
 
     def __init__(
         self,
@@ -270,12 +275,12 @@ class Transfers:
 
         `timeout` is in seconds; `None`, the default, waits without limit.
 
-        Raises `TimedOut` if none ends in time, and `Closed` if this object or the robot is closed.
+        Raises `TimedOut` if no transfer ends in time, and `Closed` if this object or the robot is closed.
         """
         try:
             return self._receiver.take(self._receiver.ended.pop(timeout))
         except Ended:
-            raise self._session.closed_error() from None
+            raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
             raise TimedOut(f"transfer {self._pattern}", timeout or 0) from None
 
@@ -293,7 +298,7 @@ class Transfers:
         return self._receiver.take(await self._receiver.ended.pop_async(timeout))
 
     def close(self) -> None:
-        """Ends the acceptance of transfers."""
+        """Refuses further transfers, and interrupts those in progress."""
         self._receiver.stop()
 
     def __enter__(self) -> Transfers:

@@ -106,7 +106,7 @@ enum Switch {
     Off,
 }
 
-/// The error of a command.
+/// The error of `rect air`.
 #[derive(Debug, thiserror::Error)]
 pub enum AirError {
     /// The air cannot be served.
@@ -167,12 +167,12 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let server = AirServer::bind(&arguments.socket.path(), options)?;
-    // A closed standard output does not end the air.
+    // The air is served even if the standard output is closed.
     let _ = rect::terminal::try_write(format_args!(
         "simulated air ({condition}) at {}: listen on ble/sim-1, or see `rect air --help`",
         server.path().display()
     ));
-    // Afterwards the server is dropped, which removes its socket.
+    // After this, the server is dropped, which removes its socket.
     tokio::select! {
         () = server.serve() => {}
         _ = interrupt.recv() => {}

@@ -31,9 +31,9 @@ const ACKNOWLEDGEMENT: &str = "rect-bench/more";
 const WINDOW: usize = 32;
 /// Number of messages that one acknowledgement covers.
 const ACKNOWLEDGED: u64 = 4;
-/// Size of a request, that of a command or a sensor value.
+/// Size of a request, in bytes, similar to a command or a sensor value.
 const PING_BYTES: usize = 16;
-/// Size of a message of the load.
+/// Size of a message of the load, in bytes.
 const LOAD_BYTES: usize = 4096;
 /// Time without an acknowledgement after which messages of the load count as lost.
 const LOST_AFTER: Duration = Duration::from_secs(2);
@@ -64,10 +64,11 @@ pub struct BenchArguments {
 struct ReceivedLoad {
     messages: u64,
     bytes: u64,
-    /// Time since the last message arrived.
+    /// Time since the last message arrived, in seconds.
     last_ago_s: f64,
 }
 
+/// The result of one measurement of the round trip.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct RoundTrip {
     p50_ms: f64,
@@ -83,7 +84,8 @@ pub async fn run(arguments: BenchArguments) -> Done {
         return serve(&robot).await;
     };
     let duration = arguments.duration.0;
-    let bar = progress(duration * 3);
+    // One duration for each of the two measurements.
+    let bar = progress(duration * 2);
     let idle = round_trip(&robot, &other, duration, &bar).await?;
     let before = count(&robot, &other).await?;
     let loading = tokio::spawn(load(robot.clone(), other.clone(), duration));
@@ -100,10 +102,10 @@ pub async fn run(arguments: BenchArguments) -> Done {
     let method = robot.connections_of(&other, "").await.ok();
     let me = robot.name().as_str();
     let method = method.and_then(|all| {
-        let its = |peer: &rect::core::connection::PeerId| peer.robot.as_deref() == Some(me);
+        let is_me = |peer: &rect::core::connection::PeerId| peer.robot.as_deref() == Some(me);
         let mut all = all.into_iter();
-        all.find(|one| one.peer.as_ref().is_some_and(its))
-            .map(|one| one.method)
+        all.find(|connection| connection.peer.as_ref().is_some_and(is_me))
+            .map(|connection| connection.method)
     });
     if arguments.json {
         let all = json!({
@@ -117,13 +119,13 @@ pub async fn run(arguments: BenchArguments) -> Done {
         "{other}, linked by {}",
         line(method.as_deref().unwrap_or("another robot"))
     );
-    for (condition, one) in [("idle", idle), ("under load", loaded)] {
+    for (condition, round_trip) in [("idle", idle), ("under load", loaded)] {
         let RoundTrip {
             p50_ms,
             p99_ms,
             answers,
             lost,
-        } = one;
+        } = round_trip;
         rect::outln!("round trip, {condition}: p50 {p50_ms:.1} ms, p99 {p99_ms:.1} ms ({answers} replies, {lost} lost; urgent, {PING_BYTES} bytes)");
     }
     rect::outln!("goodput: {goodput_kb_s:.1} kB/s ({arrived} of {sent} messages of {LOAD_BYTES} bytes, {lost} lost)");
@@ -175,6 +177,7 @@ async fn serve(robot: &Robot) -> Done {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Requests the count of the load that the other robot has received so far.
 async fn count(robot: &Robot, other: &Name) -> Result<ReceivedLoad, Failure> {
     let reply = robot.request(other, COUNT, "", TIMEOUT).await;
     let reply = reply.map_err(|error| not_served(other, &error))?;
@@ -199,6 +202,7 @@ async fn settled(robot: &Robot, other: &Name, bar: &ProgressBar) -> Result<Recei
     }
 }
 
+/// Sends the load for `duration`, and returns the number of sent messages.
 async fn load(robot: Robot, other: Name, duration: Duration) -> Result<u64, rect::Error> {
     let bulk = robot.with_urgency(Urgency::Bulk);
     let window = Arc::new(Semaphore::new(WINDOW));
@@ -211,7 +215,8 @@ async fn load(robot: Robot, other: Name, duration: Duration) -> Result<u64, rect
         .await?;
     let end = tokio::time::Instant::now() + duration;
     let mut sent = 0;
-    // Lost messages (UDP) are never acknowledged: after a pause, half a window counts as lost.
+    // Messages that are lost over UDP are never acknowledged: without an acknowledgement for `LOST_AFTER`, half a
+    // window counts as lost.
     while tokio::time::Instant::now() < end {
         let permit = timeout(LOST_AFTER, window.acquire());
         match timeout_at(end, permit).await {
@@ -229,6 +234,7 @@ async fn load(robot: Robot, other: Name, duration: Duration) -> Result<u64, rect
     Ok(sent)
 }
 
+/// Measures the round trip of urgent requests for `duration`.
 async fn round_trip(
     robot: &Robot,
     other: &Name,

@@ -15,10 +15,10 @@ use crate::{Done, Failure};
 
 /// Largest size of a sample, in bytes; larger lines and files are skipped, since dictionaries are for small messages.
 const MAX_SAMPLE_BYTES: usize = 64 << 10;
-/// One of this number of samples is not used for training, but for measuring the compression of new messages.
+/// Interval of the samples that are not used for training, but to measure how well other messages are compressed.
 const TEST_INTERVAL: usize = 5;
 
-/// Train dictionaries, with which small messages are compressed much better
+/// Train dictionaries, which make small messages much smaller
 #[derive(Args)]
 pub struct DictionaryArguments {
     #[command(subcommand)]

@@ -7,12 +7,13 @@ use rect::{
 };
 use serde_json::Value;
 
-/// Largest number of characters printed of a text.
+/// Largest number of characters of a text that are printed.
 const MAX_CHARACTERS: usize = 2000;
 /// Width of a picture drawn in a terminal, in characters.
 const COLUMNS: u32 = 60;
 
-/// Returns a payload as text for the terminal: its value if it is text or JSON, otherwise a summary.
+/// Returns a payload as text for the terminal: its value if it is text, JSON, CBOR or printable bytes, otherwise a
+/// summary. The summary of a picture is followed by a drawing if the terminal supports it.
 pub fn text(payload: &Payload) -> String {
     let kind = &*display::line(payload.encoding.as_str());
     if let Ok(text) = payload.text() {
@@ -40,7 +41,7 @@ pub fn text(payload: &Payload) -> String {
     }
 }
 
-/// Returns a payload as JSON: its value, its text, or `{"hex": ...}` for other bytes.
+/// Returns a payload as JSON: its value, its text, or otherwise its bytes as `{"hex": ...}`.
 pub fn json(payload: &Payload) -> Value {
     let value = payload.value::<Value>();
     let value = value.or_else(|_| payload.text().map(Value::from));

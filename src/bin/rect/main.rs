@@ -1,5 +1,5 @@
-//! The `rect` command of RECT, the Robot Extensible Communication Toolkit. Parses the arguments, runs the selected command,
-//! and sets the exit status. Each command has a separate module.
+//! The `rect` command of RECT, the Robot Extensible Communication Toolkit. This file parses the arguments, runs the
+//! selected command, and sets the exit status. Each command has a separate module.
 mod air;
 mod bench;
 mod clock;
@@ -28,7 +28,7 @@ use rect::{
     terminal::{choose_colours, colours_on_stderr, paint_err, Colours, Style},
 };
 
-/// Zenoh's log is disabled, since its calls also return their errors; RUST_LOG=zenoh=error enables it.
+/// Zenoh's log is disabled, since Zenoh's calls also return their errors; `RUST_LOG=zenoh=error` enables it.
 const DEFAULT_FILTER: &str = "warn,zenoh=off";
 const EXAMPLE: &str = "\
 Examples without a robot: run `rect sim` in one terminal, and in another
@@ -151,7 +151,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs a command until it ends or is interrupted by Ctrl-C.
+/// Runs a command until it ends or Ctrl-C interrupts it.
 fn wait(command: impl Future<Output = Done>) -> Done {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -180,7 +180,7 @@ fn report(error: &(dyn std::error::Error + 'static)) {
     );
 }
 
-/// Parses the endpoint of a router.
+/// Parses the endpoint of a router on the command line.
 fn endpoint(text: &str) -> Result<String, rect::core::endpoint::EndpointError> {
     rect::core::endpoint::parse(text)
 }

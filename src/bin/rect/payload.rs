@@ -10,7 +10,8 @@ use rect::{Encoding, Payload};
 
 use crate::Failure;
 
-/// Largest size of a message that is read from a file, in bytes; larger files require a transfer.
+/// Largest size of a message that is read from a file or from the standard input, in bytes; larger files require a
+/// transfer.
 const MAX_BYTES: u64 = 16 << 20;
 
 /// The value of a message.
@@ -18,7 +19,7 @@ const MAX_BYTES: u64 = 16 << 20;
 pub struct PayloadArguments {
     /// The value, sent as JSON if it is valid JSON, otherwise as text; `-` reads stdin [default: an empty text]
     value: Option<String>,
-    /// Send this file instead; its name determines the encoding: .json, .txt, .png, .jpg, .webp, .cbor, otherwise bytes
+    /// Send this file instead; its extension determines the encoding: .json, .txt, .png, .jpg, .webp, .cbor, else bytes
     #[arg(long, value_name = "FILE", conflicts_with = "value")]
     file: Option<PathBuf>,
     /// Send the value as text even if it is valid JSON
@@ -33,17 +34,31 @@ impl PayloadArguments {
             return read(file);
         }
         let value = match self.value.as_deref() {
-            Some("-") => {
-                let mut all = String::new();
-                io::stdin().take(MAX_BYTES).read_to_string(&mut all)?;
-                all
-            }
+            Some("-") => read_stdin(io::stdin())?,
             value => value.unwrap_or_default().to_owned(),
         };
         let json = !self.text && serde_json::from_str::<serde::de::IgnoredAny>(&value).is_ok();
         let encoding = if json { Encoding::JSON } else { Encoding::TEXT };
         Ok(Payload::new(value, encoding))
     }
+}
+
+/// Reads the text of the standard input.
+fn read_stdin(stdin: impl Read) -> Result<String, Failure> {
+    let mut bytes = Vec::new();
+    // One byte more than the limit shows that the input is too large.
+    let read = stdin.take(MAX_BYTES + 1).read_to_end(&mut bytes);
+    read.map_err(|error| format!("stdin: {error}"))?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(format!(
+            "stdin: more than {MAX_BYTES} bytes, the limit for a message; save them to a file and send it with \
+             `rect transfer send`"
+        )
+        .into());
+    }
+    let text = String::from_utf8(bytes);
+    Ok(text
+        .map_err(|_| "stdin: not a text in UTF-8; save it to a file and send it with `--file`")?)
 }
 
 fn read(file: &Path) -> Result<Payload, Failure> {
@@ -66,4 +81,23 @@ fn read(file: &Path) -> Result<Payload, Failure> {
         _ => Encoding::BYTES,
     };
     Ok(Payload::new(fs::read(file).map_err(named)?, encoding))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stdin_over_the_limit_is_rejected() {
+        let largest = read_stdin(io::repeat(b'a').take(MAX_BYTES)).expect("within the limit");
+        assert_eq!(largest.len() as u64, MAX_BYTES);
+        // The limit is in the middle of a character.
+        for too_large in ["a", "€"] {
+            let input = too_large.repeat(MAX_BYTES as usize / too_large.len() + 1);
+            let error = read_stdin(input.as_bytes()).expect_err("too large");
+            assert!(error.to_string().contains("rect transfer send"), "{error}");
+        }
+        let error = read_stdin(&b"\xff"[..]).expect_err("no text");
+        assert!(error.to_string().contains("--file"), "{error}");
+    }
 }

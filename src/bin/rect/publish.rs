@@ -52,7 +52,7 @@ struct MessageArguments {
 /// Runs `rect pub`.
 pub async fn publish(arguments: PubArguments) -> Done {
     let topic = arguments.topic;
-    say(arguments.message, async |robot, payload| {
+    repeat(arguments.message, async |robot, payload| {
         robot.publish(&topic, payload).await
     })
     .await
@@ -60,22 +60,27 @@ pub async fn publish(arguments: PubArguments) -> Done {
 
 /// Runs `rect send`.
 pub async fn send(arguments: SendArguments) -> Done {
-    let (to, topic) = (arguments.robot, arguments.topic);
-    say(arguments.message, async |robot, payload| {
-        robot.send(&to, &topic, payload).await
+    let (recipient, topic) = (arguments.robot, arguments.topic);
+    repeat(arguments.message, async |robot, payload| {
+        robot.send(&recipient, &topic, payload).await
     })
     .await
 }
 
-async fn say(
+/// Connects, and calls `send` as often as the arguments specify.
+async fn repeat(
     arguments: MessageArguments,
-    say: impl AsyncFn(&Robot, Payload) -> Result<(), rect::Error>,
+    send: impl AsyncFn(&Robot, Payload) -> Result<(), rect::Error>,
 ) -> Done {
     let payload = arguments.payload.payload()?;
     let robot = arguments.join.join().await?;
-    let speaking = arguments.delivery.apply(&robot)?;
-    let again = arguments.every.is_some();
-    let times = arguments.count.unwrap_or(if again { u64::MAX } else { 1 });
+    let handle = arguments.delivery.apply(&robot)?;
+    let default_count = if arguments.every.is_some() {
+        u64::MAX
+    } else {
+        1
+    };
+    let count = arguments.count.unwrap_or(default_count);
     let every = arguments
         .every
         .map_or(Duration::from_millis(1), |interval| interval.0);
@@ -86,9 +91,9 @@ async fn say(
     }
     let mut ticks = interval(every);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    for _ in 0..times {
+    for _ in 0..count {
         ticks.tick().await;
-        say(&speaking, payload.clone()).await?;
+        send(&handle, payload.clone()).await?;
     }
     if arguments.delivery.dictionary.is_some() {
         rect::errln!("rect: serving the dictionary to the receivers; press Ctrl-C to exit");

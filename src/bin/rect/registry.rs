@@ -47,10 +47,11 @@ pub async fn peers(arguments: PeersArguments) -> Done {
     // Without a registry, the robots are listed without their links.
     let connections = robot.connections().await.unwrap_or_default();
     let mut linked: BTreeMap<&str, Vec<&Connection>> = BTreeMap::new();
-    for one in &connections {
-        let peer = one.peer.as_ref().and_then(|peer| peer.robot.as_deref());
-        if let (Some(peer), ConnectionState::Connected) = (peer, one.state) {
-            linked.entry(peer).or_default().push(one);
+    for connection in &connections {
+        let peer = connection.peer.as_ref();
+        let peer = peer.and_then(|peer| peer.robot.as_deref());
+        if let (Some(peer), ConnectionState::Connected) = (peer, connection.state) {
+            linked.entry(peer).or_default().push(connection);
         }
     }
     if arguments.json {
@@ -76,7 +77,7 @@ pub async fn peers(arguments: PeersArguments) -> Done {
                 all.join(", ")
             }
         };
-        let by = if links.is_empty() {
+        let methods = if links.is_empty() {
             "another robot".to_owned()
         } else {
             each(|link| Some(link.method.clone()))
@@ -85,7 +86,7 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         let signal = each(|link| link.rssi_dbm.map(|dbm| format!("{dbm} dBm")));
         table.row(vec![
             peer.as_str().into(),
-            by.into(),
+            methods.into(),
             round_trip.into(),
             signal.into(),
         ]);

@@ -1,5 +1,9 @@
 //! Implements `rect request` and `rect serve`.
-use std::{process::ExitCode, process::Stdio, time::Duration};
+use std::{
+    pin::pin,
+    process::{ExitCode, Stdio},
+    time::Duration,
+};
 
 use clap::Args;
 use rect::{terminal, Encoding, Error, Payload, Reply, Robot, Topic};
@@ -18,13 +22,13 @@ use crate::{
 /// Send a request to a service of a robot, and print the reply
 #[derive(Args)]
 pub struct RequestArguments {
-    /// The robot; '*': all robots that provide the service
+    /// The robot, or '*' for all robots that provide the service
     robot: String,
     /// The topic of the service, such as battery
     topic: Topic,
     #[command(flatten)]
     payload: PayloadArguments,
-    /// How long to wait for the reply
+    /// How long to wait for the reply, or for all replies
     #[arg(long, default_value = "5s")]
     timeout: DurationArgument,
     /// Print JSON
@@ -123,6 +127,7 @@ pub async fn serve(arguments: ServeArguments) -> Done {
     std::future::pending().await
 }
 
+/// Runs the program with the request as its input, and returns its output, or an error with what it printed to stderr.
 async fn answer(program: &[String], request: &rect::Request) -> Result<Payload, String> {
     let Some((name, arguments)) = program.split_first() else {
         return Err("no program is given".to_owned());
@@ -138,11 +143,22 @@ async fn answer(program: &[String], request: &rect::Request) -> Result<Payload, 
         .stderr(Stdio::piped());
     let failed = |error: std::io::Error| format!("{name}: {error}");
     let mut child = command.spawn().map_err(failed)?;
-    if let Some(mut input) = child.stdin.take() {
-        // Fails if the program does not read its input, which is permitted.
-        let _ = input.write_all(&request.payload.bytes).await;
-    }
-    let output = tokio::time::timeout(request.remaining(), child.wait_with_output()).await;
+    let stdin = child.stdin.take();
+    let write_input = async {
+        if let Some(mut stdin) = stdin {
+            // Fails if the program does not read its input, which is permitted.
+            let _ = stdin.write_all(&request.payload.bytes).await;
+        }
+    };
+    // A program may print before it has read all its input, or exit without reading it.
+    let run = async {
+        let mut output = pin!(child.wait_with_output());
+        tokio::select! {
+            output = &mut output => output,
+            () = write_input => output.await,
+        }
+    };
+    let output = tokio::time::timeout(request.remaining(), run).await;
     let output = output
         .map_err(|_| format!("{name} did not finish before the timeout of the request"))?
         .map_err(failed)?;

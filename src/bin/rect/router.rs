@@ -1,5 +1,5 @@
-//! Implements the commands of `rect` that `rect-router` executes. `rect` replaces itself by that program, which is installed
-//! beside it or on the PATH.
+//! Implements the commands of `rect` that `rect-router` executes. The process of `rect` is replaced by that program,
+//! which is installed beside it or on the PATH.
 use std::{
     env,
     ffi::OsString,
@@ -15,7 +15,7 @@ use rect::terminal;
 use crate::{endpoint, Done, Failure};
 
 const ROUTER: &str = "rect-router";
-/// The environment variable that selects another `rect-router` than the one beside this program.
+/// The environment variable with the path of the `rect-router` to use instead of the one beside this program.
 const VARIABLE: &str = "RECT_ROUTER";
 
 /// Write the configuration, login file and connections file of a robot to a folder; see `rect init --help`
@@ -159,6 +159,7 @@ pub fn doctor(arguments: DoctorArguments) -> Done {
 }
 
 impl AtArguments {
+    /// Returns the arguments in the form in which `rect-router` parses them.
     fn passed_on(self) -> impl Iterator<Item = OsString> {
         let router = self.router.map(|router| ["--router".into(), router.into()]);
         let users = self.users.map(|users| ["--users".into(), users.into()]);
@@ -168,7 +169,7 @@ impl AtArguments {
     }
 }
 
-/// Replaces this program by `rect-router`, which uses the name `rect` in its output.
+/// Replaces this process by `rect-router`, which uses the name `rect` in its output. Returns only if that fails.
 fn become_router(command: &str, arguments: impl IntoIterator<Item = OsString>) -> Done {
     let program = program();
     let mut router = Command::new(&program);
@@ -176,12 +177,12 @@ fn become_router(command: &str, arguments: impl IntoIterator<Item = OsString>) -
     if let Some((name, value)) = terminal::colours_by_environment() {
         router.env_remove("NO_COLOR").env(name, value);
     }
-    // Returns only if it fails.
     let error = router.exec();
     Err(not_started(command, &program, &error))
 }
 
-/// Returns the `rect-router` selected by the environment, else the one beside this program, else the one on the PATH.
+/// Returns the path of `rect-router`: the one that the environment selects, else the one beside this program, else the
+/// one on the PATH.
 fn program() -> PathBuf {
     if let Some(named) = env::var_os(VARIABLE).filter(|named| !named.is_empty()) {
         return named.into();

@@ -7,7 +7,8 @@ use serde_json::Value;
 
 use crate::{endpoint, Failure};
 
-/// The name under which a command queries a router for the name of its robot. Nothing is published under it.
+/// The name under which a command connects while the name of the router's robot is not known. Nothing is published
+/// under it.
 const PLACEHOLDER: &str = "rect-tool";
 
 /// The router to connect to, and the name under which to connect.
@@ -51,7 +52,10 @@ fn urgency(text: &str) -> Result<Urgency, String> {
 }
 
 impl JoinArguments {
-    /// Connects as the given robot, or as the robot of the router.
+    /// Connects as the robot of `--as`, or as the robot of the router.
+    ///
+    /// # Errors
+    /// Returns `Unnamed` if `--as` is not given and the router has no robot.
     pub async fn join(&self) -> Result<Robot, Failure> {
         let robot = match &self.robot_name {
             Some(robot) => robot.clone(),
@@ -60,7 +64,7 @@ impl JoinArguments {
         Ok(self.options(&robot)?.connect().await?)
     }
 
-    /// Connects for receiving and requesting only, which is also possible at a router without a robot's name.
+    /// Connects for receiving and requesting only, which is also possible if the router has no robot.
     pub async fn join_unnamed(&self) -> Result<Robot, Failure> {
         match self.join().await {
             Ok(robot) => Ok(robot),
@@ -85,14 +89,15 @@ impl JoinArguments {
         Ok(self.options(PLACEHOLDER)?.allow_name_mismatch())
     }
 
+    /// Queries the router for the name of its robot.
     async fn robot_of_router(&self) -> Result<String, Failure> {
         let placeholder = self.placeholder_options()?.connect().await?;
         let zenoh = placeholder.zenoh();
         let router = zenoh.info().routers_zid().await.next();
         let router = router.map(|id| id.to_string()).unwrap_or_default();
-        let robots = zenoh.get(format!("{}/*/@rect/status", self.fleet)).await?;
+        let statuses = zenoh.get(format!("{}/*/@rect/status", self.fleet)).await?;
         let mut found = None;
-        while let Ok(reply) = robots.recv_async().await {
+        while let Ok(reply) = statuses.recv_async().await {
             let Ok(sample) = reply.into_result() else {
                 continue;
             };
@@ -118,7 +123,7 @@ impl JoinArguments {
     }
 }
 
-/// The router does not have the name of a robot.
+/// The router belongs to no robot of the fleet.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "the router at {router} does not belong to a robot of the fleet {fleet}: name the robot to connect as with \

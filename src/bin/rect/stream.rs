@@ -15,7 +15,7 @@ use crate::{
     Done, Failure,
 };
 
-/// Receive and send streams of frames, of which the newest counts
+/// Receive and send streams of frames, of which only the newest matters
 #[derive(Args)]
 pub struct StreamArguments {
     #[command(subcommand)]
@@ -139,12 +139,13 @@ fn as_json(frame: &Frame) -> Value {
 
 /// Replaces a file in one step, so that a viewer never reads half a picture.
 fn replace(file: &PathBuf, payload: &Payload) -> Result<(), Failure> {
-    let new = file.with_extension("new");
+    let new_file = file.with_extension("new");
     let named = |error: std::io::Error| format!("{}: {error}", file.display());
-    fs::write(&new, &payload.bytes).map_err(named)?;
-    Ok(fs::rename(&new, file).map_err(named)?)
+    fs::write(&new_file, &payload.bytes).map_err(named)?;
+    Ok(fs::rename(&new_file, file).map_err(named)?)
 }
 
+/// Reads a picture from a file, whose extension determines the format.
 fn picture(file: &PathBuf) -> Result<Picture, Failure> {
     let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
     let encoding = match file.extension().and_then(|end| end.to_str()) {
@@ -156,6 +157,6 @@ fn picture(file: &PathBuf) -> Result<Picture, Failure> {
             return Err(format!("{}: {problem}", file.display()).into());
         }
     };
-    let read = Payload::new(bytes, encoding).picture(&Limits::default());
-    Ok(read.map_err(|error| format!("{}: {error}", file.display()))?)
+    let decoded = Payload::new(bytes, encoding).picture(&Limits::default());
+    Ok(decoded.map_err(|error| format!("{}: {error}", file.display()))?)
 }

@@ -65,7 +65,7 @@ pub async fn run(arguments: SubArguments) -> Done {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns a hint if the robot named in the pattern is not reachable.
+/// Returns a hint if the robot `named` in the pattern is not reachable.
 async fn unreachable_hint(
     robot: &Robot,
     named: Option<&Name>,

@@ -1,5 +1,5 @@
-//! Implements `rect topic`, which shows the topics that robots publish, and their rates. Each robot's router measures them,
-//! so that no messages are transmitted for the measurement.
+//! Implements `rect topic`, which shows the topics that robots publish, and their rates. Each robot's router measures
+//! the rates, so that no messages are transmitted for the measurement.
 use std::{process::ExitCode, time::Duration};
 
 use clap::{Args, Subcommand};
@@ -46,7 +46,7 @@ enum TopicCommand {
         #[command(flatten)]
         join: JoinArguments,
     },
-    /// Print the rate of a topic once a second, until Ctrl-C
+    /// Print the rate of a topic once per second, until Ctrl-C
     Hz {
         /// The topic, <robot>/<topic>: wombat-2/arm/angle
         #[arg(value_parser = robot_topic)]
@@ -90,8 +90,8 @@ struct RobotTopic {
 }
 
 fn robot_topic(text: &str) -> Result<RobotTopic, String> {
-    let named = text.split_once('/').filter(|(_, topic)| !topic.is_empty());
-    let (robot, topic) = named.ok_or("write <robot>/<topic>, such as wombat-2/arm/angle")?;
+    let parts = text.split_once('/').filter(|(_, topic)| !topic.is_empty());
+    let (robot, topic) = parts.ok_or("write <robot>/<topic>, such as wombat-2/arm/angle")?;
     if topic.contains(['*', '?', '#', ';', '$']) {
         return Err(
             "wildcards are not allowed here; `rect topic list` lists all topics".to_owned(),
@@ -137,14 +137,14 @@ pub async fn run(arguments: TopicArguments) -> Done {
             join,
         } => {
             let robot = join.join_unnamed().await?;
-            let one = measure(
+            let answers = measure(
                 &robot,
                 Some(&topic.robot),
                 Some(&topic.topic),
                 measured.duration,
             )
             .await?;
-            let topics = one
+            let topics = answers
                 .first()
                 .map(|(_, topics)| topics.clone())
                 .unwrap_or_default();
@@ -239,15 +239,16 @@ fn list(answers: &[(String, Topics)]) {
     for (robot, topics) in answers {
         more += topics.more;
         let measured = topics.window_s > 0.0;
-        for one in &topics.topics {
-            let counted = !one.encoding.is_empty();
+        for report in &topics.topics {
+            // Without a counted message, the encoding is not known.
+            let is_counted = !report.encoding.is_empty();
             table.row(vec![
-                Cell::styled(Style::Name, format!("{robot}/{}", one.topic)),
-                measured.then(|| format!("{:.1} Hz", one.hz)).into(),
-                counted.then(|| bytes(one.bytes_per_s)).into(),
-                counted.then(|| bytes(one.last_bytes)).into(),
-                one.publishers.to_string().into(),
-                one.encoding.as_str().into(),
+                Cell::styled(Style::Name, format!("{robot}/{}", report.topic)),
+                measured.then(|| format!("{:.1} Hz", report.hz)).into(),
+                is_counted.then(|| bytes(report.bytes_per_s)).into(),
+                is_counted.then(|| bytes(report.last_bytes)).into(),
+                report.publishers.to_string().into(),
+                report.encoding.as_str().into(),
             ]);
         }
     }
@@ -289,8 +290,8 @@ fn rate(report: &TopicReport, window_s: f64) -> String {
     }
     let intervals = report
         .interval_ms
-        .map_or_else(String::new, |(least, most)| {
-            format!(", {least} to {most} ms apart")
+        .map_or_else(String::new, |(shortest, longest)| {
+            format!(", {shortest} to {longest} ms apart")
         });
     format!(
         "{:.1} Hz, {}/s{intervals} (within {window_s} s)",
@@ -322,14 +323,14 @@ fn as_json(topics: &Topics) -> serde_json::Value {
 }
 
 /// Returns a report as JSON with field names, which the router's compact reply omits.
-fn report_as_json(one: &TopicReport) -> serde_json::Value {
+fn report_as_json(report: &TopicReport) -> serde_json::Value {
     json!({
-        "topic": one.topic,
-        "publishers": one.publishers,
-        "encoding": one.encoding,
-        "hz": one.hz,
-        "bytes_per_s": one.bytes_per_s,
-        "last_bytes": one.last_bytes,
-        "interval_ms": one.interval_ms,
+        "topic": report.topic,
+        "publishers": report.publishers,
+        "encoding": report.encoding,
+        "hz": report.hz,
+        "bytes_per_s": report.bytes_per_s,
+        "last_bytes": report.last_bytes,
+        "interval_ms": report.interval_ms,
     })
 }

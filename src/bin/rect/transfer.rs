@@ -23,7 +23,7 @@ use crate::{
 
 /// Time without progress after which a transfer is shown as stalled.
 const STALLED_AFTER: Duration = Duration::from_secs(3);
-/// Interval at which the progress bar is drawn without progress.
+/// Interval at which the progress bar is drawn while there is no progress.
 const TICK: Duration = Duration::from_millis(500);
 
 /// Send and receive files of any size; transfers resume after a link is lost
@@ -45,7 +45,7 @@ enum TransferCommand {
         /// The topic
         #[arg(long, default_value = "files")]
         topic: Topic,
-        /// Give up after this time without a sign of the receiver [default: never]
+        /// Give up after this time without any message from the receiver [default: never]
         #[arg(long)]
         timeout: Option<DurationArgument>,
         #[command(flatten)]
@@ -71,7 +71,7 @@ enum TransferCommand {
 pub async fn run(arguments: TransferArguments) -> Done {
     match arguments.command {
         TransferCommand::Send {
-            robot: to,
+            robot: recipient,
             file,
             topic,
             timeout,
@@ -81,14 +81,14 @@ pub async fn run(arguments: TransferArguments) -> Done {
             let bar = bar();
             let shown = bar.clone();
             let mut transfer = robot
-                .transfer(&to, &topic, file.as_path())?
+                .transfer(&recipient, &topic, file.as_path())?
                 .on_progress(move |progress| show(&shown, progress));
             if let Some(DurationArgument(timeout)) = timeout {
                 transfer = transfer.timeout(timeout);
             }
             transfer.await?;
             bar.finish();
-            rect::outln!("{to} has received {}", file.display());
+            rect::outln!("{recipient} has received {}", file.display());
             robot.close().await?;
         }
         TransferCommand::Receive {
@@ -103,15 +103,16 @@ pub async fn run(arguments: TransferArguments) -> Done {
             let options = ReceiveOptions::in_folder(&folder, max_bytes)
                 .on_progress(move |_, progress| show(&shown, progress));
             let transfers = robot.receive_transfers(&pattern, options).await?;
-            let (me, place) = (robot.name(), folder.display());
-            rect::errln!("rect: {me} receives files into {place}; press Ctrl-C to exit");
-            // There is no `--count`: after the last file, its sender still needs a confirmation.
+            let (me, folder) = (robot.name(), folder.display());
+            rect::errln!("rect: {me} receives files into {folder}; press Ctrl-C to exit");
+            // There is no `--count`: if the link is down when the last file is complete, its sender still needs the
+            // outcome.
             while let Some(received) = transfers.next().await {
                 match received {
                     Ok(received) => {
-                        let (from, name, size) =
+                        let (sender, name, size) =
                             (&received.sender, &received.name, received.size_bytes);
-                        bar.suspend(|| rect::outln!("{} of {from}, {size} bytes", line(name)));
+                        bar.suspend(|| rect::outln!("{} of {sender}, {size} bytes", line(name)));
                     }
                     Err(error) => bar.suspend(|| report(&error)),
                 }

@@ -51,8 +51,8 @@ pub struct Frame {
     /// The age of the frame on arrival. Until the offset of the clocks is known, the delay relative to the fastest frame of
     /// the last minute. `None` if the sender is a stock Zenoh program.
     pub age: Option<Duration>,
-    /// The number of frames between the previous frame that the program read and this one. They were dropped by the link, or
-    /// replaced by newer ones in the receive queue.
+    /// The number of frames between the previous frame that the program read and this one. The link dropped them, or
+    /// newer frames replaced them in the receive queue.
     pub skipped: u32,
     ordinal: u64,
 }
@@ -155,7 +155,7 @@ impl Watch {
             .map(|frame| self.counted(frame))
     }
 
-    /// Returns the next frame if one is queued.
+    /// Returns the next frame, by default the newest one, if one is queued.
     pub fn try_next(&self) -> Option<Frame> {
         self.shared.queue.try_pop().map(|frame| self.counted(frame))
     }

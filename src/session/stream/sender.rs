@@ -42,7 +42,7 @@ use crate::{
     },
 };
 
-/// Sends frames of which the newest counts; created by [`Robot::stream`]. Dropping it ends the stream.
+/// Sends frames of which only the newest matters; created by [`Robot::stream`]. Dropping it ends the stream.
 pub struct Stream {
     shared: Arc<Shared>,
     lossy_format: LossyFormat,
@@ -60,10 +60,10 @@ struct Shared {
 }
 
 impl Robot {
-    /// Declares a stream of frames of which the newest counts: a slow link drops older ones.
+    /// Declares a stream of frames of which only the newest matters: a slow link drops older ones.
     ///
     /// An adaptive stream ([`Stream::send_picture`], [`Stream::send_with`]) adapts size, quality and rate to the throughput
-    /// of the link. [`Options`] describes the kinds of streams and their limits.
+    /// of the link. [`StreamOptions`](crate::StreamOptions) describes the kinds of streams and their limits.
     ///
     /// ```no_run
     /// # async fn stream(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -155,12 +155,16 @@ impl Stream {
 
     /// Offers a frame of `pixels` pixels, and returns the number of groups of receivers to which it was sent (0 to 2).
     ///
+    /// `pixels` is the size of the uncompressed frame, from which an adaptive stream chooses its step; for frames that
+    /// are not pictures, it is the number of bytes.
+    ///
     /// `encode` is called once for each group that is due for a frame, and not at all without receivers. It encodes the frame
     /// at the given step; `None` means that the stream is not adaptive and the program chooses. The call takes as long as
     /// `encode` and does not wait for the link; asynchronous programs call it where blocking is permitted.
     ///
     /// # Errors
-    /// Returns the error of `encode`, and [`Error::Zenoh`] if the session is closed.
+    /// Returns the error of `encode`, [`Error::Payload`] if the encoding of the frame is too long, and [`Error::Zenoh`]
+    /// if the session is closed.
     pub fn send_with(
         &self,
         pixels: usize,

@@ -38,7 +38,7 @@ pub struct Received {
 
 /// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
 ///
-/// Dropping it stops receiving. Incomplete transfers are kept if they are received into a folder.
+/// Dropping it stops receiving. Incomplete transfers are kept only if they are received into a folder.
 pub struct Transfers {
     ended: Mutex<Receiver<Result<Received, Error>>>,
     shared: Arc<Shared>,

@@ -17,12 +17,12 @@ const MAX_CONCURRENT: usize = 4;
 pub enum Destination {
     /// In memory. Incomplete transfers are lost when the program ends.
     Memory,
-    /// In this folder, which contains a folder for each sender. The file has the name that the sender chose, and replaces a
-    /// file of that name.
+    /// In this folder, which contains a folder for each sender. The file has the name that the sender chose, or the id
+    /// of the transfer if the sender chose none, and replaces a file of that name.
     ///
-    /// An incomplete transfer resumes after a restart. Its parts are removed after a week without progress, and when one
-    /// sender has more than 16 of them; a transfer that failed permanently leaves no files. Only one receiver may use a
-    /// folder.
+    /// An incomplete transfer resumes after a restart. Its part file is removed after a week without progress, and the
+    /// part files of at most 16 incomplete transfers are kept for each sender. A transfer that failed permanently
+    /// leaves no files. Only one receiver may use a folder.
     Folder(PathBuf),
 }
 
@@ -48,9 +48,9 @@ type OnProgress = Arc<dyn Fn(&IncomingTransfer, Progress) + Send + Sync>;
 /// The properties of a transfer that is being received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IncomingTransfer {
-    /// The robot that sends it.
+    /// The robot that sends the transfer.
     pub sender: Name,
-    /// The topic.
+    /// The topic of the transfer.
     pub topic: Topic,
     /// The file name that the sender chose; may be empty.
     pub name: String,
@@ -91,8 +91,9 @@ impl ReceiveOptions {
         }
     }
 
-    /// Sets the time without progress after which a transfer is abandoned, to make room for others; default: 10 minutes. It
-    /// resumes when the sender offers it again.
+    /// Sets the time without progress after which a transfer is abandoned, to make room for others; default: 10
+    /// minutes. The program gets [`Error::TransferFailed`](crate::Error::TransferFailed). The transfer resumes when the
+    /// sender offers it again.
     #[must_use]
     pub fn timeout(self, timeout: Duration) -> Self {
         Self { timeout, ..self }

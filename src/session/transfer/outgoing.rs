@@ -35,7 +35,8 @@ pub enum TransferSource {
     Bytes(Bytes, Encoding),
 }
 
-/// A transfer to a robot; created by [`Robot::transfer`](crate::Robot::transfer). It does nothing until it is awaited.
+/// A transfer to a robot; created by [`Robot::transfer`](crate::Robot::transfer). It does nothing until it is awaited
+/// or [`wait`](Self::wait) is called.
 #[must_use = "a transfer starts when it is awaited"]
 pub struct Transfer {
     pub(super) session: Session,
@@ -72,7 +73,8 @@ impl Transfer {
         }
     }
 
-    /// Sets the file name at the receiver; default: the name of the file, or an empty name for a buffer.
+    /// Sets the file name at the receiver; default: the name of the file, or an empty name for a buffer. An invalid
+    /// name, such as one with a `/`, makes the transfer fail with [`Error::Offer`].
     pub fn name(mut self, name: impl Into<String>) -> Self {
         self.name = Some(name.into());
         self
@@ -85,8 +87,8 @@ impl Transfer {
         self
     }
 
-    /// Sets the time without a sign of the receiver after which the transfer fails with [`Error::TimedOut`]; default: none,
-    /// the transfer waits until the receiver is reachable again.
+    /// Sets the time without any message from the receiver after which the transfer fails with [`Error::TimedOut`]. By
+    /// default, there is no limit: the transfer waits until the receiver is reachable again.
     pub fn timeout(mut self, timeout: Duration) -> Self {
         self.timeout = Some(timeout);
         self

@@ -15,7 +15,7 @@ pub fn findings(statuses: &[(String, Value)]) -> Vec<Finding> {
             .collect();
         if !others.is_empty() {
             let what = format!(
-                "more than one robot is called {robot}: its router {} and {}",
+                "more than one robot is called {robot}: the routers {} and {}",
                 status["id"].as_str().unwrap_or("?"),
                 others.join(", ")
             );

@@ -17,7 +17,7 @@ use crate::{
 
 /// Maximum difference between clocks in seconds. Zenoh drops no messages for a larger one by default, but the times of
 /// messages cannot be compared.
-const SKEW: f64 = 2.0;
+const MAX_SKEW_S: f64 = 2.0;
 /// Timeout for liveliness tokens.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -36,7 +36,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
         format!("the router answers at {}", args.router.router),
     ));
     let robot = robot_of_router(&session, &args.fleet);
-    findings.push(is_robot(args, robot.as_deref()));
+    findings.push(robot_of_programs(args, robot.as_deref()));
     if let Some(robot) = &robot {
         findings.extend(connections_file(&session, &args.fleet, robot));
         findings.push(others(&session, &args.fleet, robot));
@@ -68,7 +68,7 @@ fn robot_of_router(session: &Session, fleet: &str) -> Option<String> {
 }
 
 /// Checks that the router belongs to the robot under whose name programs on this computer publish.
-fn is_robot(args: &DoctorArgs, robot: Option<&str>) -> Finding {
+fn robot_of_programs(args: &DoctorArgs, robot: Option<&str>) -> Finding {
     const ABOUT: &str = "robot";
     let (router, fleet) = (&args.router.router, &args.fleet);
     match (robot, &args.robot) {
@@ -152,16 +152,16 @@ fn others(session: &Session, fleet: &str, own: &str) -> Finding {
 fn peers(session: &Session) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (robot, waiting) in replies(session, "*/*/@rect/connections?state=connecting") {
-        for one in waiting.as_array().into_iter().flatten() {
+        for connection in waiting.as_array().into_iter().flatten() {
             let text = |value: &Value| value.as_str().unwrap_or("?").to_owned();
-            let why = one["last_error"]["what"]
+            let why = connection["last_error"]["what"]
                 .as_str()
-                .unwrap_or("it was never discovered");
+                .unwrap_or("no attempt has failed yet");
             let what = format!(
                 "{robot} has no connection {} to {}/{}: {}",
-                text(&one["name"]),
-                text(&one["method"]),
-                text(&one["address"]),
+                text(&connection["name"]),
+                text(&connection["method"]),
+                text(&connection["address"]),
                 short_reason(why)
             );
             let advice = "is the robot switched on and in range, and is its name correct? `rect connections` shows all connections";
@@ -181,7 +181,7 @@ fn clocks(session: &Session) -> Vec<Finding> {
             continue;
         };
         let skew = (theirs - answered).max(0.0) + (theirs - asked).min(0.0);
-        if skew.abs() > SKEW {
+        if skew.abs() > MAX_SKEW_S {
             let what = format!(
                 "the clock of {robot} differs from this computer's by {:+.0} s",
                 skew

@@ -34,28 +34,33 @@ impl System<'_> {
     fn kernel(&self) -> Finding {
         let release = self.text("proc/sys/kernel/osrelease");
         let release = release.trim();
-        let numbers: Vec<u32> = release
-            .split(|c: char| !c.is_ascii_digit())
-            .map_while(|number| number.parse().ok())
-            .collect();
+        let version = self.text("proc/version");
+        // Debian's release, such as 6.1.0-42-amd64, does not contain the version of the kernel. The package version does.
+        let package = debian_package(&version);
+        let mut versions = [Some(release), package].into_iter().flatten();
+        let is_6_1_192 = versions.any(|version| numbers(version).starts_with(&[6, 1, 192]));
+        let kernel = match package {
+            Some(package) => format!("Linux {release} (Debian {package})"),
+            None => format!("Linux {release}"),
+        };
         let advice = "install another kernel (config/README.md, \"Kernels to avoid\")";
-        match *numbers.as_slice() {
-            [6, 1, 192, ..] => Finding::wrong(
+        match *numbers(release).as_slice() {
+            _ if is_6_1_192 => Finding::wrong(
                 "kernel",
-                format!("Linux {release} breaks Bluetooth until the next boot when a link is lost"),
+                format!("{kernel} breaks Bluetooth until the next boot when a link is lost"),
                 advice,
             ),
             [5, 10, 0, build] if build >= 46 => Finding::wrong(
                 "kernel",
-                format!("Linux {release} stops every Bluetooth link after some 100 kB"),
+                format!("{kernel} stops every Bluetooth link after some 100 kB"),
                 advice,
             ),
             [major, minor, ..] if (major, minor) < (5, 10) => Finding::poor(
                 "kernel",
-                format!("Linux {release} is older than what RECT is tested with, 5.10"),
+                format!("{kernel} is older than what RECT is tested with, 5.10"),
                 "update the system if links are unstable",
             ),
-            _ => Finding::good("kernel", format!("Linux {release}")),
+            _ => Finding::good("kernel", kernel),
         }
     }
 
@@ -205,6 +210,24 @@ impl System<'_> {
     }
 }
 
+/// Returns the numbers of a kernel's version, up to the first part that does not begin with a digit.
+fn numbers(version: &str) -> Vec<u32> {
+    version
+        .split(|c: char| !c.is_ascii_digit())
+        .map_while(|number| number.parse().ok())
+        .collect()
+}
+
+/// Returns the version of Debian's kernel package in the content of `/proc/version`, such as `6.1.192-1`, without its
+/// epoch.
+fn debian_package(version: &str) -> Option<&str> {
+    // The compiler, before the build number, has a package version, too.
+    let (_, build) = version.rsplit_once('#')?;
+    let (_, package) = build.split_once(" Debian ")?;
+    let package = package.split_whitespace().next()?;
+    Some(package.split_once(':').map_or(package, |(_, rest)| rest))
+}
+
 #[cfg(test)]
 mod tests {
     use super::{super::Verdict, *};
@@ -275,6 +298,18 @@ mod tests {
                 "another kernel",
             ),
             (
+                vec![
+                    ("proc/sys/kernel/osrelease", "6.1.0-53-amd64"),
+                    (
+                        "proc/version",
+                        "Linux version 6.1.0-53-amd64 (debian-kernel@lists.debian.org) (gcc-12 (Debian 12.2.0-14) 12.2.0, \
+                         GNU ld (GNU Binutils for Debian) 2.40) #1 SMP PREEMPT_DYNAMIC Debian 6.1.192-1 (2026-11-02)\n",
+                    ),
+                ],
+                "kernel: Linux 6.1.0-53-amd64 (Debian 6.1.192-1)",
+                "another kernel",
+            ),
+            (
                 vec![("proc/sys/kernel/osrelease", "5.10.0-46-amd64")],
                 "kernel",
                 "another kernel",
@@ -323,6 +358,27 @@ mod tests {
                 bad[0].starts_with(about) && bad[0].contains(advice),
                 "{bad:?}"
             );
+        }
+    }
+
+    #[test]
+    fn debian_package_version_is_that_of_the_kernel() {
+        for (version, package) in [
+            (
+                "Linux version 6.1.0-42-amd64 (debian-kernel@lists.debian.org) #1 SMP PREEMPT_DYNAMIC Debian 6.1.159-1 (2025-12-30)",
+                Some("6.1.159-1"),
+            ),
+            (
+                "Linux version 6.12.34+rpt-rpi-v8 (serge@raspberrypi.com) #1 SMP PREEMPT Debian 1:6.12.34-1+rpt1 (2025-06-26)",
+                Some("6.12.34-1+rpt1"),
+            ),
+            (
+                "Linux version 6.6.1 (pi@wombat) (gcc (Debian 12.2.0-14) 12.2.0) #1 SMP Tue Nov 24",
+                None,
+            ),
+            ("", None),
+        ] {
+            assert_eq!(debian_package(version), package, "{version}");
         }
     }
 
