@@ -9,12 +9,14 @@ mod shared {
     pub mod raw;
 }
 
-use std::process::Command;
+use std::{process::Command, time::Duration};
 
 use contract::{channel, flooding, handshake, handshake_flood, link, misbehaving, secret, World};
+use shared::peer::within;
 use zenoh_link_ble::radio::bluez;
 
-fn world() -> Option<World> {
+/// Returns the names of the two adapters.
+fn adapters() -> Option<(String, String)> {
     let Ok(adapters) = std::env::var("RECT_BLUEZ_ADAPTERS") else {
         println!("skipped: RECT_BLUEZ_ADAPTERS does not name two adapters in range of each other (the VM does)");
         return None;
@@ -22,32 +24,47 @@ fn world() -> Option<World> {
     let (a, b) = adapters
         .split_once(',')
         .expect("two adapters, as hci0,hci1");
-    // Waits for the end of the previous test's advertisements and scans. bluetoothd ends them when it notices that
-    // their client has disconnected.
-    for adapter in [a, b] {
-        run("adapter", ["idle", adapter]);
-    }
-    Some(World {
+    Some((a.to_owned(), b.to_owned()))
+}
+
+fn world(a: &str, b: &str) -> World {
+    World {
         a: bluez::radio(Some(a)).expect("opens"),
         b: bluez::radio(Some(b)).expect("opens"),
         lose_links: lose_links_of(a.to_owned()),
-    })
+    }
 }
 
 /// Uses the emulated radio of the VM (`tests/vm/guest/room`).
 fn lose_links_of(adapter: String) -> Box<dyn Fn() + Send + Sync> {
-    Box::new(move || run("room", ["drop", &adapter]))
+    Box::new(move || {
+        let dropped = Command::new("room").args(["drop", &adapter]).output();
+        assert!(
+            dropped.is_ok_and(|done| done.status.success()),
+            "room drop {adapter}"
+        );
+    })
 }
 
-/// Runs a program of the VM (`tests/vm/guest`).
-fn run<const N: usize>(program: &str, arguments: [&str; N]) {
-    let output = Command::new(program).args(arguments).output();
-    let output = output.unwrap_or_else(|error| panic!("cannot run {program}: {error}"));
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        output.status.success(),
-        "{program} {arguments:?}: {message}"
-    );
+/// Waits until the advertisements and scans of the test have ended. The crate bluer ends them in tasks. If the runtime
+/// ended before these tasks, the advertisements would last as long as the process, and disturb the next tests.
+async fn end_of_advertisements_and_scans(adapters: [&str; 2]) {
+    let session = bluer::Session::new().await.expect("reaches bluetoothd");
+    for name in adapters {
+        let adapter = session.adapter(name).expect("a valid name");
+        within("the end of all advertisements and scans", async {
+            while adapter.is_discovering().await.expect("is known")
+                || adapter
+                    .active_advertising_instances()
+                    .await
+                    .expect("is known")
+                    > 0
+            {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        })
+        .await;
+    }
 }
 
 macro_rules! on_bluez {
@@ -55,8 +72,9 @@ macro_rules! on_bluez {
         $(
             #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
             async fn $scenario() {
-                if let Some(world) = world() {
-                    $group::$scenario(world).await;
+                if let Some((a, b)) = adapters() {
+                    $group::$scenario(world(&a, &b)).await;
+                    end_of_advertisements_and_scans([&a, &b]).await;
                 }
             }
         )+
