@@ -1,5 +1,5 @@
 //! Tests the iterators and callbacks of the blocking API, with streams and transfers between two programs:
-//! `cargo test -p rect --test blocking`
+//! `cargo test -p rect-robot --test blocking`
 mod pair;
 
 use std::{

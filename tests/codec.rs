@@ -1,5 +1,5 @@
 //! Tests codecs and dictionaries between two robots, linked directly over TCP in one process:
-//! `cargo test -p rect --test codec`
+//! `cargo test -p rect-robot --test codec`
 mod pair;
 
 use std::{sync::Arc, time::Duration};

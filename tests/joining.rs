@@ -1,5 +1,5 @@
 //! Tests connecting to a router: logins, the robot of the router, and the timeout. The router is a stock one in this process:
-//! `cargo test -p rect --test joining`
+//! `cargo test -p rect-robot --test joining`
 mod pair;
 
 use std::{

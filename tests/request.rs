@@ -1,5 +1,5 @@
 //! Tests requests and services between two robots, linked directly over TCP in one process:
-//! `cargo test -p rect --test request`
+//! `cargo test -p rect-robot --test request`
 mod pair;
 
 use std::{

@@ -1,5 +1,5 @@
 //! Tests publishing, sending and subscribing between two robots, linked directly over TCP in one process:
-//! `cargo test -p rect --test session`
+//! `cargo test -p rect-robot --test session`
 mod pair;
 
 use std::{

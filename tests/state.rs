@@ -1,5 +1,5 @@
 //! Tests events, counters and the blocking API between two robots, linked directly over TCP in one process:
-//! `cargo test -p rect --test state`
+//! `cargo test -p rect-robot --test state`
 mod pair;
 
 use std::{sync::mpsc, thread, time::Duration};

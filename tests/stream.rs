@@ -1,5 +1,5 @@
 //! Tests streams between two robots, linked directly over TCP in one process:
-//! `cargo test -p rect --no-default-features --features session --test stream`
+//! `cargo test -p rect-robot --no-default-features --features session --test stream`
 mod pair;
 
 use std::{

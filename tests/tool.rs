@@ -1,4 +1,4 @@
-//! Tests the `rect` command, connected to a robot in the test's own process: `cargo test -p rect --test tool`
+//! Tests the `rect` command, connected to a robot in the test's own process: `cargo test -p rect-robot --test tool`
 mod pair;
 
 use std::{

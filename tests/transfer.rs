@@ -1,6 +1,6 @@
 //! Tests transfers between two robots, linked over TCP in one process, with link losses, restarts, refusals and invalid
 //! replies:
-//! `cargo test -p rect --test transfer`
+//! `cargo test -p rect-robot --test transfer`
 mod pair;
 mod wire;
 

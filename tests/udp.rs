@@ -1,5 +1,5 @@
 //! Tests that messages lost over UDP are counted and not retransmitted, with a relay that drops datagrams:
-//! `cargo test -p rect --test udp`
+//! `cargo test -p rect-robot --test udp`
 mod pair;
 
 use std::{

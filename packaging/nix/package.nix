@@ -58,7 +58,7 @@ rustPlatform.buildRustPackage (finalAttrs: {
   # One command for all, as in scripts/build-plugins: a router loads only plugins with the same features of zenoh, and zenoh is
   # compiled only once.
   cargoBuildFlags = lib.concatMap (name: [ "-p" name ]) [
-    "rect"
+    "rect-robot"
     "rect-router"
     "rect-cpp"
     "zenoh-plugin-rect"

@@ -1,4 +1,4 @@
-//! Tests streams over slow links, in virtual time: `cargo test --no-default-features -p rect stream`
+//! Tests streams over slow links, in virtual time: `cargo test --no-default-features -p rect-robot stream`
 use std::time::Duration;
 
 use super::{
