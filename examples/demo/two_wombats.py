@@ -33,8 +33,8 @@ and use another one for these commands:
   {rect} topic list                # lists the topics
   {rect} request wombat-2 battery  # sends a request to a service
 
-{rect} --help lists all commands. docs/python.md shows how to write a program, docs/install.md how to install RECT
-on a robot."""
+{rect} --help lists all commands. docs/reference/python.md shows how to write a program, and
+docs/how-to/wombat.md how to install RECT on a robot."""
 
 
 def main() -> int:

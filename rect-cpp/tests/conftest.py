@@ -34,3 +34,17 @@ def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
             yield endpoint
         finally:
             process.terminate()
+
+
+@pytest.fixture
+def simulation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Runs the simulated robots wombat-1 and wombat-2. Programs connect to wombat-1 by default."""
+    command = [os.environ.get("RECT_ROUTER", "rect-router"), "sim", "--port", "0"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            endpoints = (line.split()[1] for line in process.stdout if line.startswith("wombat-1  tcp/"))
+            monkeypatch.setenv("RECT_ENDPOINT", next(endpoints))
+            yield
+        finally:
+            process.terminate()

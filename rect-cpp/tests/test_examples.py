@@ -1,4 +1,4 @@
-"""Runs the built examples, and builds and runs the programs of docs/cpp.md and docs/c.md.
+"""Runs the built examples, and builds and runs the programs of docs/reference/cpp.md and docs/reference/c.md.
 
 RECT_ROUTER=target/quick/rect-router pytest rect-cpp/tests --build rect-cpp/build/default
 """
@@ -55,6 +55,13 @@ def examples(build: Path, endpoint: str) -> Path:
     return build / "examples"
 
 
+@pytest.mark.parametrize("name", ["hello", "hello_c"])
+def test_hello(name: str, build: Path, simulation: None, tmp_path: Path) -> None:
+    with Example(build / "examples" / name, folder=tmp_path) as hello:
+        assert '"volts":12.4' in hello.until("battery of wombat-2: ")
+        hello.until('wombat-2 arm/angle: {"degrees":')
+
+
 def test_telemetry(examples: Path, tmp_path: Path) -> None:
     with (
         Example(examples / "telemetry", "wombat-1", folder=tmp_path),
@@ -105,7 +112,7 @@ def test_wombat(examples: Path, tmp_path: Path) -> None:
         one.until("motors off")
 
 
-@pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request", "wombat"])
+@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "wombat"])
 def test_examples_have_less_than_80_lines(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80
 
@@ -117,7 +124,7 @@ def test_examples_have_less_than_80_lines(name: str) -> None:
 def test_programs_in_the_documentation_print_the_documented_output(
     page: str, language: str, compiler: list[str], build: Path, endpoint: str, tmp_path: Path
 ) -> None:
-    text = (_REPOSITORY / "docs" / f"{page}.md").read_text()
+    text = (_REPOSITORY / "docs" / "reference" / f"{page}.md").read_text()
     programs = [block for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL) if "int main" in block]
     assert programs
     for n, program in enumerate(programs):

@@ -1,4 +1,4 @@
-"""Runs the Python blocks of the tutorial, one after another, and the examples.
+"""Runs the Python blocks of docs/reference/python.md, one after another, and the examples.
 
 RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_docs.py
 """
@@ -33,12 +33,12 @@ def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
             router.terminate()
 
 
-def test_tutorial_prints_documented_output(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (_REPOSITORY / "docs" / "python.md").read_text()
+def test_page_prints_documented_output(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (_REPOSITORY / "docs" / "reference" / "python.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert len(blocks) > 10
     monkeypatch.chdir(tmp_path)
-    file = tmp_path / "tutorial.py"
+    file = tmp_path / "page.py"
     file.write_text("\n".join(blocks))
     done = subprocess.run(
         [sys.executable, str(file)], capture_output=True, text=True, timeout=DEADLINE * 2, check=False
@@ -49,27 +49,32 @@ def test_tutorial_prints_documented_output(endpoint: str, tmp_path: Path, monkey
     assert "no program serves double at wombat-7; reachable robots:" in done.stdout
 
 
-def test_first_program_prints_messages_of_simulated_robots(tmp_path: Path) -> None:
-    text = (_REPOSITORY / "docs" / "python.md").read_text()
-    (block,) = re.findall(r"```python sim\n(.*?)```", text, re.DOTALL)
+@pytest.fixture
+def simulation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Runs the simulated robots wombat-1 and wombat-2. Programs connect to wombat-1 by default."""
     pipe = subprocess.PIPE
     command = [program("RECT_ROUTER", "rect-router"), "sim", "--port", "0"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) as sim:
         try:
             line = Tool(sim).until("wombat-1  tcp/")
-            environment = {**os.environ, "RECT_ENDPOINT": line.split()[1], "PYTHONUNBUFFERED": "1"}
-            reader = subprocess.Popen(
-                [sys.executable, "-c", block], env=environment, stdout=pipe, stderr=pipe, text=True
-            )
-            with reader:
-                try:
-                    output = Tool(reader)
-                    output.until("wombat-1 {'degrees': ")
-                    output.until("wombat-2 {'degrees': ")
-                finally:
-                    reader.kill()
+            monkeypatch.setenv("RECT_ENDPOINT", line.split()[1])
+            yield
         finally:
             sim.terminate()
+
+
+def test_first_program_prints_messages_of_simulated_robots(simulation: None) -> None:
+    text = (_REPOSITORY / "docs" / "reference" / "python.md").read_text()
+    (block,) = re.findall(r"```python sim\n(.*?)```", text, re.DOTALL)
+    pipe = subprocess.PIPE
+    reader = subprocess.Popen([sys.executable, "-u", "-c", block], stdout=pipe, stderr=pipe, text=True)
+    with reader:
+        try:
+            output = Tool(reader)
+            output.until("wombat-1 {'degrees': ")
+            output.until("wombat-2 {'degrees': ")
+        finally:
+            reader.kill()
 
 
 class Example:
@@ -87,6 +92,12 @@ class Example:
     def __exit__(self, *_: Any) -> None:
         self.process.kill()
         self.process.wait()
+
+
+def test_hello(simulation: None, tmp_path: Path) -> None:
+    with Example("hello", folder=tmp_path) as hello:
+        hello.tool.until("battery of wombat-2: {'volts': 12.4, 'percent': 83}")
+        hello.tool.until("wombat-2 arm/angle: {'degrees': ")
 
 
 def test_telemetry(endpoint: str, tmp_path: Path) -> None:
@@ -128,6 +139,6 @@ def test_request(endpoint: str, tmp_path: Path) -> None:
             two.tool.until("wombat-1 replied with an error: the cell must be 1 or 2")
 
 
-@pytest.mark.parametrize("name", ["telemetry", "teleoperation", "camera", "transfer", "request"])
+@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request"])
 def test_example_is_short(name: str) -> None:
     assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) < 40

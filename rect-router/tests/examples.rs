@@ -1,5 +1,5 @@
-//! Tests of the library's examples, each run as two programs at one router, after `cargo build -p rect --examples`:
-//! `cargo test -p rect -p rect-router --test examples`
+//! Tests of the library's examples, each run as two programs at one router, after `cargo build -p rect-robot --examples`:
+//! `cargo test -p rect-robot -p rect-router --test examples`
 mod support;
 
 use std::{
@@ -11,6 +11,10 @@ use std::{
     time::Instant,
 };
 
+use nix::{
+    sys::signal::{kill, Signal},
+    unistd::Pid,
+};
 use support::{built_with, skip, Router, DEADLINE};
 
 /// A running example, killed at the end of the test.
@@ -23,7 +27,7 @@ impl Example {
     fn start(name: &str, arguments: &[&str], endpoint: &str, folder: &Path) -> Option<Self> {
         let program = built_with("dev").join("examples").join(name);
         if !program.exists() {
-            skip("needs the examples: cargo build -p rect --examples");
+            skip("needs the examples: cargo build -p rect-robot --examples");
             return None;
         }
         let mut child = Command::new(program)
@@ -87,6 +91,53 @@ impl Stage {
     fn start(&self, name: &str, arguments: &[&str]) -> Option<Example> {
         Example::start(name, arguments, &self.endpoint, self.folder.path())
     }
+}
+
+/// The simulated robots wombat-1 and wombat-2.
+struct Simulation {
+    child: Child,
+    endpoint: String,
+}
+
+impl Simulation {
+    fn start() -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_rect-router"))
+            .args(["sim", "--port", "0"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("it starts");
+        let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+        let endpoint = lines
+            .by_ref()
+            .map_while(Result::ok)
+            .find_map(|line| Some(line.strip_prefix("wombat-1  ")?.trim().to_owned()))
+            .expect("the endpoint of wombat-1");
+        // Keeps reading, because the simulation would wait if nobody read what it prints.
+        thread::spawn(move || lines.map_while(Result::ok).for_each(drop));
+        Self { child, endpoint }
+    }
+}
+
+impl Drop for Simulation {
+    fn drop(&mut self) {
+        let _ = kill(
+            Pid::from_raw(self.child.id().try_into().expect("a process id")),
+            Signal::SIGTERM,
+        );
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn hello_prints_a_reply_and_messages_of_a_simulated_robot() {
+    let simulation = Simulation::start();
+    let folder = tempfile::tempdir().expect("a folder");
+    let hello = Example::start("hello", &[], &simulation.endpoint, folder.path());
+    let Some(hello) = hello else {
+        return;
+    };
+    hello.wait_for("battery of wombat-2: {\"volts\":12.4");
+    hello.wait_for("wombat-2 arm/angle: {\"degrees\":");
 }
 
 #[test]
