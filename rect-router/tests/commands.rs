@@ -118,7 +118,7 @@ fn robots_of_one_team_connect_and_a_robot_of_another_team_is_rejected() {
         1
     );
     let nobody = rect_router(&[&["status", "wombat-7"], &ask[..]].concat());
-    assert!(text_of(&nobody).contains("no robot wombat-7 of fleet rect answers"));
+    assert!(text_of(&nobody).contains("no robot wombat-7 of the fleet rect answers"));
     let doctor = rect_router(&[
         "doctor",
         "--json",

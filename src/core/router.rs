@@ -163,10 +163,10 @@ pub fn robot_of_router(id: &str) -> String {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the router at {endpoint} serves {}, but this program joins as {}: the router's access control may drop whatever it \
-     publishes. Join as {serves}, or at the router of {joins}; a program that uses another name on purpose sets the option \
+     publishes. Join as {}, or at the router of {}; a program that uses another name on purpose sets the option \
      `allow_name_mismatch`",
-    .serves.with_fleet_unlike(.joins), .joins.with_fleet_unlike(.serves),
-    serves = .serves.robot, joins = .joins.robot
+    .serves.with_fleet_unlike(.joins), .joins.with_fleet_unlike(.serves), .serves.with_fleet_unlike(.joins),
+    .joins.with_fleet_unlike(.serves)
 )]
 pub struct WrongRobot {
     /// The endpoint of the router.
@@ -345,7 +345,10 @@ mod tests {
         );
         let other = check(&["lions/wombat-7/@rect/alive/ab12"]).expect_err("another fleet");
         let text = other.to_string();
-        assert!(text.contains("wombat-7 of the fleet lions"), "{text}");
+        assert!(
+            text.contains("Join as the robot wombat-7 of the fleet lions, or"),
+            "{text}"
+        );
         let both = [
             "rect/wombat-1/@rect/alive/ab12",
             "rect/wombat-7/@rect/alive/ab12",

@@ -2,6 +2,7 @@
 use std::{
     net::{TcpStream, ToSocketAddrs},
     os::unix::net::UnixStream,
+    path::Path,
     time::Duration,
 };
 
@@ -66,7 +67,7 @@ fn session_error(args: &RouterArgs, user: Option<&str>, error: &zenoh::Error) ->
     let (router, file) = (&args.router, args.users.display());
     let (what, advice) = match (is_listening(router), user) {
         (false, _) => (
-            format!("no router answers at {router}: {}", short_reason(&humanize::with_causes(error.as_ref()))),
+            format!("no router answers at {router}{}", connect_reason(error)),
             "start it (`rect init` writes its configuration), or give another endpoint with --router",
         ),
         (true, Some(user)) => (
@@ -74,11 +75,29 @@ fn session_error(args: &RouterArgs, user: Option<&str>, error: &zenoh::Error) ->
             "give the login file of the router's team with --users",
         ),
         (true, None) => (
-            format!("the router at {router} refuses programs without a login, and {file} contains none"),
+            format!("the router at {router} refuses programs without a login, and {file} {}", missing_login(&args.users)),
             "give the team's login file with --users; to read /etc/rect/users, run `sudo usermod -aG rect $USER` and log in again",
         ),
     };
     SessionError { what, advice }
+}
+
+/// Returns the reason why Zenoh did not connect, after a colon; nothing if Zenoh only repeats the endpoint.
+fn connect_reason(error: &zenoh::Error) -> String {
+    let reason = short_reason(&humanize::with_causes(error.as_ref()));
+    if reason.starts_with("Unable to connect to any of") {
+        return String::new();
+    }
+    format!(": {reason}")
+}
+
+/// Describes a login file that contains no login for this program.
+fn missing_login(file: &Path) -> &'static str {
+    match file.try_exists() {
+        Ok(true) => "contains none that you can read",
+        Ok(false) => "does not exist",
+        Err(_) => "cannot be read",
+    }
 }
 
 /// Returns whether something accepts connections at the endpoint.
@@ -134,8 +153,8 @@ pub(super) fn show(
             "*" => "no robot".to_owned(),
             robot => format!("no robot {robot}"),
         };
-        let advice = "is its router running, with plugins/rect in its configuration?";
-        return Err(format!("{missing} of fleet {fleet} answers: {advice}").into());
+        let advice = "is its router running, with plugins/rect in its configuration? --fleet selects another fleet";
+        return Err(format!("{missing} of the fleet {fleet} answers: {advice}").into());
     }
     if args.json {
         let all: serde_json::Map<_, _> = robots.into_iter().collect();

@@ -33,7 +33,7 @@ const FORBIDDEN_IN_PATH: [char; 4] = ['#', '?', ';', '|'];
 /// change the connections of robots.
 const LOGINS: [&str; 2] = ["fleet", "config"];
 const NO_CONNECTIONS: &str =
-    "// Named connections: see config/README.md.\n{\n  \"connections\": [\n  ],\n}\n";
+    "// Named connections: see docs/reference/configuration.md.\n{\n  \"connections\": [\n  ],\n}\n";
 /// Number of random bytes in a password, too many for a brute-force search.
 const SECRET_BYTES: usize = 18;
 /// Permissions of files and folders: for the owner and the router's group.

@@ -23,7 +23,7 @@ const ROUTER_USER: &str = "rect";
 /// The error message for a service that is not installed.
 pub const NOT_INSTALLED: &str =
     "--start: no installed service uses this folder; install the package `rect` \
-     (docs/install.md), or start the router yourself: rect-router -c <folder>/robot.json5";
+     (docs/how-to/laptop.md), or start the router yourself: rect-router -c <folder>/robot.json5";
 
 /// Returns whether a service is installed that reads its configuration from `folder`.
 pub fn is_installed_for(folder: &Path) -> bool {

@@ -43,7 +43,7 @@ impl System<'_> {
             Some(package) => format!("Linux {release} (Debian {package})"),
             None => format!("Linux {release}"),
         };
-        let advice = "install another kernel (config/README.md, \"Kernels to avoid\")";
+        let advice = "install another kernel (docs/reference/kernels.md)";
         match *numbers(release).as_slice() {
             _ if is_6_1_192 => Finding::wrong(
                 "kernel",
@@ -87,7 +87,7 @@ impl System<'_> {
                 return Finding::wrong(
                     ABOUT,
                     format!("`{line}` in /{config} switches Bluetooth off, as on a KIPR Wombat"),
-                    "replace that line by `dtoverlay=pi3-miniuart-bt` and reboot, or plug in a USB Bluetooth dongle",
+                    "replace that line by the two lines `dtoverlay=pi3-miniuart-bt` and `core_freq=250` and reboot, or plug in a USB Bluetooth dongle",
                 );
             }
         }
