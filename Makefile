@@ -1,16 +1,16 @@
 # `make demo` and `make test` are the most important commands; `make help` lists all.
 SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
-bin := $(CARGO_TARGET_DIR)/quick
+bin := $(CARGO_TARGET_DIR)/debug
 
-.PHONY: help demo test test-kernels test-upstream check docs bench fuzz dist router
+.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench fuzz dist router
 
 help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 demo: ## Show two simulated Wombats on Bluetooth Low Energy (half a minute after the build)
 	@scripts/setup demo
-	@cargo build --profile quick -p rect -p rect-router
+	@scripts/build-programs
 	@PATH="$(bin):$$PATH" .venv/bin/python examples/demo/two_wombats.py
 
 test: ## Run all tests, including those in the Bluetooth VM
@@ -30,16 +30,21 @@ check: ## Check the format, lints and vocabulary of all languages
 	.venv/bin/python scripts/api-table --check
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets -- -D warnings
-	cargo clippy -p rect --no-default-features --lib -- -D warnings
+	cargo clippy -p rect-robot --no-default-features --lib -- -D warnings
 	.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
 
-docs: ## Write the API documentation of Rust, Python and C++ to target/doc, target/docs and rect-cpp/build/doxygen
+docs: ## Build the documentation site with the API of each language into target/site
+	@scripts/setup docs
+	@scripts/docs
+
+docs-serve: ## Show the documentation site at http://127.0.0.1:8000 while you edit its pages
+	@scripts/setup docs
+	.venv/bin/python -m mkdocs serve
+
+python: ## Install the Python package into .venv, with the router and the rect tool
 	@scripts/setup python
-	@scripts/setup test
-	cargo doc --no-deps -p rect
-	@scripts/docs-python
-	mkdir -p rect-cpp/build/doxygen && cd rect-cpp && doxygen -q Doxyfile
+	@scripts/install-python
 
 bench: ## Run the benches, and write their tables to benches/results/ (an hour; BENCH="goodput idle" selects some)
 	@scripts/setup bench
@@ -52,4 +57,4 @@ dist: ## Build packages, wheels and archives for amd64 and arm64 into dist/ (an 
 	@scripts/dist
 
 router: ## Build only the router and the rect tool, with the release profile
-	cargo build --release -p rect -p rect-router
+	cargo build --release -p rect-robot -p rect-router
