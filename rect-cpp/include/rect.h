@@ -269,7 +269,7 @@ typedef struct rect_robot {
     uint64_t id;
 } rect_robot;
 
-// A connection of a robot's router (docs/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
+// A connection of a robot's router (docs/reference/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
 typedef struct rect_connection {
     // The name of a named connection; otherwise empty.
     struct rect_text name;
@@ -715,7 +715,7 @@ enum rect_code rect_codec_name(const char *codec,
 // Queries the connections of a router and writes them to `connections`.
 //
 // `target` is the robot whose router is queried; NULL means this robot. `filter` selects connections, e.g. `method=ble` or
-// `peer=wombat-2;state=connected` (docs/registry.md); NULL means all.
+// `peer=wombat-2;state=connected` (docs/reference/registry.md); NULL means all.
 //
 // Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply
 // arrives.
@@ -725,7 +725,7 @@ enum rect_code rect_robot_connections(struct rect_robot robot,
                                       struct rect_connections *connections,
                                       struct rect_error *error);
 
-// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and writes the
+// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/reference/registry.md), and writes the
 // answer, which is JSON, to `answer`. `target` and `filter` are the same as for `rect_robot_connections`.
 //
 // Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply
@@ -1107,7 +1107,7 @@ enum rect_code rect_stream_send_picture(struct rect_stream stream,
                                         struct rect_error *error);
 
 // Writes the state of a stream to `status`: what is sent, what arrives, and why the current quality was chosen. It is JSON
-// with `groups` and `receivers` (docs/streams.md). May be called on any thread.
+// with `groups` and `receivers` (docs/concepts/streams.md). May be called on any thread.
 enum rect_code rect_stream_status(struct rect_stream stream,
                                   struct rect_string *status,
                                   struct rect_error *error);

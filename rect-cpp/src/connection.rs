@@ -26,7 +26,7 @@ pub enum ConnectionState {
     Discovered = 2,
 }
 
-/// A connection of a robot's router (docs/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
+/// A connection of a robot's router (docs/reference/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
 #[repr(C)]
 pub struct Connection {
     /// The name of a named connection; otherwise empty.
@@ -187,7 +187,7 @@ unsafe fn read(given: &NamedConnection) -> Result<rect::NamedConnection, Failure
 /// Queries the connections of a router and writes them to `connections`.
 ///
 /// `target` is the robot whose router is queried; NULL means this robot. `filter` selects connections, e.g. `method=ble` or
-/// `peer=wombat-2;state=connected` (docs/registry.md); NULL means all.
+/// `peer=wombat-2;state=connected` (docs/reference/registry.md); NULL means all.
 ///
 /// Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply
 /// arrives.
@@ -219,7 +219,7 @@ pub unsafe extern "C" fn rect_robot_connections(
     })
 }
 
-/// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and writes the
+/// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/reference/registry.md), and writes the
 /// answer, which is JSON, to `answer`. `target` and `filter` are the same as for `rect_robot_connections`.
 ///
 /// Returns `RECT_CODE_NO_SERVICE` if the router does not answer. May be called on any thread; blocks until the reply

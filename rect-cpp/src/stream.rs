@@ -175,7 +175,7 @@ fn write_count(sent: Out<'_, u32>, count: usize) -> Result<(), Failure> {
 }
 
 /// Writes the state of a stream to `status`: what is sent, what arrives, and why the current quality was chosen. It is JSON
-/// with `groups` and `receivers` (docs/streams.md). May be called on any thread.
+/// with `groups` and `receivers` (docs/concepts/streams.md). May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_stream_status(
     stream: Stream,

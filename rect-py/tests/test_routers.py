@@ -31,7 +31,7 @@ def program(variable: str, name: str) -> str:
     """Returns the path of a program. Fails the test if the program is not built."""
     found = os.environ.get(variable) or shutil.which(name)
     assert found, (
-        f"{name} was not found: build it with `cargo build --profile quick -p rect -p rect-router`, "
+        f"{name} was not found: build it with `cargo build --profile quick -p rect-robot -p rect-router`, "
         f"and set {variable} to its path"
     )
     return found

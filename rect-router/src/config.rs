@@ -428,7 +428,9 @@ pub fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     }
     if has_ble {
         for advice in slow_link_advice::advice(config) {
-            tracing::warn!("unsuitable for a Bluetooth link: {advice} (config/README.md)");
+            tracing::warn!(
+                "unsuitable for a Bluetooth link: {advice} (docs/reference/configuration.md)"
+            );
         }
     }
     Ok(())

@@ -2,7 +2,7 @@
 //! login nor one address can use the whole remainder.
 //!
 //! `zenoh_link::admission` enforces the limits of links before Zenoh receives them. `logins` enforces the limit of a user,
-//! which Zenoh knows only once the session is open. `config/README.md` documents the numbers.
+//! which Zenoh knows only once the session is open. `docs/reference/configuration.md` documents the numbers.
 
 mod logins;
 

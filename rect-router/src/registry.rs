@@ -1,7 +1,7 @@
 //! Implements the registry of a robot, which reports its connections, its peers and its status.
 //!
 //! Zenoh queryables answer queries, changes of the connections are published under the key that answers for them, and a
-//! liveliness token shows that the robot is present. `docs/registry.md` documents the keys.
+//! liveliness token shows that the robot is present. `docs/reference/registry.md` documents the keys.
 pub mod document;
 mod presence;
 mod publisher;

@@ -157,7 +157,7 @@ fn with_advice(reason: String) -> String {
     }
     format!(
         "{reason}. Give its folder with --plugin-search-dir; scripts/build-plugins builds Zenoh's REST plugin together with \
-         a router that loads it (config/README.md, \"Plugins\")"
+         a router that loads it (docs/reference/configuration.md, \"Plugins\")"
     )
 }
 

@@ -1,5 +1,5 @@
 //! Answers queries about the topics that the robot's programs publish and their rates: `<fleet>/<robot>/@rect/topics`
-//! (docs/registry.md).
+//! (docs/reference/registry.md).
 //!
 //! The topics are those of the publishers declared at this router. Messages are counted by a subscription to the robot's own
 //! keys; they are published at this router, so that the subscription causes no traffic over the air. It exists only

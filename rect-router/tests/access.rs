@@ -1,4 +1,4 @@
-//! Tests of the access control in the shipped configurations and in their README:
+//! Tests of the access control in the shipped configurations and in `docs/how-to/security.md`:
 //! `cargo test -p rect-router --test access`
 
 mod support;
@@ -148,7 +148,8 @@ fn a_program_cannot_confirm_a_transfer_in_the_name_of_another_robot() {
     drop(confirming);
 }
 
-/// Returns the access control of a base station that holds these robots to their names, as the README describes it.
+/// Returns the access control of a base station that holds these robots to their names, as `docs/how-to/security.md`
+/// describes it.
 fn strict_access_control(base: &str, robots: &[&str]) -> Value {
     let config = zenoh::Config::from_file(format!("{base}/robot.json5")).expect("valid");
     let mut config = serde_json::to_value(&config).expect("JSON");
@@ -158,9 +159,10 @@ fn strict_access_control(base: &str, robots: &[&str]) -> Value {
         let all = access[part].as_array_mut().expect("a list");
         all.retain(|one| !is_of_all(one));
     }
-    let readme = fs::read_to_string(repository().join("config/README.md")).expect("exists");
-    let (_, shown) = readme
-        .split_once("### A base station that holds each robot to its name")
+    let page = repository().join("docs/how-to/security.md");
+    let page = fs::read_to_string(page).expect("exists");
+    let (_, shown) = page
+        .split_once("## A base station that holds each robot to its name")
         .expect("the chapter");
     let (_, shown) = shown.split_once("```json5").expect("an example");
     let (shown, _) = shown.split_once("```").expect("its end");

@@ -101,7 +101,7 @@ fn the_registry_answers_the_six_questions() {
     );
 }
 
-/// The table in `docs/registry.md`: questions and the queries that answer them.
+/// The table in `docs/reference/registry.md`: questions and the queries that answer them.
 const QUESTIONS: [(&str, &str); 6] = [
     ("How many by BLE, TCP, UDP?", "connections/count"),
     ("All connections of one client", "connections?peer=wombat-3"),
@@ -124,7 +124,7 @@ fn check_docs(ask: impl Fn(&str) -> Value) {
         let answer = in_short(&ask(query)).replace("\",\"", "\", \"");
         table += &format!("| {question} | `{query}` | `{answer}` |\n");
     }
-    let path = repository().join("docs/registry.md");
+    let path = repository().join("docs/reference/registry.md");
     let docs = fs::read_to_string(&path).expect("the docs");
     let (begin, end) = ("<!-- questions -->\n", "<!-- /questions -->");
     let (before, rest) = docs.split_once(begin).expect("a beginning");

@@ -1,4 +1,4 @@
-//! Defines connections as a router's registry reports them (docs/registry.md), and derives events from their changes.
+//! Defines connections as a router's registry reports them (docs/reference/registry.md), and derives events from their changes.
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};

@@ -1,5 +1,5 @@
 //! Counts the messages of a robot's topics for its router, and builds the router's answers about them. The caller
-//! passes the time. docs/registry.md describes the form of the answers.
+//! passes the time. docs/reference/registry.md describes the form of the answers.
 use std::{
     collections::{BTreeMap, VecDeque},
     time::{Duration, Instant},

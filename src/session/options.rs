@@ -225,7 +225,7 @@ impl Options {
         let mut settings = vec![
             // Links are configured explicitly: multicast scouting would connect all robots in a network with each other.
             ("scouting/multicast/enabled", json!(false)),
-            // Messages wait for room on a slow link instead of closing it (config/README.md).
+            // Messages wait for room on a slow link instead of closing it (docs/reference/configuration.md).
             (
                 "transport/link/tx/queue/congestion_control/block/wait_before_close",
                 json!(60_000_000),

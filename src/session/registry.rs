@@ -1,5 +1,5 @@
-//! Queries the routers for reachable robots and connections (docs/registry.md lists the keys), and changes the named
-//! connections of a router.
+//! Queries the routers for reachable robots and connections (docs/reference/registry.md lists the keys), and changes the
+//! named connections of a router.
 use std::time::Duration;
 
 use serde::de::DeserializeOwned;
@@ -58,7 +58,7 @@ impl Robot {
     }
 
     /// Returns the connections of the router of `robot` that match `filter`, such as `method=ble` or
-    /// `peer=wombat-2;state=connected` (docs/registry.md). An empty filter matches all.
+    /// `peer=wombat-2;state=connected` (docs/reference/registry.md). An empty filter matches all.
     ///
     /// # Errors
     /// Returns the errors of [`connections`](Self::connections), and [`Error::Name`] if `robot` is not a valid name.
@@ -74,7 +74,7 @@ impl Robot {
             .await
     }
 
-    /// Sends any query to the registry of `robot`, such as `connections/count` or `status` (docs/registry.md), and
+    /// Sends any query to the registry of `robot`, such as `connections/count` or `status` (docs/reference/registry.md), and
     /// deserializes the JSON reply as `T`.
     ///
     /// # Errors
@@ -109,7 +109,8 @@ impl Robot {
         self.add_connection_of(robot, connection).await
     }
 
-    /// Adds a named connection to the router of another robot, whose access control must permit it (`config/README.md`).
+    /// Adds a named connection to the router of another robot, whose access control must permit it
+    /// (`docs/reference/configuration.md`).
     ///
     /// # Errors
     /// Returns the errors of [`add_connection`](Self::add_connection), and [`Error::Name`] if `robot` is not a valid name.
@@ -136,7 +137,7 @@ impl Robot {
     }
 
     /// Removes a named connection from the router of another robot, whose access control must permit it
-    /// (`config/README.md`).
+    /// (`docs/reference/configuration.md`).
     ///
     /// # Errors
     /// Returns the errors of [`remove_connection`](Self::remove_connection), and [`Error::Name`] if `robot` is not a valid

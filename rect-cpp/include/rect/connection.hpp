@@ -38,7 +38,7 @@ enum class ConnectionState {
     discovered = RECT_CONNECTION_STATE_DISCOVERED,
 };
 
-/// A connection of a robot's router (docs/registry.md). Unknown values are empty.
+/// A connection of a robot's router (docs/reference/registry.md). Unknown values are empty.
 struct Connection {
     /// The name of a named connection; otherwise empty.
     std::string name;

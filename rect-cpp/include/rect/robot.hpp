@@ -293,7 +293,7 @@ public:
     }
 
     /// Returns the connections of a router. `filter` selects connections, e.g. `method=ble` or
-    /// `peer=wombat-2;state=connected` (docs/registry.md). `target` is the robot whose router is queried; empty means this
+    /// `peer=wombat-2;state=connected` (docs/reference/registry.md). `target` is the robot whose router is queried; empty means this
     /// robot. Fails with Code::no_service if the router does not answer.
     [[nodiscard]] expected<std::vector<Connection>> connections(const Text& filter = "", const std::string& target = {}) const {
         rect_connections connections;
@@ -309,7 +309,7 @@ public:
         });
     }
 
-    /// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/registry.md), and returns
+    /// Sends any question to the registry of a router, e.g. `connections/count` or `status` (docs/reference/registry.md), and returns
     /// the answer, which is JSON. `filter` and `target` are the same as for `connections`.
     [[nodiscard]] expected<std::string> query_registry(const Text& question, const Text& filter = "",
                                                        const std::string& target = {}) const {

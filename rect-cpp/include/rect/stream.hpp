@@ -76,7 +76,7 @@ public:
     }
 
     /// Returns the state of the stream as JSON: what is sent, what arrives, and why the current quality was chosen
-    /// (docs/streams.md).
+    /// (docs/concepts/streams.md).
     [[nodiscard]] expected<std::string> status() const {
         rect_string status;
         rect_error error;

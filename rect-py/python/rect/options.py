@@ -137,7 +137,8 @@ class Options:
         settings: dict[str, Any] = {
             # Robots connect by their configured links. Multicast would connect robots of other fleets, too.
             "scouting/multicast/enabled": False,
-            # A message that a slow link cannot accept yet waits; it does not close the link (config/README.md).
+            # A message that a slow link cannot accept yet waits; it does not close the link
+            # (docs/reference/configuration.md).
             "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
         }
         if self.is_direct:

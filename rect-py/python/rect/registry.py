@@ -1,4 +1,4 @@
-"""Queries the registry of routers: which robots are reachable, and over which connections (docs/registry.md)."""
+"""Queries the registry of routers (docs/reference/registry.md): reachable robots, and their connections."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Connections(list[Connection]):
 
 
 def query(session: Session, robot: str, question: str, filter: str) -> Any:
-    """Returns the answer of a robot's registry to a question (docs/registry.md) about what `filter` selects."""
+    """Returns the answer of a robot's registry (docs/reference/registry.md) about what `filter` selects."""
     return _query_router(session, robot, question, filter, None).value
 
 

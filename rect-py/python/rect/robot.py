@@ -300,7 +300,7 @@ class Robot:
           and takes longer to encode.
         - `urgency`: see `publish`.
 
-        docs/streams.md describes streams in detail.
+        docs/concepts/streams.md describes streams in detail.
 
         Raises `InvalidTopicError`, `OptionError`, `CodecError` and `Closed`. Example:
 
@@ -481,7 +481,8 @@ class Robot:
     def connections(self, robot: str | None = None, filter: str = "") -> Connections:
         """Returns the connections of the router of `robot`. Default: this robot.
 
-        `filter` selects some of them, such as `method=ble` or `peer=wombat-2;state=connected` (docs/registry.md).
+        `filter` selects some of them, such as `method=ble` or `peer=wombat-2;state=connected`
+        (docs/reference/registry.md).
 
         Raises `NoService` if no router with a registry answers, `ServiceError` if the filter is invalid, `TimedOut` if
         no reply arrives within 5 s, and `Closed`.
@@ -535,7 +536,7 @@ class Robot:
     def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
         """Sends a question such as `connections/count` or `status` to the registry of a router, and returns its answer.
 
-        docs/registry.md lists the questions and filters. `robot` defaults to this robot.
+        docs/reference/registry.md lists the questions and filters. `robot` defaults to this robot.
 
         Raises `NoService` if no router with a registry answers the question, `ServiceError` if the filter is invalid,
         `TimedOut` if no reply arrives within 5 s, and `Closed`.

@@ -123,7 +123,7 @@ class Stream:
 
     @property
     def status(self) -> dict[str, Any]:
-        """State of the stream: what is sent (`groups`), what arrives (`receivers`), and why (docs/streams.md)."""
+        """State of the stream: what is sent (`groups`), what arrives (`receivers`), why (docs/concepts/streams.md)."""
         status: dict[str, Any] = _rect.read_value(self._core.status(), JSON)
         return status
 

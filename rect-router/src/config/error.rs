@@ -44,7 +44,7 @@ pub enum ConfigError {
         source: zenoh::Error,
     },
     /// RECT's own settings are invalid.
-    #[error("plugins/rect: {reason} (config/README.md)")]
+    #[error("plugins/rect: {reason} (docs/reference/configuration.md)")]
     Settings { reason: String },
     /// Zenoh rejected a value because it contradicts the rest of the configuration.
     #[error("cannot set {key} to {value}: it contradicts the rest of the configuration")]
@@ -53,10 +53,10 @@ pub enum ConfigError {
     #[error("--login-as {user}: the configuration names no transport/auth/usrpwd/dictionary_file to take the password from")]
     NoLoginFile { user: String },
     /// The login file cannot be read. Create one with a line `user:password` that only the router can read.
-    #[error("cannot read the login file {} (create one with a line `user:password`, see config/README.md)", path.display())]
+    #[error("cannot read the login file {} (create one with a line `user:password`, see docs/reference/configuration.md)", path.display())]
     LoginFile { path: PathBuf, source: io::Error },
     /// The login file is empty. Add a line, or remove `dictionary_file` from the configuration to run without logins.
-    #[error("login file {} is empty; write a line `user:password` into it, see config/README.md", path.display())]
+    #[error("login file {} is empty; write a line `user:password` into it, see docs/reference/configuration.md", path.display())]
     NoLogins { path: PathBuf },
     /// The login file has no line for this user. Add the line, or log in as another user.
     #[error("--login-as {user}: no line `{user}:password` in {}", path.display())]

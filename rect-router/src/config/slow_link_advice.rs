@@ -1,5 +1,5 @@
 //! Recommends settings for links of 34 to 100 kB/s. Zenoh has one value of each setting for all links of a router, and its
-//! defaults are meant for fast links. `config/README.md` documents the effects of these settings.
+//! defaults are meant for fast links. `docs/reference/configuration.md` documents the effects of these settings.
 
 use serde_json::Value;
 use zenoh::Config;

@@ -55,7 +55,7 @@ impl LoginLimit {
         let max_sessions = self.max_sessions;
         tracing::warn!(
             "closed a session of user {user}, who already has all {max_sessions} sessions that one login may have; close another \
-             program or raise plugins/rect/sessions/per_user (config/README.md, \"How many may connect\")"
+             program or raise plugins/rect/sessions/per_user (docs/reference/configuration.md, \"How many may connect\")"
         );
     }
 }

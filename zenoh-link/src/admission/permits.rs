@@ -82,7 +82,7 @@ pub enum Refusal {
     #[error("all {0} sessions for links other than Bluetooth are in use (transport/unicast/max_sessions)")]
     Sessions(usize),
     /// The limit of sessions of one source is reached.
-    #[error("the address already has the maximum of {0} sessions (config/README.md, \"How many may connect\")")]
+    #[error("the address already has the maximum of {0} sessions (docs/reference/configuration.md, \"How many may connect\")")]
     SessionsOfSource(usize),
 }
 
