@@ -42,12 +42,11 @@ class Session:
     def expect(self, output: str) -> None:
         """Waits until the last commands have printed these lines in this order."""
         assert self._last is not None, "no commands before this output"
-        lines = [line.strip() for line in output.splitlines() if line.strip()]
-        pattern = re.compile(".*?".join(_pattern(line) for line in lines), re.DOTALL)
+        patterns = [_pattern(line.strip()) for line in output.splitlines() if line.strip()]
         deadline = time.monotonic() + _OUTPUT_TIMEOUT
-        while not pattern.search(self._last.output):
+        while not _in_order(patterns, self._last.output):
             ended = not self._last.is_running
-            if (ended or time.monotonic() > deadline) and not pattern.search(self._last.output):
+            if (ended or time.monotonic() > deadline) and not _in_order(patterns, self._last.output):
                 raise AssertionError(f"expected:\n{output}\nprinted:\n{self._last.output}")
             time.sleep(0.05)
 
@@ -111,5 +110,11 @@ class _Command:
             self.output += line
 
 
-def _pattern(line: str) -> str:
-    return ".*?".join(re.escape(part) for part in line.split("..."))
+def _pattern(line: str) -> re.Pattern[str]:
+    return re.compile(".*?".join(re.escape(part) for part in line.split("...")))
+
+
+def _in_order(patterns: list[re.Pattern[str]], output: str) -> bool:
+    """Returns whether each pattern matches a line of the output, in this order."""
+    lines = iter(output.splitlines())
+    return all(any(pattern.search(line) for line in lines) for pattern in patterns)
