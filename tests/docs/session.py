@@ -5,6 +5,7 @@ The page has its own folder, home and network, so that `rect sim` can use its de
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -93,12 +94,14 @@ class _Command:
 
     def interrupt(self) -> None:
         assert self._process.poll() is None, f"ended too early:\n{self._commands}\n{self.output}"
-        os.killpg(self._process.pid, signal.SIGINT)
-        try:
-            self._process.wait(30)
-        except subprocess.TimeoutExpired:
-            self._kill()
-            raise AssertionError(f"still running 30 s after Ctrl-C:\n{self._commands}\n{self.output}") from None
+        # A shell that is about to start its command loses the signal, so it is sent again.
+        for _ in range(10):
+            os.killpg(self._process.pid, signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(3)
+                return
+        self._kill()
+        raise AssertionError(f"still running 30 s after Ctrl-C:\n{self._commands}\n{self.output}")
 
     def _kill(self) -> None:
         os.killpg(self._process.pid, signal.SIGKILL)
