@@ -90,7 +90,7 @@ impl Robot {
     /// # Errors
     /// Returns the same errors as [`Options::connect`].
     pub fn connect(options: Options) -> Result<Self, Error> {
-        let runtime = Runtime::start().map_err(no_thread)?;
+        let runtime = Runtime::start().map_err(Error::thread)?;
         let robot = runtime.wait(options.connect())?;
         let runtime = Arc::new(runtime);
         Ok(Self { robot, runtime })
@@ -404,12 +404,5 @@ impl Iterator for Events {
 
     fn next(&mut self) -> Option<Event> {
         self.runtime.wait(self.events.next())
-    }
-}
-
-fn no_thread(error: std::io::Error) -> Error {
-    Error::Zenoh {
-        operation: "cannot start a thread",
-        reason: error.to_string(),
     }
 }

@@ -3,6 +3,7 @@ use std::{path::PathBuf, time::Duration};
 
 use crate::core::{
     codec::CodecError,
+    dictionary::DictionaryError,
     humanize,
     login::LoginRefused,
     name::{Name, NameError},
@@ -61,14 +62,14 @@ pub enum Error {
     #[error(transparent)]
     WrongRobot(#[from] WrongRobot),
     /// Zenoh rejects a locator or another value of the options. Correct the value; the text contains Zenoh's reason.
-    #[error("the option {option} cannot be {value:?}: {reason}")]
+    #[error("the option {option} cannot be {value:?}: {}", humanize::with_causes(.source.as_ref()))]
     Option {
         /// The name of the option.
         option: &'static str,
         /// The rejected value.
         value: String,
         /// The reason that Zenoh reports.
-        reason: String,
+        source: zenoh::Error,
     },
     /// No program provides the service. Is the robot reachable, and is its program running?
     #[error("no program serves {topic} at {robot}; reachable robots: {available}")]
@@ -97,13 +98,22 @@ pub enum Error {
         payload: Payload,
     },
     /// A Zenoh operation failed, often because the session is closed. If so, connect again.
-    #[error("{operation}: {reason}")]
+    #[error("{operation}: {}", humanize::with_causes(.source.as_ref()))]
     Zenoh {
         /// The failure, such as "cannot declare the publisher".
         operation: &'static str,
         /// The reason that Zenoh reports.
-        reason: String,
+        source: zenoh::Error,
     },
+    /// A thread cannot be started. Has the computer too many processes, or too little memory?
+    #[error("cannot start a thread: {source}")]
+    Thread {
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// A dictionary cannot be shared, because this program shares another one with the same id. Train one of them again.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
     /// The receiver refused the transfer. The receiver sets what it accepts in its call of
     /// [`receive_transfers`](crate::Robot::receive_transfers).
     #[error("{robot} refused the transfer {topic}: {refusal}")]
@@ -157,11 +167,27 @@ impl From<std::convert::Infallible> for Error {
 }
 
 impl Error {
+    /// Creates the error that no program of `robot` serves `topic`. `available` are the reachable robots.
+    pub(crate) fn no_service(robot: String, topic: String, available: &[Name]) -> Self {
+        let names: Vec<&str> = available.iter().map(Name::as_str).collect();
+        let available = match names.as_slice() {
+            [] => "none".to_owned(),
+            names => names.join(", "),
+        };
+        Self::NoService {
+            robot,
+            topic,
+            available,
+        }
+    }
+
     /// Returns a function that converts an error of Zenoh. `operation` states what failed, in the form "cannot ...".
     pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
-        move |error| Self::Zenoh {
-            operation,
-            reason: humanize::with_causes(error.as_ref()),
-        }
+        move |source| Self::Zenoh { operation, source }
+    }
+
+    /// Converts the error that a thread cannot be started.
+    pub(crate) fn thread(source: std::io::Error) -> Self {
+        Self::Thread { source }
     }
 }

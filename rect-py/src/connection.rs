@@ -1,16 +1,18 @@
-//! Reports robots and links that appear and disappear, and encodes named connections.
-use std::sync::{Mutex, MutexGuard, PoisonError};
+//! Keeps track of the links that a router reports, and encodes named connections.
+use std::sync::Mutex;
 
 use pyo3::prelude::*;
 use rect::core::{
-    connection::{self, Connection, Event},
+    connection::{self, Event},
     name::Name,
     named_connection::NamedConnection,
 };
 use serde_json::Value;
 
+use crate::driver::{lock, ConnectionsReport};
+
 /// The kind of the event, the robot, the method of the link, and the address of the peer.
-type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
+pub type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
 
 /// Encodes a named connection as JSON, for the config service of a router. `options` is a JSON object with the options
 /// of the locator.
@@ -43,11 +45,6 @@ pub fn named_connection(
 #[derive(Default)]
 pub struct Links(Mutex<connection::Links>);
 
-/// The robots that are reachable.
-#[pyclass(frozen, module = "rect._rect")]
-#[derive(Default)]
-pub struct Presence(Mutex<connection::Presence>);
-
 #[pymethods]
 impl Links {
     #[new]
@@ -55,14 +52,9 @@ impl Links {
         Self::default()
     }
 
-    /// Handles a report of all current connections, in the JSON of the registry. Returns the changes since the previous
-    /// report. Invalid JSON changes nothing.
-    fn on_connections(&self, json: &[u8]) -> Vec<EventFields> {
-        let Ok(all) = serde_json::from_slice::<Vec<Connection>>(json) else {
-            return Vec::new();
-        };
-        let events = lock(&self.0).on_connections(&all);
-        events.into_iter().map(event_fields).collect()
+    /// Handles a report of all current connections.
+    fn __call__(&self, report: &ConnectionsReport) {
+        lock(&self.0).on_connections(&report.0);
     }
 }
 
@@ -73,31 +65,8 @@ impl Links {
     }
 }
 
-#[pymethods]
-impl Presence {
-    #[new]
-    fn new() -> Self {
-        Self::default()
-    }
-
-    /// Handles the appearance of a liveliness token, which stands for a router or program of the robot.
-    fn on_up(&self, robot: &str, id: &str) -> Option<EventFields> {
-        let robot = Name::new(robot).ok()?;
-        lock(&self.0).on_up(&robot, id).map(event_fields)
-    }
-
-    /// Handles the disappearance of a liveliness token.
-    fn on_down(&self, robot: &str, id: &str) -> Option<EventFields> {
-        let robot = Name::new(robot).ok()?;
-        lock(&self.0).on_down(&robot, id).map(event_fields)
-    }
-}
-
-fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn event_fields(event: Event) -> EventFields {
+/// Converts an event.
+pub fn event_fields(event: Event) -> EventFields {
     let link = |kind, link: connection::Link| {
         let robot = link.robot.map(|robot| robot.to_string());
         (kind, robot, Some(link.method), Some(link.address))

@@ -22,10 +22,12 @@ pub mod notice;
 pub mod offset;
 pub mod pacer;
 pub mod picture;
+pub mod publish;
 pub mod rate;
 pub mod receiver;
 pub mod sender;
 pub mod status;
+pub mod watch;
 
 #[cfg(test)]
 mod simulation;

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import lru_cache
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar, cast
 
@@ -28,15 +29,35 @@ _PRIORITIES = (
     zenoh.Priority.DATA_LOW,
     zenoh.Priority.BACKGROUND,
 )
-#: Payloads of at least this size may have to wait until a link accepts them; they are sent on a separate thread.
-LARGE_BYTES = 16 * 1024
 
 
+@lru_cache
 def qos(qos_fields: tuple[int, bool, bool]) -> dict[str, Any]:
     """Converts the quality of service that the core chose into keyword arguments of Zenoh's calls."""
     priority, express, droppable = qos_fields
     congestion = zenoh.CongestionControl.DROP if droppable else zenoh.CongestionControl.BLOCK
     return {"priority": _PRIORITIES[priority - 1], "express": express, "congestion_control": congestion}
+
+
+def get_arguments(
+    selector: str,
+    payload: tuple[bytes, str] | None,
+    attachment: bytes | None,
+    qos_fields: tuple[int, bool, bool],
+    is_for_all: bool,
+    timeout: float,
+) -> tuple[str, dict[str, Any]]:
+    """Returns the selector and the keyword arguments of Zenoh's `get` for a query that the core prepared."""
+    arguments = {
+        **qos(qos_fields),
+        "target": zenoh.QueryTarget.ALL if is_for_all else zenoh.QueryTarget.BEST_MATCHING,
+        "consolidation": zenoh.ConsolidationMode.NONE,
+        "timeout": timeout,
+        "attachment": attachment,
+    }
+    if payload is not None:
+        arguments["payload"], arguments["encoding"] = payload
+    return selector, arguments
 
 
 def direct(callback: Callable[[Any], object], drop: Callable[[], object] | None = None) -> Any:

@@ -13,23 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from rect import _rect, state
+from rect import _rect
 from rect._zenoh import call_interruptibly, zenoh_error
 from rect.decoder import Decoder
-from rect.errors import Closed
+from rect.errors import Closed, ThreadError
+from rect.events import RouterLinks
 from rect.options import Options, tokens_of_router
 from rect.publication import Publication
 from rect.receive_queue import ReceiveQueue
 from rect.request import Replies
-from rect.state import RouterLinks
 from rect.subscriber import Declared, undeclared
 from rect.urgency_sessions import UrgencySessions
+from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.stream import Stream
-
-#: Maximum number of publishers to keep. Beyond it, they are declared again when their topics are used again.
-_MAX_PUBLICATIONS = 256
 
 
 class Session:
@@ -43,7 +41,7 @@ class Session:
         _ONCE_OPEN[:] = [True]
         self.zenoh = options.open()
         self.urgency_sessions = UrgencySessions(self.zenoh, None if self.is_direct else options.open)
-        self.decoder = Decoder(self.zenoh, self.key_space)
+        self.decoder = Decoder(self)
         self.counters = _rect.AtomicCounters()
         #: Handles with open declarations.
         self.handles: set[Declared] = set()
@@ -65,7 +63,7 @@ class Session:
         _OPEN.add(self)
         try:
             if self.is_direct:
-                self._presence = state.declare_liveliness(self.zenoh, self.key_space)
+                self._presence = self._declare_presence()
             else:
                 if not options.allow_name_mismatch:
                     _rect.check_router(self.key_space, options.endpoint, tokens_of_router(self.zenoh))
@@ -96,13 +94,21 @@ class Session:
         publication = self._publications.get(key_parts)
         if publication is not None:
             return publication
-        key_space = self.key_space
-        key = key_space.publication(topic) if recipient is None else key_space.message(recipient, topic)
+        key = self.key_space.publication(topic, recipient)
         publication = Publication(self.urgency_sessions.of(urgency), key, urgency, self.check)
         with self._lock:
-            if len(self._publications) >= _MAX_PUBLICATIONS:
+            if len(self._publications) >= _rect.MAX_PUBLICATIONS:
                 self._publications.clear()
             return self._publications.setdefault(key_parts, publication)
+
+    def publish(self, topic: str, recipient: str | None, payload: Payload, urgency: str) -> None:
+        """Publishes a payload to all robots or one recipient, and counts it."""
+        publication = self.publication(topic, recipient, urgency)
+        if len(payload.bytes) < _rect.LARGE_BYTES:
+            publication.put(payload)
+        else:
+            call_interruptibly(lambda: publication.put(payload))
+        self.counters.on_sent(len(payload.bytes))
 
     def close(self) -> None:
         with self._lock:
@@ -121,7 +127,7 @@ class Session:
         try:
             call_interruptibly(self.urgency_sessions.close)
         except zenoh.ZError as error:
-            raise zenoh_error("cannot close the session", error) from None
+            raise zenoh_error("cannot close the session", error) from error
         finally:
             self._finish()
 
@@ -129,7 +135,18 @@ class Session:
         """Runs a function on a new thread, which has to end soon after the session is closed."""
         thread = threading.Thread(target=run, name=name, daemon=True)
         self._threads.add(thread)
-        thread.start()
+        try:
+            thread.start()
+        except RuntimeError as error:
+            raise ThreadError(str(error)) from error
+
+    def _declare_presence(self) -> zenoh.LivelinessToken:
+        """Declares the liveliness token of this robot, which a router declares if there is one."""
+        key = self.key_space.presence(str(self.zenoh.zid()))
+        try:
+            return self.zenoh.liveliness().declare_token(key)
+        except zenoh.ZError as error:
+            raise zenoh_error("cannot declare the liveliness of the robot", error) from error
 
     def _finish(self) -> None:
         """Waits for threads that are still inside Zenoh: none may be there when Python exits."""

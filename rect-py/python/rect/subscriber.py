@@ -67,7 +67,7 @@ class Subscriber:
                 self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
             except zenoh.ZError as error:
                 self._declared.end()
-                raise zenoh_error("cannot declare the subscriber", error) from None
+                raise zenoh_error("cannot declare the subscriber", error) from error
         self._declared.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Message:
@@ -134,15 +134,30 @@ def undecoded(arrived: _Arrived) -> Message:
 class Declared:
     """The Zenoh declarations of one handle, and the receive queue that they fill."""
 
-    def __init__(self, session: Session, queue: ReceiveQueue[Any] | None = None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        queue: ReceiveQueue[Any] | None = None,
+        on_end: Callable[[], object] | None = None,
+    ) -> None:
         self._session = session
         self._queue = queue
+        self._on_end = on_end
         self._declared: list[Any] = []
+        self._kept: object = None
         self._finalizer: weakref.finalize[..., Any] | None = None
         session.handles.add(self)
 
     def add(self, declared: Any) -> None:
         self._declared.append(declared)
+
+    def remove(self, declared: Any) -> None:
+        """Removes a declaration that the caller ends."""
+        self._declared.remove(declared)
+
+    def keep(self, kept: object) -> None:
+        """Keeps an object in a child process after a fork, since it refers to threads of the parent."""
+        self._kept = kept
 
     def leave_with(self, handle: object, leave: Callable[[], None] | None = None) -> None:
         """Calls `leave`, by default this object's, when `handle` is garbage-collected without having been closed."""
@@ -157,6 +172,8 @@ class Declared:
         # The queue comes first, since a thread of Zenoh may be waiting for room in it.
         if self._queue is not None:
             self._queue.close()
+        if self._on_end is not None:
+            self._on_end()
         self._session.handles.discard(self)
         declared, self._declared = self._declared, []
         for one in declared:
@@ -165,7 +182,7 @@ class Declared:
 
     def on_fork(self) -> None:
         """Drops the declarations in a child process: they belong to threads of the parent."""
-        for one in self._declared:
+        for one in [*self._declared, self._kept]:
             _rect.forget(one)
         if self._queue is not None:
             self._queue.on_fork()

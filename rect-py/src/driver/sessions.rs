@@ -1,0 +1,76 @@
+//! Creates the drivers that a program uses without a handle.
+use std::time::{Duration, Instant};
+
+use pyo3::prelude::*;
+use rect::core::{
+    observer::{Observer, RouterObserver},
+    peers::{EstablishedWait, PeerWait, PeersQuery},
+    registry::RegistryQuery,
+};
+
+use super::Driver;
+use crate::key_space::{name, KeySpace};
+
+/// Creates the question which robots are reachable.
+#[pyfunction]
+pub fn peers_query(key_space: &KeySpace) -> Driver {
+    Driver::new(PeersQuery::new(key_space.0.clone()), Instant::now())
+}
+
+/// Creates the wait until a robot is reachable.
+#[pyfunction]
+pub fn peer_wait(key_space: &KeySpace, robot: &str, timeout_s: f64) -> PyResult<Driver> {
+    let now = Instant::now();
+    let wait = PeerWait::new(&key_space.0, &name(robot)?, now, seconds(timeout_s));
+    Ok(Driver::new(wait, now))
+}
+
+/// Creates the wait until all reachable robots know what this program has declared.
+#[pyfunction]
+pub fn established_wait(key_space: &KeySpace, is_direct: bool, timeout_s: f64) -> Driver {
+    let now = Instant::now();
+    let wait = EstablishedWait::new(&key_space.0, is_direct, now, seconds(timeout_s));
+    Driver::new(wait, now)
+}
+
+/// Creates a question to the registry of a robot.
+#[pyfunction]
+pub fn registry_query(
+    key_space: &KeySpace,
+    robot: &str,
+    question: &str,
+    filter: &str,
+) -> PyResult<Driver> {
+    let query = RegistryQuery::new(key_space.0.clone(), name(robot)?, question, filter);
+    Ok(Driver::new(query, Instant::now()))
+}
+
+/// Creates a change of the named connections of a robot.
+#[pyfunction]
+pub fn registry_change(
+    key_space: &KeySpace,
+    robot: &str,
+    action: &str,
+    argument: String,
+) -> PyResult<Driver> {
+    let change = RegistryQuery::change(key_space.0.clone(), name(robot)?, action, argument);
+    Ok(Driver::new(change, Instant::now()))
+}
+
+/// Creates the observer of robots, links and the router.
+#[pyfunction]
+pub fn observer(key_space: &KeySpace, is_direct: bool) -> Driver {
+    let observer = Observer::new(key_space.0.clone(), is_direct);
+    Driver::new(observer, Instant::now())
+}
+
+/// Creates the observer of the router's links, whose reports are for `Links`.
+#[pyfunction]
+pub fn router_observer(key_space: &KeySpace) -> Driver {
+    Driver::new(RouterObserver::new(&key_space.0), Instant::now())
+}
+
+/// Converts a duration; one that is too long counts as the longest.
+pub fn seconds(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
+}
