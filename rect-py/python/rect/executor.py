@@ -26,8 +26,9 @@ _LOG = logging.getLogger("rect")
 class Executor:
     """Performs the actions of a driver.
 
-    `sink` is called with each item that the driver delivers, on a thread of Zenoh or of the driver. `before_poll` is called before each poll of
-    the driver. `is_passive`: the driver needs no thread, because it has nothing to do after it has started.
+    - `sink`: called with each item that the driver delivers, on a thread of Zenoh or on that of the driver.
+    - `before_poll`: called before each poll of the driver.
+    - `is_passive`: the driver needs no thread, because it has nothing to do after it has started.
     """
 
     def __init__(

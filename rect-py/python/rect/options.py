@@ -194,4 +194,3 @@ def whole(name: str, value: object, minimum: int) -> int:
     if not minimum <= value < 2**63:
         raise OptionError(name, value, f"it must be an integer of at least {minimum}")
     return value
-
