@@ -31,4 +31,5 @@ mod subscriber;
 mod subscription;
 mod text;
 mod transfer;
+mod urgency;
 mod watch;

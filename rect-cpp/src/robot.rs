@@ -18,6 +18,7 @@ use crate::{
     payload::PayloadView,
     program::Program,
     text::{choice, names_into_c, Names},
+    urgency::URGENCIES,
 };
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
@@ -31,24 +32,6 @@ pub struct RobotHandle {
     /// The handle.
     pub id: u64,
 }
-
-/// The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
-#[repr(C)]
-pub enum Urgency {
-    /// For data that may wait, e.g. files.
-    Bulk = 0,
-    /// For most messages. The default.
-    Normal = 1,
-    /// For messages that must arrive before all others, e.g. emergency stops.
-    Urgent = 2,
-}
-
-/// The urgencies by their numbers in C.
-pub const URGENCIES: [(u32, rect::Urgency); 3] = [
-    (Urgency::Bulk as u32, rect::Urgency::Bulk),
-    (Urgency::Normal as u32, rect::Urgency::Normal),
-    (Urgency::Urgent as u32, rect::Urgency::Urgent),
-];
 
 /// Size of a robot's name, including the terminating zero byte.
 pub const NAME_BYTES: usize = 30;
