@@ -62,7 +62,7 @@ typedef enum rect_code {
     RECT_CODE_DICTIONARY = 10,
     // There is no router at the endpoint. Start one, or specify another endpoint.
     RECT_CODE_NO_ROUTER = 11,
-    // Zenoh rejects a locator or another option.
+    // A locator or another option is invalid. The text names the option and the values that are allowed.
     RECT_CODE_OPTION = 12,
     // The robot does not offer the service. Check that the robot is reachable and that its program is running.
     RECT_CODE_NO_SERVICE = 13,
@@ -85,6 +85,8 @@ typedef enum rect_code {
     // The router belongs to another robot than the name under which the program connects. Use that robot's name, or connect
     // to the router of the right robot.
     RECT_CODE_WRONG_ROBOT = 22,
+    // The operating system does not start another thread. Close other programs, or raise the limit of threads.
+    RECT_CODE_THREAD = 23,
 } rect_code;
 
 // The state of a connection.
@@ -178,8 +180,8 @@ typedef enum rect_element {
 
 // The reason why a call failed.
 //
-// Every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails and
-// leaves it unchanged otherwise. It owns no memory and is not dropped.
+// Almost every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails
+// and leaves it unchanged otherwise. It owns no memory and is not dropped. `rect_error_cause` returns the causes.
 typedef struct rect_error {
     // The code that the call also returned.
     enum rect_code code;
@@ -524,11 +526,16 @@ typedef struct rect_stream_options {
     uint32_t mode;
     // Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     bool webp;
-    // Maximum frame rate, in frames per second. Default: 15 for an adaptive stream, no limit for a sensor. Required for a
-    // fixed stream.
+    // Maximum frame rate, 0.01 to 1,000,000 frames per second. Default: 15, or no limit for a sensor.
     double max_frames_per_s;
-    // Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. Default: 5.
+    // Minimum frame rate that an adaptive stream aims for with its smallest pictures, 0.01 to 1,000,000 frames per second.
+    // Default: 5.
     double min_frames_per_s;
+    // Maximum data rate of an adaptive stream, 1 or more bytes per second. Default: 20,000,000.
+    double max_bytes_per_s;
+    // Interval at which receivers report what arrives, 200 to 10,000 ms; `RECT_FOREVER` for no reports. Default: 500 for an
+    // adaptive stream, 2000 for a fixed one, and no reports for a sensor.
+    uint32_t feedback_interval_ms;
 } rect_stream_options;
 
 // A stream that this program sends, of which only the newest frame matters. `rect_drop(&stream.id, ..)` ends it.
@@ -681,6 +688,24 @@ enum rect_code rect_array_read(const struct rect_payload *payload,
                                const struct rect_limits *limits,
                                struct rect_array *array,
                                struct rect_error *error);
+
+// Writes a cause of the error that a call has returned to `text`: one line of UTF-8 with a terminating zero byte. `index` is
+// 0 for the direct cause, 1 for the cause of that one, and so on. The text of the error already contains what matters of
+// them; they help to find out why Zenoh or the operating system refused something.
+//
+// The error is that of the calling thread's last call that failed. This function does not replace it.
+//
+// ```c
+// char cause[RECT_ERROR_BYTES];
+// for (size_t n = 0; rect_error_cause(n, &cause) == RECT_CODE_OK; ++n) {
+//     printf("  caused by: %s\n", cause);
+// }
+// ```
+//
+// Returns `RECT_CODE_END` if there are no more causes, and `RECT_CODE_ARGUMENT` if `text` is NULL. May be called on any
+// thread.
+enum rect_code rect_error_cause(size_t index,
+                                char (*text)[RECT_ERROR_BYTES]);
 
 // Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the result to
 // `buffer`. A handle of `rect_robot_with_codec` encodes the payloads of all its messages and requests.
@@ -1074,7 +1099,8 @@ enum rect_code rect_request_refuse(uint64_t request,
 // Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
 // `options` may be NULL for the defaults.
 //
-// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_ARGUMENT` if an option is. May be called on any thread.
+// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_OPTION` if an option is out of range. May be called on
+// any thread.
 enum rect_code rect_robot_stream(struct rect_robot robot,
                                  const char *topic,
                                  const struct rect_stream_options *options,
