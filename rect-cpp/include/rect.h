@@ -33,7 +33,7 @@
 // Size of an encoding, including the terminating zero byte.
 #define RECT_ENCODING_BYTES 201
 
-// Size of a robot's name, including the terminating zero byte.
+// Size of the name of a robot or fleet, including the terminating zero byte.
 #define RECT_NAME_BYTES 30
 
 // The result of a call. For every code except `RECT_CODE_OK`, `rect_error.text` describes what happened and what to do.
@@ -559,6 +559,26 @@ typedef struct rect_subscriber {
     uint64_t id;
 } rect_subscriber;
 
+// How many messages of one robot a subscriber has received and missed.
+typedef struct rect_sender_counts {
+    // The robot that published or sent the messages.
+    struct rect_text sender;
+    // Number of messages that arrived.
+    uint64_t received;
+    // Number of messages that did not arrive, according to their sequence numbers.
+    uint64_t missed;
+} rect_sender_counts;
+
+// The counts of all senders, in alphabetical order. Release it with `rect_drop(&counts.id, ..)`.
+typedef struct rect_counts_by_sender {
+    // The handle.
+    uint64_t id;
+    // The counts of the first sender.
+    const struct rect_sender_counts *items;
+    // Number of senders.
+    size_t len;
+} rect_counts_by_sender;
+
 // A callback for messages. The message is valid until the callback returns.
 typedef void (*rect_on_message)(const struct rect_message *message, void *context);
 
@@ -1002,6 +1022,11 @@ enum rect_code rect_robot_name(struct rect_robot robot,
                                char (*name)[RECT_NAME_BYTES],
                                struct rect_error *error);
 
+// Writes the fleet's name to `fleet`, with a terminating zero byte. May be called on any thread.
+enum rect_code rect_robot_fleet(struct rect_robot robot,
+                                char (*fleet)[RECT_NAME_BYTES],
+                                struct rect_error *error);
+
 // Publishes a payload on `topic` to every subscriber.
 //
 // ```c
@@ -1173,6 +1198,11 @@ enum rect_code rect_subscriber_dropped(struct rect_subscriber subscriber,
                                        uint64_t *dropped,
                                        struct rect_error *error);
 
+// Writes how many messages of each robot the subscriber has received and missed to `counts`. May be called on any thread.
+enum rect_code rect_subscriber_counts_by_sender(struct rect_subscriber subscriber,
+                                                struct rect_counts_by_sender *counts,
+                                                struct rect_error *error);
+
 // Calls `callback` for each message that matches a pattern, one after another, on a thread of the subscription, until the
 // subscription is dropped. `pattern` and `options` are the same as for `rect_robot_subscribe`.
 //
@@ -1273,6 +1303,12 @@ enum rect_code rect_watch_next(struct rect_watch watch,
                                uint32_t timeout_ms,
                                struct rect_frame *frame,
                                struct rect_error *error);
+
+// Writes the round trip of a small message to the stream's sender to `round_trip_us`, in microseconds; -1 until the first one
+// has been measured. May be called on any thread.
+enum rect_code rect_watch_round_trip(struct rect_watch watch,
+                                     int64_t *round_trip_us,
+                                     struct rect_error *error);
 
 // Calls `callback` for each frame of a stream, one after another, on a thread of the subscription, until the subscription
 // is dropped. Frames that arrive during a call wait or are dropped as `options` specify; by default only the newest one is

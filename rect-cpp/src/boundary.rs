@@ -154,7 +154,7 @@ mod tests {
         let mut text = MaybeUninit::uninit();
         let failed = || {
             let path = "/maps".into();
-            let reason = std::io::Error::other("the disk is gone");
+            let reason = std::io::Error::other("the disk is full");
             Err(Failure::Rect(rect::Error::File { path, reason }))
         };
         assert_eq!(call(None, failed), Code::File);
@@ -164,7 +164,7 @@ mod tests {
         // SAFETY: the last call succeeded, so it has written the text.
         let text = unsafe { text.assume_init() };
         let code = Code::File;
-        assert_eq!(read(&ErrorOut { code, text }), "the disk is gone");
+        assert_eq!(read(&ErrorOut { code, text }), "the disk is full");
         assert_eq!(call(None, || Ok(())), Code::Ok);
         assert_eq!(rect_error_cause(1, None), Code::Argument);
         let mut text = MaybeUninit::uninit();

@@ -25,6 +25,7 @@ mod picture;
 mod program;
 mod reply;
 mod robot;
+mod sender_counts;
 mod service;
 mod stream;
 mod subscriber;

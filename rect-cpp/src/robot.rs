@@ -33,7 +33,7 @@ pub struct RobotHandle {
     pub id: u64,
 }
 
-/// Size of a robot's name, including the terminating zero byte.
+/// Size of the name of a robot or fleet, including the terminating zero byte.
 pub const NAME_BYTES: usize = 30;
 
 /// Counts of the messages of a program since it connected.
@@ -179,6 +179,23 @@ pub extern "C" fn rect_robot_name(
     call(error, || {
         // A name always fits: it has at most 29 bytes.
         write_out("name", name, buffer(robot.resolve()?.robot.name().as_str()))
+    })
+}
+
+/// Writes the fleet's name to `fleet`, with a terminating zero byte. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_fleet(
+    robot: RobotHandle,
+    fleet: Option<&mut MaybeUninit<[c_char; NAME_BYTES]>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // A name always fits: it has at most 29 bytes.
+        write_out(
+            "fleet",
+            fleet,
+            buffer(robot.resolve()?.robot.fleet().as_str()),
+        )
     })
 }
 
