@@ -47,6 +47,7 @@
             ninja
             pkg-config
             doxygen
+            catch2_3
             nlohmann_json
             # Python's package, demo and benches
             python3

@@ -2,6 +2,7 @@
 //! implementation.
 pub mod array;
 pub mod attachment;
+pub mod cause;
 pub mod codec;
 pub mod connection;
 pub mod counters;

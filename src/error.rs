@@ -9,6 +9,7 @@ use crate::core::{
     name::{Name, NameError},
     payload::{Payload, PayloadError},
     router::WrongRobot,
+    stream::options::OptionError,
     topic::{Topic, TopicError},
     transfer::{Fault, OfferError, Refusal},
 };
@@ -61,14 +62,14 @@ pub enum Error {
     /// The router belongs to another robot. Connect under the router's name, or to the right router.
     #[error(transparent)]
     WrongRobot(#[from] WrongRobot),
-    /// Zenoh rejects a locator or another value of the options. Correct the value; the text contains Zenoh's reason.
+    /// A locator or another value of the options is invalid. Correct the value; the text contains the reason.
     #[error("the option {option} cannot be {value:?}: {}", humanize::with_causes(.source.as_ref()))]
     Option {
         /// The name of the option.
         option: &'static str,
         /// The rejected value.
         value: String,
-        /// The reason that Zenoh reports.
+        /// The reason that Zenoh reports, or the values that RECT allows.
         source: zenoh::Error,
     },
     /// No program provides the service. Is the robot reachable, and is its program running?
@@ -158,6 +159,16 @@ pub enum Error {
 fn beginning(payload: &Payload) -> String {
     let text = String::from_utf8_lossy(&payload.bytes);
     text.chars().take(500).collect()
+}
+
+impl From<OptionError> for Error {
+    fn from(error: OptionError) -> Self {
+        Self::Option {
+            option: error.option,
+            source: error.reason().into(),
+            value: error.value,
+        }
+    }
 }
 
 impl From<std::convert::Infallible> for Error {

@@ -18,6 +18,7 @@ use crate::{
     payload::PayloadView,
     program::Program,
     text::{choice, names_into_c, Names},
+    urgency::URGENCIES,
 };
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
@@ -32,25 +33,7 @@ pub struct RobotHandle {
     pub id: u64,
 }
 
-/// The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
-#[repr(C)]
-pub enum Urgency {
-    /// For data that may wait, e.g. files.
-    Bulk = 0,
-    /// For most messages. The default.
-    Normal = 1,
-    /// For messages that must arrive before all others, e.g. emergency stops.
-    Urgent = 2,
-}
-
-/// The urgencies by their numbers in C.
-pub const URGENCIES: [(u32, rect::Urgency); 3] = [
-    (Urgency::Bulk as u32, rect::Urgency::Bulk),
-    (Urgency::Normal as u32, rect::Urgency::Normal),
-    (Urgency::Urgent as u32, rect::Urgency::Urgent),
-];
-
-/// Size of a robot's name, including the terminating zero byte.
+/// Size of the name of a robot or fleet, including the terminating zero byte.
 pub const NAME_BYTES: usize = 30;
 
 /// Counts of the messages of a program since it connected.
@@ -196,6 +179,23 @@ pub extern "C" fn rect_robot_name(
     call(error, || {
         // A name always fits: it has at most 29 bytes.
         write_out("name", name, buffer(robot.resolve()?.robot.name().as_str()))
+    })
+}
+
+/// Writes the fleet's name to `fleet`, with a terminating zero byte. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_fleet(
+    robot: RobotHandle,
+    fleet: Option<&mut MaybeUninit<[c_char; NAME_BYTES]>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // A name always fits: it has at most 29 bytes.
+        write_out(
+            "fleet",
+            fleet,
+            buffer(robot.resolve()?.robot.fleet().as_str()),
+        )
     })
 }
 

@@ -15,7 +15,7 @@ TEST_CASE("calls on a dropped handle fail, and so does dropping a copy of it") {
     robot.drop();
     rect_error error;
     CHECK(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE);
-    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("already dropped"));
+    CHECK_THAT(error.text, ContainsSubstring("already dropped"));
     CHECK(copy.id == 0);
     CHECK(rect_drop(&copy.id, &error) == RECT_CODE_OK);
 
@@ -40,7 +40,7 @@ TEST_CASE("a handle of another kind is rejected") {
     rect_names names;
     rect_error error;
     CHECK(rect_robot_peers(not_a_robot, &names, &error) == RECT_CODE_HANDLE);
-    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("robot"));
+    CHECK_THAT(error.text, ContainsSubstring("robot"));
     CHECK(must(subscriber.dropped()) == 0);
 }
 

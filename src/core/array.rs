@@ -3,6 +3,7 @@
 use bytes::Bytes;
 
 use super::{
+    cause::Cause,
     codec::{quantised, CodecError, Limits},
     encoding::Encoding,
     payload::{Payload, PayloadError, ToPayload},
@@ -196,7 +197,7 @@ fn schema(element: Element, shape: &[usize]) -> String {
 fn damaged(reason: String) -> CodecError {
     CodecError::Damaged {
         format: KIND,
-        reason,
+        reason: Cause::new(reason),
     }
 }
 

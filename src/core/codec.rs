@@ -12,7 +12,7 @@
 //! | `quantised:<error>` | arrays of floats | `application/octet-stream;quantised` |
 use std::{fmt, sync::Arc};
 
-use super::{dictionary::Dictionaries, encoding::Encoding, payload::Payload};
+use super::{cause::Cause, dictionary::Dictionaries, encoding::Encoding, payload::Payload};
 
 pub mod dictionary;
 pub mod jpeg;
@@ -96,7 +96,8 @@ pub enum CodecError {
         /// The format.
         format: &'static str,
         /// The reason.
-        reason: String,
+        #[source]
+        reason: Cause,
     },
     /// The decoded payload would exceed a limit.
     #[error("this {format} is too large: {found}; the limit is {limit}")]
@@ -120,7 +121,8 @@ pub enum CodecError {
         /// The name of the codec.
         codec: &'static str,
         /// The reason that the library reports.
-        reason: String,
+        #[source]
+        reason: Cause,
     },
 }
 
@@ -207,7 +209,7 @@ impl Limits {
         channels: usize,
     ) -> Result<usize, CodecError> {
         if width == 0 || height == 0 {
-            return Err(damaged(format, format_args!("{width}x{height} pixels")));
+            return Err(damaged(format, format!("{width}x{height} pixels")));
         }
         let pixels = u64::from(width) * u64::from(height);
         if pixels > self.max_pixels as u64 {
@@ -233,8 +235,11 @@ impl Limits {
     }
 }
 
-fn damaged(format: &'static str, reason: impl fmt::Display) -> CodecError {
-    let reason = reason.to_string();
+fn damaged(
+    format: &'static str,
+    reason: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+) -> CodecError {
+    let reason = Cause::new(reason);
     CodecError::Damaged { format, reason }
 }
 

@@ -7,6 +7,7 @@ use fast_image_resize::{
 };
 
 use super::{
+    cause::Cause,
     codec::{jpeg, png, webp, CodecError, Limits},
     encoding::Encoding,
     payload::{Payload, PayloadError, ToPayload},
@@ -78,7 +79,7 @@ impl Picture {
             let reason = format!("{found} bytes are not the size of {width}x{height} {name}");
             return Err(CodecError::Damaged {
                 format: KIND,
-                reason,
+                reason: Cause::new(reason),
             });
         }
         Ok(Self {
@@ -128,11 +129,10 @@ impl Picture {
         let mut to = Image::new(width, height, pixel);
         let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
         ImageRef::new(self.width, self.height, &self.pixels, pixel)
-            .map_err(|error| error.to_string())
+            .map_err(Cause::new)
             .and_then(|from| {
-                Resizer::new()
-                    .resize(&from, &mut to, &options)
-                    .map_err(|error| error.to_string())
+                let resized = Resizer::new().resize(&from, &mut to, &options);
+                resized.map_err(Cause::new)
             })
             .map_err(|reason| CodecError::Failed {
                 codec: KIND,
@@ -157,7 +157,7 @@ impl Picture {
         Some(match described() {
             None => Err(CodecError::Damaged {
                 format: KIND,
-                reason: format!("{schema:?} is not a valid pixel format and size"),
+                reason: Cause::new(format!("{schema:?} is not a valid pixel format and size")),
             }),
             Some((format, width, height)) => limits
                 .picture(KIND, [width, height], format.channels())

@@ -20,6 +20,7 @@ pub mod groups;
 pub mod ladder;
 pub mod notice;
 pub mod offset;
+pub mod options;
 pub mod pacer;
 pub mod picture;
 pub mod publish;

@@ -50,6 +50,14 @@ public:
         return detail::value_or_error<std::string>(code, error, [&] { return std::string(name); });
     }
 
+    /// Returns the name of the fleet.
+    [[nodiscard]] expected<std::string> fleet() const {
+        char fleet[RECT_NAME_BYTES];
+        rect_error error;
+        const auto code = rect_robot_fleet(raw(), &fleet, &error);
+        return detail::value_or_error<std::string>(code, error, [&] { return std::string(fleet); });
+    }
+
     /// Returns a handle of the same robot whose messages and requests have another urgency:
     /// `robot.with_urgency(rect::Urgency::urgent)`.
     [[nodiscard]] expected<Robot> with_urgency(Urgency urgency) const {
@@ -175,10 +183,11 @@ public:
     }
 
     /// Creates a stream of which only the newest frame matters: a slow link drops older ones. Fails with Code::topic if the
-    /// topic is invalid, and with Code::argument if an option is.
+    /// topic is invalid, and with Code::option if an option is out of range.
     [[nodiscard]] expected<Stream> stream(const Text& topic, StreamOptions options = {}) const {
-        const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp, options.max_frames_per_s,
-                                              options.min_frames_per_s};
+        const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp,
+                                              options.max_frames_per_s, options.min_frames_per_s,
+                                              options.max_bytes_per_s,  detail::ms(options.feedback_interval)};
         rect_stream stream;
         rect_error error;
         const auto code = rect_robot_stream(raw(), topic.c_str(), &raw_options, &stream, &error);

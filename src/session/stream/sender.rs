@@ -48,7 +48,8 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, [`Error::Option`] if an option is out of range, and [`Error::Zenoh`] if the
+    /// session is closed.
     pub async fn stream<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -58,6 +59,7 @@ impl Robot {
         Error: From<T::Error>,
     {
         let inner = &self.inner;
+        options.check()?;
         let stream = StreamPublish::new(
             &inner.place,
             &topic.try_into()?,
