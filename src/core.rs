@@ -3,6 +3,7 @@
 pub mod array;
 pub mod attachment;
 pub mod codec;
+mod codec_error;
 pub mod connection;
 pub mod counters;
 pub mod dictionary;
@@ -12,6 +13,7 @@ pub mod endpoint;
 pub mod gaps;
 pub mod humanize;
 pub mod key;
+mod limits;
 pub mod login;
 pub mod message;
 pub mod name;

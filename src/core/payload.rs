@@ -3,7 +3,7 @@ use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
 use super::{
-    codec::CodecError,
+    codec_error::CodecError,
     encoding::{Encoding, TooLong},
 };
 
