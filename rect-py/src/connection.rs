@@ -2,17 +2,10 @@
 use std::sync::Mutex;
 
 use pyo3::prelude::*;
-use rect::core::{
-    connection::{self, Event},
-    name::Name,
-    named_connection::NamedConnection,
-};
+use rect::core::{connection, name::Name, named_connection::NamedConnection};
 use serde_json::Value;
 
 use crate::driver::{lock, ConnectionsReport};
-
-/// The kind of the event, the robot, the method of the link, and the address of the peer.
-pub type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
 
 /// Encodes a named connection as JSON, for the config service of a router. `options` is a JSON object with the options
 /// of the locator.
@@ -62,21 +55,5 @@ impl Links {
     /// Returns the method of the links to a robot. `None` if there is no link, or if the links have several methods.
     pub fn method_of(&self, robot: &Name) -> Option<String> {
         lock(&self.0).method(robot).map(str::to_owned)
-    }
-}
-
-/// Converts an event.
-pub fn event_fields(event: Event) -> EventFields {
-    let link = |kind, link: connection::Link| {
-        let robot = link.robot.map(|robot| robot.to_string());
-        (kind, robot, Some(link.method), Some(link.address))
-    };
-    match event {
-        Event::PeerUp { robot } => ("peer_up", Some(robot.to_string()), None, None),
-        Event::PeerDown { robot } => ("peer_down", Some(robot.to_string()), None, None),
-        Event::LinkUp(up) => link("link_up", up),
-        Event::LinkDown(down) => link("link_down", down),
-        Event::RouterUp => ("router_up", None, None, None),
-        Event::RouterDown => ("router_down", None, None, None),
     }
 }

@@ -1,11 +1,13 @@
 //! Wraps the drivers of transfers with the library's storage.
+mod offered;
 mod pull;
 mod push;
 mod reception;
 
+pub use offered::OfferedTransfer;
 pub use pull::TransferPull;
 pub use push::TransferPush;
-pub use reception::{OfferedTransfer, TransferReception};
+pub use reception::TransferReception;
 
 use std::path::Path;
 

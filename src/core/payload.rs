@@ -4,7 +4,7 @@ use serde::{de::DeserializeOwned, Serialize};
 
 use super::{
     cause::Cause,
-    codec::CodecError,
+    codec_error::CodecError,
     encoding::{Encoding, TooLong},
 };
 

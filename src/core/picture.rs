@@ -8,8 +8,9 @@ use fast_image_resize::{
 
 use super::{
     cause::Cause,
-    codec::{jpeg, png, webp, CodecError, Limits},
+    codec_error::CodecError,
     encoding::Encoding,
+    limits::Limits,
     payload::{Payload, PayloadError, ToPayload},
 };
 
@@ -191,24 +192,6 @@ impl ToPayload for Picture {
 
     fn into_payload(self) -> Result<Payload, PayloadError> {
         Ok(self.payload())
-    }
-}
-
-impl Payload {
-    /// Decodes the payload as a picture: raw, PNG, JPEG or WebP.
-    ///
-    /// # Errors
-    /// Returns [`PayloadError::Mismatch`] if the payload is something else, and [`PayloadError::Codec`] if it is
-    /// damaged or too large.
-    pub fn picture(&self, limits: &Limits) -> Result<Picture, PayloadError> {
-        let bytes = &self.bytes;
-        let picture = match self.encoding.media_type() {
-            "image/png" => png::read(bytes, limits),
-            "image/jpeg" => jpeg::read(bytes, limits),
-            "image/webp" => webp::read(bytes, limits),
-            _ => Picture::raw(self, limits).ok_or_else(|| self.mismatch("a picture"))?,
-        };
-        Ok(picture?)
     }
 }
 

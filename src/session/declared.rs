@@ -16,7 +16,7 @@ use zenoh::{
 
 use super::{
     convert::{congestion_control, priority, sample},
-    executor::Shared,
+    shared::Shared,
 };
 use crate::{
     core::driver::{Declaration, Driver, Event, Id},

@@ -7,7 +7,7 @@ use std::{
 
 use zenoh::{query::Query, query::Queryable, Session, Wait};
 
-use super::executor::{Executor, NoItems};
+use super::{executor::Executor, shared::NoItems};
 use crate::{
     core::{
         codec::{self, CodecError},

@@ -9,12 +9,16 @@ use std::{
 };
 
 use tokio::{runtime::Handle, task::JoinHandle};
-use zenoh::{query::Query, Session};
+use zenoh::Session;
 
-use super::{declared::Declared, queries, signal::Signal};
+use super::{
+    declared::Declared,
+    queries,
+    shared::{Shared, Sink},
+};
 use crate::{
     core::{
-        driver::{Action, Driver, Event, Id, QueryId, Step, MAX_OPEN_QUERIES},
+        driver::{Action, Driver, Event, Id, Step},
         transfer::files::UsesFiles,
     },
     error::Error,
@@ -23,38 +27,6 @@ use crate::{
 
 /// Interval at which a thread that runs a driver checks whether the session was closed.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
-
-/// Receives the items of a driver. Called on Zenoh's threads and on that of the driver.
-pub(super) trait Sink<I>: Send + Sync {
-    /// Delivers an item.
-    fn deliver(&self, item: I);
-
-    /// Handles that no more items follow.
-    fn end(&self) {}
-}
-
-/// The sink of a driver without items.
-pub(super) struct NoItems;
-
-impl Sink<std::convert::Infallible> for NoItems {
-    fn deliver(&self, item: std::convert::Infallible) {
-        match item {}
-    }
-}
-
-/// The state that an executor shares with Zenoh's callbacks.
-pub(super) struct Shared<D: Driver> {
-    driver: Mutex<D>,
-    signal: Signal,
-    sink: Box<dyn Sink<D::Item>>,
-    open_queries: Mutex<OpenQueries>,
-}
-
-#[derive(Default)]
-struct OpenQueries {
-    next: u64,
-    queries: HashMap<QueryId, Query>,
-}
 
 /// Performs the actions of one driver.
 pub(super) struct Executor<D: Driver> {
@@ -84,12 +56,7 @@ where
     pub(super) fn new(session: &Session, driver: D, sink: impl Sink<D::Item> + 'static) -> Self {
         Self {
             session: session.clone(),
-            shared: Arc::new(Shared {
-                driver: Mutex::new(driver),
-                signal: Signal::default(),
-                sink: Box::new(sink),
-                open_queries: Mutex::default(),
-            }),
+            shared: Arc::new(Shared::new(driver, sink)),
             declared: Mutex::default(),
             has_ended: AtomicBool::new(false),
         }
@@ -120,7 +87,7 @@ where
     async fn run_after(&self, mut next: Next<D::Output>) -> Result<D::Output, Error> {
         loop {
             match next {
-                Next::Wait(until) => self.shared.signal.wait_until(until).await,
+                Next::Wait(until) => self.shared.signal().wait_until(until).await,
                 Next::Finished(output) => return Ok(output),
             }
             next = self.step().inspect_err(|_| self.end())?;
@@ -133,7 +100,7 @@ where
             let step = self.shared.driver().poll(Instant::now());
             match step {
                 Step::Act(action) => self.act(action)?,
-                Step::Deliver(item) => self.shared.sink.deliver(item),
+                Step::Deliver(item) => self.shared.deliver(item),
                 Step::Wait(until) => return Ok(Next::Wait(until)),
                 Step::Finished(output) => {
                     self.end();
@@ -177,7 +144,7 @@ where
                 );
             }
             Action::Answer { query, answer } => {
-                let query = shared.open_queries().queries.remove(&query);
+                let query = shared.take_query(query);
                 if let Some(query) = query {
                     queries::answer(&query, answer);
                 }
@@ -222,7 +189,7 @@ where
                 Next::Wait(until) => {
                     let check_at = Instant::now() + CHECK_EVERY;
                     let until = until.map_or(check_at, |until| until.min(check_at));
-                    self.shared.signal.block_until(until);
+                    self.shared.signal().block_until(until);
                     if self.session.is_closed() {
                         self.shared.on_event(Event::Closed);
                     }
@@ -243,11 +210,11 @@ where
     where
         F: Files<Action = <D as UsesFiles>::Action, Event = <D as UsesFiles>::Event>,
     {
-        self.block(|shared| {
-            while let Some(action) = shared.poll_file() {
-                let event = files.perform(action);
-                shared.driver().on_file(Instant::now(), event);
-            }
+        self.block(|shared| loop {
+            let action = shared.driver().poll_file();
+            let Some(action) = action else { return };
+            let event = files.perform(action);
+            shared.driver().on_file(Instant::now(), event);
         })
     }
 }
@@ -263,65 +230,11 @@ impl<D: Driver> Executor<D> {
         self.has_ended.store(true, Ordering::Relaxed);
         let declared = std::mem::take(&mut *self.declared());
         drop(declared);
-        let open = std::mem::take(&mut self.shared.open_queries().queries);
-        drop(open);
-        self.shared.sink.end();
+        self.shared.end();
     }
 
     fn declared(&self) -> MutexGuard<'_, HashMap<Id, Arc<Declared>>> {
         self.declared.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl<D: Driver> Shared<D> {
-    /// Reports an event to the driver.
-    pub(super) fn on_event(&self, event: Event) {
-        let reaction = self.driver().on_event(Instant::now(), event);
-        for item in reaction.items {
-            self.sink.deliver(item);
-        }
-        if reaction.polls {
-            self.signal.set();
-        }
-    }
-
-    /// Reports a query. Beyond the limit of open queries it ends without an answer.
-    pub(super) fn on_query(&self, id: Id, query: Query) {
-        let payload = queries::payload_of(&query);
-        let mut open = self.open_queries();
-        if open.queries.len() >= MAX_OPEN_QUERIES {
-            return;
-        }
-        let name = QueryId(open.next);
-        open.next += 1;
-        open.queries.insert(name, query);
-        drop(open);
-        self.on_event(Event::Query {
-            id,
-            query: name,
-            payload,
-        });
-    }
-
-    /// Returns the driver, for what only the program does. Call [`wake`](Self::wake) if it then has something to do.
-    pub(super) fn driver(&self) -> MutexGuard<'_, D> {
-        self.driver.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Makes the executor poll the driver.
-    pub(super) fn wake(&self) {
-        self.signal.set();
-    }
-
-    fn open_queries(&self) -> MutexGuard<'_, OpenQueries> {
-        let open = self.open_queries.lock();
-        open.unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl<D: Driver + UsesFiles> Shared<D> {
-    fn poll_file(&self) -> Option<<D as UsesFiles>::Action> {
-        self.driver().poll_file()
     }
 }
 

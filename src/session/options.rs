@@ -46,6 +46,24 @@ pub struct Options {
     zenoh: Vec<(String, Value)>,
 }
 
+/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
+///
+/// [`Options`] selects another router, another fleet, or direct links.
+///
+/// ```no_run
+/// # async fn hello() -> Result<(), rect::Error> {
+/// let robot = rect::connect("wombat-1").await?;
+/// robot.publish("greeting", "hello").await?;
+/// # Ok(()) }
+/// ```
+///
+/// # Errors
+/// [`Error::Name`] if `robot` is not a valid name, [`Error::NoRouter`] if no router replies within 5 s, and the other errors
+/// of [`Options::connect`].
+pub async fn connect(robot: &str) -> Result<Robot, Error> {
+    Options::new(robot)?.connect().await
+}
+
 impl Options {
     /// Creates the default options: a program of `robot` in the fleet `rect`, connected to the router of this computer.
     ///

@@ -9,7 +9,7 @@ use std::{
 
 use tokio::sync::Notify;
 
-use super::executor::Sink;
+use super::shared::Sink;
 use crate::core::queue::{Pushed, Queue};
 
 /// A queue between Zenoh's threads and the program.

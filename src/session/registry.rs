@@ -2,10 +2,7 @@
 //! named connections of a router.
 use serde::de::DeserializeOwned;
 
-use super::{
-    executor::{Executor, NoItems},
-    robot::Robot,
-};
+use super::{executor::Executor, robot::Robot, shared::NoItems};
 use crate::{
     core::{
         connection::Connection,

@@ -8,7 +8,7 @@ use tokio::runtime::Handle;
 use zenoh::{Config, Session, Wait};
 
 use super::{
-    decoder::Decoder, options::Options, publication::Publication, router_links::RouterLinks,
+    decoder::Decoder, publication::Publication, router_links::RouterLinks,
     urgency_sessions::UrgencySessions,
 };
 use crate::{
@@ -51,24 +51,6 @@ pub(super) struct Inner {
     pub(super) direct: bool,
     /// The robot's liveliness token; `None` if its router declares one.
     _presence: Option<zenoh::liveliness::LivelinessToken>,
-}
-
-/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
-///
-/// [`Options`] selects another router, another fleet, or direct links.
-///
-/// ```no_run
-/// # async fn hello() -> Result<(), rect::Error> {
-/// let robot = rect::connect("wombat-1").await?;
-/// robot.publish("greeting", "hello").await?;
-/// # Ok(()) }
-/// ```
-///
-/// # Errors
-/// [`Error::Name`] if `robot` is not a valid name, [`Error::NoRouter`] if no router replies within 5 s, and the other errors
-/// of [`Options::connect`].
-pub async fn connect(robot: &str) -> Result<Robot, Error> {
-    Options::new(robot)?.connect().await
 }
 
 impl Robot {

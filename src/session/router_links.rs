@@ -4,7 +4,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::runtime::Handle;
 use zenoh::Session;
 
-use super::executor::{Executor, Running, Sink};
+use super::{
+    executor::{Executor, Running},
+    shared::Sink,
+};
 use crate::{
     core::{
         connection::{Connection, Links},

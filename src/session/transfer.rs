@@ -5,12 +5,15 @@
 mod incoming;
 mod options;
 mod outgoing;
+mod received;
 mod receiving;
 mod sending;
+mod stop;
 
-pub use incoming::{Received, Transfers};
+pub use incoming::Transfers;
 pub use options::{Destination, IncomingTransfer, ReceiveOptions};
 pub use outgoing::{Transfer, TransferSource};
+pub use received::Received;
 
 use super::robot::Robot;
 use crate::{

@@ -1,10 +1,7 @@
 //! Waits until a robot is reachable, and until the other robots know the subscriptions and services of this program.
 use std::time::{Duration, Instant};
 
-use super::{
-    executor::{Executor, NoItems},
-    robot::Robot,
-};
+use super::{executor::Executor, robot::Robot, shared::NoItems};
 use crate::{
     core::{
         driver::Driver,

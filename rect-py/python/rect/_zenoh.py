@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import threading
 import time
@@ -19,6 +20,7 @@ from rect.errors import ZenohError
 from rect.waiting import is_main, next_wait
 
 T = TypeVar("T")
+_LOG = logging.getLogger("rect")
 
 _PRIORITIES = (
     zenoh.Priority.REAL_TIME,
@@ -68,6 +70,14 @@ def direct(callback: Callable[[Any], object], drop: Callable[[], object] | None 
 def zenoh_error(operation: str, error: BaseException) -> ZenohError:
     """Makes a `ZenohError` with the reason on one line."""
     return ZenohError(operation, _rect.on_one_line(str(error)))
+
+
+def undeclared(declared: Any) -> None:
+    """Undeclares a Zenoh declaration, if it has not ended already."""
+    try:
+        declared.undeclare()
+    except zenoh.ZError as error:
+        _LOG.debug("the declaration had already ended: %s", error)
 
 
 def payload_bytes(payload: Any) -> bytes:

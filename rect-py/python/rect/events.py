@@ -112,11 +112,9 @@ class Events:
         self.close()
 
 
-class RouterLinks:
-    """Keeps track of the links that this robot's router reports."""
-
-    def __init__(self, session: Session) -> None:
-        self.links = _rect.Links()
-        driver = _rect.router_observer(session.key_space)
-        self._executor = Executor(session, driver, self.links, is_passive=True)
-        self._executor.start("rect links")
+def follow_links(session: Session) -> _rect.Links:
+    """Returns the links of this robot's router, which are kept up to date until the session is closed."""
+    links = _rect.Links()
+    driver = _rect.router_observer(session.key_space)
+    Executor(session, driver, links, is_passive=True).start("rect links")
+    return links

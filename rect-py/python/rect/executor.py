@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import call_interruptibly, direct, get_arguments, qos, zenoh_error
+from rect._zenoh import call_interruptibly, direct, get_arguments, qos, undeclared, zenoh_error
+from rect.declared import Declared
 from rect.errors import Closed
 from rect.receive_queue import ReceiveQueue
-from rect.subscriber import Declared, undeclared
 from rect.waiting import next_wait
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rect._zenoh import direct, zenoh_error
+from rect.declared import Declared
 from rect.errors import TimedOut
 from rect.options import seconds
-from rect.subscriber import Declared
 from rect.values import payload_of
 from rect.waiting import next_wait
 

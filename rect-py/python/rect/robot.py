@@ -14,13 +14,13 @@ from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
 from rect.errors import NoService, OptionError
 from rect.events import Counters, Event, Events
 from rect.message import Message
+from rect.opening import open_session
 from rect.options import Options, seconds, text, whole
 from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
-from rect.session import Session
 from rect.stream import Frame, Stream, Watch
 from rect.subscriber import Subscriber, Subscription, callable_or_none
 from rect.transfer import OnProgress, OutgoingTransfer, Progress, Received, Transfers
@@ -86,7 +86,7 @@ class Robot:
     """
 
     def __init__(self, options: Options) -> None:
-        self._session = Session(options)
+        self._session = open_session(options)
 
     @property
     def name(self) -> str:

@@ -13,9 +13,9 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect.declared import Declared
 from rect.errors import CodecError, RectError
 from rect.receive_queue import Ended, ReceiveQueue
-from rect.subscriber import Declared
 from rect.values import Payload, payload_of
 
 if TYPE_CHECKING:

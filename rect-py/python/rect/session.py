@@ -9,25 +9,52 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import zenoh
 
 from rect import _rect
-from rect._zenoh import call_interruptibly, zenoh_error
-from rect.decoder import Decoder
+from rect._zenoh import call_interruptibly, undeclared, zenoh_error
 from rect.errors import Closed, ThreadError
-from rect.events import RouterLinks
-from rect.options import Options, tokens_of_router
+from rect.options import Options
 from rect.publication import Publication
 from rect.receive_queue import ReceiveQueue
-from rect.request import Replies
-from rect.subscriber import Declared, undeclared
 from rect.urgency_sessions import UrgencySessions
 from rect.values import Payload
 
-if TYPE_CHECKING:
-    from rect.stream import Stream
+
+class Ending(Protocol):
+    """A handle, or a request, that ends with the session."""
+
+    def end(self) -> None:
+        """Ends it. May block."""
+
+
+class Declaring(Ending, Protocol):
+    """A handle with declarations."""
+
+    def on_fork(self) -> None:
+        """Drops the declarations in a child process."""
+
+
+class Sending(Protocol):
+    """A stream, which may be sending a frame."""
+
+    def finish(self, timeout: float) -> None:
+        """Waits until no frame is being sent."""
+
+
+class Decoding(Protocol):
+    """Decodes payloads, with dictionaries that it fetches and serves."""
+
+    def payload(self, sender: str, payload: Payload) -> Payload:
+        """Decodes a payload; fetches a missing dictionary first."""
+
+    def payload_now(self, sender: str, payload: Payload) -> Payload:
+        """Decodes a payload with the dictionaries that are present."""
+
+    def serve(self, dictionary: _rect.Dictionary) -> None:
+        """Serves a dictionary."""
 
 
 class Session:
@@ -41,36 +68,27 @@ class Session:
         _ONCE_OPEN[:] = [True]
         self.zenoh = options.open()
         self.urgency_sessions = UrgencySessions(self.zenoh, None if self.is_direct else options.open)
-        self.decoder = Decoder(self)
+        #: Decodes payloads; set when the session is complete.
+        self.decoder: Decoding
         self.counters = _rect.AtomicCounters()
         #: Handles with open declarations.
-        self.handles: set[Declared] = set()
+        self.handles: set[Declaring] = set()
         #: Garbage-collected handles; `check` ends them, since that may block.
-        self.abandoned: deque[Declared | Replies] = deque()
+        self.abandoned: deque[Ending] = deque()
         #: Queues at which a call waits for replies.
         self.receive_queues: set[ReceiveQueue[Any]] = set()
         #: Functions to call on close, before the Zenoh sessions are closed.
         self.close_callbacks: list[Callable[[], object]] = []
         #: Streams that send frames.
-        self.streams: weakref.WeakSet[Stream] = weakref.WeakSet()
+        self.streams: weakref.WeakSet[Sending] = weakref.WeakSet()
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str], Publication] = {}
         #: Links of the robot's router; `None` without a router.
-        self.router_links: RouterLinks | None = None
+        self.links: _rect.Links | None = None
         self._presence: zenoh.LivelinessToken | None = None
         _OPEN.add(self)
-        try:
-            if self.is_direct:
-                self._presence = self._declare_presence()
-            else:
-                if not options.allow_name_mismatch:
-                    _rect.check_router(self.key_space, options.endpoint, tokens_of_router(self.zenoh))
-                self.router_links = RouterLinks(self)
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def is_closed(self) -> bool:
@@ -140,11 +158,11 @@ class Session:
         except RuntimeError as error:
             raise ThreadError(str(error)) from error
 
-    def _declare_presence(self) -> zenoh.LivelinessToken:
+    def declare_presence(self) -> None:
         """Declares the liveliness token of this robot, which a router declares if there is one."""
         key = self.key_space.presence(str(self.zenoh.zid()))
         try:
-            return self.zenoh.liveliness().declare_token(key)
+            self._presence = self.zenoh.liveliness().declare_token(key)
         except zenoh.ZError as error:
             raise zenoh_error("cannot declare the liveliness of the robot", error) from error
 

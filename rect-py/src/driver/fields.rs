@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes, IntoPyObjectExt};
 use rect::core::{
-    connection::{Connection, Event},
+    connection::{Connection, Event, Link},
     driver::Sample,
     name::Name,
     payload::Payload,
@@ -14,7 +14,7 @@ use rect::core::{
     transfer::Progress,
 };
 
-use crate::{codec::parts, connection::event_fields};
+use crate::codec::parts;
 
 /// A value that a driver delivers, or with which it finishes.
 pub trait ToPython: Send {
@@ -111,5 +111,24 @@ impl ToPython for Vec<Connection> {
 impl ToPython for Progress {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         (self.received_bytes, self.size_bytes).into_py_any(py)
+    }
+}
+
+/// The kind of the event, the robot, the method of the link, and the address of the peer.
+type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
+
+/// Converts an event.
+fn event_fields(event: Event) -> EventFields {
+    let link = |kind, link: Link| {
+        let robot = link.robot.map(|robot| robot.to_string());
+        (kind, robot, Some(link.method), Some(link.address))
+    };
+    match event {
+        Event::PeerUp { robot } => ("peer_up", Some(robot.to_string()), None, None),
+        Event::PeerDown { robot } => ("peer_down", Some(robot.to_string()), None, None),
+        Event::LinkUp(up) => link("link_up", up),
+        Event::LinkDown(down) => link("link_down", down),
+        Event::RouterUp => ("router_up", None, None, None),
+        Event::RouterDown => ("router_down", None, None, None),
     }
 }

@@ -15,7 +15,7 @@ use rect::{
     storage::{Concluded, Content, Files, Store},
 };
 
-use super::reception::OfferedTransfer;
+use super::offered::OfferedTransfer;
 use crate::{
     detached::detached,
     driver::{lock, seconds, Driver, ToPython},

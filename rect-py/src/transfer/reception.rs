@@ -12,13 +12,12 @@ use rect::{
         transfer::{
             admission::AdmissionRules,
             reception::{self, Arrival},
-            Offer, TransferId,
         },
     },
     storage::Store,
 };
 
-use super::{file_error, pull::TransferPull};
+use super::{file_error, offered::OfferedTransfer, pull::TransferPull};
 use crate::{
     detached::detached,
     driver::{lock, Driver, ToPython},
@@ -31,13 +30,6 @@ use crate::{
 pub struct TransferReception {
     core: Arc<Mutex<reception::TransferReception>>,
     created_at: Instant,
-}
-
-/// A transfer that was offered and accepted.
-#[pyclass(frozen, module = "rect._rect")]
-pub struct OfferedTransfer {
-    pub(super) id: TransferId,
-    pub(super) offer: Offer,
 }
 
 #[pymethods]
@@ -93,40 +85,6 @@ impl TransferReception {
     /// Accepts no further transfers.
     fn stop(&self) {
         lock(&self.core).stop();
-    }
-}
-
-#[pymethods]
-impl OfferedTransfer {
-    /// The id of the transfer.
-    #[getter]
-    fn id(&self) -> String {
-        self.id.to_string()
-    }
-
-    #[getter]
-    fn sender(&self) -> &str {
-        self.offer.sender.as_str()
-    }
-
-    #[getter]
-    fn topic(&self) -> &str {
-        self.offer.topic.as_str()
-    }
-
-    #[getter]
-    fn name(&self) -> &str {
-        self.offer.name.as_str()
-    }
-
-    #[getter]
-    fn encoding(&self) -> &str {
-        self.offer.encoding.as_str()
-    }
-
-    #[getter]
-    fn size_bytes(&self) -> u64 {
-        self.offer.size_bytes
     }
 }
 

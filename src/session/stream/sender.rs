@@ -21,8 +21,9 @@ use crate::{
     error::Error,
     session::{
         convert::now_ms,
-        executor::{Executor, NoItems, Running},
+        executor::{Executor, Running},
         robot::Robot,
+        shared::NoItems,
     },
 };
 

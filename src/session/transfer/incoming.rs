@@ -11,23 +11,15 @@ use tokio::{
 use zenoh::Session;
 
 use super::{
-    options::{Destination, IncomingTransfer, ReceiveOptions},
+    options::{Destination, ReceiveOptions},
+    received::Received,
     receiving::Receiving,
 };
 use crate::{
     core::{key::KeySpace, topic::Pattern, transfer::admission::AdmissionRules},
     error::Error,
-    storage::{Content, Store},
+    storage::Store,
 };
-
-/// A complete transfer whose checksum was verified.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Received {
-    /// The properties of the transfer, which are also accessible through `Deref`: `received.sender`.
-    pub transfer: IncomingTransfer,
-    /// The content: a file or a buffer.
-    pub content: Content,
-}
 
 /// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
 ///
@@ -35,20 +27,6 @@ pub struct Received {
 pub struct Transfers {
     ended: Mutex<Receiver<Result<Received, Error>>>,
     receiving: Arc<Receiving>,
-}
-
-impl Received {
-    pub(super) fn new(transfer: IncomingTransfer, content: Content) -> Self {
-        Self { transfer, content }
-    }
-}
-
-impl std::ops::Deref for Received {
-    type Target = IncomingTransfer;
-
-    fn deref(&self) -> &IncomingTransfer {
-        &self.transfer
-    }
 }
 
 impl Transfers {

@@ -12,7 +12,10 @@ use bytes::Bytes;
 use tokio::sync::oneshot;
 use zenoh::Session;
 
-use super::sending::{Stop, StopOnDrop};
+use super::{
+    options::OnSendProgress,
+    stop::{Stop, StopOnDrop},
+};
 use crate::{
     core::{
         encoding::Encoding,
@@ -46,10 +49,8 @@ pub struct Transfer {
     pub(super) name: Option<String>,
     pub(super) encoding: Option<Encoding>,
     pub(super) timeout: Option<Duration>,
-    pub(super) on_progress: Option<OnProgress>,
+    pub(super) on_progress: Option<OnSendProgress>,
 }
-
-pub(super) type OnProgress = Box<dyn FnMut(Progress) + Send>;
 
 type Outcome = oneshot::Receiver<Result<(), Error>>;
 

@@ -10,8 +10,8 @@ use tokio::{runtime::Handle, sync::mpsc::Sender};
 use zenoh::Session;
 
 use super::{
-    incoming::Received,
     options::{Destination, IncomingTransfer, ReceiveOptions},
+    received::Received,
 };
 use crate::{
     core::{
@@ -24,7 +24,10 @@ use crate::{
         },
     },
     error::Error,
-    session::executor::{Executor, NoItems, Shared, Sink},
+    session::{
+        executor::Executor,
+        shared::{NoItems, Shared, Sink},
+    },
     storage::{Concluded, Content, Store},
 };
 

@@ -1,10 +1,14 @@
 //! Runs the thread of an outgoing transfer, which offers it and serves its pieces until it ends.
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Mutex, PoisonError},
     time::Instant,
 };
 
-use super::outgoing::{OnProgress, Transfer, TransferSource};
+use super::{
+    options::OnSendProgress,
+    outgoing::{Transfer, TransferSource},
+    stop::Stop,
+};
 use crate::{
     core::{
         encoding::Encoding,
@@ -15,48 +19,11 @@ use crate::{
         },
     },
     error::Error,
-    session::executor::{Executor, Shared, Sink},
+    session::{executor::Executor, shared::Sink},
     storage::Source,
 };
 
-/// Stops a transfer when dropped, also one whose thread has not begun to offer it.
-#[derive(Clone, Default)]
-pub(super) struct Stop(Arc<Mutex<StopState>>);
-
-#[derive(Default)]
-struct StopState {
-    is_stopped: bool,
-    running: Option<Arc<Shared<TransferPush>>>,
-}
-
-/// Stops the transfer when dropped.
-pub(super) struct StopOnDrop(pub(super) Stop);
-
-impl Stop {
-    fn stop(&self) {
-        let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        state.is_stopped = true;
-        if let Some(running) = state.running.take() {
-            running.driver().stop();
-            running.wake();
-        }
-    }
-
-    /// Makes the driver stoppable. Returns `false` if the transfer was stopped already.
-    fn on_running(&self, running: &Arc<Shared<TransferPush>>) -> bool {
-        let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        state.running = Some(running.clone());
-        !state.is_stopped
-    }
-}
-
-impl Drop for StopOnDrop {
-    fn drop(&mut self) {
-        self.0.stop();
-    }
-}
-
-struct ProgressSink(Mutex<Option<OnProgress>>);
+struct ProgressSink(Mutex<Option<OnSendProgress>>);
 
 impl Sink<Progress> for ProgressSink {
     fn deliver(&self, progress: Progress) {

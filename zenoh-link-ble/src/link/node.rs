@@ -11,15 +11,12 @@ use crate::{
     address::DeviceAddress,
     hello::NodeId,
     link::{
-        history::History,
-        reroute_holdoff::Holdoff,
-        table::{LinkNumber, LinkTable},
-        LinkBle,
+        history::History, number::LinkNumber, open_links::OpenLinks, reroute_holdoff::Holdoff,
+        status::NodeStatus, table::LinkTable, LinkBle,
     },
     radio::{Radio, RadioError},
     rejected_peers::RejectedPeers,
     secret::Secret,
-    status::{NodeStatus, OpenLinks},
 };
 
 /// The longest reroute holdoff of a link, even if other links end one after the other. Zenoh's own limit for opening a link

@@ -8,8 +8,8 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     error::BleError,
     lanes::report::Count,
+    link::traffic::{send_timed_out, SEND_TIMEOUT},
     radio::Channel,
-    traffic::{send_timed_out, SEND_TIMEOUT},
 };
 
 /// The batches of a link with a plain peer.

@@ -18,9 +18,8 @@ use crate::{
         sdu::SduError,
         Change, Lane, Lanes, HEADER, LANES,
     },
-    link::close_once::CloseOnce,
+    link::{close_once::CloseOnce, status::LanesStatus},
     radio::{Channel, RadioError},
-    status::LanesStatus,
 };
 
 /// How long an SDU may wait for room in the controller before the link ends. Zenoh's own lease (10 s) ends a silent link
