@@ -5,6 +5,7 @@ use pyo3::{prelude::*, pybacked::PyBackedBytes, IntoPyObjectExt};
 use rect::core::{codec::CodecError, decoder};
 
 use crate::{
+    clock::Clock,
     codec::{parts, payload, Dictionary, Parts},
     detached::detached,
     driver::{lock, Driver, ToPython},
@@ -43,10 +44,10 @@ impl Decoder {
 
     /// Returns the driver that fetches a missing dictionary. `None` if it was not available a short time ago.
     fn fetch(&self, sender: &str, id: u32) -> PyResult<Option<Driver>> {
-        let now = Instant::now();
+        let clock = Clock::new();
         let missing = CodecError::Dictionary { id };
-        let fetch = lock(&self.0).fetch(now, &name(sender)?, &missing);
-        Ok(fetch.map(|fetch| Driver::new(fetch, now)))
+        let fetch = lock(&self.0).fetch(clock.now(), &name(sender)?, &missing);
+        Ok(fetch.map(|fetch| Driver::new(fetch, &clock)))
     }
 
     /// Handles the outcome of a fetch. Returns why the dictionary is not available, or `None` if it is.
@@ -66,6 +67,20 @@ impl Decoder {
     /// Withdraws a dictionary whose queryable could not be declared.
     fn on_not_served(&self, id: u32) {
         lock(&self.0).on_not_served(id);
+    }
+}
+
+#[pymethods]
+impl Fetched {
+    fn __repr__(&self) -> String {
+        match &*lock(&self.0) {
+            Some(decoder::Fetched {
+                dictionary: Some(dictionary),
+                ..
+            }) => format!("dictionary {}", dictionary.id()),
+            Some(fetched) => fetched.to_string(),
+            None => "handled".to_owned(),
+        }
     }
 }
 

@@ -14,21 +14,19 @@ pub use step::{act, get, qos_fields, QosFields};
 
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyTuple};
 use rect::core::driver::{self, Event, Id, QueryId};
 
-use crate::codec::payload;
+use crate::{clock::Clock, codec::payload};
 
 /// A driver of the core, which decides what a handle of the program does. It is given events and returns steps.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Driver {
     core: Arc<dyn AnyDriver>,
-    created_at: Instant,
-    /// The time that the driver sees, in tests; `None` for the time of the clock.
-    frozen: Mutex<Option<Duration>>,
+    clock: Clock,
 }
 
 /// The items that a driver delivers because of an event, and whether to poll it.
@@ -65,8 +63,8 @@ pub fn lock<T: ?Sized>(state: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Driver {
-    /// Wraps a driver that a handle shares. `now` is the time with which it was created.
-    pub(crate) fn shared<D>(core: &Arc<Mutex<D>>, now: Instant) -> Self
+    /// Wraps a driver that a handle shares, with the clock of the handle.
+    pub(crate) fn shared<D>(core: &Arc<Mutex<D>>, clock: &Clock) -> Self
     where
         D: driver::Driver + Send + 'static,
         D::Item: ToPython,
@@ -74,30 +72,22 @@ impl Driver {
     {
         Self {
             core: core.clone(),
-            created_at: now,
-            frozen: Mutex::new(None),
+            clock: clock.clone(),
         }
     }
 
-    /// Wraps a driver.
-    pub(crate) fn new<D>(core: D, now: Instant) -> Self
+    /// Wraps a driver that was created with the time of `clock`.
+    pub(crate) fn new<D>(core: D, clock: &Clock) -> Self
     where
         D: driver::Driver + Send + 'static,
         D::Item: ToPython,
         D::Output: ToPython,
     {
-        Self::shared(&Arc::new(Mutex::new(core)), now)
-    }
-
-    fn now(&self) -> Instant {
-        match *lock(&self.frozen) {
-            Some(elapsed) => self.created_at + elapsed,
-            None => Instant::now(),
-        }
+        Self::shared(&Arc::new(Mutex::new(core)), clock)
     }
 
     fn on_event(&self, py: Python<'_>, event: Event) -> PyResult<Reaction> {
-        self.core.on_event(py, self.now(), event)
+        self.core.on_event(py, self.clock.now(), event)
     }
 }
 
@@ -105,7 +95,7 @@ impl Driver {
 impl Driver {
     /// Returns what to do now: a tuple that begins with the name of the step.
     fn poll<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        self.core.poll(py, self.now())
+        self.core.poll(py, self.clock.now())
     }
 
     /// Handles a sample of a subscriber. Returns the items to deliver, and whether to poll.
@@ -202,6 +192,6 @@ impl Driver {
 
     /// Sets the time that the driver sees, in seconds since it was created, for tests.
     fn set_time(&self, elapsed_s: f64) {
-        *lock(&self.frozen) = Some(Duration::try_from_secs_f64(elapsed_s).unwrap_or_default());
+        self.clock.freeze(seconds(elapsed_s));
     }
 }

@@ -4,6 +4,7 @@
 //! library's storage. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
 mod attachment;
 mod callback;
+mod clock;
 mod codec;
 mod connection;
 mod counters;

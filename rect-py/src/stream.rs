@@ -1,8 +1,5 @@
 //! Wraps the core's sending and receiving ends of a stream.
-use std::{
-    sync::{Arc, Mutex},
-    time::{Duration, Instant},
-};
+use std::sync::{Arc, Mutex};
 
 use pyo3::{
     prelude::*,
@@ -11,31 +8,28 @@ use pyo3::{
 };
 use rect::core::stream::{
     ladder::Coding,
+    options::{OptionError, PartialOptions},
     picture::{encode, LossyFormat},
-    publish,
-    sender::{self, Options},
-    watch,
+    publish, sender, watch,
 };
 
 use crate::{
     attachment::now_ms,
+    clock::Clock,
     codec::{parts, payload, Parts},
     detached::detached,
     driver::{act, lock, Driver},
-    errors::{raised, OrRaise},
+    errors::{raised, OrRaise, Raised},
     key_space::{name, topic, KeySpace},
     picture::picture_of,
     urgency,
 };
 
-/// Maximum feedback interval, in seconds.
-const MAX_FEEDBACK_INTERVAL_S: f64 = 3600.0;
-
 /// The sending end of a stream.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct StreamPublish {
     core: Arc<Mutex<publish::StreamPublish>>,
-    created_at: Instant,
+    clock: Clock,
     lossy_format: LossyFormat,
 }
 
@@ -47,7 +41,7 @@ pub struct Job(sender::Job);
 #[pyclass(frozen, module = "rect._rect")]
 pub struct StreamWatch {
     core: Arc<Mutex<watch::StreamWatch>>,
-    created_at: Instant,
+    clock: Clock,
 }
 
 /// Counts the frames that a program has not read.
@@ -56,11 +50,11 @@ pub struct FrameCounter(Mutex<watch::FrameCounter>);
 
 #[pymethods]
 impl StreamPublish {
-    /// Creates a sender. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the
+    /// Creates a sender. `unix_ms` is the time in milliseconds since 1970; default: the time of the clock. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the
     /// mode. Raises `OptionError`.
     #[new]
     #[pyo3(signature = (key_space, topic, urgency, mode, source, *, max_frames_per_s=None, min_frames_per_s=None, max_bytes_per_s=None,
-        feedback_interval_s=None, webp=false))]
+        feedback_interval_s=None, webp=false, unix_ms=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -74,80 +68,49 @@ impl StreamPublish {
         max_bytes_per_s: Option<f64>,
         feedback_interval_s: Option<f64>,
         webp: bool,
+        unix_ms: Option<u64>,
     ) -> PyResult<Self> {
-        let option_error = |option: &str, value: String, expected: &str| {
-            raised(py, "OptionError", (option, value, expected))
+        let partial = PartialOptions {
+            preset: mode.parse().or_raise()?,
+            max_frames_per_s,
+            min_frames_per_s,
+            max_bytes_per_s,
+            feedback_interval_s,
+            lossy_format: if webp {
+                LossyFormat::Webp
+            } else {
+                LossyFormat::Jpeg
+            },
         };
-        let positive = |option: &str, number: Option<f64>| match number {
-            Some(number) if !(number.is_finite() && number > 0.0) => Err(option_error(
-                option,
-                number.to_string(),
-                "it must be a number above 0",
-            )),
-            number => Ok(number),
-        };
-        let mut options = match mode {
-            "adaptive" => Options::default(),
-            "fixed" => Options::fixed(Options::default().max_frames_per_s),
-            "sensor" => Options::sensor(),
-            _ => {
-                let expected = "it must be \"adaptive\", \"fixed\" or \"sensor\"";
-                return Err(option_error("mode", mode.to_owned(), expected));
-            }
-        };
-        if let Some(max) = positive("max_frames_per_s", max_frames_per_s)? {
-            options.max_frames_per_s = max;
-        }
-        if let Some(min) = positive("min_frames_per_s", min_frames_per_s)? {
-            options.min_frames_per_s = min;
-        }
-        if let Some(max) = positive("max_bytes_per_s", max_bytes_per_s)? {
-            options.rates.max_bytes_per_s = max;
-            options.rates.initial_bytes_per_s = options.rates.initial_bytes_per_s.min(max);
-            options.rates.min_bytes_per_s = options.rates.min_bytes_per_s.min(max);
-        }
-        match feedback_interval_s {
-            Some(seconds) if !(0.0..=MAX_FEEDBACK_INTERVAL_S).contains(&seconds) => {
-                let expected = "it must be 0 (never) to 3600 seconds";
-                return Err(option_error(
-                    "feedback_interval",
-                    seconds.to_string(),
-                    expected,
-                ));
-            }
-            Some(seconds) => options.feedback_interval = Duration::from_secs_f64(seconds),
-            None => {}
-        }
-        if webp {
-            options.lossy_format = LossyFormat::Webp;
-        }
+        let options = partial.complete().or_raise()?;
         let lossy_format = options.lossy_format;
-        let now = Instant::now();
+        let clock = Clock::new();
+        let now = clock.created_at();
         let stream = publish::StreamPublish::new(
             &key_space.0,
             &self::topic(topic)?,
             options,
             urgency::parse(py, urgency)?,
             source,
-            now_ms(),
+            unix_ms.unwrap_or_else(now_ms),
             now,
         );
         Ok(Self {
             core: Arc::new(Mutex::new(stream)),
-            created_at: now,
+            clock,
             lossy_format,
         })
     }
 
     /// Returns the driver to execute.
     fn driver(&self) -> Driver {
-        Driver::shared(&self.core, self.created_at)
+        Driver::shared(&self.core, &self.clock)
     }
 
     /// Offers a frame of `pixels` pixels (or bytes, if it is not a picture). Returns a job for each group of receivers
     /// that is due for a frame.
     fn offer(&self, pixels: usize) -> Vec<Job> {
-        let jobs = lock(&self.core).offer(pixels, Instant::now());
+        let jobs = lock(&self.core).offer(pixels, self.clock.now());
         jobs.into_iter().map(Job).collect()
     }
 
@@ -174,7 +137,7 @@ impl StreamPublish {
         encoding: &str,
     ) -> PyResult<Bound<'py, PyTuple>> {
         let payload = payload(bytes, encoding);
-        let action = lock(&self.core).frame(job.0, payload, Instant::now());
+        let action = lock(&self.core).frame(job.0, payload, self.clock.now());
         act(py, action)
     }
 
@@ -189,6 +152,16 @@ impl StreamPublish {
         let status = lock(&self.core).status();
         // It contains only numbers and names, so encoding it as JSON cannot fail.
         PyBytes::new(py, &serde_json::to_vec(&status).unwrap_or_default())
+    }
+}
+
+impl Raised for OptionError {
+    fn raised(self) -> PyErr {
+        let reason = self.reason();
+        Python::attach(|py| match self.value.parse::<f64>() {
+            Ok(number) => raised(py, "OptionError", (self.option, number, reason)),
+            Err(_) => raised(py, "OptionError", (self.option, self.value, reason)),
+        })
     }
 }
 
@@ -215,17 +188,17 @@ impl StreamWatch {
     /// Creates the receiving end of a stream of a robot. `id` is a random number of 16 bits.
     #[new]
     fn new(key_space: &KeySpace, robot: &str, topic: &str, id: u16) -> PyResult<Self> {
-        let (robot, topic, now) = (name(robot)?, self::topic(topic)?, Instant::now());
-        let core = watch::StreamWatch::new(&key_space.0, robot, topic, id, now);
+        let (robot, topic, clock) = (name(robot)?, self::topic(topic)?, Clock::new());
+        let core = watch::StreamWatch::new(&key_space.0, robot, topic, id, clock.created_at());
         Ok(Self {
             core: Arc::new(Mutex::new(core)),
-            created_at: now,
+            clock,
         })
     }
 
     /// Returns the driver to execute.
     fn driver(&self) -> Driver {
-        Driver::shared(&self.core, self.created_at)
+        Driver::shared(&self.core, &self.clock)
     }
 
     /// Returns the round trip of a small message to the sender, in seconds, once it is known.

@@ -334,12 +334,12 @@ class Robot:
           codec); `fixed` sends frames unchanged, at most `max_frames_per_s` (the default with a codec); `sensor` sends
           every value and receives no feedback.
         - `codec`: compresses each frame; see `publish`.
-        - `max_frames_per_s`: maximum rate of frames. Default: 15, or no maximum for `sensor`.
+        - `max_frames_per_s`: maximum rate of frames, 0.01 to 1 million. Default: 15, or 1 million for `sensor`.
         - `min_frames_per_s`: rate that an adaptive stream maintains by reducing the size and quality of pictures.
           Default: 5.
         - `max_bytes_per_s`: maximum rate of bytes of an adaptive stream. Default: 20 million.
-        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never) to 3600. Receivers
-          use at least 0.2 and at most 10. Default: 0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
+        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never), or 0.2 to 10.
+          Default: 0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
         - `lossy_format`: format of an adaptive stream's lossy pictures: `jpeg` (default), or `webp`, which is smaller
           and takes longer to encode.
         - `urgency`: see `publish`.

@@ -35,7 +35,7 @@ class Stream:
         codec: _rect.Codec | None,
         lossy_format: str,
         urgency: str,
-        **options: float | None,
+        **options: Any,
     ) -> None:
         if lossy_format not in ("jpeg", "webp"):
             raise OptionError("lossy_format", lossy_format, 'it must be "jpeg" or "webp"')

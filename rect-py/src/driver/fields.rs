@@ -26,6 +26,13 @@ pub trait ToPython: Send {
 #[pyclass(frozen, module = "rect._rect")]
 pub struct ConnectionsReport(pub Vec<Connection>);
 
+#[pymethods]
+impl ConnectionsReport {
+    fn __repr__(&self) -> String {
+        format!("{} connections", self.0.len())
+    }
+}
+
 pub fn sample(
     key: String,
     payload: Payload,

@@ -1,5 +1,5 @@
 //! Creates the drivers that a program uses without a handle.
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use pyo3::prelude::*;
 use rect::core::{
@@ -9,28 +9,33 @@ use rect::core::{
 };
 
 use super::Driver;
-use crate::key_space::{name, KeySpace};
+use crate::{
+    clock::Clock,
+    key_space::{name, KeySpace},
+};
 
 /// Creates the question which robots are reachable.
 #[pyfunction]
 pub fn peers_query(key_space: &KeySpace) -> Driver {
-    Driver::new(PeersQuery::new(key_space.0.clone()), Instant::now())
+    Driver::new(PeersQuery::new(key_space.0.clone()), &Clock::new())
 }
 
 /// Creates the wait until a robot is reachable.
 #[pyfunction]
 pub fn peer_wait(key_space: &KeySpace, robot: &str, timeout_s: f64) -> PyResult<Driver> {
-    let now = Instant::now();
+    let clock = Clock::new();
+    let now = clock.created_at();
     let wait = PeerWait::new(&key_space.0, &name(robot)?, now, seconds(timeout_s));
-    Ok(Driver::new(wait, now))
+    Ok(Driver::new(wait, &clock))
 }
 
 /// Creates the wait until all reachable robots know what this program has declared.
 #[pyfunction]
 pub fn established_wait(key_space: &KeySpace, is_direct: bool, timeout_s: f64) -> Driver {
-    let now = Instant::now();
+    let clock = Clock::new();
+    let now = clock.created_at();
     let wait = EstablishedWait::new(&key_space.0, is_direct, now, seconds(timeout_s));
-    Driver::new(wait, now)
+    Driver::new(wait, &clock)
 }
 
 /// Creates a question to the registry of a robot.
@@ -42,7 +47,7 @@ pub fn registry_query(
     filter: &str,
 ) -> PyResult<Driver> {
     let query = RegistryQuery::new(key_space.0.clone(), name(robot)?, question, filter);
-    Ok(Driver::new(query, Instant::now()))
+    Ok(Driver::new(query, &Clock::new()))
 }
 
 /// Creates a change of the named connections of a robot.
@@ -54,20 +59,20 @@ pub fn registry_change(
     argument: String,
 ) -> PyResult<Driver> {
     let change = RegistryQuery::change(key_space.0.clone(), name(robot)?, action, argument);
-    Ok(Driver::new(change, Instant::now()))
+    Ok(Driver::new(change, &Clock::new()))
 }
 
 /// Creates the observer of robots, links and the router.
 #[pyfunction]
 pub fn observer(key_space: &KeySpace, is_direct: bool) -> Driver {
     let observer = Observer::new(key_space.0.clone(), is_direct);
-    Driver::new(observer, Instant::now())
+    Driver::new(observer, &Clock::new())
 }
 
 /// Creates the observer of the router's links, whose reports are for `Links`.
 #[pyfunction]
 pub fn router_observer(key_space: &KeySpace) -> Driver {
-    Driver::new(RouterObserver::new(&key_space.0), Instant::now())
+    Driver::new(RouterObserver::new(&key_space.0), &Clock::new())
 }
 
 /// Converts a duration; one that is too long counts as the longest.

@@ -2,7 +2,6 @@
 use std::{
     path::PathBuf,
     sync::{Arc, Mutex},
-    time::Instant,
 };
 
 use pyo3::{
@@ -17,6 +16,7 @@ use rect::{
 
 use super::offered::OfferedTransfer;
 use crate::{
+    clock::Clock,
     detached::detached,
     driver::{lock, seconds, Driver, ToPython},
     errors::raised,
@@ -28,7 +28,7 @@ use crate::{
 pub struct TransferPull {
     offer: Offer,
     core: Arc<Mutex<pull::TransferPull>>,
-    created_at: Instant,
+    clock: Clock,
     store: Mutex<Option<Store>>,
     result: Mutex<Option<Result<Content, Fault>>>,
 }
@@ -61,13 +61,14 @@ impl TransferPull {
                 (None, Default::default(), Some(Err(fault)))
             }
         };
-        let now = Instant::now();
+        let clock = Clock::new();
+        let now = clock.created_at();
         let timeout = seconds(timeout_s);
         let core = pull::TransferPull::new(&key_space.0, id, &offer, held, timeout, now);
         Self {
             offer,
             core: Arc::new(Mutex::new(core)),
-            created_at: now,
+            clock,
             store: Mutex::new(store),
             result: Mutex::new(result),
         }
@@ -76,7 +77,7 @@ impl TransferPull {
     /// Returns the driver to execute; `None` if there is no storage for the transfer.
     fn driver(&self) -> Option<Driver> {
         let has_store = lock(&self.store).is_some();
-        has_store.then(|| Driver::shared(&self.core, self.created_at))
+        has_store.then(|| Driver::shared(&self.core, &self.clock))
     }
 
     /// Stores the pieces that have arrived. To be called before the driver is polled.
@@ -89,13 +90,13 @@ impl TransferPull {
                 store.as_mut().map(|store| store.perform(action))
             });
             let Some(event) = event else { return };
-            lock(&self.core).on_file(Instant::now(), event);
+            lock(&self.core).on_file(self.clock.now(), event);
         }
     }
 
     /// Handles a repeated offer of the sender.
     fn on_offered(&self) {
-        lock(&self.core).on_offered(Instant::now());
+        lock(&self.core).on_offered(self.clock.now());
     }
 
     /// Stops the transfer on behalf of the program.
@@ -116,7 +117,7 @@ impl TransferPull {
 
     /// Returns the driver that notifies the sender of the end.
     fn end_report(&self) -> Driver {
-        Driver::new(lock(&self.core).end_report(), Instant::now())
+        Driver::new(lock(&self.core).end_report(), &Clock::new())
     }
 
     /// Whether the program stopped the transfer.
@@ -147,6 +148,16 @@ impl TransferPull {
             Some(Ok(_)) => Ok(()),
             Some(Err(fault)) => Err(fault.clone()),
             None => Err(Fault::Stopped),
+        }
+    }
+}
+
+#[pymethods]
+impl PullOutcome {
+    fn __repr__(&self) -> String {
+        match &self.0 {
+            Ok(()) => "complete".to_owned(),
+            Err(fault) => fault.to_string(),
         }
     }
 }

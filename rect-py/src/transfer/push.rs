@@ -2,7 +2,6 @@
 use std::{
     path::PathBuf,
     sync::{Arc, Mutex},
-    time::Instant,
 };
 
 use bytes::Bytes;
@@ -24,6 +23,7 @@ use rect::{
 
 use super::file_error;
 use crate::{
+    clock::Clock,
     detached::detached,
     driver::{lock, seconds, Driver, ToPython},
     errors::{raised, OrRaise},
@@ -37,7 +37,7 @@ pub struct TransferPush {
     topic: Topic,
     source: Mutex<Source>,
     core: Arc<Mutex<push::TransferPush>>,
-    created_at: Instant,
+    clock: Clock,
 }
 
 /// Why a transfer was not completed; `None` if it was.
@@ -93,20 +93,21 @@ impl TransferPush {
             checksum: source.checksum(),
             call,
         };
-        let (now, timeout) = (Instant::now(), timeout_s.map(seconds));
+        let (clock, timeout) = (Clock::new(), timeout_s.map(seconds));
+        let now = clock.created_at();
         let core = push::TransferPush::new(&key_space.0, recipient.clone(), offer, timeout, now);
         Ok(Self {
             recipient,
             topic,
             source: Mutex::new(source),
             core: Arc::new(Mutex::new(core)),
-            created_at: now,
+            clock,
         })
     }
 
     /// Returns the driver to execute.
     fn driver(&self) -> Driver {
-        Driver::shared(&self.core, self.created_at)
+        Driver::shared(&self.core, &self.clock)
     }
 
     /// Reads the pieces that the driver needs. To be called before the driver is polled.
@@ -115,7 +116,7 @@ impl TransferPush {
             let action = lock(&self.core).poll_file();
             let Some(action) = action else { return };
             let read = detached(py, || lock(&self.source).perform(action));
-            lock(&self.core).on_file(Instant::now(), read);
+            lock(&self.core).on_file(self.clock.now(), read);
         }
     }
 
@@ -144,6 +145,21 @@ impl TransferPush {
             SendError::Closed => raised(py, "Closed", ("the transfer was stopped",)),
         };
         Some(error.into_value(py).into_any())
+    }
+}
+
+#[pymethods]
+impl SendOutcome {
+    fn __repr__(&self) -> String {
+        match &self.0 {
+            None => "complete".to_owned(),
+            Some(SendError::Refused(refusal)) => refusal.to_string(),
+            Some(SendError::Failed(fault)) => fault.to_string(),
+            Some(SendError::TimedOut { expected, timeout }) => {
+                format!("no {expected} within {} s", timeout.as_secs())
+            }
+            Some(SendError::Closed) => "closed".to_owned(),
+        }
     }
 }
 

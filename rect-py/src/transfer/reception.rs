@@ -2,7 +2,7 @@
 use std::{
     path::PathBuf,
     sync::{Arc, Mutex},
-    time::{Instant, SystemTime},
+    time::SystemTime,
 };
 
 use pyo3::{prelude::*, IntoPyObjectExt};
@@ -19,6 +19,7 @@ use rect::{
 
 use super::{file_error, offered::OfferedTransfer, pull::TransferPull};
 use crate::{
+    clock::Clock,
     detached::detached,
     driver::{lock, Driver, ToPython},
     errors::OrRaise,
@@ -29,7 +30,7 @@ use crate::{
 #[pyclass(frozen, module = "rect._rect")]
 pub struct TransferReception {
     core: Arc<Mutex<reception::TransferReception>>,
-    created_at: Instant,
+    clock: Clock,
 }
 
 #[pymethods]
@@ -62,14 +63,14 @@ impl TransferReception {
         let core = reception::TransferReception::new(key_space.0.clone(), rules);
         Ok(Self {
             core: Arc::new(Mutex::new(core)),
-            created_at: Instant::now(),
+            clock: Clock::new(),
         })
     }
 
     /// Returns the driver to execute. It delivers `begin` with an `OfferedTransfer`, and `offered_again` with the id of a
     /// transfer.
     fn driver(&self) -> Driver {
-        Driver::shared(&self.core, self.created_at)
+        Driver::shared(&self.core, &self.clock)
     }
 
     /// Handles the number of bytes of a transfer that are stored.
