@@ -53,8 +53,10 @@ pub enum Error {
     NoRouter {
         /// The endpoint that was tried, such as `tcp/127.0.0.1:7447`.
         endpoint: String,
-        /// The reason that Zenoh reports.
+        /// The essential part of Zenoh's reason, or how long the router did not answer.
         reason: String,
+        /// The error of Zenoh; `None` if the router did not answer.
+        source: Option<zenoh::Error>,
     },
     /// The router requires a login, and the program's login is missing or wrong. Select the team's login file.
     #[error(transparent)]

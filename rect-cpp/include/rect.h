@@ -27,7 +27,8 @@
 // Size of the text of an error, including the terminating zero byte.
 #define RECT_ERROR_BYTES 1024
 
-// A timeout that never expires, for the `timeout_ms` parameter of functions whose names end in `_next` or `_wait`.
+// A timeout that never expires, for the `timeout_ms` parameter of functions whose names end in `_next` or contain `_wait`;
+// for an interval, it means never.
 #define RECT_FOREVER UINT32_MAX
 
 // Size of an encoding, including the terminating zero byte.
@@ -377,6 +378,12 @@ typedef struct rect_picture {
     // Size of `pixels` in bytes.
     size_t len;
 } rect_picture;
+
+// A publisher of one topic, which knows whether there are subscribers. Release it with `rect_drop(&publisher.id, ..)`.
+typedef struct rect_publisher {
+    // The handle.
+    uint64_t id;
+} rect_publisher;
 
 // A reply. It is valid until `rect_drop(&reply.id, ..)`.
 typedef struct rect_reply {
@@ -921,6 +928,34 @@ enum rect_code rect_picture_read(const struct rect_payload *payload,
                                  struct rect_picture *picture,
                                  struct rect_error *error);
 
+// Creates a publisher of `topic`, with the urgency and codec of the robot's handle, and writes it to `publisher`. It can wait
+// for a subscriber, and lets a program skip work while nobody subscribes. `rect_robot_publish` needs no publisher.
+//
+// Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread.
+enum rect_code rect_robot_publisher(struct rect_robot robot,
+                                    const char *topic,
+                                    struct rect_publisher *publisher,
+                                    struct rect_error *error);
+
+// Publishes a payload to every subscriber, like `rect_robot_publish` on the publisher's topic.
+enum rect_code rect_publisher_publish(struct rect_publisher publisher,
+                                      const struct rect_payload *payload,
+                                      struct rect_error *error);
+
+// Writes to `has_subscribers` whether at least one subscriber of another program receives the messages, on this or another
+// robot. May be called on any thread.
+enum rect_code rect_publisher_has_subscribers(struct rect_publisher publisher,
+                                              bool *has_subscribers,
+                                              struct rect_error *error);
+
+// Waits until a subscriber receives the messages.
+//
+// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the publisher. May be called on any thread.
+enum rect_code rect_publisher_wait_for_subscriber(struct rect_publisher publisher,
+                                                  uint32_t timeout_ms,
+                                                  struct rect_error *error);
+
 // Sends a request to the service `topic` of the robot `recipient`, waits for the first reply and writes it to `reply`.
 //
 // ```c
@@ -1055,7 +1090,8 @@ enum rect_code rect_robot_send(struct rect_robot robot,
 // Waits for the next message that `sender` publishes on `topic`, or sends to this robot, and writes it to `message`.
 // Earlier messages are not returned.
 //
-// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms`. May be called on any thread.
+// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit). May be called
+// on any thread.
 enum rect_code rect_robot_wait_for_message(struct rect_robot robot,
                                            const char *sender,
                                            const char *topic,
@@ -1069,10 +1105,35 @@ enum rect_code rect_robot_peers(struct rect_robot robot,
                                 struct rect_names *names,
                                 struct rect_error *error);
 
+// Waits until the robot `name` is reachable; returns at once if it is. Its programs may start later:
+// `rect_publisher_wait_for_subscriber` waits for one that subscribes.
+//
+// Returns `RECT_CODE_TIMED_OUT` if the robot is not reachable within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+// `RECT_CODE_NAME` if the name is invalid. May be called on any thread.
+enum rect_code rect_robot_wait_for_peer(struct rect_robot robot,
+                                        const char *name,
+                                        uint32_t timeout_ms,
+                                        struct rect_error *error);
+
+// Waits until every reachable router knows the subscriptions and services of this program, so that messages and requests that
+// other robots send from now on arrive. Declarations reach the other robots a moment after the calls that made them, later
+// over a slow link. Without a router, the wait is for the directly linked programs.
+//
+// Returns `RECT_CODE_TIMED_OUT` if a router does not answer within `timeout_ms` (`RECT_FOREVER` waits without a limit). May
+// be called on any thread.
+enum rect_code rect_robot_wait_until_established(struct rect_robot robot,
+                                                 uint32_t timeout_ms,
+                                                 struct rect_error *error);
+
 // Writes the counts of this program's messages to `counters`. May be called on any thread.
 enum rect_code rect_robot_counters(struct rect_robot robot,
                                    struct rect_counters *counters,
                                    struct rect_error *error);
+
+// Writes to `is_closed` whether the session was closed. May be called on any thread.
+enum rect_code rect_robot_is_closed(struct rect_robot robot,
+                                    bool *is_closed,
+                                    struct rect_error *error);
 
 // Closes the session and everything that belongs to it, regardless of other handles. The handles must still be dropped.
 //

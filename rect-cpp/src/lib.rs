@@ -23,6 +23,7 @@ mod options;
 mod payload;
 mod picture;
 mod program;
+mod publisher;
 mod reply;
 mod robot;
 mod sender_counts;

@@ -81,16 +81,25 @@ static void messages(rect_robot one, rect_robot two) {
     rect_robot urgent;
     rect_code code;
     rect_counts_by_sender counts;
+    rect_publisher greetings;
+    bool has_subscribers;
     char name[RECT_NAME_BYTES];
     const rect_payload hello = rect_payload_text("hello");
     must(rect_robot_on_message(two, "wombat-1/greeting", NULL, on_message, &two, NULL, &echoing, &error), "on_message");
     must(rect_robot_subscribe(one, "wombat-2/echo", NULL, &subscriber, &error), "subscribe");
     must(rect_robot_with_urgency(one, RECT_URGENCY_URGENT, &urgent, &error), "with_urgency");
+    must(rect_robot_wait_for_peer(one, "wombat-2", TIMEOUT_MS, &error), "wait_for_peer");
+    must(rect_robot_wait_until_established(one, TIMEOUT_MS, &error), "wait_until_established");
+    must(rect_robot_publisher(urgent, "greeting", &greetings, &error), "publisher");
+    must(rect_publisher_wait_for_subscriber(greetings, TIMEOUT_MS, &error), "wait_for_subscriber");
+    must(rect_publisher_has_subscribers(greetings, &has_subscribers, &error), "has_subscribers");
+    check(has_subscribers, "there is a subscriber after waiting for one");
     do {
-        must(rect_robot_publish(urgent, "greeting", &hello, &error), "publish");
+        must(rect_publisher_publish(greetings, &hello, &error), "publish");
         code = rect_subscriber_next(subscriber, RETRY_MS, &message, &error);
     } while (code == RECT_CODE_TIMED_OUT);
     must(code, "next");
+    must(rect_drop(&greetings.id, &error), "drop");
     check(equals(message.sender, "wombat-2") && equals(message.topic, "echo") && has_text(message.payload, "hello"),
           "the echo is received");
     must(rect_drop(&message.id, &error), "drop");

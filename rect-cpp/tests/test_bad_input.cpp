@@ -137,19 +137,18 @@ TEST_CASE("invalid options for connecting are rejected") {
     REQUIRE_FALSE(no_router.has_value());
     CHECK(no_router.error().code == rect::Code::no_router);
     CHECK_THAT(no_router.error().text, ContainsSubstring("rect-router"));
-    CHECK(no_router.error().causes.size() > 0);
-    try {
-        must(rect::connect("wombat-1", options));
-        FAIL("no exception");
-    } catch (const rect::Exception& exception) {
-        CHECK(exception.causes() == no_router.error().causes);
-    }
     options = {};
     options.listen = {"carrier-pigeon/roof"};
     const auto no_protocol = rect::connect("wombat-1", options).error();
     CHECK(no_protocol.code == rect::Code::option);
     REQUIRE(no_protocol.causes.size() > 0);
     CHECK_THAT(no_protocol.causes[0], ContainsSubstring("carrier-pigeon"));
+    try {
+        must(rect::connect("wombat-1", options));
+        FAIL("no exception");
+    } catch (const rect::Exception& exception) {
+        CHECK(exception.causes() == no_protocol.causes);
+    }
     options = {};
     options.zenoh = {{"transport/unicast/max_links", "{"}};
     CHECK(rect::connect("wombat-1", options).error().code == rect::Code::argument);

@@ -28,6 +28,10 @@ TEST_CASE("calls on a dropped handle fail, and so does dropping a copy of it") {
     CHECK(rect::Subscriber().next(0ms).error().code == rect::Code::handle);
     CHECK(rect::Replies().next().error().code == rect::Code::handle);
     CHECK(rect::Stream().send("x").error().code == rect::Code::handle);
+    CHECK(rect::Publisher().publish("x").error().code == rect::Code::handle);
+    CHECK(rect::Publisher().wait_for_subscriber(0ms).error().code == rect::Code::handle);
+    CHECK(robot.wait_for_peer("wombat-2", 0ms).error().code == rect::Code::handle);
+    CHECK(robot.wait_until_established(0ms).error().code == rect::Code::handle);
     CHECK(rect::Watch().next(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfer().wait(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfers().next(0ms).error().code == rect::Code::handle);

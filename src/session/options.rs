@@ -218,22 +218,26 @@ impl Options {
         loop {
             let config = self.config(joining.credentials())?;
             let limit = joining.limit(began.elapsed());
-            let reason = match connect::open(config.clone(), limit).await? {
+            let source = match connect::open(config.clone(), limit).await? {
                 Ok(session) => return Ok((session, config)),
-                Err(NotOpened::Zenoh(error)) => Some(error.to_string()),
+                Err(NotOpened::Zenoh(error)) => Some(error),
                 Err(NotOpened::TimedOut) => None,
             };
-            let pause = joining.on_failure(began.elapsed(), reason.as_deref());
-            tokio::time::sleep(pause.map_err(|error| self.connect_error(error))?).await;
+            let reason = source.as_ref().map(ToString::to_string);
+            match joining.on_failure(began.elapsed(), reason.as_deref()) {
+                Ok(pause) => tokio::time::sleep(pause).await,
+                Err(error) => return Err(self.connect_error(error, source)),
+            }
         }
     }
 
-    fn connect_error(&self, error: JoinError) -> Error {
+    fn connect_error(&self, error: JoinError, source: Option<zenoh::Error>) -> Error {
         match error {
-            JoinError::NoRouter { reason } => {
-                let endpoint = self.router.clone();
-                Error::NoRouter { endpoint, reason }
-            }
+            JoinError::NoRouter { reason } => Error::NoRouter {
+                endpoint: self.router.clone(),
+                reason,
+                source,
+            },
             JoinError::Login(refused) => refused.into(),
         }
     }
