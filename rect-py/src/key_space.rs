@@ -6,7 +6,6 @@ use rect::core::{
     key,
     name::Name,
     payload::PayloadError,
-    peers,
     publication::PublicationKey,
     topic::{Pattern, Topic},
     urgency::Urgency,
@@ -104,11 +103,6 @@ impl KeySpace {
             urgency: Urgency::default(),
         };
         Ok(key.key(&self.0))
-    }
-
-    /// Returns the key of this robot's liveliness token, for the Zenoh session with that id.
-    fn presence(&self, id: &str) -> String {
-        peers::token(&self.0, id)
     }
 
     /// Returns the key of a service of a robot, or of all robots (`None`).

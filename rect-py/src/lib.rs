@@ -40,8 +40,8 @@ mod _rect {
         decoder::{Decoder, Fetched},
         detached::{forget_work, settle},
         driver::{
-            established_wait, observer, peer_wait, peers_query, registry_change, registry_query,
-            router_observer, ConnectionsReport, Driver, Report,
+            direct_presence, established_wait, observer, peer_wait, peers_query, registry_change,
+            registry_query, router_observer, ConnectionsReport, Driver, Report,
         },
         errors::{forget, on_one_line},
         key_space::{

@@ -69,7 +69,10 @@ class Subject:
         return _rect.peer_wait(self._place, of["robot"], of["timeout_s"])
 
     def _established_wait(self, of: dict[str, Any]) -> _rect.Driver:
-        return _rect.established_wait(self._place, of["is_direct"], of["timeout_s"])
+        return _rect.established_wait(self._place, of["timeout_s"])
+
+    def _direct_presence(self, of: dict[str, Any]) -> _rect.Driver:
+        return _rect.direct_presence(self._place, of["id"], of["unix_ms"])
 
     def _registry_query(self, of: dict[str, Any]) -> _rect.Driver:
         return _rect.registry_query(self._place, of["robot"], of["question"], of["filter"])

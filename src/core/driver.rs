@@ -24,7 +24,7 @@ pub const MAX_OPEN_QUERIES: usize = 256;
 
 /// The decisions of one handle of a session: a subscription to events, a stream, a transfer, a query.
 pub trait Driver {
-    /// What the driver delivers to the program, such as a frame.
+    /// An item that the driver delivers to the program, such as a frame.
     type Item;
     /// The result with which the driver finishes.
     type Output;
@@ -36,7 +36,7 @@ pub trait Driver {
     fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output>;
 }
 
-/// What an executor does next.
+/// The next thing that an executor does.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step<I, O> {
     /// Perform the action.

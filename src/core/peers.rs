@@ -1,23 +1,35 @@
-//! Drives the questions which robots are reachable, and the wait for one of them.
+//! Drives the questions which robots are reachable, the waits for one of them, and the presence of a program without a
+//! router.
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeSet, VecDeque},
     time::{Duration, Instant},
 };
 
+use serde_json::json;
+
 use super::{
-    driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Step, Target},
+    driver::{
+        Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Step, Target,
+    },
+    encoding::Encoding,
     key::KeySpace,
     name::Name,
+    payload::Payload,
+    stream::offset::MillisecondClock,
 };
 
 /// The timeout of a question to the routers. They reply at once, but a slow and busy link delays the reply.
 pub const TIMEOUT: Duration = Duration::from_secs(5);
 /// The part after `@rect/` of the keys of the liveliness tokens of robots.
 const ALIVE: &str = "alive/*";
+/// The part after `@rect/` of the key at which a router, or a program without one, tells the time.
+const CLOCK: &str = "clock";
 /// The maximum number of robots in an answer.
 const MAX_PEERS: usize = 4096;
 const QUERY: Id = Id(0);
 const TOKENS: Id = Id(1);
+const OWN_TOKEN: Id = Id(0);
+const OWN_CLOCK: Id = Id(1);
 
 /// Returns the key expression of the liveliness tokens of `robot`, or of all robots (`None`).
 pub fn tokens(place: &KeySpace, robot: Option<&Name>) -> String {
@@ -25,7 +37,7 @@ pub fn tokens(place: &KeySpace, robot: Option<&Name>) -> String {
 }
 
 /// Returns the key of the liveliness token of the robot of `place`, for the Zenoh session `id`.
-pub fn token(place: &KeySpace, id: &str) -> String {
+fn token(place: &KeySpace, id: &str) -> String {
     place.own(Some(&place.robot), &format!("alive/{id}"))
 }
 
@@ -148,10 +160,10 @@ impl Driver for PeerWait {
     }
 }
 
-/// Waits until all reachable robots know what this program has declared.
+/// Waits until all reachable robots know the declarations of this program.
 ///
-/// The routers of the fleet are asked for the time. A declaration takes the same way as the question, and precedes it, so
-/// that a router that answers knows the declaration. Without a router, the peers answer a question about liveliness.
+/// The routers of the fleet, and the programs that have none, are asked for the time. A declaration takes the same way as
+/// the question, and precedes it, so that a router that answers knows the declaration.
 #[derive(Debug)]
 pub struct EstablishedWait {
     get: Option<Get>,
@@ -160,15 +172,11 @@ pub struct EstablishedWait {
 }
 
 impl EstablishedWait {
-    /// Creates the wait of a program, until `timeout` from `now`. `is_direct`: the program has no router.
-    pub fn new(place: &KeySpace, is_direct: bool, now: Instant, timeout: Duration) -> Self {
-        let get = if is_direct {
-            Get::liveliness(tokens(place, None), timeout)
-        } else {
-            Get {
-                target: Target::All,
-                ..Get::new(place.own(None, "clock"), timeout)
-            }
+    /// Creates the wait of a program, until `timeout` from `now`.
+    pub fn new(place: &KeySpace, now: Instant, timeout: Duration) -> Self {
+        let get = Get {
+            target: Target::All,
+            ..Get::new(place.own(None, CLOCK), timeout)
         };
         Self {
             get: Some(get),
@@ -201,6 +209,74 @@ impl Driver for EstablishedWait {
             None if now >= self.deadline => Step::Finished(Waited::TimedOut),
             None => Step::Wait(Some(self.deadline)),
         }
+    }
+}
+
+/// Makes a program without a router visible to others, as a router does: it has a liveliness token, and tells the time.
+#[derive(Debug)]
+pub struct DirectPresence {
+    clock_key: String,
+    actions: VecDeque<Action>,
+    questions: VecDeque<QueryId>,
+    clock: MillisecondClock,
+    is_closed: bool,
+}
+
+impl DirectPresence {
+    /// Creates the presence of a program of the robot of `place`. `id` is the id of its Zenoh session, and `unix_ms` the
+    /// time in milliseconds since 1970.
+    pub fn new(place: &KeySpace, id: &str, unix_ms: u64, now: Instant) -> Self {
+        let clock_key = place.own(Some(&place.robot), CLOCK);
+        let token = Declaration::LivelinessToken {
+            key: token(place, id),
+        };
+        let clock = Declaration::Queryable {
+            key: clock_key.clone(),
+            complete: true,
+        };
+        let declared = [(OWN_TOKEN, token), (OWN_CLOCK, clock)];
+        Self {
+            clock_key,
+            actions: declared
+                .map(|(id, declaration)| Action::Declare { id, declaration })
+                .into(),
+            questions: VecDeque::new(),
+            clock: MillisecondClock::new(now, unix_ms),
+            is_closed: false,
+        }
+    }
+}
+
+impl Driver for DirectPresence {
+    type Item = std::convert::Infallible;
+    type Output = ();
+
+    fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Self::Item> {
+        match event {
+            Event::Query { query, .. } => self.questions.push_back(query),
+            Event::Closed => self.is_closed = true,
+            _ => return Reaction::NONE,
+        }
+        Reaction::POLL
+    }
+
+    fn poll(&mut self, now: Instant) -> Step<Self::Item, ()> {
+        if self.is_closed {
+            return Step::Finished(());
+        }
+        if let Some(action) = self.actions.pop_front() {
+            return Step::Act(action);
+        }
+        let Some(query) = self.questions.pop_front() else {
+            return Step::Wait(None);
+        };
+        let unix_s = self.clock.at(now) as f64 / 1000.0;
+        let time = json!({ "unix_s": unix_s }).to_string();
+        let answer = Answer::Reply {
+            key: self.clock_key.clone(),
+            payload: Payload::new(time, Encoding::JSON),
+        };
+        Step::Act(Action::Answer { query, answer })
     }
 }
 

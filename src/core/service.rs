@@ -1,4 +1,4 @@
-//! Decides how a service handles its requests: how many wait and run, who sent them, and until when a reply is wanted.
+//! Decides how a service handles its requests: how many wait and run, who sent them, and until when it waits for a reply.
 use std::time::Duration;
 
 use super::{
@@ -13,7 +13,7 @@ pub const CAPACITY: usize = 256;
 /// The number of requests that a service with a function processes concurrently.
 pub const MAX_CONCURRENT: usize = 16;
 
-/// Who sent a request, and how long the sender waits.
+/// The sender of a request, and how long it waits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Requester {
     /// The robot that the request names as its sender. `None` if a stock Zenoh program sent it.

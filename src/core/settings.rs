@@ -173,7 +173,7 @@ pub enum SessionChoice {
     Open,
 }
 
-/// What is known about the sessions of a program when one is chosen.
+/// The state of a program's sessions when one is chosen.
 #[derive(Clone, Copy, Debug)]
 pub struct SessionsState {
     /// Whether the program has a router.

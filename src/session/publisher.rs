@@ -60,7 +60,7 @@ impl Robot {
             .map_err(refused())?;
         let status = publication.publisher().matching_status().await;
         let is_matching = status.map_err(refused())?.matching();
-        // What the listener has reported in the meantime is newer.
+        // A report of the listener in the meantime is newer.
         sender.send_if_modified(|known| {
             let is_first = known.is_none();
             known.get_or_insert(is_matching);

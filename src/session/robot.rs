@@ -2,13 +2,19 @@
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Instant,
 };
 
 use tokio::runtime::Handle;
-use zenoh::{Config, Session, Wait};
+use zenoh::{Config, Session};
 
 use super::{
-    decoder::Decoder, publication::Publication, router_links::RouterLinks,
+    convert::now_ms,
+    decoder::Decoder,
+    executor::{Executor, Running},
+    publication::Publication,
+    router_links::RouterLinks,
+    shared::NoItems,
     urgency_sessions::UrgencySessions,
 };
 use crate::{
@@ -19,7 +25,7 @@ use crate::{
         key::KeySpace,
         name::Name,
         payload::{Payload, ToPayload},
-        peers,
+        peers::DirectPresence,
         publication::{PublicationKey, Publications},
         topic::Topic,
         urgency::Urgency,
@@ -49,8 +55,8 @@ pub(super) struct Inner {
     /// The router's links; `None` without a router.
     pub(super) router_links: Option<RouterLinks>,
     pub(super) direct: bool,
-    /// The robot's liveliness token; `None` if its router declares one.
-    _presence: Option<zenoh::liveliness::LivelinessToken>,
+    /// The presence of the robot; `None` if its router has one.
+    _presence: Option<Running<DirectPresence>>,
 }
 
 impl Robot {
@@ -62,10 +68,10 @@ impl Robot {
     ) -> Result<Self, Error> {
         let direct = router.is_none();
         let (presence, router_links) = if direct {
-            let token = peers::token(&place, &session.zid().to_string());
-            let token = session.liveliness().declare_token(token).wait();
-            let refused = Error::zenoh("cannot declare the robot's liveliness token");
-            (Some(token.map_err(refused)?), None)
+            let id = session.zid().to_string();
+            let presence = DirectPresence::new(&place, &id, now_ms(), Instant::now());
+            let executor = Executor::new(&session, presence, NoItems);
+            (Some(executor.start(&Handle::current())?), None)
         } else {
             let links = RouterLinks::follow(&session, &place, &Handle::current())?;
             (None, Some(links))

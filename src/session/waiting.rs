@@ -43,8 +43,8 @@ impl Robot {
     /// Waits until every reachable router knows the subscriptions and services of this program, so that messages and
     /// requests that other robots send from now on arrive.
     ///
-    /// Declarations reach the other robots a moment after the calls that made them, later over a slow link. Without a
-    /// router, the wait is for the directly linked programs.
+    /// Declarations reach the other robots a moment after the calls that made them, later over a slow link. Programs
+    /// without a router answer themselves.
     ///
     /// ```no_run
     /// # async fn wait(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -59,7 +59,7 @@ impl Robot {
     /// session is closed.
     pub async fn wait_until_established(&self, timeout: Duration) -> Result<(), Error> {
         let inner = &self.inner;
-        let wait = EstablishedWait::new(&inner.place, inner.direct, Instant::now(), timeout);
+        let wait = EstablishedWait::new(&inner.place, Instant::now(), timeout);
         self.wait(wait, "answer of every router".to_owned(), timeout)
             .await
     }

@@ -8,7 +8,7 @@ use crate::core::transfer::{
 
 /// The storage of one transfer.
 pub trait Files {
-    /// What a driver asks of the storage.
+    /// An action that a driver asks of the storage.
     type Action;
     /// The outcome of an action.
     type Event;
@@ -44,7 +44,7 @@ impl Files for Store {
     }
 }
 
-/// What is left of an incoming transfer that has ended.
+/// The result of an incoming transfer that has ended.
 #[derive(Debug)]
 pub struct Concluded {
     /// The content, or why there is none.

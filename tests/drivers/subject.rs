@@ -12,7 +12,7 @@ use rect::{
         name::Name,
         observer::{Observer, RouterObserver},
         payload::Payload,
-        peers::{EstablishedWait, PeerWait, PeersQuery},
+        peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
         registry::RegistryQuery,
         stream::{
             options::{PartialOptions, Preset},
@@ -171,9 +171,10 @@ fn make(driver: &Value, now: Instant) -> Box<dyn Described> {
     match of("kind") {
         "peers_query" => plain(PeersQuery::new(place)),
         "peer_wait" => plain(PeerWait::new(&place, &name(of("robot")), now, timeout)),
-        "established_wait" => {
-            let is_direct = driver["is_direct"] == true;
-            plain(EstablishedWait::new(&place, is_direct, now, timeout))
+        "established_wait" => plain(EstablishedWait::new(&place, now, timeout)),
+        "direct_presence" => {
+            let unix_ms = number(&driver["unix_ms"]);
+            plain(DirectPresence::new(&place, of("id"), unix_ms, now))
         }
         "registry_query" => plain(RegistryQuery::new(
             place,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rect import _rect
 from rect.decoder import Decoder
 from rect.events import follow_links
+from rect.executor import Executor
 from rect.options import Options, tokens_of_router
 from rect.session import Session
 
@@ -15,7 +16,8 @@ def open_session(options: Options) -> Session:
     try:
         session.decoder = Decoder(session)
         if session.is_direct:
-            session.declare_presence()
+            presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
+            Executor(session, presence).start("rect presence")
         else:
             if not options.allow_name_mismatch:
                 _rect.check_router(session.key_space, options.endpoint, tokens_of_router(session.zenoh))

@@ -215,16 +215,15 @@ class Robot:
         """Waits until every reachable router knows the subscriptions and services of this program.
 
         Messages and requests that other robots send from then on arrive. Declarations reach the other robots a moment
-        after the calls that made them, later over a slow link. Without a router, the wait is for the directly linked
-        programs. `timeout` is in seconds.
+        after the calls that made them, later over a slow link. Programs without a router answer themselves. `timeout` is in
+        seconds.
 
         Raises `TimedOut` if a router does not answer in time, `OptionError` and `Closed`.
         """
         self._session.check()
         timeout = seconds("timeout", timeout)
-        session = self._session
-        driver = _rect.established_wait(session.key_space, session.is_direct, timeout)
-        registry.wait(session, driver, "answer of every router", timeout)
+        driver = _rect.established_wait(self._session.key_space, timeout)
+        registry.wait(self._session, driver, "answer of every router", timeout)
 
     def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
         """Waits for the next message of `robot` on `topic` and returns it.

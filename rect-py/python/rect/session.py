@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import zenoh
 
 from rect import _rect
-from rect._zenoh import call_interruptibly, undeclared, zenoh_error
+from rect._zenoh import call_interruptibly, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
 from rect.publication import Publication
@@ -37,7 +37,7 @@ class Declaring(Ending, Protocol):
         """Drops the declarations in a child process."""
 
 
-class Sending(Protocol):
+class FrameSender(Protocol):
     """A stream, which may be sending a frame."""
 
     def finish(self, timeout: float) -> None:
@@ -80,14 +80,13 @@ class Session:
         #: Functions to call on close, before the Zenoh sessions are closed.
         self.close_callbacks: list[Callable[[], object]] = []
         #: Streams that send frames.
-        self.streams: weakref.WeakSet[Sending] = weakref.WeakSet()
+        self.streams: weakref.WeakSet[FrameSender] = weakref.WeakSet()
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str], Publication] = {}
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
-        self._presence: zenoh.LivelinessToken | None = None
         _OPEN.add(self)
 
     @property
@@ -139,8 +138,6 @@ class Session:
             handle.end()
         for queue in list(self.receive_queues):
             queue.close()
-        if self._presence is not None:
-            undeclared(self._presence)
         _OPEN.discard(self)
         try:
             call_interruptibly(self.urgency_sessions.close)
@@ -157,14 +154,6 @@ class Session:
             thread.start()
         except RuntimeError as error:
             raise ThreadError(str(error)) from error
-
-    def declare_presence(self) -> None:
-        """Declares the liveliness token of this robot, which a router declares if there is one."""
-        key = self.key_space.presence(str(self.zenoh.zid()))
-        try:
-            self._presence = self.zenoh.liveliness().declare_token(key)
-        except zenoh.ZError as error:
-            raise zenoh_error("cannot declare the liveliness of the robot", error) from error
 
     def _finish(self) -> None:
         """Waits for threads that are still inside Zenoh: none may be there when Python exits."""

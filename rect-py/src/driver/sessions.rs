@@ -4,12 +4,13 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use rect::core::{
     observer::{Observer, RouterObserver},
-    peers::{EstablishedWait, PeerWait, PeersQuery},
+    peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
     registry::RegistryQuery,
 };
 
 use super::Driver;
 use crate::{
+    attachment::now_ms,
     clock::Clock,
     key_space::{name, KeySpace},
 };
@@ -31,11 +32,21 @@ pub fn peer_wait(key_space: &KeySpace, robot: &str, timeout_s: f64) -> PyResult<
 
 /// Creates the wait until all reachable robots know what this program has declared.
 #[pyfunction]
-pub fn established_wait(key_space: &KeySpace, is_direct: bool, timeout_s: f64) -> Driver {
+pub fn established_wait(key_space: &KeySpace, timeout_s: f64) -> Driver {
     let clock = Clock::new();
     let now = clock.created_at();
-    let wait = EstablishedWait::new(&key_space.0, is_direct, now, seconds(timeout_s));
+    let wait = EstablishedWait::new(&key_space.0, now, seconds(timeout_s));
     Driver::new(wait, &clock)
+}
+
+/// Creates the presence of a program without a router. `id` is the id of its Zenoh session. `unix_ms` is the time in
+/// milliseconds since 1970; default: the time of the clock.
+#[pyfunction]
+#[pyo3(signature = (key_space, id, unix_ms=None))]
+pub fn direct_presence(key_space: &KeySpace, id: &str, unix_ms: Option<u64>) -> Driver {
+    let (clock, unix_ms) = (Clock::new(), unix_ms.unwrap_or_else(now_ms));
+    let presence = DirectPresence::new(&key_space.0, id, unix_ms, clock.created_at());
+    Driver::new(presence, &clock)
 }
 
 /// Creates a question to the registry of a robot.

@@ -11,7 +11,7 @@ pub enum Action {
     Declare {
         /// Name of the declaration in further actions and events.
         id: Id,
-        /// What to declare.
+        /// The entity to declare.
         declaration: Declaration,
     },
     /// End a declaration. No event follows.
@@ -54,7 +54,7 @@ pub enum Action {
     },
 }
 
-/// What a driver declares.
+/// An entity that a driver declares.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Declaration {
     /// A publisher.
@@ -72,7 +72,7 @@ pub enum Declaration {
         /// Its key expression.
         key: String,
     },
-    /// A queryable. A complete one answers a query of which one answer is wanted alone.
+    /// A queryable. A complete one can answer a query alone that requests a single answer.
     Queryable {
         /// Its key.
         key: String,

@@ -8,7 +8,7 @@ use crate::core::driver::QueryId;
 
 /// A driver that needs storage. An executor performs the file actions before it polls the driver.
 pub trait UsesFiles {
-    /// What it asks of the storage.
+    /// An action that it asks of the storage.
     type Action;
     /// The outcome of an action.
     type Event;

@@ -37,7 +37,7 @@ pub struct TransferPush {
     recipient: Name,
     offer: Offer,
     /// The key at which the receiver gets offers.
-    inbox: String,
+    offers_key: String,
     /// The key of the pieces.
     key: String,
     actions: VecDeque<Action>,
@@ -86,7 +86,7 @@ impl TransferPush {
         let id = PIECES;
         Self {
             sender: Sender::new(now, offer.size_bytes, timeout, offer.call),
-            inbox: place.own(Some(&recipient), OFFERS),
+            offers_key: place.own(Some(&recipient), OFFERS),
             recipient,
             offer,
             key,
@@ -157,7 +157,7 @@ impl TransferPush {
             payload: Some(Payload::new(self.offer.encode(), Encoding::BYTES)),
             qos: Urgency::Bulk.qos(),
             target: Target::All,
-            ..Get::new(self.inbox.clone(), timeout)
+            ..Get::new(self.offers_key.clone(), timeout)
         };
         let id = Id(FIRST_OFFER + self.round.0 - 1);
         Action::Get { id, get }

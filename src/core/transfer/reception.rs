@@ -21,7 +21,7 @@ use crate::core::{
 
 /// The maximum number of offers that wait for an answer. Further ones are dropped, and their senders repeat them.
 const MAX_WAITING: usize = 64;
-const INBOX: Id = Id(0);
+const OFFERS_QUERYABLE: Id = Id(0);
 /// The id of the first question; the next ones follow.
 const FIRST_QUESTION: u64 = 1;
 
@@ -29,7 +29,7 @@ const FIRST_QUESTION: u64 = 1;
 #[derive(Debug)]
 pub struct TransferReception {
     place: KeySpace,
-    inbox: String,
+    offers_key: String,
     admission: Admission,
     actions: VecDeque<Action>,
     arrivals: VecDeque<Arrival>,
@@ -51,16 +51,16 @@ pub enum Arrival {
 impl TransferReception {
     /// Creates the reception of a program of the robot of `place`.
     pub fn new(place: KeySpace, rules: AdmissionRules) -> Self {
-        let inbox = place.own(Some(&place.robot), OFFERS);
+        let offers_key = place.own(Some(&place.robot), OFFERS);
         let declaration = Declaration::Queryable {
-            key: inbox.clone(),
+            key: offers_key.clone(),
             complete: false,
         };
-        let id = INBOX;
+        let id = OFFERS_QUERYABLE;
         Self {
             admission: Admission::new(place.robot.clone(), rules),
             place,
-            inbox,
+            offers_key,
             actions: [Action::Declare { id, declaration }].into(),
             arrivals: VecDeque::new(),
             questions: BTreeMap::new(),
@@ -100,7 +100,7 @@ impl TransferReception {
             QueryAnswer::None
         } else {
             let answer = self.answer_to(now, &offer.bytes);
-            let key = self.inbox.clone();
+            let key = self.offers_key.clone();
             let payload = Payload::new(answer.encode(), Encoding::BYTES);
             QueryAnswer::Reply { key, payload }
         };

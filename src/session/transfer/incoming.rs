@@ -13,7 +13,7 @@ use zenoh::Session;
 use super::{
     options::{Destination, ReceiveOptions},
     received::Received,
-    receiving::Receiving,
+    receiving::Reception,
 };
 use crate::{
     core::{key::KeySpace, topic::Pattern, transfer::admission::AdmissionRules},
@@ -26,7 +26,7 @@ use crate::{
 /// Dropping it stops receiving. Incomplete transfers are kept only if they are received into a folder.
 pub struct Transfers {
     ended: Mutex<Receiver<Result<Received, Error>>>,
-    receiving: Arc<Receiving>,
+    receiving: Arc<Reception>,
 }
 
 impl Transfers {
@@ -51,7 +51,7 @@ impl Transfers {
             max_concurrent: options.max_concurrent,
         };
         Ok(Self {
-            receiving: Receiving::start(session, place, runtime, rules, options, ended)?,
+            receiving: Reception::start(session, place, runtime, rules, options, ended)?,
             ended: Mutex::new(waiting),
         })
     }

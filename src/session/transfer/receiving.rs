@@ -32,7 +32,7 @@ use crate::{
 };
 
 /// The reception of transfers by one program.
-pub(super) struct Receiving {
+pub(super) struct Reception {
     session: Session,
     place: KeySpace,
     options: ReceiveOptions,
@@ -49,7 +49,7 @@ struct State {
     ended: Option<Sender<Result<Received, Error>>>,
 }
 
-impl Receiving {
+impl Reception {
     pub(super) fn start(
         session: Session,
         place: KeySpace,
@@ -210,7 +210,7 @@ impl Receiving {
 }
 
 /// Starts the transfers that arrive.
-struct ArrivalSink(Arc<Receiving>);
+struct ArrivalSink(Arc<Reception>);
 
 impl Sink<Arrival> for ArrivalSink {
     fn deliver(&self, arrival: Arrival) {
@@ -236,7 +236,7 @@ impl Sink<Arrival> for ArrivalSink {
 
 /// Reports the progress of a transfer to the driver that answers offers, and to the program.
 struct ProgressSink {
-    receiving: Arc<Receiving>,
+    receiving: Arc<Reception>,
     id: TransferId,
     about: IncomingTransfer,
 }
