@@ -215,8 +215,8 @@ class Robot:
         """Waits until every reachable router knows the subscriptions and services of this program.
 
         Messages and requests that other robots send from then on arrive. Declarations reach the other robots a moment
-        after the calls that made them, later over a slow link. Programs without a router answer themselves. `timeout` is in
-        seconds.
+        after the calls that made them, later over a slow link. Programs without a router answer themselves.
+        `timeout` is in seconds.
 
         Raises `TimedOut` if a router does not answer in time, `OptionError` and `Closed`.
         """
