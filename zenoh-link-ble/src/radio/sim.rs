@@ -6,15 +6,19 @@
 //! in both cases.
 //!
 //! Not modelled: pairing and encryption (every security level is granted), the airtime of advertising and scanning,
-//! clock drift, and channel hopping other than as a loss probability.
+//! and channel hopping other than as a loss probability.
 mod adapter;
 mod air;
+mod arbitration;
 mod attachment;
 mod channel;
+mod channel_flow;
 mod channel_handle;
+mod clock;
 mod condition;
 mod connection;
 mod guards;
+mod id;
 mod local;
 mod message;
 mod options;
@@ -30,6 +34,7 @@ mod wire;
 pub use self::{
     adapter::{address_of, check_name, AdapterNameError, AdapterStats},
     air::{AdapterStatus, AirStatus, AttachError, LinkStatus, NoSuchAdapter},
+    arbitration::Arbitration,
     condition::{Condition, ConditionError},
     local::SimAir,
     options::{AirOptions, AirOptionsError, RECEIVE_BUFFER_BYTES},

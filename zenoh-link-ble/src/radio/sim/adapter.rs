@@ -3,7 +3,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
-use super::{air::AdapterId, message::RequestId};
+use super::{clock::Clock, id::AdapterId, message::RequestId};
 use crate::{
     address::{Address, AddressType, DeviceAddress, Psm},
     advertisement::Advertisement,
@@ -68,6 +68,7 @@ pub(super) struct Adapter {
     /// Receive MTU of each listener, by PSM.
     pub(super) listeners: BTreeMap<u16, u16>,
     pub(super) dials: BTreeMap<RequestId, Dial>,
+    pub(super) clock: Clock,
     pub(super) stats: AdapterStats,
 }
 
@@ -124,7 +125,7 @@ impl Adapter {
         self.scan.is_some() || !self.dials.is_empty()
     }
 
-    pub(super) fn new(name: &str) -> Self {
+    pub(super) fn new(name: &str, clock: Clock) -> Self {
         Self {
             name: name.to_owned(),
             address: address_of(name),
@@ -133,6 +134,7 @@ impl Adapter {
             scan: None,
             listeners: BTreeMap::new(),
             dials: BTreeMap::new(),
+            clock,
             stats: AdapterStats::default(),
         }
     }

@@ -2,12 +2,14 @@
 //! does no I/O and has no clock. Every call passes the time since the model's start.
 //!
 //! [`timers`] determines what happens next. The other parts implement it: [`commands`] (requests of adapters),
-//! [`advertising`] (advertisements and the connections that result from them), [`exchange`] (packets of connections),
-//! and [`delivery`] (received packets).
+//! [`advertising`] (advertisements and the connections that result from them), [`schedule`] (which connection gets a radio),
+//! [`exchange`] (packets of connections), [`delivery`] (received packets), and [`idle`] (a shortcut for idle connections).
 mod advertising;
 mod commands;
 mod delivery;
 mod exchange;
+mod idle;
+mod schedule;
 mod status;
 mod timers;
 
@@ -16,12 +18,12 @@ use std::{
     time::Duration,
 };
 
-use serde::{Deserialize, Serialize};
-
 use super::{
     adapter::{check_name, Adapter, AdapterNameError},
+    clock::Clock,
     condition::{Condition, Figures},
     connection::Connection,
+    id::{AdapterId, ConnectionId},
     message::{ChannelId, Event},
     options::AirOptions,
     rng::SimRng,
@@ -30,13 +32,6 @@ use crate::radio::AdapterState;
 
 pub use self::status::{AdapterStatus, AirStatus, LinkStatus};
 use self::timers::{Timer, TimerQueue};
-
-/// Identifies an adapter while it is attached.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub struct AdapterId(pub u32);
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct ConnectionId(u32);
 
 /// Reasons why an adapter cannot be attached.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
@@ -114,6 +109,9 @@ impl Air {
     pub fn poll(&mut self, now: Duration) {
         while let Some((at, timer)) = self.next_timer().filter(|(at, _)| *at <= now) {
             self.now = self.now.max(at);
+            if matches!(timer, Timer::Anchor(_)) && self.advance_idle(now) {
+                continue;
+            }
             match timer {
                 Timer::ExchangeEnd(id) => self.finish_exchange(id),
                 Timer::SupervisionTimeout(id, side) => self.drop_side(id, side),
@@ -141,7 +139,9 @@ impl Air {
         }
         self.last_adapter += 1;
         let id = AdapterId(self.last_adapter);
-        self.adapters.insert(id, Adapter::new(name));
+        let (seed, drift) = (self.options.seed, self.options.max_clock_drift_ppm);
+        let adapter = Adapter::new(name, Clock::of(name, seed, drift));
+        self.adapters.insert(id, adapter);
         Ok(id)
     }
 

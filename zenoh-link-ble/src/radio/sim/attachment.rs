@@ -6,8 +6,7 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{mpsc, oneshot, watch};
 
 use super::{
-    channel_handle::{ChannelFlow, SimChannel},
-    guards::SimListener,
+    channel_flow::ChannelFlow,
     message::{
         ChannelId, Command, ConnectFailure, Event, ListenFailure, ReceivedAdvertisement, RequestId,
         SendLimits,
@@ -49,15 +48,44 @@ pub(super) struct Registrations {
     pub(super) scans: HashMap<RequestId, mpsc::Sender<AdvertisingReport>>,
     /// Names of the devices whose advertisements were received.
     names: HashMap<DeviceAddress, String>,
-    pub(super) listening: HashMap<RequestId, oneshot::Sender<Result<SimListener, ListenFailure>>>,
-    listeners: HashMap<Psm, (RequestId, mpsc::UnboundedSender<SimChannel>)>,
+    pub(super) listening: HashMap<RequestId, oneshot::Sender<Result<OpenListener, ListenFailure>>>,
+    listeners: HashMap<Psm, (RequestId, mpsc::UnboundedSender<OpenChannel>)>,
     pub(super) dials: HashMap<RequestId, PendingDial>,
     flows: HashMap<ChannelId, Arc<ChannelFlow>>,
 }
 
+/// One end of an open channel. Dropping it closes the channel.
+pub(super) struct OpenChannel {
+    pub(super) attachment: Arc<Attachment>,
+    pub(super) id: ChannelId,
+    pub(super) peer: DeviceAddress,
+    pub(super) limits: SendLimits,
+    pub(super) flow: Arc<ChannelFlow>,
+}
+
+impl Drop for OpenChannel {
+    fn drop(&mut self) {
+        self.attachment.end_channel(self.id, &self.flow);
+    }
+}
+
+/// A listener and its incoming channels. Dropping it releases its PSM.
+pub(super) struct OpenListener {
+    pub(super) attachment: Arc<Attachment>,
+    request: RequestId,
+    pub(super) psm: Psm,
+    pub(super) incoming: tokio::sync::Mutex<mpsc::UnboundedReceiver<OpenChannel>>,
+}
+
+impl Drop for OpenListener {
+    fn drop(&mut self) {
+        self.attachment.end_listener(self.request, self.psm);
+    }
+}
+
 pub(super) struct PendingDial {
     pub(super) peer: DeviceAddress,
-    pub(super) answer: oneshot::Sender<Result<SimChannel, ConnectFailure>>,
+    pub(super) answer: oneshot::Sender<Result<OpenChannel, ConnectFailure>>,
 }
 
 impl Attachment {
@@ -197,7 +225,12 @@ impl Attachment {
                 .lock()
                 .listeners
                 .insert(psm, (request, sender));
-            SimListener::new(Arc::clone(self), request, psm, incoming)
+            OpenListener {
+                attachment: Arc::clone(self),
+                request,
+                psm,
+                incoming: incoming.into(),
+            }
         });
         let waiting = self.registrations.lock().listening.remove(&request);
         // If the caller no longer waits, the listener is dropped, which releases its PSM.
@@ -211,13 +244,19 @@ impl Attachment {
         id: ChannelId,
         peer: DeviceAddress,
         limits: SendLimits,
-    ) -> SimChannel {
+    ) -> OpenChannel {
         let flow = Arc::new(ChannelFlow::default());
         self.registrations
             .lock()
             .flows
             .insert(id, Arc::clone(&flow));
-        SimChannel::new(Arc::clone(self), id, peer, limits, flow)
+        OpenChannel {
+            attachment: Arc::clone(self),
+            id,
+            peer,
+            limits,
+            flow,
+        }
     }
 
     fn flow(&self, channel: ChannelId) -> Option<Arc<ChannelFlow>> {
@@ -252,7 +291,7 @@ impl Attachment {
     }
 
     /// Ends a listener, unless the loss of power already ended it.
-    pub(super) fn end_listener(&self, request: RequestId, psm: Psm) {
+    fn end_listener(&self, request: RequestId, psm: Psm) {
         let mut registrations = self.registrations.lock();
         if registrations
             .listeners

@@ -15,9 +15,10 @@ use tokio::{
 
 use super::{
     adapter::{address_of, AdapterStats},
-    air::{AdapterId, Air, AirStatus, AttachError, NoSuchAdapter},
+    air::{Air, AirStatus, AttachError, NoSuchAdapter},
     attachment::{AirConnection, Attachment},
     condition::Condition,
+    id::AdapterId,
     message::{Command, Event, Violation},
     options::AirOptions,
     radio::SimRadio,

@@ -2,6 +2,7 @@
 use std::time::Duration;
 
 use super::{
+    arbitration::Arbitration,
     condition::Condition,
     phy::{LlPayload, Phy},
 };
@@ -49,6 +50,9 @@ pub const ESTABLISH_INTERVALS: u32 = 6;
 /// observe the end sooner.)
 pub const LINGER: Duration = Duration::from_millis(200);
 
+/// Maximum deviation of a clock that the Core Specification allows (Vol 6, Part B, 4.2.2).
+const MAX_CLOCK_DRIFT_PPM: u16 = 500;
+
 /// Options of a simulated air. The defaults describe a room with Bluetooth 4.2 radios.
 #[derive(Clone, Debug)]
 pub struct AirOptions {
@@ -62,6 +66,10 @@ pub struct AirOptions {
     pub pdu: LlPayload,
     /// Connection interval, 7.5 ms to 4 s. Default: 30 ms, as BlueZ requests.
     pub interval: Duration,
+    /// Maximum deviation of each adapter's clock, in parts per million, 0 to 500. Default: 0.
+    pub max_clock_drift_ppm: u16,
+    /// How a radio is shared by overlapping connection events of different clocks. Default: first come.
+    pub arbitration: Arbitration,
     /// Supervision timeout: a connection on which no packet was received for this time is down. 100 ms to 32 s.
     /// Default: 2 s (default of BlueZ: 420 ms).
     pub supervision_timeout: Duration,
@@ -77,6 +85,8 @@ impl Default for AirOptions {
             phy: Phy::default(),
             pdu: LlPayload::default(),
             interval: Duration::from_millis(30),
+            max_clock_drift_ppm: 0,
+            arbitration: Arbitration::default(),
             supervision_timeout: Duration::from_secs(2),
             mps: 247,
         }
@@ -92,6 +102,9 @@ pub enum AirOptionsError {
     /// The supervision timeout is out of range, or not longer than two intervals.
     #[error("a supervision timeout of {0:?} is out of range: use 100ms to 32s, and more than two intervals")]
     SupervisionTimeout(Duration),
+    /// The drift of the clocks is out of range.
+    #[error("a clock drift of {0} ppm is out of range: use 0 to 500")]
+    ClockDrift(u16),
     /// The frame size is out of range.
     #[error("an mps of {0} is out of range: use 23 to 65533 bytes")]
     Mps(u16),
@@ -112,6 +125,9 @@ impl AirOptions {
                 self.supervision_timeout,
             ));
         }
+        if possible.max_clock_drift_ppm != self.max_clock_drift_ppm {
+            return Err(AirOptionsError::ClockDrift(self.max_clock_drift_ppm));
+        }
         if possible.mps != self.mps {
             return Err(AirOptionsError::Mps(self.mps));
         }
@@ -129,6 +145,7 @@ impl AirOptions {
         self.interval = self.interval.clamp(Duration::from_micros(7500), ms(4000));
         let shortest = ms(100).max(2 * self.interval + ms(1));
         self.supervision_timeout = self.supervision_timeout.clamp(shortest, ms(32_000));
+        self.max_clock_drift_ppm = self.max_clock_drift_ppm.min(MAX_CLOCK_DRIFT_PPM);
         self.mps = self.mps.clamp(23, 65533);
         self
     }

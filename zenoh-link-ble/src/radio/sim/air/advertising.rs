@@ -5,9 +5,9 @@ use std::time::Duration;
 use super::{timers::Timer, Air, ConnectionId};
 use crate::radio::sim::{
     adapter::Dial,
-    air::AdapterId,
     channel::Channel,
     connection::{Connection, CENTRAL, PERIPHERAL},
+    id::AdapterId,
     message::{ChannelId, Event, ReceivedAdvertisement, RequestId},
     options::{ADVERTISING_DELAY, ADVERTISING_INTERVAL, REPORT_INTERVAL, TRANSMIT_WINDOW},
     packet::Signal,
@@ -101,8 +101,12 @@ impl Air {
         let anchor = self.first_anchor(central, peripheral);
         self.last_connection += 1;
         let id = ConnectionId(self.last_connection);
-        self.connections
-            .insert(id, Connection::new(central, peripheral, anchor));
+        let interval = self.options.interval;
+        let mut connection = Connection::new(central, peripheral, anchor, interval);
+        if let Some(adapter) = self.adapters.get(&central) {
+            connection.period = adapter.clock.true_time(interval);
+        }
+        self.connections.insert(id, connection);
         for timer in [
             Timer::Anchor(id),
             Timer::SupervisionTimeout(id, CENTRAL),
@@ -169,8 +173,8 @@ impl Air {
     }
 
     /// Returns the time of the first event of a new connection: in the middle of the largest gap between the events of
-    /// the two radios' other connections, so that connections share the time of an adapter fairly. (All intervals are
-    /// equal.)
+    /// the two radios' other connections, so that connections share the time of an adapter fairly. A controller does not
+    /// know the peripheral's other connections; with equal intervals, drift soon moves the events anyway.
     fn first_anchor(&self, a: AdapterId, b: AdapterId) -> Duration {
         let earliest = self.now + TRANSMIT_WINDOW;
         let interval = self.options.interval;

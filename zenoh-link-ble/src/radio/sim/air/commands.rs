@@ -7,8 +7,8 @@ use crate::{
     advertisement::Advertisement,
     radio::sim::{
         adapter::{Advertising, Dial, MAX_REQUESTS},
-        air::AdapterId,
         connection::Connection,
+        id::AdapterId,
         message::{ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation},
         options::{ADVERTISING_DELAY, MAX_NAME_BYTES, MIN_MTU},
         packet::Signal,

@@ -3,8 +3,8 @@ use super::{timers::Timer, Air, ConnectionId};
 use crate::{
     address::Psm,
     radio::sim::{
-        air::AdapterId,
         channel::EndState,
+        id::AdapterId,
         message::{ChannelId, ConnectFailure, Event},
         packet::{PacketContent, Signal},
     },

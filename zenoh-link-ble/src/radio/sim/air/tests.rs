@@ -1,4 +1,7 @@
 //! Tests of the model alone, with simulated time: `cargo test -p zenoh-link-ble --lib sim::air`.
+mod drift;
+mod network;
+
 use std::time::Duration;
 
 use super::*;

@@ -5,7 +5,7 @@ use std::{
 };
 
 use super::{Air, ConnectionId};
-use crate::radio::sim::{adapter::Adapter, air::AdapterId, message::RequestId, options::LINGER};
+use crate::radio::sim::{adapter::Adapter, id::AdapterId, message::RequestId, options::LINGER};
 
 /// Timers of the air. Timers that expire at the same time are handled in the order of this list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -35,6 +35,16 @@ impl TimerQueue {
             self.by_time.remove(&(before, timer));
         }
         self.by_time.extend(at.map(|at| (at, timer)));
+    }
+
+    /// Returns the expiry of the first timer that is neither the start of a connection event nor a supervision timeout.
+    pub(super) fn next_besides_events(&self) -> Option<Duration> {
+        let is_event =
+            |timer: &Timer| matches!(timer, Timer::Anchor(_) | Timer::SupervisionTimeout(..));
+        let mut timers = self.by_time.iter();
+        timers
+            .find(|(_, timer)| !is_event(timer))
+            .map(|(at, _)| *at)
     }
 }
 
