@@ -41,7 +41,7 @@ impl Arbitration {
     pub const ALL: [Self; 3] = [Self::FirstCome, Self::TimeoutFirst, Self::LeastRecent];
 }
 
-/// What a connection brings forward for its next event on one radio. All times are since the start of the air.
+/// The properties of a connection that decide about its next event on one radio. All times are since the start of the air.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Claim {
     /// Whether the radio's own clock determines the time of the event: the adapter is the central.

@@ -11,7 +11,7 @@ pub(super) struct ChannelFlow {
     changed: Notify,
 }
 
-/// What the air has reported.
+/// The state as the air has reported it.
 #[derive(Default)]
 pub(super) struct Flow {
     pub(super) queued_bytes: usize,
