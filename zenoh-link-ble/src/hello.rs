@@ -18,6 +18,8 @@ pub const VERSION: u8 = 1;
 pub const MAX_SIZE: usize = 128;
 /// The longest name, in bytes: what fits into a scan response.
 pub const MAX_NAME: usize = 29;
+/// Largest number of connection intervals in a hello.
+pub const MAX_INTERVALS: usize = 24;
 /// The smallest MTU that either side may offer, in bytes: Zenoh's handshake needs about 100.
 pub const MIN_MTU: u16 = 128;
 

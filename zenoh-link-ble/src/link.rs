@@ -5,6 +5,7 @@
 //! `history`).
 pub(crate) mod close_once;
 pub(crate) mod history;
+pub mod intervals;
 pub(crate) mod node;
 pub(crate) mod reroute_holdoff;
 pub mod table;

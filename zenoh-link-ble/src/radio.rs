@@ -12,6 +12,7 @@ use async_trait::async_trait;
 use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
+    interval::ConnectionInterval,
 };
 
 /// Availability of an adapter.
@@ -215,6 +216,13 @@ pub trait Radio: Send + Sync {
         psm: Psm,
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError>;
+
+    /// Returns the connection interval that the radio uses unless another one is set.
+    fn default_interval(&self) -> ConnectionInterval;
+
+    /// Sets the interval of connections to `peer` of which this adapter is the central: of the next one, and of an
+    /// existing one if the radio supports that. Returns `false` if the radio does not permit it.
+    async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool;
 
     /// Closes any connection to the device, so that the next connect starts from a clean state. Called after a failed
     /// handshake. The default does nothing, for a radio on which a failed channel leaves no connection behind.

@@ -1,5 +1,8 @@
 //! Describes one adapter of the simulated air: its name, its address, and its activities apart from connections.
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, HashMap},
+    time::Duration,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +71,8 @@ pub(super) struct Adapter {
     /// Receive MTU of each listener, by PSM.
     pub(super) listeners: BTreeMap<u16, u16>,
     pub(super) dials: BTreeMap<RequestId, Dial>,
+    /// Connection intervals that were set for peers.
+    pub(super) intervals: HashMap<DeviceAddress, Duration>,
     pub(super) clock: Clock,
     pub(super) stats: AdapterStats,
 }
@@ -134,6 +139,7 @@ impl Adapter {
             scan: None,
             listeners: BTreeMap::new(),
             dials: BTreeMap::new(),
+            intervals: HashMap::new(),
             clock,
             stats: AdapterStats::default(),
         }

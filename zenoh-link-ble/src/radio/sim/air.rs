@@ -2,13 +2,14 @@
 //! does no I/O and has no clock. Every call passes the time since the model's start.
 //!
 //! [`timers`] determines what happens next. The other parts implement it: [`commands`] (requests of adapters),
-//! [`advertising`] (advertisements and the connections that result from them), [`schedule`] (which connection gets a radio),
+//! [`advertising`] (advertisements and the connections that result from them), [`schedule`] (which connection gets a radio), [`interval`],
 //! [`exchange`] (packets of connections), [`delivery`] (received packets), and [`idle`] (a shortcut for idle connections).
 mod advertising;
 mod commands;
 mod delivery;
 mod exchange;
 mod idle;
+mod interval;
 mod schedule;
 mod status;
 mod timers;

@@ -11,9 +11,11 @@ use super::{
         ChannelId, Command, ConnectFailure, Event, ListenFailure, ReceivedAdvertisement, RequestId,
         SendLimits,
     },
+    options::AirOptions,
 };
 use crate::{
     address::{DeviceAddress, Psm},
+    interval::ConnectionInterval,
     radio::{AdapterState, AdvertisingReport, RadioError},
 };
 
@@ -33,6 +35,7 @@ pub(super) struct Attachment {
     pub(super) address: DeviceAddress,
     air: Box<dyn AirConnection>,
     pub(super) state: watch::Sender<AdapterState>,
+    default_interval: Mutex<ConnectionInterval>,
     /// Whether the first attempt to attach has completed.
     is_ready: watch::Sender<bool>,
     registrations: Mutex<Registrations>,
@@ -95,6 +98,9 @@ impl Attachment {
             address,
             air,
             state: watch::Sender::new(AdapterState::On),
+            default_interval: Mutex::new(ConnectionInterval::nearest(
+                AirOptions::default().interval,
+            )),
             is_ready: watch::Sender::new(true),
             registrations: Mutex::default(),
         }
@@ -105,6 +111,15 @@ impl Attachment {
         self.state.send_replace(AdapterState::Missing);
         self.is_ready.send_replace(false);
         self
+    }
+
+    /// Records the connection interval that the air uses by default.
+    pub(super) fn set_default_interval(&self, interval: ConnectionInterval) {
+        *self.default_interval.lock() = interval;
+    }
+
+    pub(super) fn default_interval(&self) -> ConnectionInterval {
+        *self.default_interval.lock()
     }
 
     /// Marks the first attempt to attach as completed, successful or not.

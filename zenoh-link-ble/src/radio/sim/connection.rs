@@ -18,6 +18,9 @@ pub(super) const CENTRAL: usize = 0;
 /// The peripheral's side of a connection.
 pub(super) const PERIPHERAL: usize = 1;
 
+/// Number of events from the announcement of an interval until both sides change to it (Vol 6, Part B, 5.1.1).
+const UPDATE_EVENTS: u8 = 6;
+
 /// An LE connection.
 #[derive(Debug)]
 pub(super) struct Connection {
@@ -31,6 +34,8 @@ pub(super) struct Connection {
     pub(super) interval: Duration,
     /// True time between two connection events: the interval by the central's clock.
     pub(super) period: Duration,
+    /// Interval that the central has announced, and the number of successful events until both sides change to it.
+    next_interval: Option<(Duration, u8)>,
     /// Exchange in progress.
     pub(super) exchange: Option<Exchange>,
     /// Whether the peripheral's radio takes part in the current event.
@@ -87,6 +92,7 @@ impl Connection {
             anchor,
             interval,
             period: interval,
+            next_interval: None,
             exchange: None,
             is_peripheral_listening: false,
             is_event_lost: false,
@@ -129,8 +135,25 @@ impl Connection {
     }
 
     /// Handles the end of an event in which the central received a packet of the peripheral.
-    pub(super) fn on_good_event(&mut self) {
+    ///
+    /// Returns the interval to which both sides change now, if there is one.
+    pub(super) fn on_good_event(&mut self) -> Option<Duration> {
         self.setup_events_left = self.setup_events_left.saturating_sub(1);
+        let (interval, events_left) = self.next_interval?;
+        if events_left > 1 {
+            self.next_interval = Some((interval, events_left - 1));
+            return None;
+        }
+        self.next_interval = None;
+        self.interval = interval;
+        Some(interval)
+    }
+
+    /// Announces another interval to the peripheral.
+    pub(super) fn update_interval(&mut self, interval: Duration) {
+        if interval != self.interval || self.next_interval.is_some() {
+            self.next_interval = Some((interval, UPDATE_EVENTS));
+        }
     }
 
     /// Queues a signalling command at `side`. Signalling commands are sent before data.
@@ -168,7 +191,10 @@ impl Connection {
                 && this.signals.is_empty()
                 && !self.channels.values().any(|channel| channel.is_ready(side))
         };
-        !self.is_terminating && has_nothing(CENTRAL) && has_nothing(PERIPHERAL)
+        !self.is_terminating
+            && self.next_interval.is_none()
+            && has_nothing(CENTRAL)
+            && has_nothing(PERIPHERAL)
     }
 
     /// Returns whether `side` has more to send than the packet in flight.

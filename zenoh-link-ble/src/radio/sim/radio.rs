@@ -14,6 +14,7 @@ use super::{
 use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
+    interval::ConnectionInterval,
     radio::{
         AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, Radio,
         RadioError, Scan,
@@ -101,6 +102,17 @@ impl Radio for SimRadio {
             request,
             reports,
         }))
+    }
+
+    fn default_interval(&self) -> ConnectionInterval {
+        self.attachment.default_interval()
+    }
+
+    async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {
+        let units = interval.units();
+        let command = Command::SetInterval { peer, units };
+        self.attachment.command(command);
+        true
     }
 
     async fn listen(

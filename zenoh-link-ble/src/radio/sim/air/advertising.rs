@@ -101,11 +101,9 @@ impl Air {
         let anchor = self.first_anchor(central, peripheral);
         self.last_connection += 1;
         let id = ConnectionId(self.last_connection);
-        let interval = self.options.interval;
+        let (interval, period) = self.interval_for(central, peripheral);
         let mut connection = Connection::new(central, peripheral, anchor, interval);
-        if let Some(adapter) = self.adapters.get(&central) {
-            connection.period = adapter.clock.true_time(interval);
-        }
+        connection.period = period;
         self.connections.insert(id, connection);
         for timer in [
             Timer::Anchor(id),

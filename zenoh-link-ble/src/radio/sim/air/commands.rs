@@ -68,6 +68,7 @@ impl Air {
             }
             Command::Send { channel, sdu } => self.send(id, channel, sdu),
             Command::SduRead { channel } => self.on_sdu_read(id, channel),
+            Command::SetInterval { peer, units } => self.set_interval(id, peer, units),
             Command::Close { channel } => {
                 self.close(id, channel);
                 Ok(())

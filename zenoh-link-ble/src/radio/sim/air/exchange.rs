@@ -78,9 +78,18 @@ impl Air {
         if self.should_continue(id) {
             self.start_exchange(id);
         } else if is_peripheral_received {
-            if let Some(connection) = self.connections.get_mut(&id) {
-                connection.on_good_event();
-            }
+            self.on_good_event(id);
+        }
+    }
+
+    fn on_good_event(&mut self, id: ConnectionId) {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return;
+        };
+        if let Some(interval) = connection.on_good_event() {
+            let central = connection.sides[CENTRAL].adapter;
+            let clock = self.adapters.get(&central).map(|adapter| adapter.clock);
+            connection.period = clock.unwrap_or_default().true_time(interval);
         }
     }
 

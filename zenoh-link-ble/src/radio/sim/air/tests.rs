@@ -1,4 +1,5 @@
 //! Tests of the model alone, with simulated time: `cargo test -p zenoh-link-ble --lib sim::air`.
+mod day;
 mod drift;
 mod network;
 

@@ -1,7 +1,11 @@
 //! Tests of clocks that drift, and of the shortcut for idle connections: `cargo test -p zenoh-link-ble --lib air::tests::drift`.
 use std::time::Duration;
 
-use super::{ms, network::Network, AirOptions, Condition};
+use super::{
+    ms,
+    network::{Intervals, Network},
+    AirOptions, Condition,
+};
 use crate::radio::sim::arbitration::Arbitration;
 
 /// A chain: each robot is the central of the link to the next one.
@@ -34,6 +38,7 @@ fn shortcut_for_idle_connections_changes_nothing() {
                         ..options
                     },
                     &CHAIN,
+                    Intervals::Equal,
                 )
                 .air
             };
@@ -66,17 +71,24 @@ fn shortcut_for_idle_connections_changes_nothing() {
 
 #[test]
 fn equal_intervals_of_different_clocks_lose_links() {
-    let mut network = Network::new(options(Arbitration::FirstCome, Condition::Desk), &CHAIN);
-    assert_eq!(network.robots(), 4);
+    let mut network = Network::new(
+        options(Arbitration::FirstCome, Condition::Desk),
+        &CHAIN,
+        Intervals::Equal,
+    );
     network.run(2 * HOUR);
-    assert!(network.drops > 2, "{} drops", network.drops);
+    assert!(network.drops() > 2, "{} drops", network.drops());
 }
 
 #[test]
 fn links_of_one_central_are_never_lost() {
-    let mut network = Network::new(options(Arbitration::FirstCome, Condition::Desk), &STAR);
+    let mut network = Network::new(
+        options(Arbitration::FirstCome, Condition::Desk),
+        &STAR,
+        Intervals::Equal,
+    );
     network.run(24 * HOUR);
-    assert_eq!(network.drops, 0);
+    assert_eq!(network.drops(), 0);
     assert!(network.longest_silence() <= ms(31));
 }
 
@@ -87,13 +99,17 @@ fn other_models_of_arbitration_keep_the_links_and_lose_most_events() {
         (Arbitration::TimeoutFirst, ms(1700)..ms(2000)),
         (Arbitration::LeastRecent, ms(40)..ms(150)),
     ] {
-        let mut network = Network::new(options(arbitration, Condition::Desk), &CHAIN);
+        let mut network = Network::new(
+            options(arbitration, Condition::Desk),
+            &CHAIN,
+            Intervals::Equal,
+        );
         let mut longest = Duration::ZERO;
         for second in 1..=3600 {
             network.run(Duration::from_secs(second));
             longest = longest.max(network.longest_silence());
         }
-        assert_eq!(network.drops, 0, "{arbitration:?}");
+        assert_eq!(network.drops(), 0, "{arbitration:?}");
         assert!(silence.contains(&longest), "{arbitration:?}: {longest:?}");
     }
 }

@@ -1,33 +1,49 @@
 //! Builds a network of robots on an air without traffic, counts the links that are lost, and opens them again.
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
 use super::{psm, request, Air, AirOptions, ChannelId, Event};
 use crate::{
     advertisement::Advertisement,
+    interval::ConnectionInterval,
+    link::{
+        intervals::{agreed, IntervalTable, LinkInterval},
+        table::LinkNumber,
+    },
     radio::sim::{id::AdapterId, message::Command},
 };
 
 /// Time between two polls while all links are up.
 const STEP: Duration = Duration::from_secs(1);
 
+/// How the robots of a network choose the intervals of their links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Intervals {
+    /// All links have the default interval.
+    Equal,
+    /// The robots choose as in a handshake.
+    Chosen,
+}
+
 /// A network of which every link is kept open.
 pub(super) struct Network {
     pub(super) air: Air,
-    robots: usize,
+    intervals: Intervals,
+    tables: Vec<IntervalTable>,
     /// Central and peripheral of each link.
     links: Vec<(usize, usize)>,
     channels: BTreeMap<ChannelId, usize>,
     now: Duration,
     last_request: u32,
-    /// Number of times that a link was lost.
-    pub(super) drops: usize,
     /// Time of each loss.
     pub(super) dropped_at: Vec<Duration>,
 }
 
 impl Network {
     /// Returns a network with these links, of which each is given by its central and its peripheral.
-    pub(super) fn new(options: AirOptions, links: &[(usize, usize)]) -> Self {
+    pub(super) fn new(options: AirOptions, links: &[(usize, usize)], intervals: Intervals) -> Self {
         let robots = 1 + links.iter().map(|(a, b)| *a.max(b)).max().unwrap_or(0);
         let mut air = Air::new(options);
         for robot in 0..robots {
@@ -42,12 +58,12 @@ impl Network {
         }
         let mut network = Self {
             air,
-            robots,
+            intervals,
+            tables: (0..robots).map(|_| IntervalTable::default()).collect(),
             links: links.to_vec(),
             channels: BTreeMap::new(),
             now: Duration::ZERO,
             last_request: 1,
-            drops: 0,
             dropped_at: Vec::new(),
         };
         network.open_missing();
@@ -61,15 +77,22 @@ impl Network {
             self.air.poll(self.now);
             for timed in self.air.drain() {
                 if let Event::Closed { channel } = timed.event {
-                    // Both sides report the loss.
-                    if self.channels.remove(&channel).is_some() {
-                        self.drops += 1;
-                        self.dropped_at.push(timed.at);
-                    }
+                    self.on_closed(channel, timed.at);
                 }
             }
             self.open_missing();
         }
+    }
+
+    /// Returns how often a link was lost.
+    pub(super) fn drops(&self) -> usize {
+        self.dropped_at.len()
+    }
+
+    /// Returns the number of different intervals.
+    pub(super) fn interval_count(&self) -> usize {
+        let intervals = self.air.connections.values().map(|c| c.interval);
+        intervals.collect::<BTreeSet<_>>().len()
     }
 
     /// Returns the time for which no event was received, for the link for which it is the longest.
@@ -86,8 +109,51 @@ impl Network {
     fn open_missing(&mut self) {
         for (index, (central, peripheral)) in self.links.clone().into_iter().enumerate() {
             while !self.channels.values().any(|open| *open == index) {
+                if self.intervals == Intervals::Chosen {
+                    self.choose_interval(index, central, peripheral);
+                }
                 self.open(index, adapter(central), adapter(peripheral));
             }
+        }
+    }
+
+    /// Chooses the interval of a link as the handshake of two nodes does.
+    fn choose_interval(&mut self, index: usize, central: usize, peripheral: usize) {
+        let number = LinkNumber(index as u64);
+        let device = |robot: usize| self.air.adapters[&adapter(robot)].address;
+        let devices = [device(central), device(peripheral)];
+        let default = ConnectionInterval::nearest(self.air.options.interval);
+        let (dialler, listener) = (&self.tables[central], &self.tables[peripheral]);
+        let requested = dialler.for_dial(devices[1], default);
+        let (dialler_avoids, listener_avoids) = (dialler.of_other_clocks(), listener.all());
+        let interval = agreed(requested, &dialler_avoids, &listener_avoids);
+        for (robot, device, is_central, peer_avoids) in [
+            (central, devices[1], true, listener_avoids),
+            (peripheral, devices[0], false, dialler_avoids),
+        ] {
+            let link = LinkInterval {
+                device,
+                is_central,
+                interval,
+                peer_avoids: Some(peer_avoids),
+                changes: 0,
+            };
+            self.tables[robot].on_linked(number, link);
+        }
+        let (peer, units) = (devices[1], interval.units());
+        self.command(adapter(central), Command::SetInterval { peer, units });
+    }
+
+    /// Counts a lost link, whose loss both sides report.
+    fn on_closed(&mut self, channel: ChannelId, at: Duration) {
+        let Some(index) = self.channels.remove(&channel) else {
+            return;
+        };
+        self.dropped_at.push(at);
+        let (central, peripheral) = self.links[index];
+        for robot in [central, peripheral] {
+            self.tables[robot].on_lost(LinkNumber(index as u64));
+            self.tables[robot].on_ended(LinkNumber(index as u64));
         }
     }
 
@@ -134,10 +200,7 @@ impl Network {
                     Event::ConnectFailed { request, .. } if request == dialled => {
                         is_pending = false
                     }
-                    Event::Closed { channel } if self.channels.remove(&channel).is_some() => {
-                        self.drops += 1;
-                        self.dropped_at.push(timed.at);
-                    }
+                    Event::Closed { channel } => self.on_closed(channel, timed.at),
                     _ => {}
                 }
             }
@@ -149,11 +212,6 @@ impl Network {
     fn command(&mut self, adapter: AdapterId, command: Command) {
         let accepted = self.air.command(adapter, command, self.now);
         accepted.expect("a valid command");
-    }
-
-    /// Returns the number of robots.
-    pub(super) fn robots(&self) -> usize {
-        self.robots
     }
 }
 
