@@ -5,6 +5,7 @@
 //! `history`).
 pub(crate) mod close_once;
 pub(crate) mod history;
+pub(crate) mod interval_events;
 pub mod intervals;
 pub(crate) mod node;
 pub(crate) mod reroute_holdoff;
@@ -31,11 +32,12 @@ use crate::{
     error::{describe, into_zenoh, BleError},
     handshake::own_window,
     hello::Hello,
+    interval::ConnectionInterval,
     lanes::Lane,
-    link::{close_once::CloseOnce, node::Node, table::LinkNumber},
+    link::{close_once::CloseOnce, interval_events::IntervalEvents, node::Node, table::LinkNumber},
     locator::{Queueing, BLE_LOCATOR_PREFIX},
     plain::Plain,
-    radio::Channel,
+    radio::{Channel, Radio},
     status::LinkStatus,
     traffic::{Tasks, Traffic, TrafficOptions},
 };
@@ -68,6 +70,7 @@ impl Framing {
 /// The parts of a link after its handshake.
 pub(crate) struct Opened {
     pub channel: Arc<dyn Channel>,
+    pub radio: Arc<dyn Radio>,
     pub framing: Framing,
     pub mtu: u16,
     pub queueing: Queueing,
@@ -79,6 +82,7 @@ pub(crate) struct Opened {
 /// An open link, as Zenoh uses it.
 pub(crate) struct LinkBle {
     channel: Arc<dyn Channel>,
+    radio: Arc<dyn Radio>,
     batches: Batches,
     mtu: u16,
     src: Locator,
@@ -103,6 +107,7 @@ impl LinkBle {
     pub(crate) fn new(node: Arc<Node>, number: LinkNumber, opened: Opened) -> ZResult<Arc<Self>> {
         let Opened {
             channel,
+            radio,
             framing,
             mtu,
             queueing,
@@ -131,6 +136,7 @@ impl LinkBle {
                     mtu,
                     own_window,
                     peer_window,
+                    intervals: IntervalEvents::new(Arc::clone(&node), number),
                 };
                 let (channel, close_once) = (Arc::clone(&channel), Arc::clone(&close_once));
                 let (traffic, _tasks) =
@@ -143,6 +149,7 @@ impl LinkBle {
         };
         let link = Arc::new(Self {
             channel,
+            radio,
             batches,
             mtu,
             src,
@@ -195,6 +202,20 @@ impl LinkBle {
             sent,
             received,
             lanes,
+        }
+    }
+
+    /// Sets the connection interval of the link, of which this node is the central, and announces it to the peer.
+    pub(crate) async fn set_interval(&self, interval: ConnectionInterval) {
+        if self.radio.set_interval(self.channel.peer(), interval).await {
+            self.send_interval(interval);
+        }
+    }
+
+    /// Sends a connection interval to the peer.
+    pub(crate) fn send_interval(&self, interval: ConnectionInterval) {
+        if let Batches::Lanes { traffic, .. } = &self.batches {
+            traffic.send_interval(interval);
         }
     }
 

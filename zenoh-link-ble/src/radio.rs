@@ -270,6 +270,10 @@ pub trait Channel: Send + Sync {
     /// Returns the size of the largest SDU that can be sent, in bytes.
     fn send_mtu(&self) -> usize;
 
+    /// Returns whether the local adapter is the central of the BLE connection, or `None` if that is not known. It usually
+    /// is if this side opened the channel; if both sides dialled at the same time, the connection may be the peer's.
+    fn is_central(&self) -> Option<bool>;
+
     /// Returns how many bytes of received SDUs are guaranteed to be buffered while `recv` is not called. Each SDU
     /// counts [`SDU_OVERHEAD_BYTES`](crate::lanes::credits::SDU_OVERHEAD_BYTES) in addition to its own size.
     fn receive_capacity_bytes(&self) -> usize;

@@ -19,9 +19,12 @@ use rand_pcg::{
     Pcg32,
 };
 use tokio::time::{sleep, timeout, Instant};
-use zenoh_link_ble::radio::{
-    sim::{AirOptions, Condition, Phy, SimAir},
-    Radio,
+use zenoh_link_ble::{
+    interval::ConnectionInterval,
+    radio::{
+        sim::{AirOptions, Condition, LinkStatus, Phy, SimAir},
+        Radio,
+    },
 };
 use zenoh_link_commons::LinkUnicast;
 use zenoh_protocol::core::Priority;
@@ -205,6 +208,26 @@ impl Hall {
         link.close().await.expect("closing never fails");
     }
 
+    /// Returns the pairs of links of one robot that come from different clocks and have conflicting intervals.
+    fn interval_conflicts(&self) -> Vec<(LinkStatus, LinkStatus)> {
+        let links = self.air.status().links;
+        let interval = |link: &LinkStatus| {
+            ConnectionInterval::nearest(Duration::from_micros(link.interval_us))
+        };
+        let mut conflicts = Vec::new();
+        for (n, a) in links.iter().enumerate() {
+            for b in &links[..n] {
+                let [ends_a, ends_b] = [a, b].map(|l| [&l.central, &l.peripheral]);
+                let is_adjacent = ends_a.iter().any(|end| ends_b.contains(end));
+                let is_one_clock = a.central == b.central;
+                if is_adjacent && !is_one_clock && interval(a).conflicts_with(interval(b)) {
+                    conflicts.push((a.clone(), b.clone()));
+                }
+            }
+        }
+        conflicts
+    }
+
     /// Returns the maximum and the mean of the time for which a radio is busy with connection events.
     fn busy(&self) -> (Duration, Duration) {
         let adapters = self.air.status().adapters;
@@ -253,6 +276,8 @@ async fn fleets_of_45_robots_link_and_stay_linked_for_an_hour() {
     assert!(found[PAIRS - 1] < Duration::from_secs(15));
 
     sleep(Duration::from_secs(10)).await;
+    let conflicts = hall.interval_conflicts();
+    assert!(conflicts.is_empty(), "{conflicts:#?}");
     let (ended_before, batches_before) = (
         hall.ended.load(Ordering::Relaxed),
         hall.batches.load(Ordering::Relaxed),

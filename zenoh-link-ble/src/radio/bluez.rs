@@ -5,6 +5,7 @@ mod errors;
 mod identity;
 mod pairing;
 mod peer_intervals;
+mod role;
 mod scan;
 mod scan_recovery;
 mod sdu_socket;

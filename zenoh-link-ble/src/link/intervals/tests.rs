@@ -26,22 +26,36 @@ fn link(peer: u8, is_central: bool, interval: u16) -> LinkInterval {
 fn table(links: &[LinkInterval]) -> IntervalTable {
     let mut table = IntervalTable::default();
     for (number, link) in (1..).zip(links) {
-        table.on_linked(LinkNumber(number), link.clone());
+        table.links.insert(LinkNumber(number), link.clone());
     }
     table
+}
+
+fn new_link(peer: u8, is_central: bool) -> NewLink {
+    NewLink {
+        device: device(peer),
+        default: units(24),
+        is_central,
+    }
+}
+
+/// Returns the interval with which the node dials a peer.
+fn dialled(table: &IntervalTable, peer: u8) -> ConnectionInterval {
+    let offered = table.for_dial(device(peer), units(24));
+    offered.requested.expect("a dialler requests one")
 }
 
 #[test]
 fn links_of_one_central_keep_the_default() {
     let mut table = table(&[link(1, true, 24), link(2, true, 24)]);
-    assert_eq!(table.for_dial(device(3), units(24)), units(24));
+    assert_eq!(dialled(&table, 3), units(24));
     assert_eq!(table.next_action(), None);
 }
 
 #[test]
 fn dial_avoids_the_intervals_of_other_clocks() {
     let table = table(&[link(1, false, 24), link(2, true, 25)]);
-    assert_eq!(table.for_dial(device(3), units(24)), units(25));
+    assert_eq!(dialled(&table, 3), units(25));
 }
 
 #[test]
@@ -51,19 +65,65 @@ fn both_sides_agree_on_an_interval_that_suits_both() {
 }
 
 #[test]
+fn handshake_leads_to_the_same_interval_on_both_sides() {
+    let mut dialler = table(&[link(1, false, 25)]);
+    let mut listener = table(&[link(2, true, 24), link(3, false, 23)]);
+    let (new, default) = (LinkNumber(9), units(24));
+    let offered = Some(dialler.for_dial(device(5), default));
+    let answered = listener.on_dialled(new, new_link(4, false), None, offered.clone());
+    let interval = dialler.on_accepted(new, new_link(5, true), offered, Some(answered));
+    assert_eq!(interval, units(26));
+    assert_eq!(dialler.links[&new].interval, units(26));
+    assert_eq!(listener.links[&new].interval, units(26));
+}
+
+#[test]
+fn listener_chooses_if_it_is_the_central() {
+    let mut dialler = table(&[link(1, true, 24)]);
+    let mut listener = table(&[link(2, false, 25), link(3, true, 30)]);
+    let (new, default) = (LinkNumber(9), units(24));
+    let offered = dialler.for_peripheral();
+    let own = Some(listener.for_dial(device(4), default));
+    let answered = listener.on_dialled(new, new_link(4, true), own, Some(offered.clone()));
+    assert_eq!(answered.requested, Some(units(23)));
+    let interval = dialler.on_accepted(new, new_link(5, false), Some(offered), Some(answered));
+    assert_eq!(interval, units(23));
+    assert_eq!(listener.links[&new].interval, units(23));
+    assert!(dialler.next_action().is_none() && listener.next_action().is_none());
+}
+
+#[test]
+fn link_without_a_choice_has_the_default() {
+    let (mut dialler, mut listener) = (table(&[]), table(&[link(2, true, 24)]));
+    let (new, default) = (LinkNumber(9), units(24));
+    let answered = listener.on_dialled(new, new_link(4, false), None, None);
+    let interval = dialler.on_accepted(new, new_link(5, true), None, Some(answered));
+    assert_eq!(interval, default);
+    for table in [&mut dialler, &mut listener] {
+        assert_eq!(table.links[&new].interval, default);
+        assert_eq!(table.links[&new].peer_avoids, None);
+    }
+    // The listener changes the link of which it is the central only if that one's peer takes part.
+    assert_eq!(
+        listener.next_action(),
+        Some(Action::Change(LinkNumber(1), units(25)))
+    );
+}
+
+#[test]
 fn lost_link_gets_another_interval() {
     let mut table = table(&[link(1, true, 24)]);
     table.on_lost(LinkNumber(1));
     table.on_ended(LinkNumber(1));
-    assert_eq!(table.for_dial(device(1), units(24)), units(25));
-    assert_eq!(table.for_dial(device(2), units(24)), units(24));
+    assert_eq!(dialled(&table, 1), units(25));
+    assert_eq!(dialled(&table, 2), units(24));
 }
 
 #[test]
 fn number_of_counted_peers_is_bounded() {
     let mut table = IntervalTable::default();
     for peer in 0..=u8::MAX {
-        table.on_linked(LinkNumber(1), link(peer, true, 24));
+        table.links.insert(LinkNumber(1), link(peer, true, 24));
         table.on_lost(LinkNumber(1));
     }
     assert_eq!(table.losses.len(), MAX_PEERS);

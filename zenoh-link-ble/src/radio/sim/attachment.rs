@@ -63,6 +63,7 @@ pub(super) struct OpenChannel {
     pub(super) id: ChannelId,
     pub(super) peer: DeviceAddress,
     pub(super) limits: SendLimits,
+    pub(super) is_central: bool,
     pub(super) flow: Arc<ChannelFlow>,
 }
 
@@ -144,8 +145,9 @@ impl Attachment {
                 psm,
                 peer,
                 limits,
+                is_central,
             } => {
-                let incoming = self.new_channel(channel, peer, limits);
+                let incoming = self.new_channel(channel, peer, limits, is_central);
                 let listener = self.registrations.lock().listeners.get(&psm).cloned();
                 // If there is no listener (any more), the channel is dropped, which closes it.
                 if let Some((_, listener)) = listener {
@@ -156,12 +158,14 @@ impl Attachment {
                 request,
                 channel,
                 limits,
+                is_central,
             } => {
                 let dial = self.registrations.lock().dials.remove(&request);
                 match dial {
                     Some(PendingDial { peer, answer }) => {
                         // If the caller no longer waits, the channel is dropped, which closes it.
-                        let _ = answer.send(Ok(self.new_channel(channel, peer, limits)));
+                        let _ =
+                            answer.send(Ok(self.new_channel(channel, peer, limits, is_central)));
                     }
                     None => self.command(Command::Close { channel }),
                 }
@@ -259,6 +263,7 @@ impl Attachment {
         id: ChannelId,
         peer: DeviceAddress,
         limits: SendLimits,
+        is_central: bool,
     ) -> OpenChannel {
         let flow = Arc::new(ChannelFlow::default());
         self.registrations
@@ -270,6 +275,7 @@ impl Attachment {
             id,
             peer,
             limits,
+            is_central,
             flow,
         }
     }

@@ -27,6 +27,10 @@ impl Channel for SimChannel {
         usize::from(self.0.limits.sdu_bytes)
     }
 
+    fn is_central(&self) -> Option<bool> {
+        Some(self.0.is_central)
+    }
+
     fn receive_capacity_bytes(&self) -> usize {
         GUARANTEED_RECEIVE_BYTES
     }

@@ -135,6 +135,8 @@ pub enum Event {
         peer: DeviceAddress,
         /// Limits for sending.
         limits: SendLimits,
+        /// Whether the adapter is the central of the connection.
+        is_central: bool,
     },
     /// A requested channel is open.
     Connected {
@@ -144,6 +146,8 @@ pub enum Event {
         channel: ChannelId,
         /// Limits for sending.
         limits: SendLimits,
+        /// Whether the adapter is the central of the connection.
+        is_central: bool,
     },
     /// A requested channel could not be opened.
     ConnectFailed {

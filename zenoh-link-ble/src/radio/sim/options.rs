@@ -66,7 +66,8 @@ pub struct AirOptions {
     pub pdu: LlPayload,
     /// Connection interval, 7.5 ms to 4 s. Default: 30 ms, as BlueZ requests.
     pub interval: Duration,
-    /// Maximum deviation of each adapter's clock, in parts per million, 0 to 500. Default: 0.
+    /// Maximum deviation of each adapter's clock, in parts per million, 0 to 500. Default: 20, as of common
+    /// crystals.
     pub max_clock_drift_ppm: u16,
     /// How a radio is shared by overlapping connection events of different clocks. Default: first come.
     pub arbitration: Arbitration,
@@ -85,7 +86,7 @@ impl Default for AirOptions {
             phy: Phy::default(),
             pdu: LlPayload::default(),
             interval: Duration::from_millis(30),
-            max_clock_drift_ppm: 0,
+            max_clock_drift_ppm: 20,
             arbitration: Arbitration::default(),
             supervision_timeout: Duration::from_secs(2),
             mps: 247,

@@ -9,7 +9,7 @@ use crate::{
     advertisement::Advertisement,
     interval::ConnectionInterval,
     link::{
-        intervals::{agreed, IntervalTable, LinkInterval},
+        intervals::{IntervalTable, NewLink},
         table::LinkNumber,
     },
     radio::sim::{id::AdapterId, message::Command},
@@ -123,23 +123,16 @@ impl Network {
         let device = |robot: usize| self.air.adapters[&adapter(robot)].address;
         let devices = [device(central), device(peripheral)];
         let default = ConnectionInterval::nearest(self.air.options.interval);
-        let (dialler, listener) = (&self.tables[central], &self.tables[peripheral]);
-        let requested = dialler.for_dial(devices[1], default);
-        let (dialler_avoids, listener_avoids) = (dialler.of_other_clocks(), listener.all());
-        let interval = agreed(requested, &dialler_avoids, &listener_avoids);
-        for (robot, device, is_central, peer_avoids) in [
-            (central, devices[1], true, listener_avoids),
-            (peripheral, devices[0], false, dialler_avoids),
-        ] {
-            let link = LinkInterval {
-                device,
-                is_central,
-                interval,
-                peer_avoids: Some(peer_avoids),
-                changes: 0,
-            };
-            self.tables[robot].on_linked(number, link);
-        }
+        let link = |device, is_central| NewLink {
+            device,
+            default,
+            is_central,
+        };
+        let offered = Some(self.tables[central].for_dial(devices[1], default));
+        let listener = &mut self.tables[peripheral];
+        let answered = listener.on_dialled(number, link(devices[0], false), None, offered.clone());
+        let dialler = &mut self.tables[central];
+        let interval = dialler.on_accepted(number, link(devices[1], true), offered, Some(answered));
         let (peer, units) = (devices[1], interval.units());
         self.command(adapter(central), Command::SetInterval { peer, units });
     }
