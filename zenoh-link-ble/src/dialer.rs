@@ -30,6 +30,9 @@ use crate::{
 /// other at the same pace would wait for each other forever. It is longer than BlueZ's default advertising interval of
 /// 1.28 s, because the peer accepts the connect only when it advertises next.
 const CONNECT_TIMEOUT_MS: (u64, u64) = (1500, 4000);
+/// Number of attempts of one LE connect if the connection is not established. In a hall with 45 robots, one connect request
+/// in five collides with an advertisement.
+const CONNECT_ATTEMPTS: u32 = 3;
 /// How long to yield to the dial of a peer that may have discovered this node at the same time. Two simultaneous dials cost
 /// seconds: radios and kernels confuse them ([`BleError::Misdirected`]), and both have to be abandoned.
 const YIELD_TIME: Duration = Duration::from_millis(400);
@@ -238,7 +241,20 @@ async fn connect(
         .acquire()
         .await
         .map_err(|_| BleError::ShuttingDown)?;
-    let connected = (adapter.radio).connect(candidate.device, candidate.psm, options);
+    let connected = async {
+        let mut attempts = CONNECT_ATTEMPTS;
+        loop {
+            attempts -= 1;
+            match (adapter.radio)
+                .connect(candidate.device, candidate.psm, options)
+                .await
+            {
+                // The advertiser has not received the connect request, which collided with another packet.
+                Err(RadioError::ChannelDown { .. }) if attempts > 0 => {}
+                connected => return connected,
+            }
+        }
+    };
     match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
         Err(_) => Err(BleError::Radio(RadioError::TimedOut {

@@ -5,8 +5,9 @@
 //! between processes over a Unix socket that `rect air` serves ([`AirServer`], [`radio`]). [`SimRadio`] is the adapter
 //! in both cases.
 //!
-//! Not modelled: pairing and encryption (every security level is granted), the airtime of advertising and scanning,
-//! and channel hopping other than as a loss probability.
+//! Not modelled: pairing and encryption (every security level is granted), scan requests and responses (scanners know the
+//! name at once), and channel hopping other than as a loss probability. A connection event takes precedence over an
+//! advertisement.
 mod adapter;
 mod air;
 mod arbitration;

@@ -68,6 +68,8 @@ pub(super) struct Adapter {
     pub(super) advertisements: BTreeMap<RequestId, Advertising>,
     /// Time at which each advertisement was last reported; `None` if the adapter does not scan.
     pub(super) scan: Option<BTreeMap<(AdapterId, RequestId), Duration>>,
+    /// Time at which the adapter began to receive advertisements.
+    pub(super) receiving_since: Duration,
     /// Receive MTU of each listener, by PSM.
     pub(super) listeners: BTreeMap<u16, u16>,
     pub(super) dials: BTreeMap<RequestId, Dial>,
@@ -82,6 +84,8 @@ pub(super) struct Advertising {
     pub(super) advertisement: Advertisement,
     pub(super) name: String,
     pub(super) next: Duration,
+    /// Start of the event in progress, if an adapter may receive it.
+    pub(super) event: Option<Duration>,
 }
 
 /// A connect that is waiting for the peer's advertisement.
@@ -108,6 +112,9 @@ pub struct AdapterStats {
     /// Time for which its radio was busy with connection events. Serialized in seconds.
     #[serde(rename = "busy_s", with = "seconds")]
     pub busy: Duration,
+    /// Airtime of its advertisements. Serialized in seconds.
+    #[serde(rename = "advertising_s", with = "seconds")]
+    pub advertising: Duration,
 }
 
 mod seconds {
@@ -130,6 +137,11 @@ impl Adapter {
         self.scan.is_some() || !self.dials.is_empty()
     }
 
+    /// Returns whether the adapter waits for an advertisement of that device in order to connect.
+    pub(super) fn dials_to(&self, device: DeviceAddress) -> bool {
+        self.dials.values().any(|dial| dial.peer == device)
+    }
+
     pub(super) fn new(name: &str, clock: Clock) -> Self {
         Self {
             name: name.to_owned(),
@@ -137,6 +149,7 @@ impl Adapter {
             state: AdapterState::On,
             advertisements: BTreeMap::new(),
             scan: None,
+            receiving_since: Duration::ZERO,
             listeners: BTreeMap::new(),
             dials: BTreeMap::new(),
             intervals: HashMap::new(),

@@ -2,9 +2,10 @@
 //! does no I/O and has no clock. Every call passes the time since the model's start.
 //!
 //! [`timers`] determines what happens next. The other parts implement it: [`commands`] (requests of adapters),
-//! [`advertising`] (advertisements and the connections that result from them), [`schedule`] (which connection gets a radio), [`interval`],
+//! [`advertising`] and [`advertising_channel`] (advertisements and the connections that result from them), [`schedule`] (which connection gets a radio), [`interval`],
 //! [`exchange`] (packets of connections), [`delivery`] (received packets), and [`idle`] (a shortcut for idle connections).
 mod advertising;
+mod advertising_channel;
 mod commands;
 mod delivery;
 mod exchange;
@@ -31,6 +32,7 @@ use super::{
 };
 use crate::radio::AdapterState;
 
+use self::advertising_channel::{AdvertisingChannel, Collisions};
 pub use self::status::{AdapterStatus, AirStatus, LinkStatus};
 use self::timers::{Timer, TimerQueue};
 
@@ -68,6 +70,8 @@ pub struct Air {
     cut_after: Option<u64>,
     /// Pairs of adapters that are out of range of each other, by name, stored in both directions.
     cuts: BTreeMap<String, BTreeSet<String>>,
+    advertising_channel: AdvertisingChannel,
+    collisions: Collisions,
     timers: TimerQueue,
     events: Vec<TimedEvent>,
 }
@@ -101,6 +105,8 @@ impl Air {
             is_cut: false,
             cut_after: None,
             cuts: BTreeMap::new(),
+            advertising_channel: AdvertisingChannel::default(),
+            collisions: Collisions::default(),
             timers: TimerQueue::default(),
             events: Vec::new(),
         }
@@ -118,6 +124,9 @@ impl Air {
                 Timer::SupervisionTimeout(id, side) => self.drop_side(id, side),
                 Timer::Anchor(id) => self.on_anchor(id),
                 Timer::Advertise(adapter, request) => self.on_advertise(adapter, request),
+                Timer::AdvertisingEnd(adapter, request) => {
+                    self.on_advertising_end(adapter, request);
+                }
                 Timer::LingerEnd(id) => {
                     self.connections.remove(&id);
                 }

@@ -40,6 +40,7 @@ impl Air {
                 Ok(())
             }
             Command::Scan(is_on) => {
+                self.begin_to_receive(id);
                 if let Some(adapter) = self.adapters.get_mut(&id) {
                     adapter.scan = (is_on && adapter.is_on()).then(Default::default);
                 }
@@ -96,6 +97,7 @@ impl Air {
             advertisement,
             name,
             next,
+            event: None,
         };
         adapter.advertisements.insert(request, advertising);
         self.schedule(Timer::Advertise(id, request));
@@ -170,12 +172,23 @@ impl Air {
         match connection {
             Some(connection) => self.open(connection, id, request, dial),
             None => {
+                self.begin_to_receive(id);
                 if let Some(adapter) = self.adapters.get_mut(&id) {
                     adapter.dials.insert(request, dial);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Records that the adapter begins to scan, unless it is scanning already.
+    fn begin_to_receive(&mut self, id: AdapterId) {
+        let now = self.now;
+        if let Some(adapter) = self.adapters.get_mut(&id) {
+            if !adapter.receives_advertisements() {
+                adapter.receiving_since = now;
+            }
+        }
     }
 
     fn cancel(&mut self, id: AdapterId, request: RequestId) {

@@ -172,7 +172,7 @@ impl Air {
         }
     }
 
-    fn is_lost(&mut self, payload_bytes: usize) -> bool {
+    pub(super) fn is_lost(&mut self, payload_bytes: usize) -> bool {
         self.rng
             .random_bool(self.figures.packet_loss(payload_bytes))
     }

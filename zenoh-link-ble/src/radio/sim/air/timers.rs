@@ -4,7 +4,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Air, ConnectionId};
+use super::{advertising_channel::event_duration, Air, ConnectionId};
 use crate::radio::sim::{adapter::Adapter, id::AdapterId, message::RequestId, options::LINGER};
 
 /// Timers of the air. Timers that expire at the same time are handled in the order of this list.
@@ -14,6 +14,7 @@ pub(super) enum Timer {
     SupervisionTimeout(ConnectionId, usize),
     Anchor(ConnectionId),
     Advertise(AdapterId, RequestId),
+    AdvertisingEnd(AdapterId, RequestId),
     LingerEnd(ConnectionId),
 }
 
@@ -81,7 +82,13 @@ impl Air {
         let advertisers = self.adapters.iter().filter(|_| is_anyone_receiving);
         let advertisements = advertisers.flat_map(|(id, adapter)| {
             let requests = adapter.advertisements.keys();
-            requests.map(|request| Timer::Advertise(*id, *request))
+            requests.flat_map(|request| {
+                let (id, request) = (*id, *request);
+                [
+                    Timer::Advertise(id, request),
+                    Timer::AdvertisingEnd(id, request),
+                ]
+            })
         });
         let timers = connections.chain(advertisements);
         timers.filter_map(|timer| self.timer_expiry(timer)).min()
@@ -102,6 +109,11 @@ impl Air {
             Timer::Advertise(adapter, request) => {
                 let adapter = self.adapters.get(&adapter)?;
                 adapter.advertisements.get(&request).map(|a| a.next)
+            }
+            Timer::AdvertisingEnd(adapter, request) => {
+                let adapter = self.adapters.get(&adapter)?;
+                let start = adapter.advertisements.get(&request)?.event?;
+                Some(start + event_duration())
             }
             Timer::LingerEnd(id) => {
                 let idle_since = self.connections.get(&id)?.idle_since;
