@@ -11,8 +11,13 @@ use crate::{
     advertisement::Advertisement,
     error::{BleError, DialStep},
     handshake::{agreed_mtu, channel_options, dialler_handshake, own_window},
-    hello::{Hello, NodeId, Refusal, VERSION},
-    link::{node::Node, table::LinkNumber, Framing, LinkBle, Opened},
+    hello::{Hello, Intervals, NodeId, Refusal, VERSION},
+    link::{
+        intervals::NewLink,
+        node::{set_if_changed, Node},
+        table::LinkNumber,
+        Framing, LinkBle, Opened,
+    },
     locator::{ConnectLocator, Target},
     radio::{AdvertisingReport, Channel, ChannelOptions, RadioError, Security},
     secret::Secret,
@@ -25,6 +30,9 @@ use crate::{
 /// other at the same pace would wait for each other forever. It is longer than BlueZ's default advertising interval of
 /// 1.28 s, because the peer accepts the connect only when it advertises next.
 const CONNECT_TIMEOUT_MS: (u64, u64) = (1500, 4000);
+/// Number of attempts of one LE connect if the connection is not established. In a hall with 45 robots, one connect request
+/// in five collides with an advertisement.
+const CONNECT_ATTEMPTS: u32 = 3;
 /// How long to yield to the dial of a peer that may have discovered this node at the same time. Two simultaneous dials cost
 /// seconds: radios and kernels confuse them ([`BleError::Misdirected`]), and both have to be abandoned.
 const YIELD_TIME: Duration = Duration::from_millis(400);
@@ -125,7 +133,7 @@ async fn dial_once(
     if is_rejected {
         node.on_rejected(candidate.device);
     }
-    let (channel, peer) = opened?;
+    let (channel, peer, offered) = opened?;
     let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref())?;
     let replaced = CancellationToken::new();
     let device = channel.peer();
@@ -133,9 +141,18 @@ async fn dial_once(
         .succeed(peer.as_ref(), device, replaced.clone())
         // The second link is refused by this side, and not by the peer.
         .map_err(|_| already_linked(locator))?;
+    let new_link = NewLink {
+        device,
+        default: adapter.radio.default_interval(),
+        is_central: channel.is_central().unwrap_or(true),
+    };
+    let answered = peer.as_ref().and_then(|peer| peer.intervals.clone());
+    let own = offered.clone();
+    let interval = (node.intervals()).on_accepted(dialling.number, new_link, offered, answered);
     let opened = Opened {
         framing: Framing::with(&channel, peer.as_ref(), None),
         channel,
+        radio: Arc::clone(&adapter.radio),
         mtu,
         queueing: locator.queueing,
         peer_name: peer.map_or_else(|| locator.target.to_string(), |p| p.name),
@@ -147,6 +164,9 @@ async fn dial_once(
             what: error.to_string(),
         }
     })?;
+    set_if_changed(adapter.radio.as_ref(), device, own, Some(interval)).await;
+    let action = node.intervals().next_action();
+    node.perform(action);
     *step = DialStep::RerouteHoldoff;
     tokio::select! {
         () = node.wait_for_holdoff(dialling.number) => {}
@@ -164,7 +184,7 @@ async fn open(
     locator: &ConnectLocator,
     candidate: &Candidate,
     step: &mut DialStep,
-) -> Result<(Arc<dyn Channel>, Option<Hello>), BleError> {
+) -> Result<(Arc<dyn Channel>, Option<Hello>, Option<Intervals>), BleError> {
     let mut limit = connect_timeout(node.id, dial);
     if locator.security != Security::Low {
         limit += PAIRING;
@@ -182,9 +202,15 @@ async fn open(
         });
     }
     node.wait_for_handshakes_with(candidate.device).await;
+    let mut offered = node
+        .request_interval(adapter.radio.as_ref(), candidate.device)
+        .await;
     let channel = connect(adapter, options, candidate, limit).await?;
+    if channel.is_central() == Some(false) {
+        offered = Some(node.intervals().for_peripheral());
+    }
     if is_plain {
-        return Ok((channel, None));
+        return Ok((channel, None, offered));
     }
     *step = DialStep::Handshake;
     let own = Hello {
@@ -194,12 +220,13 @@ async fn open(
         window: own_window(&channel),
         name: node.name(),
         nonce: None,
+        intervals: offered.clone(),
     };
     if !node.link_table().on_sending_hello(dial) {
         return Err(already_linked(locator));
     }
     let peer = dialler_handshake(&channel, own, secret.as_ref()).await?;
-    Ok((channel, Some(peer)))
+    Ok((channel, Some(peer), offered))
 }
 
 /// Connects a channel within `limit`. An adapter has one pending connect at a time.
@@ -214,7 +241,20 @@ async fn connect(
         .acquire()
         .await
         .map_err(|_| BleError::ShuttingDown)?;
-    let connected = (adapter.radio).connect(candidate.device, candidate.psm, options);
+    let connected = async {
+        let mut attempts = CONNECT_ATTEMPTS;
+        loop {
+            attempts -= 1;
+            match (adapter.radio)
+                .connect(candidate.device, candidate.psm, options)
+                .await
+            {
+                // The advertiser has not received the connect request, which collided with another packet.
+                Err(RadioError::ChannelDown { .. }) if attempts > 0 => {}
+                connected => return connected,
+            }
+        }
+    };
     match tokio::time::timeout(limit, connected).await {
         Ok(channel) => Ok(channel?),
         Err(_) => Err(BleError::Radio(RadioError::TimedOut {

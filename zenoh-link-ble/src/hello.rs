@@ -5,6 +5,7 @@
 use std::fmt;
 
 use crate::{
+    interval::ConnectionInterval,
     lanes::credits::MIN_WINDOW,
     secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
 };
@@ -20,6 +21,8 @@ pub const VERSION: u8 = 1;
 pub const MAX_SIZE: usize = 128;
 /// The longest name, in bytes: what fits into a scan response.
 pub const MAX_NAME: usize = 29;
+/// Largest number of connection intervals in a hello.
+pub const MAX_INTERVALS: usize = 24;
 /// The smallest MTU that either side may offer, in bytes: Zenoh's handshake needs about 100.
 pub const MIN_MTU: u16 = 128;
 
@@ -31,6 +34,8 @@ const KIND_PROOF: u8 = 5;
 
 /// The byte that precedes the nonce of a hello, after the name.
 const NONCE_FOLLOWS: u8 = b'S';
+/// The byte that precedes the connection intervals of a hello, after the name and the nonce.
+const INTERVALS_FOLLOW: u8 = b'I';
 
 /// The content of HELLO and ACCEPT: the properties of the side that sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,6 +53,18 @@ pub struct Hello {
     pub name: String,
     /// Nonce for the listener's proof (`secret`). Present only in the hello of a dialler that has a secret.
     pub nonce: Option<Nonce>,
+    /// Connection intervals, at most [`MAX_INTERVALS`]: the one that the dialler requests, and then those that the link must
+    /// avoid for the sender's sake. `None` if the sender cannot choose intervals.
+    pub intervals: Option<Intervals>,
+}
+
+/// The connection intervals in a hello (`link::intervals`).
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Intervals {
+    /// The interval that the dialler requests. The listener requests none.
+    pub requested: Option<ConnectionInterval>,
+    /// The intervals that the link must avoid because of other links of the sender.
+    pub avoid: Vec<ConnectionInterval>,
 }
 
 /// Why a link was refused.
@@ -274,6 +291,48 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
         sdu.push(NONCE_FOLLOWS);
         sdu.extend_from_slice(nonce);
     }
+    if let Some(intervals) = &hello.intervals {
+        encode_intervals(sdu, intervals);
+    }
+}
+
+/// Encodes the intervals. Zero stands for no requested interval.
+fn encode_intervals(sdu: &mut Vec<u8>, intervals: &Intervals) {
+    let requested = intervals.requested.map_or(0, ConnectionInterval::units);
+    let avoid = intervals.avoid.iter().take(MAX_INTERVALS - 1);
+    sdu.extend_from_slice(&[INTERVALS_FOLLOW, 1 + avoid.len() as u8]);
+    for units in std::iter::once(requested).chain(avoid.map(|interval| interval.units())) {
+        sdu.extend_from_slice(&units.to_le_bytes());
+    }
+}
+
+/// Decodes the intervals after the name and the nonce. Returns `None` if there are none, or if they are not valid: the link
+/// works without them.
+fn decode_intervals(rest: &[u8]) -> Option<Intervals> {
+    let (&INTERVALS_FOLLOW, rest) = rest.split_first()? else {
+        return None;
+    };
+    let (&count, rest) = rest.split_first()?;
+    let count = usize::from(count);
+    if !(1..=MAX_INTERVALS).contains(&count) {
+        return None;
+    }
+    let mut units = rest
+        .get(..2 * count)?
+        .chunks_exact(2)
+        .map(|bytes| match bytes {
+            [low, high] => u16::from_le_bytes([*low, *high]),
+            _ => 0,
+        });
+    let requested = match units.next()? {
+        0 => None,
+        units => Some(ConnectionInterval::from_units(units)?),
+    };
+    let avoid = units.map(ConnectionInterval::from_units);
+    Some(Intervals {
+        requested,
+        avoid: avoid.collect::<Option<_>>()?,
+    })
 }
 
 fn decode_challenge(
@@ -311,9 +370,12 @@ fn decode_hello(
     }
     let (name, rest) = body.split_at_checked(name_length).ok_or(length)?;
     let name = std::str::from_utf8(name).map_err(|_| HandshakeMessageError::Name)?;
-    let nonce = match rest.split_first() {
-        Some((&NONCE_FOLLOWS, rest)) => rest.first_chunk().copied(),
-        _ => None,
+    let (nonce, rest) = match rest.split_first() {
+        Some((&NONCE_FOLLOWS, rest)) => match rest.split_first_chunk() {
+            Some((nonce, rest)) => (Some(*nonce), rest),
+            None => (None, &[][..]),
+        },
+        _ => (None, rest),
     };
     let mtu = u16::from_le_bytes(mtu);
     if mtu < MIN_MTU {
@@ -330,6 +392,7 @@ fn decode_hello(
         window,
         name: name.to_owned(),
         nonce,
+        intervals: decode_intervals(rest),
     })
 }
 

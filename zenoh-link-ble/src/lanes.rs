@@ -32,6 +32,7 @@ use self::{
     receiver::{Received, Receiver, Violation},
     report::{InLaneReport, OutLaneReport},
     scheduler::{Bounds, Next, Scheduler},
+    sdu::Content,
 };
 
 /// Number of lanes of a link in each direction: one for each of Zenoh's priorities.
@@ -95,6 +96,8 @@ pub enum Change {
     Credits,
     /// The peer ends the link, with the code of its reason. Batches that arrived before can still be taken.
     Goodbye(u8),
+    /// The peer has set or requests a connection interval, in units of 1.25 ms.
+    Interval(u16),
 }
 
 impl Lanes {
@@ -127,6 +130,11 @@ impl Lanes {
         self.out.peek()
     }
 
+    /// Queues a connection interval for the peer, in units of 1.25 ms.
+    pub fn send_interval(&mut self, units: u16) {
+        self.out.signal(Content::Interval(units));
+    }
+
     /// Records that the SDU that [`Lanes::peek`] returned last was sent. Nothing may have been queued in between.
     pub fn on_sent(&mut self, sent: Next, now: Instant) {
         self.out.on_sent(sent, now);
@@ -154,6 +162,7 @@ impl Lanes {
                 Ok(Change::Credits)
             }
             Received::Goodbye(reason) => Ok(Change::Goodbye(reason)),
+            Received::Interval(units) => Ok(Change::Interval(units)),
         }
     }
 

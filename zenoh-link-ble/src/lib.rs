@@ -14,6 +14,7 @@ mod error;
 pub mod goodbye;
 mod handshake;
 pub mod hello;
+pub mod interval;
 pub mod lanes;
 pub mod link;
 mod listener;

@@ -5,6 +5,8 @@
 //! `open_links`).
 pub(crate) mod close_once;
 pub(crate) mod history;
+pub(crate) mod interval_events;
+pub mod intervals;
 pub(crate) mod node;
 mod number;
 mod open_links;
@@ -35,9 +37,11 @@ use crate::{
     error::{describe, into_zenoh, BleError},
     handshake::own_window,
     hello::Hello,
+    interval::ConnectionInterval,
     lanes::Lane,
     link::{
         close_once::CloseOnce,
+        interval_events::IntervalEvents,
         node::Node,
         number::LinkNumber,
         plain::Plain,
@@ -45,7 +49,7 @@ use crate::{
         traffic::{Tasks, Traffic, TrafficOptions},
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
-    radio::Channel,
+    radio::{Channel, Radio},
 };
 
 /// The framing of the batches of a link.
@@ -76,6 +80,7 @@ impl Framing {
 /// The parts of a link after its handshake.
 pub(crate) struct Opened {
     pub channel: Arc<dyn Channel>,
+    pub radio: Arc<dyn Radio>,
     pub framing: Framing,
     pub mtu: u16,
     pub queueing: Queueing,
@@ -87,6 +92,7 @@ pub(crate) struct Opened {
 /// An open link, as Zenoh uses it.
 pub(crate) struct LinkBle {
     channel: Arc<dyn Channel>,
+    radio: Arc<dyn Radio>,
     batches: Batches,
     mtu: u16,
     src: Locator,
@@ -111,6 +117,7 @@ impl LinkBle {
     pub(crate) fn new(node: Arc<Node>, number: LinkNumber, opened: Opened) -> ZResult<Arc<Self>> {
         let Opened {
             channel,
+            radio,
             framing,
             mtu,
             queueing,
@@ -139,6 +146,7 @@ impl LinkBle {
                     mtu,
                     own_window,
                     peer_window,
+                    intervals: IntervalEvents::new(Arc::clone(&node), number),
                 };
                 let (channel, close_once) = (Arc::clone(&channel), Arc::clone(&close_once));
                 let (traffic, _tasks) =
@@ -151,6 +159,7 @@ impl LinkBle {
         };
         let link = Arc::new(Self {
             channel,
+            radio,
             batches,
             mtu,
             src,
@@ -203,6 +212,20 @@ impl LinkBle {
             sent,
             received,
             lanes,
+        }
+    }
+
+    /// Sets the connection interval of the link, of which this node is the central, and announces it to the peer.
+    pub(crate) async fn set_interval(&self, interval: ConnectionInterval) {
+        if self.radio.set_interval(self.channel.peer(), interval).await {
+            self.send_interval(interval);
+        }
+    }
+
+    /// Sends a connection interval to the peer.
+    pub(crate) fn send_interval(&self, interval: ConnectionInterval) {
+        if let Batches::Lanes { traffic, .. } = &self.batches {
+            traffic.send_interval(interval);
         }
     }
 

@@ -15,7 +15,8 @@ use crate::{
     handshake::{agreed_mtu, answer, channel_options, own_window, receive_hello, refuse, FirstSdu},
     hello::{HandshakeMessage, Hello, VERSION},
     link::{
-        node::{ListenerIdentity, Node},
+        intervals::NewLink,
+        node::{set_if_changed, ListenerIdentity, Node},
         table::Verdict,
         Framing, LinkBle, Opened,
     },
@@ -313,8 +314,24 @@ impl Listener {
         };
         // From here on, max_links limits the number of links.
         permit.succeed();
+        // Also for a plain peer, whose interval is most likely the default.
+        let radio = &self.adapter.radio;
+        let is_central = channel.is_central().unwrap_or(false);
+        let own = match is_central {
+            true => self.node.request_interval(radio.as_ref(), device).await,
+            false => None,
+        };
+        let new_link = NewLink {
+            device,
+            default: radio.default_interval(),
+            is_central,
+        };
+        let offered = peer.as_ref().and_then(|peer| peer.intervals.clone());
+        let intervals = (self.node.intervals()).on_dialled(number, new_link, own.clone(), offered);
+        set_if_changed(radio.as_ref(), device, own, intervals.requested).await;
         let opened = Opened {
             channel: Arc::clone(&channel),
+            radio: Arc::clone(&self.adapter.radio),
             framing: Framing::with(&channel, peer.as_ref(), first),
             mtu,
             queueing: self.locator.queueing,
@@ -336,9 +353,12 @@ impl Listener {
                 window: own_window(&channel),
                 name: self.name.clone(),
                 nonce: None,
+                intervals: Some(intervals),
             };
             answer(&channel, HandshakeMessage::Accept(own)).await?;
         }
+        let action = self.node.intervals().next_action();
+        self.node.perform(action);
         tokio::select! {
             () = self.node.wait_for_holdoff(number) => {}
             () = link.ended() => {}

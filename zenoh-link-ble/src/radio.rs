@@ -12,6 +12,7 @@ use async_trait::async_trait;
 use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
+    interval::ConnectionInterval,
 };
 
 /// Availability of an adapter.
@@ -216,6 +217,13 @@ pub trait Radio: Send + Sync {
         options: ChannelOptions,
     ) -> Result<Arc<dyn Channel>, RadioError>;
 
+    /// Returns the connection interval that the radio uses unless another one is set.
+    fn default_interval(&self) -> ConnectionInterval;
+
+    /// Sets the interval of connections to `peer` of which this adapter is the central: of the next one, and of an
+    /// existing one if the radio supports that. Returns `false` if the radio does not permit it.
+    async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool;
+
     /// Closes any connection to the device, so that the next connect starts from a clean state. Called after a failed
     /// handshake. The default does nothing, for a radio on which a failed channel leaves no connection behind.
     async fn disconnect(&self, _peer: DeviceAddress) {}
@@ -261,6 +269,10 @@ pub trait Channel: Send + Sync {
 
     /// Returns the size of the largest SDU that can be sent, in bytes.
     fn send_mtu(&self) -> usize;
+
+    /// Returns whether the local adapter is the central of the BLE connection, or `None` if that is not known. It usually
+    /// is if this side opened the channel; if both sides dialled at the same time, the connection may be the peer's.
+    fn is_central(&self) -> Option<bool>;
 
     /// Returns how many bytes of received SDUs are guaranteed to be buffered while `recv` is not called. Each SDU
     /// counts [`SDU_OVERHEAD_BYTES`](crate::lanes::credits::SDU_OVERHEAD_BYTES) in addition to its own size.

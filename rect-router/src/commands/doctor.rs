@@ -3,6 +3,7 @@
 mod login;
 mod names;
 mod network;
+mod radio;
 mod system;
 
 use std::{path::Path, process::ExitCode};

@@ -9,6 +9,7 @@ fn hello(name: &str) -> Hello {
         window: 12_000,
         name: name.to_owned(),
         nonce: None,
+        intervals: None,
     }
 }
 
@@ -16,6 +17,21 @@ fn hello_with_nonce() -> Hello {
     Hello {
         nonce: Some([5; NONCE_BYTES]),
         ..hello("ab")
+    }
+}
+
+fn units(units: u16) -> ConnectionInterval {
+    ConnectionInterval::from_units(units).expect("valid")
+}
+
+fn hello_with_intervals(requested: Option<u16>, avoid: &[u16]) -> Hello {
+    let intervals = Intervals {
+        requested: requested.map(units),
+        avoid: avoid.iter().copied().map(units).collect(),
+    };
+    Hello {
+        intervals: Some(intervals),
+        ..hello_with_nonce()
     }
 }
 
@@ -38,6 +54,8 @@ fn every_message_decodes_to_what_was_encoded() {
         HandshakeMessage::Refuse(Refusal::Secret),
         HandshakeMessage::Refuse(Refusal::Other(200)),
         HandshakeMessage::Hello(hello_with_nonce()),
+        HandshakeMessage::Hello(hello_with_intervals(Some(24), &[25, 3200])),
+        HandshakeMessage::Accept(hello_with_intervals(None, &[])),
         challenge(),
         HandshakeMessage::Proof([9; PROOF_BYTES]),
     ] {
@@ -54,6 +72,9 @@ fn layout_is_as_documented() {
     );
     let with_nonce = HandshakeMessage::Hello(hello_with_nonce()).encode();
     assert_eq!(with_nonce, [&sdu[..], b"S", &[5; 16]].concat());
+    let with_intervals = HandshakeMessage::Hello(hello_with_intervals(Some(24), &[25, 300]));
+    let expected = [&with_nonce[..], b"I\x03\x18\x00\x19\x00\x2c\x01"].concat();
+    assert_eq!(with_intervals.encode(), expected);
     let node = b"\xef\xcd\xab\x89\x67\x45\x23\x01";
     let expected = [&b"RECT\x04\x01"[..], node, &[7; 16], &[8; 16]].concat();
     assert_eq!(challenge().encode(), expected);
@@ -125,4 +146,37 @@ fn zenoh_init_never_begins_like_a_hello() {
     for flags in 0..8u8 {
         assert_ne!(flags << 5 | 0x01, MAGIC[0]);
     }
+}
+
+#[test]
+fn invalid_intervals_are_ignored() {
+    let valid = HandshakeMessage::Hello(hello_with_nonce());
+    let sdu = valid.encode();
+    for intervals in [
+        &b"I"[..],
+        b"I\x00",
+        b"I\x02\x18\x00",
+        b"I\x01\x05\x00",
+        b"I\x02\x18\x00\x00\x00",
+        b"I\x19",
+        b"J\x01\x18\x00",
+    ] {
+        let received = HandshakeMessage::decode(&[&sdu[..], intervals].concat());
+        assert_eq!(received, Ok(valid.clone()), "{intervals:?}");
+    }
+}
+
+#[test]
+fn longest_hello_fits() {
+    let hello = Hello {
+        name: "x".repeat(MAX_NAME),
+        ..hello_with_intervals(Some(24), &[25; MAX_INTERVALS])
+    };
+    let sdu = HandshakeMessage::Hello(hello).encode();
+    assert!(sdu.len() <= MAX_SIZE, "{}", sdu.len());
+    let HandshakeMessage::Hello(hello) = HandshakeMessage::decode(&sdu).expect("valid") else {
+        panic!("a hello");
+    };
+    let avoid = hello.intervals.expect("present").avoid;
+    assert_eq!(avoid.len(), MAX_INTERVALS - 1);
 }

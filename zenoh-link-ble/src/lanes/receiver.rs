@@ -55,6 +55,8 @@ pub enum Received {
     Stopped(Lane, bool),
     /// The peer ends the link, with the code of its reason. Batches that arrived before can still be taken.
     Goodbye(u8),
+    /// The peer has set or requests a connection interval, in units of 1.25 ms.
+    Interval(u16),
 }
 
 /// The receiving side of a lane.
@@ -120,6 +122,7 @@ impl Receiver {
             Content::Ack(total) => Ok(Received::Ack(total)),
             Content::Stop(lane) => Ok(Received::Stopped(lane, true)),
             Content::Go(lane) => Ok(Received::Stopped(lane, false)),
+            Content::Interval(units) => Ok(Received::Interval(units)),
             Content::Goodbye(reason) => {
                 self.is_finished = true;
                 Ok(Received::Goodbye(reason))

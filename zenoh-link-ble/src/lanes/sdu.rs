@@ -9,6 +9,7 @@ const ACK: u8 = 1;
 const STOP: u8 = 2;
 const GO: u8 = 3;
 const GOODBYE: u8 = 4;
+const INTERVAL: u8 = 5;
 
 /// The content of an SDU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +25,8 @@ pub enum Content<'a> {
     Go(Lane),
     /// The end of the link, with the code of the reason.
     Goodbye(u8),
+    /// A connection interval in units of 1.25 ms: from the central, the one that it has set; from the peripheral, a request.
+    Interval(u16),
 }
 
 /// Why an SDU was rejected.
@@ -55,6 +58,7 @@ impl Content<'_> {
             Self::Stop(lane) => with_body(STOP, lane.number(), &[]),
             Self::Go(lane) => with_body(GO, lane.number(), &[]),
             Self::Goodbye(reason) => with_body(GOODBYE, 0, &[*reason]),
+            Self::Interval(units) => with_body(INTERVAL, 0, &units.to_le_bytes()),
         }
     }
 }
@@ -77,7 +81,7 @@ pub fn open(number: u32, sdu: &[u8]) -> Result<Content<'_>, SduError> {
     check::verify(number, *head, [*low, *high], body)?;
     let lane = Lane::new(head & 0x0f).ok_or(SduError::Head(*head))?;
     let kind = head >> 4;
-    if matches!(kind, ACK | GOODBYE) && lane.number() != 0 {
+    if matches!(kind, ACK | GOODBYE | INTERVAL) && lane.number() != 0 {
         return Err(SduError::Head(*head));
     }
     match (kind, body) {
@@ -86,7 +90,8 @@ pub fn open(number: u32, sdu: &[u8]) -> Result<Content<'_>, SduError> {
         (STOP, []) => Ok(Content::Stop(lane)),
         (GO, []) => Ok(Content::Go(lane)),
         (GOODBYE, [reason]) => Ok(Content::Goodbye(*reason)),
-        (BATCH | ACK | STOP | GO | GOODBYE, _) => Err(SduError::Size(sdu.len())),
+        (INTERVAL, [low, high]) => Ok(Content::Interval(u16::from_le_bytes([*low, *high]))),
+        (BATCH | ACK | STOP | GO | GOODBYE | INTERVAL, _) => Err(SduError::Size(sdu.len())),
         _ => Err(SduError::Head(*head)),
     }
 }
@@ -109,6 +114,7 @@ mod tests {
             Content::Stop(lane),
             Content::Go(lane),
             Content::Goodbye(3),
+            Content::Interval(24),
         ]
         .into_iter()
         .enumerate()
@@ -129,7 +135,8 @@ mod tests {
             (vec![0x25, 0, 0, 1], SduError::Size(4)),
             (vec![0x41, 0, 0, 1], SduError::Head(0x41)),
             (vec![0x08, 0, 0, 1], SduError::Head(0x08)),
-            (vec![0x50, 0, 0, 1], SduError::Head(0x50)),
+            (vec![0x50, 0, 0, 1], SduError::Size(4)),
+            (vec![0x60, 0, 0, 1], SduError::Head(0x60)),
         ] {
             assert_eq!(open(0, &sealed(0, sdu)), Err(error));
         }

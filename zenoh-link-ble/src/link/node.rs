@@ -9,10 +9,17 @@ use zenoh_link_commons::NewLinkChannelSender;
 use crate::{
     adapter::Adapter,
     address::DeviceAddress,
-    hello::NodeId,
+    hello::{Intervals, NodeId},
+    interval::ConnectionInterval,
     link::{
-        history::History, number::LinkNumber, open_links::OpenLinks, reroute_holdoff::Holdoff,
-        status::NodeStatus, table::LinkTable, LinkBle,
+        history::History,
+        intervals::{Action, IntervalTable},
+        number::LinkNumber,
+        open_links::OpenLinks,
+        reroute_holdoff::Holdoff,
+        status::NodeStatus,
+        table::LinkTable,
+        LinkBle,
     },
     radio::{Radio, RadioError},
     rejected_peers::RejectedPeers,
@@ -33,6 +40,7 @@ pub(crate) struct Node {
     /// Channel on which Zenoh takes accepted links; the same for all link managers of a runtime.
     pub(crate) new_links: NewLinkChannelSender,
     link_table: Mutex<LinkTable>,
+    intervals: Mutex<IntervalTable>,
     /// Cancelled when the node must not dial any more.
     pub(crate) stop_dialling: CancellationToken,
     /// Notified whenever a link or a dial ends.
@@ -69,6 +77,7 @@ impl Node {
             id,
             new_links,
             link_table: Mutex::new(LinkTable::new(id)),
+            intervals: Mutex::default(),
             stop_dialling: CancellationToken::new(),
             link_ended: Notify::new(),
             released: Notify::new(),
@@ -86,6 +95,41 @@ impl Node {
     /// Locks the table of links and dials.
     pub(crate) fn link_table(&self) -> MutexGuard<'_, LinkTable> {
         self.link_table.lock()
+    }
+
+    /// Locks the table of connection intervals.
+    pub(crate) fn intervals(&self) -> MutexGuard<'_, IntervalTable> {
+        self.intervals.lock()
+    }
+
+    /// Sets the connection interval for the next connection to a peer. Returns it with the intervals that the link must
+    /// avoid, or `None` if the radio does not permit it.
+    pub(crate) async fn request_interval(
+        &self,
+        radio: &dyn Radio,
+        peer: DeviceAddress,
+    ) -> Option<Intervals> {
+        let intervals = self.intervals().for_dial(peer, radio.default_interval());
+        let is_set = radio.set_interval(peer, intervals.requested?).await;
+        is_set.then_some(intervals)
+    }
+
+    /// Performs an action of the table of connection intervals, in a task of its own.
+    pub(crate) fn perform(&self, action: Option<Action>) {
+        let Some(Action::Change(number, interval) | Action::Request(number, interval)) = action
+        else {
+            return;
+        };
+        let Some(link) = self.open_links.lock().get(number) else {
+            return;
+        };
+        match action {
+            Some(Action::Change(..)) => {
+                tokio::spawn(async move { link.set_interval(interval).await });
+            }
+            Some(Action::Request(..)) => link.send_interval(interval),
+            None => {}
+        }
     }
 
     /// Records a new link in the history and in the list of open links.
@@ -158,6 +202,7 @@ impl Node {
     /// Removes a link, and notifies the dials that wait for its end.
     pub(crate) fn on_link_closed(&self, link: LinkNumber) {
         self.link_table().on_closed(link);
+        self.intervals().on_ended(link);
         self.open_links.lock().remove(link);
         // Earlier advertisements are outdated: the peer may be out of range, and a connect would wait for it.
         for adapter in self.adapters.lock().values() {
@@ -235,6 +280,20 @@ impl Node {
     /// Returns the number that distinguishes the advertisements of this run from those of an earlier one.
     pub(crate) fn incarnation(&self) -> u16 {
         (self.id.0 & 0xffff) as u16
+    }
+}
+
+/// Sets the interval of the connection to a peer if the handshake led to another one than this node, as the central, had
+/// requested. The peer has computed the same interval.
+pub(crate) async fn set_if_changed(
+    radio: &dyn Radio,
+    peer: DeviceAddress,
+    own: Option<Intervals>,
+    interval: Option<ConnectionInterval>,
+) {
+    let requested = own.and_then(|own| own.requested);
+    if let Some(interval) = interval.filter(|_| requested.is_some() && requested != interval) {
+        radio.set_interval(peer, interval).await;
     }
 }
 

@@ -20,6 +20,11 @@ impl OpenLinks {
         self.0.remove(&number);
     }
 
+    /// Returns a link, if it still exists. The caller must use and drop it without holding a lock.
+    pub(crate) fn get(&self, number: LinkNumber) -> Option<Arc<LinkBle>> {
+        self.0.get(&number).and_then(Weak::upgrade)
+    }
+
     /// Returns the links that still exist. The caller must use and drop them without holding a lock, because dropping the
     /// last reference ends a link.
     pub(crate) fn all(&self) -> Vec<Arc<LinkBle>> {

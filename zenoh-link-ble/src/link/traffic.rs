@@ -10,6 +10,7 @@ use crate::{
     error::{describe, BleError},
     goodbye::Goodbye,
     handshake::drain_until_closed,
+    interval::ConnectionInterval,
     lanes::{
         ack_timer::ACK_TIMEOUT,
         receiver::Violation,
@@ -18,7 +19,7 @@ use crate::{
         sdu::SduError,
         Change, Lane, Lanes, HEADER, LANES,
     },
-    link::{close_once::CloseOnce, status::LanesStatus},
+    link::{close_once::CloseOnce, interval_events::IntervalEvents, status::LanesStatus},
     radio::{Channel, RadioError},
 };
 
@@ -37,6 +38,7 @@ pub(crate) struct TrafficOptions {
     pub(crate) own_window: u16,
     /// Number of bytes that the peer accepts unacknowledged.
     pub(crate) peer_window: u16,
+    pub(crate) intervals: IntervalEvents,
 }
 
 /// The lanes of a link, with the notifications for the tasks that wait for them.
@@ -53,6 +55,7 @@ pub(crate) struct Traffic {
     /// Notified when [`State::failure`] is set, for the receiving task.
     failed: Notify,
     close_once: Arc<CloseOnce>,
+    intervals: IntervalEvents,
     /// Cancelled when the link has ended.
     ended: CancellationToken,
 }
@@ -105,6 +108,7 @@ impl Traffic {
             mtu,
             own_window,
             peer_window,
+            intervals,
         } = options;
         let mtu = usize::from(mtu);
         let lanes = Lanes::new(bounds, mtu, own_window, peer_window);
@@ -113,6 +117,7 @@ impl Traffic {
             peer,
             mtu,
             close_once,
+            intervals,
             state: Mutex::new(State {
                 lanes,
                 failure: None,
@@ -251,6 +256,12 @@ impl Traffic {
         self.channel.shutdown();
     }
 
+    /// Sends a connection interval to the peer: the one that this side has set, or one that it requests.
+    pub(crate) fn send_interval(&self, interval: ConnectionInterval) {
+        self.state.lock().lanes.send_interval(interval.units());
+        self.to_send.notify_one();
+    }
+
     /// Returns the state of the lanes, and the totals of what was sent and received.
     pub(crate) fn status(&self) -> (LanesStatus, Count, Count) {
         LanesStatus::of(&self.state.lock().lanes, Instant::now().into_std())
@@ -344,6 +355,11 @@ impl Traffic {
                     }
                 }
                 Ok(Change::Credits) => self.to_send.notify_one(),
+                Ok(Change::Interval(units)) => {
+                    if let Some(interval) = ConnectionInterval::from_units(units) {
+                        self.intervals.on_message(interval);
+                    }
+                }
                 Ok(Change::Goodbye(code)) => {
                     break self.closed_by_peer(Goodbye::from_code(code)).into()
                 }
@@ -425,6 +441,9 @@ impl Traffic {
     fn end(&self, error: impl Into<Arc<BleError>>) {
         let error = error.into();
         self.channel.shutdown();
+        if matches!(*error, BleError::Radio(RadioError::ChannelDown { .. })) {
+            self.intervals.on_lost();
+        }
         self.close_once.close(&describe(&error));
         self.state.lock().end.get_or_insert(error);
         self.ended.cancel();

@@ -4,6 +4,8 @@ mod channel;
 mod errors;
 mod identity;
 mod pairing;
+mod peer_intervals;
+mod role;
 mod scan;
 mod scan_recovery;
 mod sdu_socket;
@@ -22,6 +24,7 @@ use self::{
     errors::{dbus_error, no_adapter},
     identity::Identity,
     pairing::Pairing,
+    peer_intervals::PeerIntervals,
     scan::BluezScan,
     scan_recovery::ScanRecovery,
     timing::Timing,
@@ -34,6 +37,7 @@ use super::{
 use crate::{
     address::{Address, AddressType, DeviceAddress, Psm},
     advertisement::{Advertisement, SERVICE_UUID},
+    interval::ConnectionInterval,
 };
 
 pub use self::timing::is_configured_externally as is_timing_configured;
@@ -48,6 +52,10 @@ const ADVERTISING_INTERVAL: (std::time::Duration, std::time::Duration) = (
     std::time::Duration::from_millis(150),
 );
 
+/// Connection interval that is preferred where the router chooses: the longest of `config/bluetooth.conf`, 15 ms.
+const DEFAULT_INTERVAL: ConnectionInterval =
+    ConnectionInterval::nearest(std::time::Duration::from_millis(15));
+
 /// How long bluetoothd transmits one advertisement before it switches to the next one. After a link ends, Linux 5.10
 /// advertises again only when this time has elapsed. The default is 2 s, and bluetoothd accepts whole seconds only.
 const ADVERTISING_TURN: std::time::Duration = std::time::Duration::from_secs(1);
@@ -61,6 +69,7 @@ pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
         session: OnceCell::new(),
         watch: OnceCell::new(),
         pairing: Pairing::default(),
+        peer_intervals: PeerIntervals::default(),
         scan_recovery: ScanRecovery::default(),
     }))
 }
@@ -71,6 +80,7 @@ struct BluezRadio {
     session: OnceCell<Session>,
     watch: OnceCell<Watch>,
     pairing: Pairing,
+    peer_intervals: PeerIntervals,
     scan_recovery: ScanRecovery,
 }
 
@@ -224,6 +234,15 @@ impl Radio for BluezRadio {
         let own = own_address(&adapter).await?;
         let channel = BluezChannel::connect(adapter.name(), own, peer, psm, options).await?;
         Ok(Arc::new(channel))
+    }
+
+    fn default_interval(&self) -> ConnectionInterval {
+        DEFAULT_INTERVAL
+    }
+
+    async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {
+        let adapter = self.identity.name();
+        self.peer_intervals.set(&adapter, peer, interval).await
     }
 
     async fn disconnect(&self, peer: DeviceAddress) {

@@ -5,16 +5,21 @@
 //! between processes over a Unix socket that `rect air` serves ([`AirServer`], [`radio`]). [`SimRadio`] is the adapter
 //! in both cases.
 //!
-//! Not modelled: pairing and encryption (every security level is granted), the airtime of advertising and scanning,
-//! clock drift, and channel hopping other than as a loss probability.
+//! Not modelled: pairing and encryption (every security level is granted), scan requests and responses (scanners know the
+//! name at once), and channel hopping other than as a loss probability. A connection event takes precedence over an
+//! advertisement.
 mod adapter;
 mod air;
+mod arbitration;
 mod attachment;
 mod channel;
+mod channel_flow;
 mod channel_handle;
+mod clock;
 mod condition;
 mod connection;
 mod guards;
+mod id;
 mod local;
 mod message;
 mod options;
@@ -30,6 +35,7 @@ mod wire;
 pub use self::{
     adapter::{address_of, check_name, AdapterNameError, AdapterStats},
     air::{AdapterStatus, AirStatus, AttachError, LinkStatus, NoSuchAdapter},
+    arbitration::Arbitration,
     condition::{Condition, ConditionError},
     local::SimAir,
     options::{AirOptions, AirOptionsError, RECEIVE_BUFFER_BYTES},

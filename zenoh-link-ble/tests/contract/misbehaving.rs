@@ -274,7 +274,11 @@ pub async fn malformed_sdu_ends_the_link(world: World) {
     let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
     for (sdu, reason) in [
         (vec![0x08, 0, 0, 1], "an sdu of unknown kind 0x08"),
-        (vec![0x50, 0, 0, 1], "an sdu of unknown kind 0x50"),
+        (
+            vec![0x50, 0, 0, 1],
+            "an sdu of 4 bytes, which is a wrong length for its kind",
+        ),
+        (vec![0x60, 0, 0, 1], "an sdu of unknown kind 0x60"),
         (vec![0x13, 0, 0, 1, 0], "an sdu of unknown kind 0x13"),
         (vec![0x00, 0, 0], "an sdu of 3 bytes"),
         (vec![0x10, 0, 0, 1], "an sdu of 4 bytes"),

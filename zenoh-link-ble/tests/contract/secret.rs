@@ -45,6 +45,7 @@ fn ours() -> Secret {
 fn hello_with_nonce(name: &str) -> Hello {
     Hello {
         nonce: Some([5; NONCE_BYTES]),
+        intervals: None,
         ..hello(6, name)
     }
 }

@@ -17,8 +17,8 @@ use crate::shared::peer::{assert_delivers, Peer};
 pub const SUPERVISION: Duration = Duration::from_secs(2);
 /// Maximum time from the end of a fault to a working link. The air needs about half of it: an advertising report, an
 /// advertisement to respond to, three events to set the connection up, and the round trips of the channel and the
-/// handshake.
-pub const RECONNECT_LIMIT: Duration = Duration::from_secs(1);
+/// handshake. A connect request that is lost costs 200 ms more.
+pub const RECONNECT_LIMIT: Duration = Duration::from_millis(1200);
 
 /// Two nodes: `near` dials, `far` listens.
 pub struct Pair {

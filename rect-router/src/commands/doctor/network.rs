@@ -1,11 +1,11 @@
 //! Checks the connections of this computer: its router, its peers and their clocks.
-use std::{collections::BTreeSet, time::Duration};
+use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use rect::core::{display, humanize::short_reason, named_connection::CONFIG};
 use serde_json::Value;
 use zenoh::{Session, Wait};
 
-use super::{login, names, Finding};
+use super::{login, names, radio, Finding};
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
@@ -38,6 +38,13 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     if let Some(robot) = &robot {
         findings.extend(connections_file(&session, &args.fleet, robot));
         findings.push(others(&session, &args.fleet, robot));
+        let may_choose = radio::may_choose_intervals(Path::new("/"));
+        for (_, connections) in replies(
+            &session,
+            &format!("{}/{robot}/@rect/connections", args.fleet),
+        ) {
+            findings.extend(radio::findings(&connections, may_choose));
+        }
     }
     findings.extend(peers(&session));
     findings.extend(clocks(&session));

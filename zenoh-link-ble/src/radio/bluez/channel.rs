@@ -7,6 +7,7 @@ use bluer::l2cap::{SeqPacket, SeqPacketListener};
 use super::{
     device_address,
     errors::{connect_error, socket_error},
+    role,
     sdu_socket::SduSocket,
     socket::{bind, connect},
 };
@@ -125,6 +126,10 @@ impl Channel for BluezChannel {
 
     fn send_mtu(&self) -> usize {
         self.send_mtu
+    }
+
+    fn is_central(&self) -> Option<bool> {
+        role::is_central(&self.adapter, self.peer)
     }
 
     fn receive_capacity_bytes(&self) -> usize {

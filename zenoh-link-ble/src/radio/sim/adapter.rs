@@ -1,9 +1,12 @@
 //! Describes one adapter of the simulated air: its name, its address, and its activities apart from connections.
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, HashMap},
+    time::Duration,
+};
 
 use serde::{Deserialize, Serialize};
 
-use super::{air::AdapterId, message::RequestId};
+use super::{clock::Clock, id::AdapterId, message::RequestId};
 use crate::{
     address::{Address, AddressType, DeviceAddress, Psm},
     advertisement::Advertisement,
@@ -65,9 +68,14 @@ pub(super) struct Adapter {
     pub(super) advertisements: BTreeMap<RequestId, Advertising>,
     /// Time at which each advertisement was last reported; `None` if the adapter does not scan.
     pub(super) scan: Option<BTreeMap<(AdapterId, RequestId), Duration>>,
+    /// Time at which the adapter began to receive advertisements.
+    pub(super) receiving_since: Duration,
     /// Receive MTU of each listener, by PSM.
     pub(super) listeners: BTreeMap<u16, u16>,
     pub(super) dials: BTreeMap<RequestId, Dial>,
+    /// Connection intervals that were set for peers.
+    pub(super) intervals: HashMap<DeviceAddress, Duration>,
+    pub(super) clock: Clock,
     pub(super) stats: AdapterStats,
 }
 
@@ -76,6 +84,8 @@ pub(super) struct Advertising {
     pub(super) advertisement: Advertisement,
     pub(super) name: String,
     pub(super) next: Duration,
+    /// Start of the event in progress, if an adapter may receive it.
+    pub(super) event: Option<Duration>,
 }
 
 /// A connect that is waiting for the peer's advertisement.
@@ -102,6 +112,9 @@ pub struct AdapterStats {
     /// Time for which its radio was busy with connection events. Serialized in seconds.
     #[serde(rename = "busy_s", with = "seconds")]
     pub busy: Duration,
+    /// Airtime of its advertisements. Serialized in seconds.
+    #[serde(rename = "advertising_s", with = "seconds")]
+    pub advertising: Duration,
 }
 
 mod seconds {
@@ -124,15 +137,23 @@ impl Adapter {
         self.scan.is_some() || !self.dials.is_empty()
     }
 
-    pub(super) fn new(name: &str) -> Self {
+    /// Returns whether the adapter waits for an advertisement of that device in order to connect.
+    pub(super) fn dials_to(&self, device: DeviceAddress) -> bool {
+        self.dials.values().any(|dial| dial.peer == device)
+    }
+
+    pub(super) fn new(name: &str, clock: Clock) -> Self {
         Self {
             name: name.to_owned(),
             address: address_of(name),
             state: AdapterState::On,
             advertisements: BTreeMap::new(),
             scan: None,
+            receiving_since: Duration::ZERO,
             listeners: BTreeMap::new(),
             dials: BTreeMap::new(),
+            intervals: HashMap::new(),
+            clock,
             stats: AdapterStats::default(),
         }
     }

@@ -2,12 +2,16 @@
 //! does no I/O and has no clock. Every call passes the time since the model's start.
 //!
 //! [`timers`] determines what happens next. The other parts implement it: [`commands`] (requests of adapters),
-//! [`advertising`] (advertisements and the connections that result from them), [`exchange`] (packets of connections),
-//! and [`delivery`] (received packets).
+//! [`advertising`] and [`advertising_channel`] (advertisements and the connections that result from them), [`schedule`] (which connection gets a radio), [`interval`],
+//! [`exchange`] (packets of connections), [`delivery`] (received packets), and [`idle`] (a shortcut for idle connections).
 mod advertising;
+mod advertising_channel;
 mod commands;
 mod delivery;
 mod exchange;
+mod idle;
+mod interval;
+mod schedule;
 mod status;
 mod timers;
 
@@ -16,27 +20,21 @@ use std::{
     time::Duration,
 };
 
-use serde::{Deserialize, Serialize};
-
 use super::{
     adapter::{check_name, Adapter, AdapterNameError},
+    clock::Clock,
     condition::{Condition, Figures},
     connection::Connection,
+    id::{AdapterId, ConnectionId},
     message::{ChannelId, Event},
     options::AirOptions,
     rng::SimRng,
 };
 use crate::radio::AdapterState;
 
+use self::advertising_channel::{AdvertisingChannel, Collisions};
 pub use self::status::{AdapterStatus, AirStatus, LinkStatus};
 use self::timers::{Timer, TimerQueue};
-
-/// Identifies an adapter while it is attached.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub struct AdapterId(pub u32);
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct ConnectionId(u32);
 
 /// Reasons why an adapter cannot be attached.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
@@ -72,6 +70,8 @@ pub struct Air {
     cut_after: Option<u64>,
     /// Pairs of adapters that are out of range of each other, by name, stored in both directions.
     cuts: BTreeMap<String, BTreeSet<String>>,
+    advertising_channel: AdvertisingChannel,
+    collisions: Collisions,
     timers: TimerQueue,
     events: Vec<TimedEvent>,
 }
@@ -105,6 +105,8 @@ impl Air {
             is_cut: false,
             cut_after: None,
             cuts: BTreeMap::new(),
+            advertising_channel: AdvertisingChannel::default(),
+            collisions: Collisions::default(),
             timers: TimerQueue::default(),
             events: Vec::new(),
         }
@@ -114,11 +116,17 @@ impl Air {
     pub fn poll(&mut self, now: Duration) {
         while let Some((at, timer)) = self.next_timer().filter(|(at, _)| *at <= now) {
             self.now = self.now.max(at);
+            if matches!(timer, Timer::Anchor(_)) && self.advance_idle(now) {
+                continue;
+            }
             match timer {
                 Timer::ExchangeEnd(id) => self.finish_exchange(id),
                 Timer::SupervisionTimeout(id, side) => self.drop_side(id, side),
                 Timer::Anchor(id) => self.on_anchor(id),
                 Timer::Advertise(adapter, request) => self.on_advertise(adapter, request),
+                Timer::AdvertisingEnd(adapter, request) => {
+                    self.on_advertising_end(adapter, request);
+                }
                 Timer::LingerEnd(id) => {
                     self.connections.remove(&id);
                 }
@@ -141,7 +149,9 @@ impl Air {
         }
         self.last_adapter += 1;
         let id = AdapterId(self.last_adapter);
-        self.adapters.insert(id, Adapter::new(name));
+        let (seed, drift) = (self.options.seed, self.options.max_clock_drift_ppm);
+        let adapter = Adapter::new(name, Clock::of(name, seed, drift));
+        self.adapters.insert(id, adapter);
         Ok(id)
     }
 

@@ -6,15 +6,16 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{mpsc, oneshot, watch};
 
 use super::{
-    channel_handle::{ChannelFlow, SimChannel},
-    guards::SimListener,
+    channel_flow::ChannelFlow,
     message::{
         ChannelId, Command, ConnectFailure, Event, ListenFailure, ReceivedAdvertisement, RequestId,
         SendLimits,
     },
+    options::AirOptions,
 };
 use crate::{
     address::{DeviceAddress, Psm},
+    interval::ConnectionInterval,
     radio::{AdapterState, AdvertisingReport, RadioError},
 };
 
@@ -34,6 +35,7 @@ pub(super) struct Attachment {
     pub(super) address: DeviceAddress,
     air: Box<dyn AirConnection>,
     pub(super) state: watch::Sender<AdapterState>,
+    default_interval: Mutex<ConnectionInterval>,
     /// Whether the first attempt to attach has completed.
     is_ready: watch::Sender<bool>,
     registrations: Mutex<Registrations>,
@@ -49,15 +51,45 @@ pub(super) struct Registrations {
     pub(super) scans: HashMap<RequestId, mpsc::Sender<AdvertisingReport>>,
     /// Names of the devices whose advertisements were received.
     names: HashMap<DeviceAddress, String>,
-    pub(super) listening: HashMap<RequestId, oneshot::Sender<Result<SimListener, ListenFailure>>>,
-    listeners: HashMap<Psm, (RequestId, mpsc::UnboundedSender<SimChannel>)>,
+    pub(super) listening: HashMap<RequestId, oneshot::Sender<Result<OpenListener, ListenFailure>>>,
+    listeners: HashMap<Psm, (RequestId, mpsc::UnboundedSender<OpenChannel>)>,
     pub(super) dials: HashMap<RequestId, PendingDial>,
     flows: HashMap<ChannelId, Arc<ChannelFlow>>,
 }
 
+/// One end of an open channel. Dropping it closes the channel.
+pub(super) struct OpenChannel {
+    pub(super) attachment: Arc<Attachment>,
+    pub(super) id: ChannelId,
+    pub(super) peer: DeviceAddress,
+    pub(super) limits: SendLimits,
+    pub(super) is_central: bool,
+    pub(super) flow: Arc<ChannelFlow>,
+}
+
+impl Drop for OpenChannel {
+    fn drop(&mut self) {
+        self.attachment.end_channel(self.id, &self.flow);
+    }
+}
+
+/// A listener and its incoming channels. Dropping it releases its PSM.
+pub(super) struct OpenListener {
+    pub(super) attachment: Arc<Attachment>,
+    request: RequestId,
+    pub(super) psm: Psm,
+    pub(super) incoming: tokio::sync::Mutex<mpsc::UnboundedReceiver<OpenChannel>>,
+}
+
+impl Drop for OpenListener {
+    fn drop(&mut self) {
+        self.attachment.end_listener(self.request, self.psm);
+    }
+}
+
 pub(super) struct PendingDial {
     pub(super) peer: DeviceAddress,
-    pub(super) answer: oneshot::Sender<Result<SimChannel, ConnectFailure>>,
+    pub(super) answer: oneshot::Sender<Result<OpenChannel, ConnectFailure>>,
 }
 
 impl Attachment {
@@ -67,6 +99,9 @@ impl Attachment {
             address,
             air,
             state: watch::Sender::new(AdapterState::On),
+            default_interval: Mutex::new(ConnectionInterval::nearest(
+                AirOptions::default().interval,
+            )),
             is_ready: watch::Sender::new(true),
             registrations: Mutex::default(),
         }
@@ -77,6 +112,15 @@ impl Attachment {
         self.state.send_replace(AdapterState::Missing);
         self.is_ready.send_replace(false);
         self
+    }
+
+    /// Records the connection interval that the air uses by default.
+    pub(super) fn set_default_interval(&self, interval: ConnectionInterval) {
+        *self.default_interval.lock() = interval;
+    }
+
+    pub(super) fn default_interval(&self) -> ConnectionInterval {
+        *self.default_interval.lock()
     }
 
     /// Marks the first attempt to attach as completed, successful or not.
@@ -101,8 +145,9 @@ impl Attachment {
                 psm,
                 peer,
                 limits,
+                is_central,
             } => {
-                let incoming = self.new_channel(channel, peer, limits);
+                let incoming = self.new_channel(channel, peer, limits, is_central);
                 let listener = self.registrations.lock().listeners.get(&psm).cloned();
                 // If there is no listener (any more), the channel is dropped, which closes it.
                 if let Some((_, listener)) = listener {
@@ -113,12 +158,14 @@ impl Attachment {
                 request,
                 channel,
                 limits,
+                is_central,
             } => {
                 let dial = self.registrations.lock().dials.remove(&request);
                 match dial {
                     Some(PendingDial { peer, answer }) => {
                         // If the caller no longer waits, the channel is dropped, which closes it.
-                        let _ = answer.send(Ok(self.new_channel(channel, peer, limits)));
+                        let _ =
+                            answer.send(Ok(self.new_channel(channel, peer, limits, is_central)));
                     }
                     None => self.command(Command::Close { channel }),
                 }
@@ -197,7 +244,12 @@ impl Attachment {
                 .lock()
                 .listeners
                 .insert(psm, (request, sender));
-            SimListener::new(Arc::clone(self), request, psm, incoming)
+            OpenListener {
+                attachment: Arc::clone(self),
+                request,
+                psm,
+                incoming: incoming.into(),
+            }
         });
         let waiting = self.registrations.lock().listening.remove(&request);
         // If the caller no longer waits, the listener is dropped, which releases its PSM.
@@ -211,13 +263,21 @@ impl Attachment {
         id: ChannelId,
         peer: DeviceAddress,
         limits: SendLimits,
-    ) -> SimChannel {
+        is_central: bool,
+    ) -> OpenChannel {
         let flow = Arc::new(ChannelFlow::default());
         self.registrations
             .lock()
             .flows
             .insert(id, Arc::clone(&flow));
-        SimChannel::new(Arc::clone(self), id, peer, limits, flow)
+        OpenChannel {
+            attachment: Arc::clone(self),
+            id,
+            peer,
+            limits,
+            is_central,
+            flow,
+        }
     }
 
     fn flow(&self, channel: ChannelId) -> Option<Arc<ChannelFlow>> {
@@ -252,7 +312,7 @@ impl Attachment {
     }
 
     /// Ends a listener, unless the loss of power already ended it.
-    pub(super) fn end_listener(&self, request: RequestId, psm: Psm) {
+    fn end_listener(&self, request: RequestId, psm: Psm) {
         let mut registrations = self.registrations.lock();
         if registrations
             .listeners

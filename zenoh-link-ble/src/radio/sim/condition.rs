@@ -37,8 +37,7 @@ pub struct Figures {
     pub bit_error_rate: f64,
     /// Probability that interference covers a whole connection event, of which nothing is received.
     pub event_loss: f64,
-    /// Probability that a scanning adapter receives an advertising event: it listens on one of three channels at a
-    /// time.
+    /// Probability that a scanning adapter receives an advertising packet that overlaps with no other one.
     pub advertisement_reception: f64,
 }
 

@@ -6,8 +6,8 @@ use std::{
 };
 
 use super::{
-    air::AdapterId,
     channel::Channel,
+    id::AdapterId,
     message::ChannelId,
     options::{AirOptions, ESTABLISH_INTERVALS, SETUP_EVENTS},
     packet::{Frame, Packet, Signal},
@@ -18,6 +18,9 @@ pub(super) const CENTRAL: usize = 0;
 /// The peripheral's side of a connection.
 pub(super) const PERIPHERAL: usize = 1;
 
+/// Number of events from the announcement of an interval until both sides change to it (Vol 6, Part B, 5.1.1).
+const UPDATE_EVENTS: u8 = 6;
+
 /// An LE connection.
 #[derive(Debug)]
 pub(super) struct Connection {
@@ -27,10 +30,16 @@ pub(super) struct Connection {
     created_at: Duration,
     /// Time of the next connection event.
     pub(super) anchor: Duration,
+    /// Connection interval as the two sides have agreed on it.
+    pub(super) interval: Duration,
+    /// True time between two connection events: the interval by the central's clock.
+    pub(super) period: Duration,
+    /// Interval that the central has announced, and the number of successful events until both sides change to it.
+    next_interval: Option<(Duration, u8)>,
     /// Exchange in progress.
     pub(super) exchange: Option<Exchange>,
-    /// Time at which the last connection event started.
-    pub(super) last_event: Duration,
+    /// Whether the peripheral's radio takes part in the current event.
+    pub(super) is_peripheral_listening: bool,
     /// Whether interference covers the current event.
     pub(super) is_event_lost: bool,
     /// Number of consecutive packets lost in the current event. The second one ends the event.
@@ -49,7 +58,9 @@ pub(super) struct Side {
     pub(super) adapter: AdapterId,
     /// Whether this side still keeps the connection.
     pub(super) is_up: bool,
-    last_received: Option<Duration>,
+    /// Time at which the last event started for which the connection had this side's radio.
+    pub(super) last_event: Duration,
+    pub(super) last_received: Option<Duration>,
     signals: VecDeque<Signal>,
     frame: Option<Frame>,
     /// The packet sent last, until its acknowledgement is received.
@@ -68,14 +79,22 @@ pub(super) struct Exchange {
 
 impl Connection {
     /// Returns a connection whose first event is at `anchor`.
-    pub(super) fn new(central: AdapterId, peripheral: AdapterId, anchor: Duration) -> Self {
+    pub(super) fn new(
+        central: AdapterId,
+        peripheral: AdapterId,
+        anchor: Duration,
+        interval: Duration,
+    ) -> Self {
         Self {
             sides: [Side::new(central), Side::new(peripheral)],
             channels: BTreeMap::new(),
             created_at: anchor,
             anchor,
+            interval,
+            period: interval,
+            next_interval: None,
             exchange: None,
-            last_event: Duration::ZERO,
+            is_peripheral_listening: false,
             is_event_lost: false,
             losses_in_row: 0,
             setup_events_left: SETUP_EVENTS,
@@ -89,18 +108,24 @@ impl Connection {
         self.sides.iter().position(|side| side.adapter == adapter)
     }
 
-    /// Returns whether the two connections use a common adapter.
-    pub(super) fn shares_radio(&self, other: &Self) -> bool {
-        self.sides
-            .iter()
-            .any(|side| other.side_of(side.adapter).is_some())
+    /// Returns whether an exchange in progress uses the radio of `side`.
+    pub(super) fn is_using_radio(&self, side: usize) -> bool {
+        self.exchange.is_some() && (side == CENTRAL || self.is_peripheral_listening)
+    }
+
+    /// Returns whether both sides are up and have nothing to do but to confirm this in each event.
+    pub(super) fn is_idle(&self) -> bool {
+        self.is_quiet()
+            && self.setup_events_left == 0
+            && self.exchange.is_none()
+            && self.sides.iter().all(|side| side.is_up)
     }
 
     /// Returns the time at which `side` drops the connection unless it receives a packet before.
     pub(super) fn supervision_ends_at(&self, side: usize, options: &AirOptions) -> Duration {
         match self.sides[side].last_received {
             Some(last_received) => last_received + options.supervision_timeout,
-            None => self.created_at + ESTABLISH_INTERVALS * options.interval,
+            None => self.created_at + ESTABLISH_INTERVALS * self.interval,
         }
     }
 
@@ -110,8 +135,25 @@ impl Connection {
     }
 
     /// Handles the end of an event in which the central received a packet of the peripheral.
-    pub(super) fn on_good_event(&mut self) {
+    ///
+    /// Returns the interval to which both sides change now, if there is one.
+    pub(super) fn on_good_event(&mut self) -> Option<Duration> {
         self.setup_events_left = self.setup_events_left.saturating_sub(1);
+        let (interval, events_left) = self.next_interval?;
+        if events_left > 1 {
+            self.next_interval = Some((interval, events_left - 1));
+            return None;
+        }
+        self.next_interval = None;
+        self.interval = interval;
+        Some(interval)
+    }
+
+    /// Announces another interval to the peripheral.
+    pub(super) fn update_interval(&mut self, interval: Duration) {
+        if interval != self.interval || self.next_interval.is_some() {
+            self.next_interval = Some((interval, UPDATE_EVENTS));
+        }
     }
 
     /// Queues a signalling command at `side`. Signalling commands are sent before data.
@@ -149,7 +191,10 @@ impl Connection {
                 && this.signals.is_empty()
                 && !self.channels.values().any(|channel| channel.is_ready(side))
         };
-        !self.is_terminating && has_nothing(CENTRAL) && has_nothing(PERIPHERAL)
+        !self.is_terminating
+            && self.next_interval.is_none()
+            && has_nothing(CENTRAL)
+            && has_nothing(PERIPHERAL)
     }
 
     /// Returns whether `side` has more to send than the packet in flight.
@@ -235,6 +280,7 @@ impl Side {
         Self {
             adapter,
             is_up: true,
+            last_event: Duration::ZERO,
             last_received: None,
             signals: VecDeque::new(),
             frame: None,
@@ -257,8 +303,13 @@ mod tests {
     use super::*;
     use crate::radio::sim::{message::RequestId, packet::PacketContent};
 
+    fn new() -> Connection {
+        let interval = Duration::from_millis(30);
+        Connection::new(AdapterId(1), AdapterId(2), Duration::ZERO, interval)
+    }
+
     fn connection(channels: u64) -> Connection {
-        let mut connection = Connection::new(AdapterId(1), AdapterId(2), Duration::ZERO);
+        let mut connection = new();
         for _ in 0..SETUP_EVENTS {
             connection.on_good_event();
         }
@@ -338,7 +389,7 @@ mod tests {
 
     #[test]
     fn sends_no_data_during_link_set_up() {
-        let mut connection = Connection::new(AdapterId(1), AdapterId(2), Duration::ZERO);
+        let mut connection = new();
         let disconnect = Signal::Disconnect {
             channel: ChannelId(1),
         };

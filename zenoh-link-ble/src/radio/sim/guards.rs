@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use async_trait::async_trait;
-use tokio::sync::{mpsc, Mutex};
+use tokio::sync::mpsc;
 
 use super::{
-    attachment::Attachment,
+    attachment::{Attachment, OpenListener},
     channel_handle::SimChannel,
     message::{Command, RequestId},
 };
@@ -50,46 +50,19 @@ impl Drop for SimScan {
     }
 }
 
-pub(super) struct SimListener {
-    attachment: Arc<Attachment>,
-    request: RequestId,
-    psm: Psm,
-    incoming: Mutex<mpsc::UnboundedReceiver<SimChannel>>,
-}
-
-impl SimListener {
-    pub(super) fn new(
-        attachment: Arc<Attachment>,
-        request: RequestId,
-        psm: Psm,
-        incoming: mpsc::UnboundedReceiver<SimChannel>,
-    ) -> Self {
-        Self {
-            attachment,
-            request,
-            psm,
-            incoming: Mutex::new(incoming),
-        }
-    }
-}
+pub(super) struct SimListener(pub(super) OpenListener);
 
 #[async_trait]
 impl ChannelListener for SimListener {
     fn psm(&self) -> Psm {
-        self.psm
+        self.0.psm
     }
 
     async fn accept(&self) -> Result<Arc<dyn Channel>, RadioError> {
-        match self.incoming.lock().await.recv().await {
-            Some(channel) => Ok(Arc::new(channel)),
-            None => Err(self.attachment.unavailable()),
+        match self.0.incoming.lock().await.recv().await {
+            Some(channel) => Ok(Arc::new(SimChannel(channel))),
+            None => Err(self.0.attachment.unavailable()),
         }
-    }
-}
-
-impl Drop for SimListener {
-    fn drop(&mut self) {
-        self.attachment.end_listener(self.request, self.psm);
     }
 }
 

@@ -15,14 +15,15 @@ use tokio::{
 
 use super::{
     adapter::{address_of, AdapterStats},
-    air::{AdapterId, Air, AirStatus, AttachError, NoSuchAdapter},
+    air::{Air, AirStatus, AttachError, NoSuchAdapter},
     attachment::{AirConnection, Attachment},
     condition::Condition,
+    id::AdapterId,
     message::{Command, Event, Violation},
     options::AirOptions,
     radio::SimRadio,
 };
-use crate::radio::RadioError;
+use crate::{interval::ConnectionInterval, radio::RadioError};
 
 /// A simulated air in this process. Clones share the same air, which ends with the last clone and the last radio.
 ///
@@ -106,6 +107,7 @@ impl SimAir {
                 advice: error.to_string(),
             })?;
         let attachment = Arc::new(Attachment::new(name, address_of(name), Box::new(handle)));
+        attachment.set_default_interval(self.default_interval());
         let weak = Arc::downgrade(&attachment);
         self.shared
             .inner
@@ -181,6 +183,11 @@ impl SimAir {
             air.poll(now);
             air.status()
         })
+    }
+
+    /// Returns the connection interval of links for which no other one is set.
+    pub(super) fn default_interval(&self) -> ConnectionInterval {
+        self.shared.inner.lock().air.default_interval()
     }
 
     /// Returns the age of the air by tokio's clock.

@@ -77,6 +77,14 @@ pub enum Command {
         /// Channel.
         channel: ChannelId,
     },
+    /// Sets the interval of connections to a peer of which the adapter is the central: of the next one, and of an
+    /// existing one.
+    SetInterval {
+        /// Address of the peer.
+        peer: DeviceAddress,
+        /// Interval in units of 1.25 ms.
+        units: u16,
+    },
     /// Closes a channel.
     Close {
         /// Channel.
@@ -127,6 +135,8 @@ pub enum Event {
         peer: DeviceAddress,
         /// Limits for sending.
         limits: SendLimits,
+        /// Whether the adapter is the central of the connection.
+        is_central: bool,
     },
     /// A requested channel is open.
     Connected {
@@ -136,6 +146,8 @@ pub enum Event {
         channel: ChannelId,
         /// Limits for sending.
         limits: SendLimits,
+        /// Whether the adapter is the central of the connection.
+        is_central: bool,
     },
     /// A requested channel could not be opened.
     ConnectFailed {
@@ -215,6 +227,9 @@ pub enum Violation {
     /// The adapter has too many advertisements or pending connects.
     #[error("too many requests at once")]
     TooManyRequests,
+    /// The connection interval is out of the range of Bluetooth, or too long for the supervision timeout.
+    #[error("a connection interval out of range")]
+    Interval,
     /// The id belongs to a request that is pending.
     #[error("a request that is already pending")]
     DuplicateRequest,

@@ -2,6 +2,7 @@
 use std::time::Duration;
 
 use super::{
+    arbitration::Arbitration,
     condition::Condition,
     phy::{LlPayload, Phy},
 };
@@ -24,11 +25,7 @@ pub const MIN_MTU: u16 = 23;
 /// Maximum length of a name in a scan response: 31 bytes minus 2 for the field's length and type.
 pub const MAX_NAME_BYTES: usize = 29;
 
-/// Minimum time between two advertising events. Each event is delayed by up to [`ADVERTISING_DELAY`] more (Vol 6, Part
-/// B, 4.4.2.2).
-pub const ADVERTISING_INTERVAL: Duration = Duration::from_millis(100);
-
-/// Maximum random delay of an advertising event.
+/// Maximum random delay of an advertising event, in addition to the advertising interval (Vol 6, Part B, 4.4.2.2).
 pub const ADVERTISING_DELAY: Duration = Duration::from_millis(10);
 
 /// Minimum time between two reports of the same advertisement in a scan.
@@ -49,6 +46,9 @@ pub const ESTABLISH_INTERVALS: u32 = 6;
 /// observe the end sooner.)
 pub const LINGER: Duration = Duration::from_millis(200);
 
+/// Maximum deviation of a clock that the Core Specification allows (Vol 6, Part B, 4.2.2).
+const MAX_CLOCK_DRIFT_PPM: u16 = 500;
+
 /// Options of a simulated air. The defaults describe a room with Bluetooth 4.2 radios.
 #[derive(Clone, Debug)]
 pub struct AirOptions {
@@ -62,6 +62,17 @@ pub struct AirOptions {
     pub pdu: LlPayload,
     /// Connection interval, 7.5 ms to 4 s. Default: 30 ms, as BlueZ requests.
     pub interval: Duration,
+    /// Advertising interval, 20 ms to 10.24 s. Default: 100 ms.
+    pub advertising_interval: Duration,
+    /// Time after which a scan changes to the next advertising channel, 2.5 ms to 10.24 s. Default: 60 ms.
+    pub scan_interval: Duration,
+    /// Time for which a scan listens on each channel, 2.5 ms to the scan interval. Default: 45 ms.
+    pub scan_window: Duration,
+    /// Maximum deviation of each adapter's clock, in parts per million, 0 to 500. Default: 20, as of common
+    /// crystals.
+    pub max_clock_drift_ppm: u16,
+    /// How a radio is shared by overlapping connection events of different clocks. Default: first come.
+    pub arbitration: Arbitration,
     /// Supervision timeout: a connection on which no packet was received for this time is down. 100 ms to 32 s.
     /// Default: 2 s (default of BlueZ: 420 ms).
     pub supervision_timeout: Duration,
@@ -77,6 +88,11 @@ impl Default for AirOptions {
             phy: Phy::default(),
             pdu: LlPayload::default(),
             interval: Duration::from_millis(30),
+            advertising_interval: Duration::from_millis(100),
+            scan_interval: Duration::from_millis(60),
+            scan_window: Duration::from_millis(45),
+            max_clock_drift_ppm: 20,
+            arbitration: Arbitration::default(),
             supervision_timeout: Duration::from_secs(2),
             mps: 247,
         }
@@ -92,6 +108,15 @@ pub enum AirOptionsError {
     /// The supervision timeout is out of range, or not longer than two intervals.
     #[error("a supervision timeout of {0:?} is out of range: use 100ms to 32s, and more than two intervals")]
     SupervisionTimeout(Duration),
+    /// The advertising interval is out of range.
+    #[error("an advertising interval of {0:?} is out of range: use 20ms to 10.24s")]
+    AdvertisingInterval(Duration),
+    /// The scan interval or the scan window is out of range.
+    #[error("a scan window of {0:?} in an interval of {1:?} is out of range: use 2.5ms to 10.24s, and a window within the interval")]
+    Scan(Duration, Duration),
+    /// The drift of the clocks is out of range.
+    #[error("a clock drift of {0} ppm is out of range: use 0 to 500")]
+    ClockDrift(u16),
     /// The frame size is out of range.
     #[error("an mps of {0} is out of range: use 23 to 65533 bytes")]
     Mps(u16),
@@ -112,6 +137,18 @@ impl AirOptions {
                 self.supervision_timeout,
             ));
         }
+        if possible.advertising_interval != self.advertising_interval {
+            return Err(AirOptionsError::AdvertisingInterval(
+                self.advertising_interval,
+            ));
+        }
+        let scan = (self.scan_window, self.scan_interval);
+        if (possible.scan_window, possible.scan_interval) != scan {
+            return Err(AirOptionsError::Scan(scan.0, scan.1));
+        }
+        if possible.max_clock_drift_ppm != self.max_clock_drift_ppm {
+            return Err(AirOptionsError::ClockDrift(self.max_clock_drift_ppm));
+        }
         if possible.mps != self.mps {
             return Err(AirOptionsError::Mps(self.mps));
         }
@@ -129,6 +166,11 @@ impl AirOptions {
         self.interval = self.interval.clamp(Duration::from_micros(7500), ms(4000));
         let shortest = ms(100).max(2 * self.interval + ms(1));
         self.supervision_timeout = self.supervision_timeout.clamp(shortest, ms(32_000));
+        self.advertising_interval = self.advertising_interval.clamp(ms(20), ms(10_240));
+        let shortest = Duration::from_micros(2500);
+        self.scan_interval = self.scan_interval.clamp(shortest, ms(10_240));
+        self.scan_window = self.scan_window.clamp(shortest, self.scan_interval);
+        self.max_clock_drift_ppm = self.max_clock_drift_ppm.min(MAX_CLOCK_DRIFT_PPM);
         self.mps = self.mps.clamp(23, 65533);
         self
     }

@@ -6,13 +6,15 @@ use tokio::sync::{mpsc, oneshot};
 
 use super::{
     attachment::{Attachment, PendingDial},
-    guards::{CancelOnDrop, SimAdvertisement, SimScan},
+    channel_handle::SimChannel,
+    guards::{CancelOnDrop, SimAdvertisement, SimListener, SimScan},
     message::{Command, ConnectFailure, ListenFailure},
     options::{MAX_NAME_BYTES, MIN_MTU},
 };
 use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
+    interval::ConnectionInterval,
     radio::{
         AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, Radio,
         RadioError, Scan,
@@ -102,6 +104,17 @@ impl Radio for SimRadio {
         }))
     }
 
+    fn default_interval(&self) -> ConnectionInterval {
+        self.attachment.default_interval()
+    }
+
+    async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {
+        let units = interval.units();
+        let command = Command::SetInterval { peer, units };
+        self.attachment.command(command);
+        true
+    }
+
     async fn listen(
         &self,
         psm: Option<Psm>,
@@ -122,7 +135,7 @@ impl Radio for SimRadio {
             recv_mtu: options.recv_mtu.max(MIN_MTU),
         });
         match answer.await {
-            Ok(Ok(listener)) => Ok(Box::new(listener)),
+            Ok(Ok(listener)) => Ok(Box::new(SimListener(listener))),
             Ok(Err(ListenFailure::Taken)) => match psm {
                 Some(psm) => Err(RadioError::PsmTaken(psm)),
                 None => Err(attachment.unavailable()),
@@ -164,7 +177,7 @@ impl Radio for SimRadio {
         let answered = answer.await;
         cancel.disarm();
         match answered {
-            Ok(Ok(channel)) => Ok(Arc::new(channel)),
+            Ok(Ok(channel)) => Ok(Arc::new(SimChannel(channel))),
             Ok(Err(ConnectFailure::Refused)) => Err(RadioError::Refused { peer, psm }),
             Ok(Err(ConnectFailure::LinkLost)) => Err(RadioError::ChannelDown {
                 peer,

@@ -28,7 +28,10 @@ use super::{
     socket::socket_path,
     wire::{self, Control, FromAir, ToAir, PROTOCOL},
 };
-use crate::radio::{AdapterState, Radio, RadioError};
+use crate::{
+    interval::ConnectionInterval,
+    radio::{AdapterState, Radio, RadioError},
+};
 
 const SERVICE: &str = "the simulated air";
 
@@ -118,7 +121,7 @@ pub async fn control(path: &Path, control: Control) -> Result<Option<AirStatus>,
         FromAir::Done => Ok(None),
         FromAir::Status(status) => Ok(Some(status)),
         FromAir::Refused(why) => Err(ControlError::Refused(why)),
-        FromAir::Attached | FromAir::Event(_) => Err(ControlError::Refused(
+        FromAir::Attached { .. } | FromAir::Event(_) => Err(ControlError::Refused(
             "the simulated air sent an unexpected reply".to_owned(),
         )),
     }
@@ -174,12 +177,13 @@ async fn keep_attached(
 ) {
     loop {
         let reason = match attach(path, name).await {
-            Ok((from, to)) => {
+            Ok((interval, from, to)) => {
                 let (sender, commands) = mpsc::unbounded_channel();
                 *connection.lock() = ServerConnection::Up(sender);
                 let Some(strong) = attachment.upgrade() else {
                     return;
                 };
+                strong.set_default_interval(interval);
                 strong.on_adapter_state(AdapterState::On);
                 strong.set_ready();
                 drop(strong);
@@ -201,13 +205,21 @@ async fn keep_attached(
     }
 }
 
-async fn attach(path: &Path, name: &str) -> Result<(OwnedReadHalf, OwnedWriteHalf), DownReason> {
+async fn attach(
+    path: &Path,
+    name: &str,
+) -> Result<(ConnectionInterval, OwnedReadHalf, OwnedWriteHalf), DownReason> {
     let attach = ToAir::Attach {
         protocol: PROTOCOL,
         adapter: name.to_owned(),
     };
     match request(path, &attach).await.map_err(DownReason::NoServer)? {
-        (from, to, FromAir::Attached) => Ok((from, to)),
+        (from, to, FromAir::Attached { interval_units }) => {
+            match ConnectionInterval::from_units(interval_units) {
+                Some(interval) => Ok((interval, from, to)),
+                None => Err(DownReason::NoServer(io::ErrorKind::InvalidData.into())),
+            }
+        }
         (_, _, FromAir::Refused(why)) => Err(DownReason::Refused(why)),
         (_, _, FromAir::Event(_) | FromAir::Done | FromAir::Status(_)) => {
             Err(DownReason::NoServer(io::ErrorKind::InvalidData.into()))

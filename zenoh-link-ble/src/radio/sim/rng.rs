@@ -31,6 +31,13 @@ impl SimRng {
         Duration::from_micros(u64::from(self.0.next_u32()) % micros.saturating_add(1).max(1))
     }
 
+    /// Returns a random value from `-limit` to `limit`.
+    pub(super) fn random_within(&mut self, limit: i32) -> i32 {
+        let spread = 2 * u64::from(limit.unsigned_abs()) + 1;
+        let offset = i64::try_from(u64::from(self.0.next_u32()) % spread).unwrap_or(0);
+        i32::try_from(offset - i64::from(limit.unsigned_abs())).unwrap_or(0)
+    }
+
     /// Returns a random value that differs from `mean` by at most `jitter`.
     pub(super) fn random_around(&mut self, mean: i16, jitter: u16) -> i16 {
         let spread = 2 * u32::from(jitter) + 1;

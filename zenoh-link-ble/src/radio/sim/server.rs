@@ -143,7 +143,12 @@ async fn serve_first_message(
         {
             Err(ClientError::Protocol(protocol))
         }
-        Some(ToAir::Attach { adapter, .. }) => serve_adapter(air.attach(&adapter)?, from, to).await,
+        Some(ToAir::Attach { adapter, .. }) => {
+            let attached = air.attach(&adapter)?;
+            let interval_units = air.default_interval().units();
+            send_message(to, &FromAir::Attached { interval_units }).await?;
+            serve_adapter(attached, from, to).await
+        }
         Some(ToAir::Control { control, .. }) => {
             let answer = apply_control(air, control);
             send_message(to, &answer).await
@@ -158,7 +163,6 @@ async fn serve_adapter(
     to: &mut OwnedWriteHalf,
 ) -> Result<(), ClientError> {
     let Attached { events, handle } = attached;
-    send_message(to, &FromAir::Attached).await?;
     // The first one to end ends both. Dropping `handle` detaches the adapter.
     tokio::select! {
         ended = receive_commands(from, &handle) => ended,

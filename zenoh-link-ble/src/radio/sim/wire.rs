@@ -12,7 +12,7 @@ use super::{
 };
 
 /// Version of the protocol. It changes whenever a message changes; both ends must have the same version.
-pub(super) const PROTOCOL: u16 = 1;
+pub(super) const PROTOCOL: u16 = 2;
 
 /// Maximum size of a message in bytes. An SDU has at most 65535 bytes; a status is much shorter.
 pub(super) const MAX_MESSAGE_BYTES: usize = 128 * 1024;
@@ -31,8 +31,8 @@ pub(super) enum ToAir {
 /// Messages of the air to a process.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum FromAir {
-    /// The adapter is attached.
-    Attached,
+    /// The adapter is attached. Connections have this interval by default, in units of 1.25 ms.
+    Attached { interval_units: u16 },
     /// The request was refused, or the client is disconnected. Contains the reason.
     Refused(String),
     /// An event for the adapter.

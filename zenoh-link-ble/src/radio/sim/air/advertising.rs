@@ -2,21 +2,53 @@
 //! response.
 use std::time::Duration;
 
-use super::{timers::Timer, Air, ConnectionId};
+use super::{
+    advertising_channel::{event_airtime, ScanPattern, CONNECT_BYTES},
+    timers::Timer,
+    Air, ConnectionId,
+};
+use crate::address::DeviceAddress;
 use crate::radio::sim::{
-    adapter::Dial,
-    air::AdapterId,
+    adapter::{Adapter, Dial},
     channel::Channel,
     connection::{Connection, CENTRAL, PERIPHERAL},
+    id::AdapterId,
     message::{ChannelId, Event, ReceivedAdvertisement, RequestId},
-    options::{ADVERTISING_DELAY, ADVERTISING_INTERVAL, REPORT_INTERVAL, TRANSMIT_WINDOW},
+    options::{ADVERTISING_DELAY, REPORT_INTERVAL, TRANSMIT_WINDOW},
     packet::Signal,
 };
 
 impl Air {
-    /// Handles one advertising event: scanners report it, initiators connect.
+    /// Starts an advertising event, unless a connection uses the radio.
     pub(super) fn on_advertise(&mut self, advertiser: AdapterId, request: RequestId) {
-        let delay = ADVERTISING_INTERVAL + self.rng.random_duration(ADVERTISING_DELAY);
+        let interval = self.options.advertising_interval;
+        let delay = interval + self.rng.random_duration(ADVERTISING_DELAY);
+        let now = self.now;
+        let is_busy = self.is_radio_in_use(advertiser);
+        let Some(adapter) = self.adapters.get_mut(&advertiser) else {
+            return;
+        };
+        let delay = adapter.clock.true_time(delay);
+        let Some(advertising) = adapter.advertisements.get_mut(&request) else {
+            return;
+        };
+        advertising.next = now + delay;
+        if is_busy {
+            return;
+        }
+        adapter.stats.advertising += event_airtime();
+        self.advertising_channel.on_event(now, advertiser);
+        let is_received = self.adapters.values().any(Adapter::receives_advertisements);
+        if let Some(adapter) = self.adapters.get_mut(&advertiser).filter(|_| is_received) {
+            if let Some(advertising) = adapter.advertisements.get_mut(&request) {
+                advertising.event = Some(now);
+                self.schedule(Timer::AdvertisingEnd(advertiser, request));
+            }
+        }
+    }
+
+    /// Ends an advertising event: scanners report it, initiators connect.
+    pub(super) fn on_advertising_end(&mut self, advertiser: AdapterId, request: RequestId) {
         let Some(adapter) = self.adapters.get_mut(&advertiser) else {
             return;
         };
@@ -24,7 +56,9 @@ impl Air {
         let Some(advertising) = adapter.advertisements.get_mut(&request) else {
             return;
         };
-        advertising.next = self.now + delay;
+        let Some(start) = advertising.event.take() else {
+            return;
+        };
         let received = ReceivedAdvertisement {
             device,
             advertisement: advertising.advertisement,
@@ -34,37 +68,102 @@ impl Air {
         let receivers = self
             .adapters
             .iter()
-            .filter(|(_, a)| a.receives_advertisements());
+            .filter(|(id, a)| **id != advertiser && a.receives_advertisements());
         let receivers: Vec<_> = receivers.map(|(id, _)| *id).collect();
+        let mut receptions = Vec::new();
         for receiver in receivers {
-            if receiver != advertiser && self.is_in_range(receiver, advertiser) {
-                self.on_advertisement_in_range(receiver, (advertiser, request), &received);
+            if self.is_in_range(receiver, advertiser) {
+                let channel = self.receiving_channel(receiver, advertiser, start, device);
+                receptions.extend(channel.map(|channel| (channel, receiver)));
+            }
+        }
+        receptions.sort_unstable();
+        for on_channel in receptions.chunk_by(|(a, _), (b, _)| a == b) {
+            for (_, receiver) in on_channel {
+                self.report(*receiver, (advertiser, request), &received);
+            }
+            let initiators: Vec<_> = on_channel
+                .iter()
+                .map(|(_, receiver)| *receiver)
+                .filter(|receiver| self.initiates(*receiver, advertiser, device))
+                .collect();
+            // The requests of several initiators collide with each other.
+            let is_alone = initiators.len() == 1;
+            let mut is_connected = false;
+            for initiator in initiators {
+                is_connected = is_alone && self.receives_request(initiator, advertiser, start);
+                self.establish(initiator, advertiser, is_connected);
+            }
+            // The event ends with the request.
+            if is_connected {
+                return;
             }
         }
     }
 
-    fn on_advertisement_in_range(
+    /// Returns whether an adapter waits for the advertiser in order to connect.
+    fn initiates(&self, receiver: AdapterId, advertiser: AdapterId, device: DeviceAddress) -> bool {
+        let is_initiator = self
+            .adapters
+            .get(&receiver)
+            .is_some_and(|adapter| adapter.dials_to(device));
+        is_initiator && self.connection_between(receiver, advertiser).is_none()
+    }
+
+    /// Returns the channel on which an adapter receives a packet of the advertising event that started at `start`, if it
+    /// receives one.
+    fn receiving_channel(
         &mut self,
         receiver: AdapterId,
-        source: (AdapterId, RequestId),
-        received: &ReceivedAdvertisement,
-    ) {
-        let Some(adapter) = self.adapters.get(&receiver) else {
-            return;
+        advertiser: AdapterId,
+        start: Duration,
+        device: DeviceAddress,
+    ) -> Option<u32> {
+        let adapter = self.adapters.get(&receiver)?;
+        if !adapter.dials_to(device) && adapter.scan.is_none() {
+            return None;
+        }
+        let pattern = ScanPattern {
+            since: adapter.receiving_since,
+            interval: self.options.scan_interval,
+            window: self.options.scan_window,
         };
-        let matches = |dial: &Dial| dial.peer == received.device;
-        let is_initiator = adapter.dials.values().any(matches);
-        if !is_initiator && adapter.scan.is_none() {
-            return;
+        let channel = pattern.channel(start)?;
+        if self.is_radio_in_use(receiver)
+            || self.advertising_channel.is_advertising(receiver, start)
+        {
+            return None;
         }
-        if !self.rng.random_bool(self.figures.advertisement_reception) {
-            return;
-        }
-        self.report(receiver, source, received);
-        let (advertiser, _) = source;
-        if is_initiator && self.connection_between(receiver, advertiser).is_none() {
-            self.establish(receiver, advertiser);
-        }
+        let has_collided = self
+            .advertising_channel
+            .overlapping(start, advertiser)
+            .any(|other| self.is_in_range(receiver, other));
+        self.collisions.on_packet(has_collided);
+        let is_received =
+            !has_collided && self.rng.random_bool(self.figures.advertisement_reception);
+        is_received.then_some(channel)
+    }
+
+    /// Returns whether the advertiser receives the connect request of an initiator.
+    fn receives_request(
+        &mut self,
+        initiator: AdapterId,
+        advertiser: AdapterId,
+        start: Duration,
+    ) -> bool {
+        let has_collided = self
+            .advertising_channel
+            .overlapping_request(start, advertiser)
+            .any(|other| other != initiator && self.is_in_range(advertiser, other));
+        !has_collided && !self.is_lost(CONNECT_BYTES)
+    }
+
+    /// Returns whether a connection event uses the adapter's radio now.
+    fn is_radio_in_use(&self, adapter: AdapterId) -> bool {
+        self.connections.values().any(|connection| {
+            let side = connection.side_of(adapter);
+            side.is_some_and(|side| connection.is_using_radio(side))
+        })
     }
 
     fn report(
@@ -97,12 +196,19 @@ impl Air {
         self.emit(scanner, Event::AdvertisementReceived(received));
     }
 
-    fn establish(&mut self, central: AdapterId, peripheral: AdapterId) {
+    /// Begins a connection. If the peripheral has not received the request, the central finds out when no event of the
+    /// connection succeeds.
+    fn establish(&mut self, central: AdapterId, peripheral: AdapterId, is_received: bool) {
         let anchor = self.first_anchor(central, peripheral);
         self.last_connection += 1;
         let id = ConnectionId(self.last_connection);
-        self.connections
-            .insert(id, Connection::new(central, peripheral, anchor));
+        let (interval, period) = self.interval_for(central, peripheral);
+        let mut connection = Connection::new(central, peripheral, anchor, interval);
+        connection.period = period;
+        if !is_received {
+            connection.sides[PERIPHERAL].shut_down();
+        }
+        self.connections.insert(id, connection);
         for timer in [
             Timer::Anchor(id),
             Timer::SupervisionTimeout(id, CENTRAL),
@@ -111,8 +217,10 @@ impl Air {
             self.schedule(timer);
         }
         self.open_dialled(id, central, peripheral);
-        // Dials in the opposite direction use the same connection.
-        self.open_dialled(id, peripheral, central);
+        if is_received {
+            // Dials in the opposite direction use the same connection.
+            self.open_dialled(id, peripheral, central);
+        }
     }
 
     fn open_dialled(&mut self, id: ConnectionId, from: AdapterId, to: AdapterId) {
@@ -169,8 +277,8 @@ impl Air {
     }
 
     /// Returns the time of the first event of a new connection: in the middle of the largest gap between the events of
-    /// the two radios' other connections, so that connections share the time of an adapter fairly. (All intervals are
-    /// equal.)
+    /// the two radios' other connections, so that connections share the time of an adapter fairly. A controller does not
+    /// know the peripheral's other connections; with equal intervals, drift soon moves the events anyway.
     fn first_anchor(&self, a: AdapterId, b: AdapterId) -> Duration {
         let earliest = self.now + TRANSMIT_WINDOW;
         let interval = self.options.interval;

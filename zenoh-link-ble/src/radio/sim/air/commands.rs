@@ -7,8 +7,8 @@ use crate::{
     advertisement::Advertisement,
     radio::sim::{
         adapter::{Advertising, Dial, MAX_REQUESTS},
-        air::AdapterId,
         connection::Connection,
+        id::AdapterId,
         message::{ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation},
         options::{ADVERTISING_DELAY, MAX_NAME_BYTES, MIN_MTU},
         packet::Signal,
@@ -40,6 +40,7 @@ impl Air {
                 Ok(())
             }
             Command::Scan(is_on) => {
+                self.begin_to_receive(id);
                 if let Some(adapter) = self.adapters.get_mut(&id) {
                     adapter.scan = (is_on && adapter.is_on()).then(Default::default);
                 }
@@ -68,6 +69,7 @@ impl Air {
             }
             Command::Send { channel, sdu } => self.send(id, channel, sdu),
             Command::SduRead { channel } => self.on_sdu_read(id, channel),
+            Command::SetInterval { peer, units } => self.set_interval(id, peer, units),
             Command::Close { channel } => {
                 self.close(id, channel);
                 Ok(())
@@ -95,6 +97,7 @@ impl Air {
             advertisement,
             name,
             next,
+            event: None,
         };
         adapter.advertisements.insert(request, advertising);
         self.schedule(Timer::Advertise(id, request));
@@ -169,12 +172,23 @@ impl Air {
         match connection {
             Some(connection) => self.open(connection, id, request, dial),
             None => {
+                self.begin_to_receive(id);
                 if let Some(adapter) = self.adapters.get_mut(&id) {
                     adapter.dials.insert(request, dial);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Records that the adapter begins to scan, unless it is scanning already.
+    fn begin_to_receive(&mut self, id: AdapterId) {
+        let now = self.now;
+        if let Some(adapter) = self.adapters.get_mut(&id) {
+            if !adapter.receives_advertisements() {
+                adapter.receiving_since = now;
+            }
+        }
     }
 
     fn cancel(&mut self, id: AdapterId, request: RequestId) {

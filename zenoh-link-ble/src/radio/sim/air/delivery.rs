@@ -3,8 +3,9 @@ use super::{timers::Timer, Air, ConnectionId};
 use crate::{
     address::Psm,
     radio::sim::{
-        air::AdapterId,
         channel::EndState,
+        connection::CENTRAL,
+        id::AdapterId,
         message::{ChannelId, ConnectFailure, Event},
         packet::{PacketContent, Signal},
     },
@@ -144,6 +145,7 @@ impl Air {
                         psm,
                         peer,
                         limits,
+                        is_central: side == CENTRAL,
                     },
                 });
                 true
@@ -177,6 +179,7 @@ impl Air {
                 request,
                 channel,
                 limits,
+                is_central: side == CENTRAL,
             };
             self.emit(adapter, event);
         } else {

@@ -1,12 +1,9 @@
-//! Simulates connection events: which connection uses the radios, which packets are exchanged, and which of them are
-//! lost.
-use std::time::Duration;
-
+//! Simulates connection events: which packets are exchanged, and which of them are lost.
 use super::{timers::Timer, Air, ConnectionId};
 use crate::radio::sim::{
     adapter::AdapterStats,
-    air::AdapterId,
     connection::{Exchange, CENTRAL, PERIPHERAL},
+    id::AdapterId,
     phy::Phy,
 };
 
@@ -14,28 +11,34 @@ use crate::radio::sim::{
 const TERMINATE_BYTES: usize = 2;
 
 impl Air {
-    /// Starts a connection event if both radios are free.
+    /// Starts a connection event if the central's radio is free for it. If the peripheral's radio is not, the central
+    /// transmits without an answer.
     pub(super) fn on_anchor(&mut self, id: ConnectionId) {
-        let is_busy = self.is_busy(id);
         let Some(connection) = self.connections.get_mut(&id) else {
             return;
         };
-        connection.anchor += self.options.interval;
-        if is_busy || connection.exchange.is_some() {
+        connection.anchor += connection.period;
+        if connection.exchange.is_some() {
             return;
         }
         if connection.is_terminating {
-            self.terminate(id);
+            if !self.is_busy(id) {
+                self.terminate(id);
+            }
             return;
         }
-        if !connection.sides[CENTRAL].is_up {
+        if !connection.sides[CENTRAL].is_up || !self.gets_radio(id, CENTRAL) {
             return;
         }
-        if !self.may_start_event(id) {
-            return;
-        }
+        let is_peripheral_listening = self.gets_radio(id, PERIPHERAL);
         let is_event_lost = self.rng.random_bool(self.figures.event_loss);
+        let now = self.now;
         if let Some(connection) = self.connections.get_mut(&id) {
+            connection.sides[CENTRAL].last_event = now;
+            if is_peripheral_listening {
+                connection.sides[PERIPHERAL].last_event = now;
+            }
+            connection.is_peripheral_listening = is_peripheral_listening;
             connection.is_event_lost = is_event_lost;
             connection.losses_in_row = 0;
         }
@@ -75,9 +78,18 @@ impl Air {
         if self.should_continue(id) {
             self.start_exchange(id);
         } else if is_peripheral_received {
-            if let Some(connection) = self.connections.get_mut(&id) {
-                connection.on_good_event();
-            }
+            self.on_good_event(id);
+        }
+    }
+
+    fn on_good_event(&mut self, id: ConnectionId) {
+        let Some(connection) = self.connections.get_mut(&id) else {
+            return;
+        };
+        if let Some(interval) = connection.on_good_event() {
+            let central = connection.sides[CENTRAL].adapter;
+            let clock = self.adapters.get(&central).map(|adapter| adapter.clock);
+            connection.period = clock.unwrap_or_default().true_time(interval);
         }
     }
 
@@ -88,7 +100,9 @@ impl Air {
         };
         let [central, peripheral] = [0, 1].map(|side| connection.sides[side].adapter);
         let (central_bytes, is_repeat) = connection.start_transmission(CENTRAL, payload_bytes);
-        let is_audible = connection.sides[PERIPHERAL].is_up && !connection.is_event_lost;
+        let is_listening = connection.is_peripheral_listening;
+        let is_audible =
+            connection.sides[PERIPHERAL].is_up && is_listening && !connection.is_event_lost;
         self.count(central, central_bytes, is_repeat);
         let mut exchange = Exchange {
             ends_at: self.now + self.options.phy.exchange(central_bytes, 0),
@@ -111,8 +125,8 @@ impl Air {
                 self.now + self.options.phy.exchange(central_bytes, peripheral_bytes);
         }
         let duration = exchange.ends_at - self.now;
-        for adapter in [central, peripheral] {
-            if let Some(stats) = self.stats_mut(adapter) {
+        for (adapter, is_used) in [(central, true), (peripheral, is_listening)] {
+            if let Some(stats) = self.stats_mut(adapter).filter(|_| is_used) {
                 stats.busy += duration;
             }
         }
@@ -129,69 +143,10 @@ impl Air {
         };
         let has_data = connection.has_data(CENTRAL) || connection.has_data(PERIPHERAL);
         let is_up = connection.sides.iter().all(|side| side.is_up);
-        let limit = self
-            .competing_connections(id)
-            .map(|(_, at)| at)
-            .fold(connection.anchor, Duration::min);
         has_data
             && is_up
             && connection.losses_in_row < 2
-            && self.now + self.next_exchange(id) <= limit
-    }
-
-    /// Returns whether the connection may start an event now. If the event would overlap with an event of another
-    /// connection, the connection that has waited longer goes first.
-    fn may_start_event(&mut self, id: ConnectionId) -> bool {
-        let ends_at = self.now + self.next_exchange(id);
-        let Some(connection) = self.connections.get(&id) else {
-            return false;
-        };
-        let own = (connection.last_event, id);
-        let must_wait = self
-            .competing_connections(id)
-            .filter(|(_, at)| *at < ends_at)
-            .filter_map(|(competitor, _)| {
-                Some((self.connections.get(&competitor)?.last_event, competitor))
-            })
-            .any(|theirs| theirs < own);
-        if must_wait {
-            return false;
-        }
-        if let Some(connection) = self.connections.get_mut(&id) {
-            connection.last_event = self.now;
-        }
-        true
-    }
-
-    /// Returns the maximum duration of the connection's next exchange.
-    fn next_exchange(&self, id: ConnectionId) -> Duration {
-        let payload_bytes = self.options.pdu.bytes();
-        let [central, peripheral] = match self.connections.get(&id) {
-            Some(c) => [CENTRAL, PERIPHERAL].map(|side| c.next_bytes(side, payload_bytes)),
-            None => [0, 0],
-        };
-        self.options.phy.exchange(central, peripheral)
-    }
-
-    /// Returns the other connections that use one of this connection's radios, and the times of their next events.
-    fn competing_connections(
-        &self,
-        id: ConnectionId,
-    ) -> impl Iterator<Item = (ConnectionId, Duration)> + '_ {
-        let this = self.connections.get(&id);
-        self.connections
-            .iter()
-            .filter(move |(other, connection)| {
-                **other != id && this.is_some_and(|this| this.shares_radio(connection))
-            })
-            .map(|(other, connection)| (*other, connection.anchor))
-    }
-
-    fn is_busy(&self, id: ConnectionId) -> bool {
-        self.competing_connections(id).any(|(competitor, _)| {
-            let competitor = self.connections.get(&competitor);
-            competitor.is_some_and(|connection| connection.exchange.is_some())
-        })
+            && self.now + self.next_exchange(id) <= self.event_limit(id)
     }
 
     /// Sends the termination of the side that left. This is repeated at every event until the other side receives it.
@@ -217,7 +172,7 @@ impl Air {
         }
     }
 
-    fn is_lost(&mut self, payload_bytes: usize) -> bool {
+    pub(super) fn is_lost(&mut self, payload_bytes: usize) -> bool {
         self.rng
             .random_bool(self.figures.packet_loss(payload_bytes))
     }

@@ -50,6 +50,8 @@ pub struct LinkStatus {
     pub central: String,
     /// Name of the adapter that was advertising.
     pub peripheral: String,
+    /// Connection interval in microseconds.
+    pub interval_us: u64,
     /// Number of channels on the connection.
     pub channels: usize,
     /// Bytes queued at the central and at the peripheral.
@@ -90,6 +92,7 @@ impl Air {
         let links = self.connections.values().map(|connection| LinkStatus {
             central: name(connection.sides[0].adapter),
             peripheral: name(connection.sides[1].adapter),
+            interval_us: u64::try_from(connection.interval.as_micros()).unwrap_or(u64::MAX),
             channels: connection.channels.len(),
             queued_bytes: [0, 1].map(|side| connection.queued_bytes(side)),
         });

@@ -1,4 +1,9 @@
 //! Tests of the model alone, with simulated time: `cargo test -p zenoh-link-ble --lib sim::air`.
+mod collisions;
+mod day;
+mod drift;
+mod network;
+
 use std::time::Duration;
 
 use super::*;
@@ -79,13 +84,21 @@ fn until(air: &mut Air, limit: Duration, matches: impl Fn(&TimedEvent) -> bool) 
 
 fn connected(seed: u64, condition: Condition) -> (Air, ChannelId) {
     let mut air = dialling(seed, condition);
-    let event = until(&mut air, ms(20_000), |timed| {
-        matches!(timed.event, Event::Connected { .. })
-    });
-    let Event::Connected { channel, .. } = event.event else {
-        unreachable!()
-    };
-    (air, channel)
+    loop {
+        let answer = until(&mut air, ms(20_000), |timed| {
+            matches!(
+                timed.event,
+                Event::Connected { .. } | Event::ConnectFailed { .. }
+            )
+        });
+        if let Event::Connected { channel, .. } = answer.event {
+            return (air, channel);
+        }
+        // The connect request was lost.
+        let (peer, now) = (air.adapters[&B].address, air.now);
+        air.command(A, connect(peer), now)
+            .expect("accepts the command");
+    }
 }
 
 /// Returns the time of the next poll.

@@ -4,8 +4,8 @@ use std::{
     time::Duration,
 };
 
-use super::{Air, ConnectionId};
-use crate::radio::sim::{adapter::Adapter, air::AdapterId, message::RequestId, options::LINGER};
+use super::{advertising_channel::event_duration, Air, ConnectionId};
+use crate::radio::sim::{adapter::Adapter, id::AdapterId, message::RequestId, options::LINGER};
 
 /// Timers of the air. Timers that expire at the same time are handled in the order of this list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -14,6 +14,7 @@ pub(super) enum Timer {
     SupervisionTimeout(ConnectionId, usize),
     Anchor(ConnectionId),
     Advertise(AdapterId, RequestId),
+    AdvertisingEnd(AdapterId, RequestId),
     LingerEnd(ConnectionId),
 }
 
@@ -35,6 +36,16 @@ impl TimerQueue {
             self.by_time.remove(&(before, timer));
         }
         self.by_time.extend(at.map(|at| (at, timer)));
+    }
+
+    /// Returns the expiry of the first timer that is neither the start of a connection event nor a supervision timeout.
+    pub(super) fn next_besides_events(&self) -> Option<Duration> {
+        let is_event =
+            |timer: &Timer| matches!(timer, Timer::Anchor(_) | Timer::SupervisionTimeout(..));
+        let mut timers = self.by_time.iter();
+        timers
+            .find(|(_, timer)| !is_event(timer))
+            .map(|(at, _)| *at)
     }
 }
 
@@ -71,7 +82,13 @@ impl Air {
         let advertisers = self.adapters.iter().filter(|_| is_anyone_receiving);
         let advertisements = advertisers.flat_map(|(id, adapter)| {
             let requests = adapter.advertisements.keys();
-            requests.map(|request| Timer::Advertise(*id, *request))
+            requests.flat_map(|request| {
+                let (id, request) = (*id, *request);
+                [
+                    Timer::Advertise(id, request),
+                    Timer::AdvertisingEnd(id, request),
+                ]
+            })
         });
         let timers = connections.chain(advertisements);
         timers.filter_map(|timer| self.timer_expiry(timer)).min()
@@ -92,6 +109,11 @@ impl Air {
             Timer::Advertise(adapter, request) => {
                 let adapter = self.adapters.get(&adapter)?;
                 adapter.advertisements.get(&request).map(|a| a.next)
+            }
+            Timer::AdvertisingEnd(adapter, request) => {
+                let adapter = self.adapters.get(&adapter)?;
+                let start = adapter.advertisements.get(&request)?.event?;
+                Some(start + event_duration())
             }
             Timer::LingerEnd(id) => {
                 let idle_since = self.connections.get(&id)?.idle_since;

@@ -1,0 +1,187 @@
+//! Checks the air around a robot: how many Bluetooth links it has, how many robots are in range, how well it receives them,
+//! and whether its router may choose connection intervals. docs/concepts/radio.md explains the limits.
+use std::{fs, path::Path};
+
+use serde_json::Value;
+
+use super::Finding;
+
+const ABOUT: &str = "radio";
+/// Most controllers hold about this number of links.
+const MAX_LINKS: usize = 7;
+/// Number of robots in range up to which a robot finds its fleet within 5 s.
+const MAX_ROBOTS: usize = 100;
+/// Signal strength below which packets are lost now and then, in dBm.
+const WEAK_DBM: i64 = -80;
+/// The bit of CAP_NET_ADMIN in the capabilities of a process.
+const CAP_NET_ADMIN: u64 = 1 << 12;
+
+/// Returns the findings about the Bluetooth connections of a robot, which are the answer of its registry. `may_choose` is
+/// whether its router may choose connection intervals, if that is known.
+pub fn findings(connections: &Value, may_choose: Option<bool>) -> Vec<Finding> {
+    let ble = || {
+        let all = connections.as_array().into_iter().flatten();
+        all.filter(|connection| connection["method"] == "ble")
+    };
+    let is = |state: &'static str| move |connection: &&Value| connection["state"] == state;
+    let links = ble().filter(is("connected")).count();
+    let robots = links + ble().filter(is("discovered")).count();
+    if robots == 0 {
+        return Vec::new();
+    }
+    let mut findings = vec![crowd(links, robots)];
+    // Links of which this robot is the central have one clock. A link without a name was dialled by the other robot, or as
+    // one of the fleet.
+    let is_mixed = links > 1
+        && ble()
+            .filter(is("connected"))
+            .any(|link| link["name"].is_null());
+    if is_mixed && may_choose == Some(false) {
+        findings.push(Finding::poor(
+            ABOUT,
+            format!("all {links} Bluetooth links have the same connection interval, so one of them may be lost now and then"),
+            "let one robot dial all others, or give the router CAP_NET_ADMIN (docs/concepts/radio.md)",
+        ));
+    }
+    findings.extend(ble().filter_map(weak));
+    findings
+}
+
+fn crowd(links: usize, robots: usize) -> Finding {
+    let what = format!("{links} Bluetooth links, {robots} robots of the fleet in range");
+    if links > MAX_LINKS {
+        return Finding::poor(
+            ABOUT,
+            what,
+            "many adapters hold 7 links: connect the other robots to one of the linked ones, which forwards messages",
+        );
+    }
+    if robots > MAX_ROBOTS {
+        return Finding::poor(
+            ABOUT,
+            what,
+            "with more than 100 robots in range, links take more than 5 s to open: divide the robots among halls, or use Wi-Fi",
+        );
+    }
+    Finding::good(ABOUT, what)
+}
+
+fn weak(connection: &Value) -> Option<Finding> {
+    let rssi_dbm = connection["rssi_dbm"].as_i64()?;
+    if rssi_dbm >= WEAK_DBM {
+        return None;
+    }
+    let peer = ["/peer/robot", "/address"];
+    let peer = peer
+        .iter()
+        .find_map(|path| connection.pointer(path)?.as_str());
+    Some(Finding::poor(
+        ABOUT,
+        format!(
+            "{} is received with {rssi_dbm} dBm, and packets are lost below {WEAK_DBM} dBm",
+            peer.unwrap_or("a robot")
+        ),
+        "bring the two closer, or mount the antennas outside the metal (docs/how-to/distance.md)",
+    ))
+}
+
+/// Returns whether the router of this computer may choose connection intervals, which requires CAP_NET_ADMIN, or `None` if no
+/// router or no Bluetooth adapter is found. `root` is the root of the file system, which tests replace.
+pub fn may_choose_intervals(root: &Path) -> Option<bool> {
+    let mut adapters = fs::read_dir(root.join("sys/class/bluetooth")).ok()?;
+    adapters.next()?.ok()?;
+    let processes = fs::read_dir(root.join("proc")).ok()?;
+    let router = processes.flatten().map(|entry| entry.path()).find(|path| {
+        let name = fs::read_to_string(path.join("comm"));
+        name.is_ok_and(|name| name.trim() == "rect-router")
+    })?;
+    let status = fs::read_to_string(router.join("status")).ok()?;
+    let effective = status
+        .lines()
+        .find_map(|line| line.strip_prefix("CapEff:"))?;
+    let effective = u64::from_str_radix(effective.trim(), 16).ok()?;
+    Some(effective & CAP_NET_ADMIN != 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::{super::Verdict, *};
+
+    fn link(name: Option<&str>, rssi_dbm: i64) -> Value {
+        json!({
+            "name": name, "method": "ble", "state": "connected", "address": "wombat-2", "rssi_dbm": rssi_dbm,
+            "peer": { "robot": "wombat-2" }
+        })
+    }
+
+    fn not_good(connections: Value, may_choose: Option<bool>) -> Vec<String> {
+        let findings = findings(&connections, may_choose).into_iter();
+        let bad = findings.filter(|finding| finding.verdict != Verdict::Good);
+        bad.map(|finding| finding.what).collect()
+    }
+
+    #[test]
+    fn reports_the_numbers_of_links_and_robots() {
+        let discovered =
+            json!({ "name": null, "method": "ble", "state": "discovered", "rssi_dbm": -60 });
+        let other = json!({ "name": "base", "method": "tcp", "state": "connected" });
+        let found = findings(&json!([link(None, -60), discovered, other]), Some(false));
+        assert_eq!(found.len(), 1);
+        assert_eq!(
+            found[0].what,
+            "1 Bluetooth links, 2 robots of the fleet in range"
+        );
+        assert_eq!(findings(&json!([other]), None), []);
+    }
+
+    #[test]
+    fn equal_intervals_matter_only_with_links_of_different_clocks() {
+        let mixed = || json!([link(Some("radio"), -60), link(None, -60)]);
+        assert!(not_good(mixed(), Some(false))[0].contains("the same connection interval"));
+        assert!(not_good(mixed(), Some(true)).is_empty());
+        assert!(not_good(mixed(), None).is_empty());
+        let star = json!([link(Some("a"), -60), link(Some("b"), -60)]);
+        assert!(not_good(star, Some(false)).is_empty());
+    }
+
+    #[test]
+    fn warns_of_crowds_and_weak_signals() {
+        assert!(not_good(json!([link(None, -81)]), None)[0]
+            .contains("wombat-2 is received with -81 dBm"));
+        assert!(not_good(json!([link(None, -80)]), None).is_empty());
+        let links = |count| Value::from(vec![link(Some("a"), -60); count]);
+        assert!(not_good(links(7), None).is_empty());
+        assert!(not_good(links(8), None)[0].starts_with("8 Bluetooth links"));
+        let robots = |count| {
+            let robot = json!({ "name": null, "method": "ble", "state": "discovered" });
+            Value::from(vec![robot; count])
+        };
+        assert!(not_good(robots(100), None).is_empty());
+        assert!(not_good(robots(101), None)[0].contains("101 robots"));
+    }
+
+    #[test]
+    fn reads_the_capabilities_of_the_router() {
+        let root = tempfile::tempdir().expect("a folder");
+        let write = |path: &str, text: &str| {
+            let path = root.path().join(path);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            fs::write(path, text).expect("written");
+        };
+        write("proc/77/comm", "rect-router\n");
+        write(
+            "proc/77/status",
+            "Name:\trect-router\nCapEff:\t0000000000001000\n",
+        );
+        assert_eq!(may_choose_intervals(root.path()), None, "no adapter");
+        write("sys/class/bluetooth/hci0/type", "");
+        assert_eq!(may_choose_intervals(root.path()), Some(true));
+        write(
+            "proc/77/status",
+            "Name:\trect-router\nCapEff:\t0000000000000000\n",
+        );
+        assert_eq!(may_choose_intervals(root.path()), Some(false));
+    }
+}

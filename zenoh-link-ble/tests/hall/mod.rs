@@ -1,0 +1,3 @@
+//! Scenarios of a contest hall.
+mod crowd;
+mod fleets;
