@@ -174,9 +174,9 @@ child = os.fork()
 name = "wombat-1" if child else "wombat-2"
 given = {{"listen" if child else "endpoints": ["tcp/127.0.0.1:{port}"]}}
 with rect.connect(name, **given) as robot:
-    while not child and robot.peers() != ["wombat-1"]:
-        pass
-    if child:
+    if not child:
+        robot.wait_for_peer("wombat-1", timeout={DEADLINE})
+    else:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 """
     subprocess.run([sys.executable, "-c", code], timeout=DEADLINE, check=True)

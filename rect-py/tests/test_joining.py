@@ -134,9 +134,10 @@ def test_stock_router_accepts_any_name() -> None:
 
 def test_timeout_applies_if_nothing_listens() -> None:
     began = time.monotonic()
-    with pytest.raises(rect.NoRouter, match="Connection refused"):
+    with pytest.raises(rect.NoRouter, match="Connection refused") as raised:
         rect.connect("wombat-1", router=f"tcp/127.0.0.1:{free_port()}", timeout=1)
     assert 1 <= time.monotonic() - began < 1.5
+    assert isinstance(raised.value.__cause__, zenoh.ZError)
 
 
 @pytest.mark.parametrize("on", [lambda call: call(), lambda call: in_a_thread(call)], ids=["main", "thread"])

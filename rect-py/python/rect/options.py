@@ -15,7 +15,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import call_interruptibly
-from rect.errors import OptionError
+from rect.errors import OptionError, RectError
 
 #: Environment variable with the locator of the router for all programs that do not name one.
 ROUTER_VARIABLE = _rect.ROUTER_VARIABLE
@@ -89,7 +89,7 @@ class Options:
         while True:
             settings = self._settings(attempts.credentials())
             _config(settings)
-            reason: str | None
+            cause: zenoh.ZError | None = None
             try:
                 return call_interruptibly(
                     lambda settings=settings: _attempt(settings),  # type: ignore[misc]
@@ -97,10 +97,15 @@ class Options:
                     attempts.limit(time.monotonic() - began),
                 )
             except TimeoutError:
-                reason = None
+                pass
             except zenoh.ZError as error:
-                reason = str(error)
-            time.sleep(attempts.on_failure(time.monotonic() - began, reason))
+                cause = error
+            reason = None if cause is None else str(cause)
+            try:
+                pause = attempts.on_failure(time.monotonic() - began, reason)
+            except RectError as error:
+                raise error from cause
+            time.sleep(pause)
 
     def _open_directly(self, attempts: _rect.JoinAttempts) -> zenoh.Session:
         config = _config(self._settings(attempts.credentials()))
