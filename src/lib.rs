@@ -10,9 +10,10 @@
 //! # }
 //! ```
 //!
-//! The library has two layers. [`core`] contains all decisions: names, keys, encodings, codecs, and the state machines
-//! of streams and transfers. It is given the time and the bytes, and does no I/O except for the files of dictionaries.
-//! The sessions with Zenoh (feature `session`) are built on it. [`storage`] reads and writes the files of transfers.
+//! The library has two layers. [`core`] makes all decisions: about names, keys, encodings and codecs, and in drivers
+//! about sessions, streams and transfers. It is given the time and the bytes, and does no I/O except for the files of
+//! dictionaries. The sessions with Zenoh (feature `session`) perform the actions of the drivers. [`storage`] reads and
+//! writes the files of transfers.
 pub mod core;
 pub mod storage;
 
