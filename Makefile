@@ -13,9 +13,9 @@ demo: ## Show two simulated Wombats on Bluetooth Low Energy (half a minute after
 	@scripts/build-programs
 	@PATH="$(bin):$$PATH" .venv/bin/python examples/demo/two_wombats.py
 
-test: ## Run all tests, including those in the Bluetooth VM
+test: ## Run all jobs of CI (JOBS="unit vm": these; scripts/test --list lists them)
 	@scripts/setup test
-	@scripts/test
+	@scripts/test $(JOBS)
 
 test-kernels: ## Run the Bluetooth tests on the kernels of Debian 11, 12 and 13
 	@scripts/setup test
@@ -26,13 +26,7 @@ test-upstream: ## Run the tests of Zenoh's crate zenoh-transport with our links 
 
 check: ## Check the format, lints and vocabulary of all languages
 	@scripts/setup test
-	.venv/bin/python scripts/check-words --self-test && .venv/bin/python scripts/check-words
-	.venv/bin/python scripts/api-table --check
-	cargo fmt --all --check
-	cargo clippy --workspace --all-targets -- -D warnings
-	cargo clippy -p rect-robot --no-default-features --lib -- -D warnings
-	.venv/bin/ruff check . && .venv/bin/ruff format --check .
-	.venv/bin/shellcheck -x $$(git ls-files | xargs grep -lE '^#!.*bash' --)
+	@scripts/test format lints
 
 docs: ## Build the documentation site with the API of each language into target/site
 	@scripts/setup docs
@@ -50,7 +44,8 @@ bench: ## Run the benches, and write their tables to benches/results/ (an hour; 
 	@scripts/setup bench
 	@scripts/bench $(BENCH)
 
-fuzz: ## Run each fuzz target for 300 s (SECONDS_EACH=60: for 60 s; needs the nightly toolchain and cargo-fuzz)
+fuzz: ## Run each fuzz target for 300 s (SECONDS_EACH=60: for 60 s)
+	@scripts/setup test
 	@scripts/fuzz $(or $(SECONDS_EACH),300)
 
 dist: ## Build packages, wheels and archives for amd64 and arm64 into dist/ (an hour)

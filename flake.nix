@@ -1,10 +1,13 @@
 # RECT for Nix: packages, a shell to work on it, a module for NixOS. How it is built: packaging/nix/package.nix.
 #
+# This flake has never been built. The tests evaluate it with a stub of nixpkgs (tests/nix), which finds errors in these
+# expressions, but not a missing or renamed part of nixpkgs, nor an error of the build.
+#
 #   nix build .#rect .#librect
 #   nix develop                 # then cargo, cmake and ctest as everywhere; what `make` calls installs by apt, on Debian
 #   nix flake check             # builds all, tries the library from CMake and pkg-config, and the service in a VM
 {
-  description = "RECT: robots talk over TCP, UDP and Bluetooth Low Energy";
+  description = "RECT: robots communicate over TCP, UDP and Bluetooth Low Energy";
 
   # Any nixpkgs from 25.05 on: Rust 1.85.
   inputs.nixpkgs.url = "github:NixOS/nixpkgs/nixos-unstable";
@@ -47,6 +50,7 @@
             ninja
             pkg-config
             doxygen
+            catch2_3
             nlohmann_json
             # Python's package, demo and benches
             python3

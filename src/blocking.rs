@@ -13,6 +13,7 @@
 //! let reply = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
 //! # Ok::<(), rect::Error>(())
 //! ```
+mod publisher;
 mod runtime;
 mod stream;
 mod subscription;
@@ -20,8 +21,12 @@ mod transfer;
 
 use std::{sync::Arc, time::Duration};
 
-pub use self::{runtime::Runtime, stream::Frames, subscription::Subscription, transfer::Transfers};
+pub use self::{
+    publisher::Publisher, runtime::Runtime, stream::Frames, subscription::Subscription,
+    transfer::Transfers,
+};
 use crate::{
+    core::{codec::Codec, dictionary::Dictionary},
     session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
     QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
 };
@@ -90,7 +95,7 @@ impl Robot {
     /// # Errors
     /// Returns the same errors as [`Options::connect`].
     pub fn connect(options: Options) -> Result<Self, Error> {
-        let runtime = Runtime::start().map_err(no_thread)?;
+        let runtime = Runtime::start().map_err(Error::thread)?;
         let robot = runtime.wait(options.connect())?;
         let runtime = Arc::new(runtime);
         Ok(Self { robot, runtime })
@@ -113,6 +118,33 @@ impl Robot {
             robot: self.robot.with_urgency(urgency),
             runtime: self.runtime.clone(),
         }
+    }
+
+    /// Returns a handle that encodes the payloads of messages and requests with `codec`; see
+    /// [`crate::Robot::with_codec`].
+    #[must_use]
+    pub fn with_codec(&self, codec: Arc<dyn Codec>) -> Self {
+        Self {
+            robot: self.robot.with_codec(codec),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle that compresses the payloads of messages and requests with `dictionary`; see
+    /// [`crate::Robot::with_dictionary`].
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::with_dictionary`].
+    pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
+        Ok(Self {
+            robot: self.robot.with_dictionary(dictionary)?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Returns whether the session is closed.
+    pub fn is_closed(&self) -> bool {
+        self.robot.is_closed()
     }
 
     /// Publishes `value` on `topic` to every subscriber. Blocks while the queue of the link is full.
@@ -216,6 +248,40 @@ impl Robot {
         let subscribed = self.robot.subscribe_with(pattern, queue);
         let subscriber = self.runtime.wait(subscribed)?;
         Subscription::start(self.runtime.clone(), subscriber, callback)
+    }
+
+    /// Declares a publisher of `topic`, which knows whether there are subscribers.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::publisher`].
+    pub fn publisher<T: TryInto<Topic>>(&self, topic: T) -> Result<Publisher, Error>
+    where
+        Error: From<T::Error>,
+    {
+        Ok(Publisher {
+            publisher: self.runtime.wait(self.robot.publisher(topic))?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Blocks until `robot` is reachable, at most for `timeout`. Returns at once if it is.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::wait_for_peer`].
+    pub fn wait_for_peer<N: TryInto<Name>>(&self, robot: N, timeout: Duration) -> Result<(), Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.runtime.wait(self.robot.wait_for_peer(robot, timeout))
+    }
+
+    /// Blocks until every reachable router knows the subscriptions and services of this program, at most for `timeout`.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::wait_until_established`].
+    pub fn wait_until_established(&self, timeout: Duration) -> Result<(), Error> {
+        self.runtime
+            .wait(self.robot.wait_until_established(timeout))
     }
 
     /// Blocks until the next message of `robot` on `topic`, at most for `timeout`. Messages that were sent before the
@@ -404,12 +470,5 @@ impl Iterator for Events {
 
     fn next(&mut self) -> Option<Event> {
         self.runtime.wait(self.events.next())
-    }
-}
-
-fn no_thread(error: std::io::Error) -> Error {
-    Error::Zenoh {
-        operation: "cannot start a thread",
-        reason: error.to_string(),
     }
 }

@@ -3,11 +3,13 @@ use std::{path::PathBuf, time::Duration};
 
 use crate::core::{
     codec::CodecError,
+    dictionary::DictionaryError,
     humanize,
     login::LoginRefused,
     name::{Name, NameError},
     payload::{Payload, PayloadError},
     router::WrongRobot,
+    stream::options::OptionError,
     topic::{Topic, TopicError},
     transfer::{Fault, OfferError, Refusal},
 };
@@ -51,8 +53,10 @@ pub enum Error {
     NoRouter {
         /// The endpoint that was tried, such as `tcp/127.0.0.1:7447`.
         endpoint: String,
-        /// The reason that Zenoh reports.
+        /// The essential part of Zenoh's reason, or how long the router did not answer.
         reason: String,
+        /// The error of Zenoh; `None` if the router did not answer.
+        source: Option<zenoh::Error>,
     },
     /// The router requires a login, and the program's login is missing or wrong. Select the team's login file.
     #[error(transparent)]
@@ -60,15 +64,15 @@ pub enum Error {
     /// The router belongs to another robot. Connect under the router's name, or to the right router.
     #[error(transparent)]
     WrongRobot(#[from] WrongRobot),
-    /// Zenoh rejects a locator or another value of the options. Correct the value; the text contains Zenoh's reason.
-    #[error("the option {option} cannot be {value:?}: {reason}")]
+    /// A locator or another value of the options is invalid. Correct the value; the text contains the reason.
+    #[error("the option {option} cannot be {value:?}: {}", humanize::with_causes(.source.as_ref()))]
     Option {
         /// The name of the option.
         option: &'static str,
         /// The rejected value.
         value: String,
-        /// The reason that Zenoh reports.
-        reason: String,
+        /// The reason that Zenoh reports, or the values that RECT allows.
+        source: zenoh::Error,
     },
     /// No program provides the service. Is the robot reachable, and is its program running?
     #[error("no program serves {topic} at {robot}; reachable robots: {available}")]
@@ -97,13 +101,22 @@ pub enum Error {
         payload: Payload,
     },
     /// A Zenoh operation failed, often because the session is closed. If so, connect again.
-    #[error("{operation}: {reason}")]
+    #[error("{operation}: {}", humanize::with_causes(.source.as_ref()))]
     Zenoh {
         /// The failure, such as "cannot declare the publisher".
         operation: &'static str,
         /// The reason that Zenoh reports.
-        reason: String,
+        source: zenoh::Error,
     },
+    /// A thread cannot be started. Has the computer too many processes, or too little memory?
+    #[error("cannot start a thread: {source}")]
+    Thread {
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// A dictionary cannot be shared, because this program shares another one with the same id. Train one of them again.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
     /// The receiver refused the transfer. The receiver sets what it accepts in its call of
     /// [`receive_transfers`](crate::Robot::receive_transfers).
     #[error("{robot} refused the transfer {topic}: {refusal}")]
@@ -150,6 +163,16 @@ fn beginning(payload: &Payload) -> String {
     text.chars().take(500).collect()
 }
 
+impl From<OptionError> for Error {
+    fn from(error: OptionError) -> Self {
+        Self::Option {
+            option: error.option,
+            source: error.reason().into(),
+            value: error.value,
+        }
+    }
+}
+
 impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {
         match never {}
@@ -157,11 +180,27 @@ impl From<std::convert::Infallible> for Error {
 }
 
 impl Error {
+    /// Creates the error that no program of `robot` serves `topic`. `available` are the reachable robots.
+    pub(crate) fn no_service(robot: String, topic: String, available: &[Name]) -> Self {
+        let names: Vec<&str> = available.iter().map(Name::as_str).collect();
+        let available = match names.as_slice() {
+            [] => "none".to_owned(),
+            names => names.join(", "),
+        };
+        Self::NoService {
+            robot,
+            topic,
+            available,
+        }
+    }
+
     /// Returns a function that converts an error of Zenoh. `operation` states what failed, in the form "cannot ...".
     pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
-        move |error| Self::Zenoh {
-            operation,
-            reason: humanize::with_causes(error.as_ref()),
-        }
+        move |source| Self::Zenoh { operation, source }
+    }
+
+    /// Converts the error that a thread cannot be started.
+    pub(crate) fn thread(source: std::io::Error) -> Self {
+        Self::Thread { source }
     }
 }

@@ -1,25 +1,35 @@
 //! Implements sessions on Zenoh: robots, subscribers, services, streams and transfers. The protocol's decisions are made in
 //! the [core](crate::core); this module connects them to Zenoh and to the program.
 mod connect;
+mod convert;
+mod declared;
 mod decoder;
+mod events;
+mod executor;
 mod options;
 mod publication;
+mod publisher;
+mod queries;
 mod receive_queue;
 mod registry;
 mod request;
 mod robot;
+mod router_links;
 mod service;
-mod state;
+mod shared;
+mod signal;
 mod stream;
 mod subscriber;
 mod transfer;
 mod urgency_sessions;
+mod waiting;
 
-pub use options::Options;
+pub use events::Events;
+pub use options::{connect, Options};
+pub use publisher::Publisher;
 pub use request::{Replies, Reply};
-pub use robot::{connect, Robot};
+pub use robot::Robot;
 pub use service::{Request, Requests, Service};
-pub use state::Events;
 pub use stream::{Frame, Stream, Watch};
 pub(crate) use subscriber::call;
 pub use subscriber::{QueueOptions, Subscriber, Subscription};

@@ -1,8 +1,10 @@
 //! Reads and writes the files of transfers: what is sent ([`Source`]), and what is received ([`Store`]). Apart
 //! from the files of dictionaries, all disk I/O of the protocol is here. This module does not depend on Zenoh.
+mod files;
 mod source;
 mod store;
 
+pub use files::{Concluded, Files};
 pub use source::Source;
 pub use store::{Content, Store};
 

@@ -355,3 +355,52 @@ async fn panic_of_a_service_is_an_error_reply() {
     let error = error.map(drop).expect_err("an error").to_string();
     assert!(error.contains("the service's function panicked"), "{error}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_arrive_once_the_subscription_is_established() {
+    let (a, b) = pair("a", "b").await;
+    for number in 0..20 {
+        let topic = format!("first/{number}");
+        let messages = b.subscribe(format!("a/{topic}").as_str()).await;
+        let messages = messages.expect("subscribed");
+        b.wait_until_established(TIMEOUT).await.expect("in time");
+        a.publish(topic.as_str(), "").await.expect("published");
+        let first = timeout(TIMEOUT, messages.next()).await.expect("in time");
+        assert_eq!(first.expect("open").topic.as_str(), topic);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn publisher_waits_for_the_first_subscriber() {
+    let (a, b) = pair("a", "b").await;
+    let publisher = a.publisher("first").await.expect("declared");
+    let early = publisher.wait_for_subscriber(Duration::ZERO).await;
+    let error = early.expect_err("nobody subscribes").to_string();
+    assert!(error.contains("no subscriber of first within"), "{error}");
+    assert!(!publisher.has_subscribers());
+    let messages = b.subscribe("a/first").await.expect("subscribed");
+    let found = publisher.wait_for_subscriber(TIMEOUT).await;
+    found.expect("a subscriber");
+    publisher.publish("hello").await.expect("published");
+    let message = timeout(TIMEOUT, messages.next()).await.expect("in time");
+    let message = message.expect("open");
+    assert_eq!(message.payload.text().expect("text"), "hello");
+    a.close().await.expect("closed");
+    let closed = publisher.wait_for_subscriber(TIMEOUT).await;
+    assert!(a.is_closed() && (closed.is_ok() || matches!(closed, Err(rect::Error::Closed))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wait_for_peer_ends_when_the_robot_is_reachable() {
+    let endpoint = pair::free_endpoint();
+    let a = pair::listening("a", &endpoint).await;
+    let early = a.wait_for_peer("b", Duration::from_millis(10)).await;
+    let error = early.expect_err("not there").to_string();
+    assert!(error.contains("no connection with b within"), "{error}");
+    let (waited, b) = tokio::join!(
+        a.wait_for_peer("b", TIMEOUT),
+        pair::dialling("b", &endpoint)
+    );
+    waited.expect("reachable");
+    b.wait_for_peer("a", TIMEOUT).await.expect("reachable");
+}

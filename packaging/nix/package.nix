@@ -2,6 +2,8 @@
 #
 #   nix build .#rect .#librect
 #   pkgs.callPackage ./packaging/nix/package.nix { }     # the same, without flakes
+#
+# It has never been built: see flake.nix.
 {
   lib,
   stdenv,

@@ -27,13 +27,14 @@
 // Size of the text of an error, including the terminating zero byte.
 #define RECT_ERROR_BYTES 1024
 
-// A timeout that never expires, for the `timeout_ms` parameter of functions whose names end in `_next` or `_wait`.
+// A timeout that never expires, for the `timeout_ms` parameter of functions whose names end in `_next` or contain `_wait`;
+// for an interval, it means never.
 #define RECT_FOREVER UINT32_MAX
 
 // Size of an encoding, including the terminating zero byte.
 #define RECT_ENCODING_BYTES 201
 
-// Size of a robot's name, including the terminating zero byte.
+// Size of the name of a robot or fleet, including the terminating zero byte.
 #define RECT_NAME_BYTES 30
 
 // The result of a call. For every code except `RECT_CODE_OK`, `rect_error.text` describes what happened and what to do.
@@ -62,7 +63,7 @@ typedef enum rect_code {
     RECT_CODE_DICTIONARY = 10,
     // There is no router at the endpoint. Start one, or specify another endpoint.
     RECT_CODE_NO_ROUTER = 11,
-    // Zenoh rejects a locator or another option.
+    // A locator or another option is invalid. The text names the option and the values that are allowed.
     RECT_CODE_OPTION = 12,
     // The robot does not offer the service. Check that the robot is reachable and that its program is running.
     RECT_CODE_NO_SERVICE = 13,
@@ -85,6 +86,8 @@ typedef enum rect_code {
     // The router belongs to another robot than the name under which the program connects. Use that robot's name, or connect
     // to the router of the right robot.
     RECT_CODE_WRONG_ROBOT = 22,
+    // The operating system does not start another thread. Close other programs, or raise the limit of threads.
+    RECT_CODE_THREAD = 23,
 } rect_code;
 
 // The state of a connection.
@@ -178,8 +181,8 @@ typedef enum rect_element {
 
 // The reason why a call failed.
 //
-// Every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails and
-// leaves it unchanged otherwise. It owns no memory and is not dropped.
+// Almost every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails
+// and leaves it unchanged otherwise. It owns no memory and is not dropped. `rect_error_cause` returns the causes.
 typedef struct rect_error {
     // The code that the call also returned.
     enum rect_code code;
@@ -376,6 +379,12 @@ typedef struct rect_picture {
     size_t len;
 } rect_picture;
 
+// A publisher of one topic, which knows whether there are subscribers. Release it with `rect_drop(&publisher.id, ..)`.
+typedef struct rect_publisher {
+    // The handle.
+    uint64_t id;
+} rect_publisher;
+
 // A reply. It is valid until `rect_drop(&reply.id, ..)`.
 typedef struct rect_reply {
     // The handle.
@@ -524,11 +533,16 @@ typedef struct rect_stream_options {
     uint32_t mode;
     // Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     bool webp;
-    // Maximum frame rate, in frames per second. Default: 15 for an adaptive stream, no limit for a sensor. Required for a
-    // fixed stream.
+    // Maximum frame rate, 0.01 to 1,000,000 frames per second. Default: 15, or no limit for a sensor.
     double max_frames_per_s;
-    // Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. Default: 5.
+    // Minimum frame rate that an adaptive stream aims for with its smallest pictures, 0.01 to 1,000,000 frames per second.
+    // Default: 5.
     double min_frames_per_s;
+    // Maximum data rate of an adaptive stream, 1 or more bytes per second. Default: 20,000,000.
+    double max_bytes_per_s;
+    // Interval at which receivers report what arrives, 200 to 10,000 ms; `RECT_FOREVER` for no reports. Default: 500 for an
+    // adaptive stream, 2000 for a fixed one, and no reports for a sensor.
+    uint32_t feedback_interval_ms;
 } rect_stream_options;
 
 // A stream that this program sends, of which only the newest frame matters. `rect_drop(&stream.id, ..)` ends it.
@@ -551,6 +565,26 @@ typedef struct rect_subscriber {
     // The handle.
     uint64_t id;
 } rect_subscriber;
+
+// How many messages of one robot a subscriber has received and missed.
+typedef struct rect_sender_counts {
+    // The robot that published or sent the messages.
+    struct rect_text sender;
+    // Number of messages that arrived.
+    uint64_t received;
+    // Number of messages that did not arrive, according to their sequence numbers.
+    uint64_t missed;
+} rect_sender_counts;
+
+// The counts of all senders, in alphabetical order. Release it with `rect_drop(&counts.id, ..)`.
+typedef struct rect_counts_by_sender {
+    // The handle.
+    uint64_t id;
+    // The counts of the first sender.
+    const struct rect_sender_counts *items;
+    // Number of senders.
+    size_t len;
+} rect_counts_by_sender;
 
 // A callback for messages. The message is valid until the callback returns.
 typedef void (*rect_on_message)(const struct rect_message *message, void *context);
@@ -681,6 +715,24 @@ enum rect_code rect_array_read(const struct rect_payload *payload,
                                const struct rect_limits *limits,
                                struct rect_array *array,
                                struct rect_error *error);
+
+// Writes a cause of the error that a call has returned to `text`: one line of UTF-8 with a terminating zero byte. `index` is
+// 0 for the direct cause, 1 for the cause of that one, and so on. The text of the error already contains what matters of
+// them; they help to find out why Zenoh or the operating system refused something.
+//
+// The error is that of the calling thread's last call that failed. This function does not replace it.
+//
+// ```c
+// char cause[RECT_ERROR_BYTES];
+// for (size_t n = 0; rect_error_cause(n, &cause) == RECT_CODE_OK; ++n) {
+//     printf("  caused by: %s\n", cause);
+// }
+// ```
+//
+// Returns `RECT_CODE_END` if there are no more causes, and `RECT_CODE_ARGUMENT` if `text` is NULL. May be called on any
+// thread.
+enum rect_code rect_error_cause(size_t index,
+                                char (*text)[RECT_ERROR_BYTES]);
 
 // Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the result to
 // `buffer`. A handle of `rect_robot_with_codec` encodes the payloads of all its messages and requests.
@@ -876,6 +928,34 @@ enum rect_code rect_picture_read(const struct rect_payload *payload,
                                  struct rect_picture *picture,
                                  struct rect_error *error);
 
+// Creates a publisher of `topic`, with the urgency and codec of the robot's handle, and writes it to `publisher`. It can wait
+// for a subscriber, and lets a program skip work while nobody subscribes. `rect_robot_publish` needs no publisher.
+//
+// Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread.
+enum rect_code rect_robot_publisher(struct rect_robot robot,
+                                    const char *topic,
+                                    struct rect_publisher *publisher,
+                                    struct rect_error *error);
+
+// Publishes a payload to every subscriber, like `rect_robot_publish` on the publisher's topic.
+enum rect_code rect_publisher_publish(struct rect_publisher publisher,
+                                      const struct rect_payload *payload,
+                                      struct rect_error *error);
+
+// Writes to `has_subscribers` whether at least one subscriber of another program receives the messages, on this or another
+// robot. May be called on any thread.
+enum rect_code rect_publisher_has_subscribers(struct rect_publisher publisher,
+                                              bool *has_subscribers,
+                                              struct rect_error *error);
+
+// Waits until a subscriber receives the messages.
+//
+// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the publisher. May be called on any thread.
+enum rect_code rect_publisher_wait_for_subscriber(struct rect_publisher publisher,
+                                                  uint32_t timeout_ms,
+                                                  struct rect_error *error);
+
 // Sends a request to the service `topic` of the robot `recipient`, waits for the first reply and writes it to `reply`.
 //
 // ```c
@@ -977,6 +1057,11 @@ enum rect_code rect_robot_name(struct rect_robot robot,
                                char (*name)[RECT_NAME_BYTES],
                                struct rect_error *error);
 
+// Writes the fleet's name to `fleet`, with a terminating zero byte. May be called on any thread.
+enum rect_code rect_robot_fleet(struct rect_robot robot,
+                                char (*fleet)[RECT_NAME_BYTES],
+                                struct rect_error *error);
+
 // Publishes a payload on `topic` to every subscriber.
 //
 // ```c
@@ -1005,7 +1090,8 @@ enum rect_code rect_robot_send(struct rect_robot robot,
 // Waits for the next message that `sender` publishes on `topic`, or sends to this robot, and writes it to `message`.
 // Earlier messages are not returned.
 //
-// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms`. May be called on any thread.
+// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit). May be called
+// on any thread.
 enum rect_code rect_robot_wait_for_message(struct rect_robot robot,
                                            const char *sender,
                                            const char *topic,
@@ -1019,10 +1105,35 @@ enum rect_code rect_robot_peers(struct rect_robot robot,
                                 struct rect_names *names,
                                 struct rect_error *error);
 
+// Waits until the robot `name` is reachable; returns at once if it is. Its programs may start later:
+// `rect_publisher_wait_for_subscriber` waits for one that subscribes.
+//
+// Returns `RECT_CODE_TIMED_OUT` if the robot is not reachable within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+// `RECT_CODE_NAME` if the name is invalid. May be called on any thread.
+enum rect_code rect_robot_wait_for_peer(struct rect_robot robot,
+                                        const char *name,
+                                        uint32_t timeout_ms,
+                                        struct rect_error *error);
+
+// Waits until every reachable router knows the subscriptions and services of this program, so that messages and requests that
+// other robots send from now on arrive. Declarations reach the other robots a moment after the calls that made them, later
+// over a slow link. Without a router, the wait is for the directly linked programs.
+//
+// Returns `RECT_CODE_TIMED_OUT` if a router does not answer within `timeout_ms` (`RECT_FOREVER` waits without a limit). May
+// be called on any thread.
+enum rect_code rect_robot_wait_until_established(struct rect_robot robot,
+                                                 uint32_t timeout_ms,
+                                                 struct rect_error *error);
+
 // Writes the counts of this program's messages to `counters`. May be called on any thread.
 enum rect_code rect_robot_counters(struct rect_robot robot,
                                    struct rect_counters *counters,
                                    struct rect_error *error);
+
+// Writes to `is_closed` whether the session was closed. May be called on any thread.
+enum rect_code rect_robot_is_closed(struct rect_robot robot,
+                                    bool *is_closed,
+                                    struct rect_error *error);
 
 // Closes the session and everything that belongs to it, regardless of other handles. The handles must still be dropped.
 //
@@ -1074,7 +1185,8 @@ enum rect_code rect_request_refuse(uint64_t request,
 // Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
 // `options` may be NULL for the defaults.
 //
-// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_ARGUMENT` if an option is. May be called on any thread.
+// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_OPTION` if an option is out of range. May be called on
+// any thread.
 enum rect_code rect_robot_stream(struct rect_robot robot,
                                  const char *topic,
                                  const struct rect_stream_options *options,
@@ -1146,6 +1258,11 @@ enum rect_code rect_subscriber_next(struct rect_subscriber subscriber,
 enum rect_code rect_subscriber_dropped(struct rect_subscriber subscriber,
                                        uint64_t *dropped,
                                        struct rect_error *error);
+
+// Writes how many messages of each robot the subscriber has received and missed to `counts`. May be called on any thread.
+enum rect_code rect_subscriber_counts_by_sender(struct rect_subscriber subscriber,
+                                                struct rect_counts_by_sender *counts,
+                                                struct rect_error *error);
 
 // Calls `callback` for each message that matches a pattern, one after another, on a thread of the subscription, until the
 // subscription is dropped. `pattern` and `options` are the same as for `rect_robot_subscribe`.
@@ -1247,6 +1364,12 @@ enum rect_code rect_watch_next(struct rect_watch watch,
                                uint32_t timeout_ms,
                                struct rect_frame *frame,
                                struct rect_error *error);
+
+// Writes the round trip of a small message to the stream's sender to `round_trip_us`, in microseconds; -1 until the first one
+// has been measured. May be called on any thread.
+enum rect_code rect_watch_round_trip(struct rect_watch watch,
+                                     int64_t *round_trip_us,
+                                     struct rect_error *error);
 
 // Calls `callback` for each frame of a stream, one after another, on a thread of the subscription, until the subscription
 // is dropped. Frames that arrive during a call wait or are dropped as `options` specify; by default only the newest one is

@@ -1,10 +1,13 @@
 //! Guards the boundary to C: stops panics and turns a failure into a result code and an error text.
 use std::{
     any::Any,
+    cell::RefCell,
     ffi::c_char,
     mem::MaybeUninit,
     panic::{catch_unwind, AssertUnwindSafe},
 };
+
+use rect::core::humanize;
 
 use crate::failure::{Code, Failure};
 
@@ -13,8 +16,8 @@ pub const ERROR_BYTES: usize = 1024;
 
 /// The reason why a call failed.
 ///
-/// Every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails and
-/// leaves it unchanged otherwise. It owns no memory and is not dropped.
+/// Almost every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails
+/// and leaves it unchanged otherwise. It owns no memory and is not dropped. `rect_error_cause` returns the causes.
 #[repr(C)]
 pub struct ErrorOut {
     /// The code that the call also returned.
@@ -29,20 +32,65 @@ pub type Reason<'a> = Option<&'a mut MaybeUninit<ErrorOut>>;
 /// The caller's variable for a result; `None` if it passed NULL.
 pub type Out<'a, T> = Option<&'a mut MaybeUninit<T>>;
 
+thread_local! {
+    /// The failure of this thread's last call that failed, if it has causes. They become text only if the program asks for
+    /// them.
+    static LAST_FAILURE: RefCell<Option<Failure>> = const { RefCell::new(None) };
+}
+
+/// Writes a cause of the error that a call has returned to `text`: one line of UTF-8 with a terminating zero byte. `index` is
+/// 0 for the direct cause, 1 for the cause of that one, and so on. The text of the error already contains what matters of
+/// them; they help to find out why Zenoh or the operating system refused something.
+///
+/// The error is that of the calling thread's last call that failed. This function does not replace it.
+///
+/// ```c
+/// char cause[RECT_ERROR_BYTES];
+/// for (size_t n = 0; rect_error_cause(n, &cause) == RECT_CODE_OK; ++n) {
+///     printf("  caused by: %s\n", cause);
+/// }
+/// ```
+///
+/// Returns `RECT_CODE_END` if there are no more causes, and `RECT_CODE_ARGUMENT` if `text` is NULL. May be called on any
+/// thread.
+#[no_mangle]
+pub extern "C" fn rect_error_cause(
+    index: usize,
+    text: Option<&mut MaybeUninit<[c_char; ERROR_BYTES]>>,
+) -> Code {
+    let written = guarded(|| {
+        require_out("text", &text)?;
+        let cause = LAST_FAILURE.with_borrow(|last| {
+            let error = last.as_ref()?.with_causes()?;
+            humanize::causes(error).nth(index)
+        });
+        write_out("text", text, buffer(&cause.ok_or(Failure::End)?))
+    });
+    written.map_or_else(|failure| failure.code(), |()| Code::Ok)
+}
+
 /// Runs the body of an entry point, and converts its failure or panic into a code and an error text.
 pub fn call(reason: Reason<'_>, body: impl FnOnce() -> Result<(), Failure>) -> Code {
-    // After a panic, every object is still consistent: it is protected by a lock that ignores poisoning, or it is dropped.
-    let failure = match catch_unwind(AssertUnwindSafe(body)) {
-        Ok(Ok(())) => return Code::Ok,
-        Ok(Err(failure)) => failure,
-        Err(panic) => Failure::Internal(panic_message(&*panic)),
+    let Err(failure) = guarded(body) else {
+        return Code::Ok;
     };
     let code = failure.code();
     if let Some(reason) = reason {
         let text = buffer(&failure.text());
         reason.write(ErrorOut { code, text });
     }
+    // Fails only while the thread ends, when nobody can ask for the causes.
+    let last = failure.with_causes().is_some().then_some(failure);
+    let _ = LAST_FAILURE.try_with(|kept| kept.replace(last));
     code
+}
+
+fn guarded(body: impl FnOnce() -> Result<(), Failure>) -> Result<(), Failure> {
+    // After a panic, every object is still consistent: it is protected by a lock that ignores poisoning, or it is dropped.
+    match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(done) => done,
+        Err(panic) => Err(Failure::Internal(panic_message(&*panic))),
+    }
 }
 
 /// Writes the result of a call to the caller's variable.
@@ -99,6 +147,32 @@ mod tests {
         // SAFETY: the call failed, so `call` has written the error.
         let error = unsafe { reason.assume_init() };
         assert!(read(&error).ends_with("in row 7"), "{}", read(&error));
+    }
+
+    #[test]
+    fn causes_are_those_of_the_last_failure_of_the_thread() {
+        let mut text = MaybeUninit::uninit();
+        let failed = || {
+            let path = "/maps".into();
+            let reason = std::io::Error::other("the disk is full");
+            Err(Failure::Rect(rect::Error::File { path, reason }))
+        };
+        assert_eq!(call(None, failed), Code::File);
+        for (index, code) in [(0, Code::Ok), (1, Code::End), (0, Code::Ok)] {
+            assert_eq!(rect_error_cause(index, Some(&mut text)), code);
+        }
+        // SAFETY: the last call succeeded, so it has written the text.
+        let text = unsafe { text.assume_init() };
+        let code = Code::File;
+        assert_eq!(read(&ErrorOut { code, text }), "the disk is full");
+        assert_eq!(call(None, || Ok(())), Code::Ok);
+        assert_eq!(rect_error_cause(1, None), Code::Argument);
+        let mut text = MaybeUninit::uninit();
+        let other = std::thread::spawn(|| rect_error_cause(0, Some(&mut MaybeUninit::uninit())));
+        assert_eq!(other.join().expect("no panic"), Code::End);
+        assert_eq!(rect_error_cause(0, Some(&mut text)), Code::Ok);
+        assert_eq!(call(None, || Err(Failure::Closed)), Code::Closed);
+        assert_eq!(rect_error_cause(0, Some(&mut text)), Code::End);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Lists the failures of the C interface: the codes that C receives, and their texts.
+//! Lists the failures of the C interface: the codes that C receives, their texts and their causes.
 use rect::{
     core::{
         codec::CodecError, dictionary::DictionaryError, humanize, name::NameError,
@@ -35,7 +35,7 @@ pub enum Code {
     Dictionary = 10,
     /// There is no router at the endpoint. Start one, or specify another endpoint.
     NoRouter = 11,
-    /// Zenoh rejects a locator or another option.
+    /// A locator or another option is invalid. The text names the option and the values that are allowed.
     Option = 12,
     /// The robot does not offer the service. Check that the robot is reachable and that its program is running.
     NoService = 13,
@@ -58,6 +58,8 @@ pub enum Code {
     /// The router belongs to another robot than the name under which the program connects. Use that robot's name, or connect
     /// to the router of the right robot.
     WrongRobot = 22,
+    /// The operating system does not start another thread. Close other programs, or raise the limit of threads.
+    Thread = 23,
 }
 
 /// The reason why a call failed.
@@ -77,8 +79,6 @@ pub enum Failure {
     Closed,
     /// There are no more items.
     End,
-    /// The operation that the operating system refused, e.g. starting a thread, and its error.
-    System(&'static str, std::io::Error),
     /// The message of a panic.
     Internal(String),
 }
@@ -99,7 +99,6 @@ impl Failure {
             Self::TimedOut(..) => Code::TimedOut,
             Self::Closed => Code::Closed,
             Self::End => Code::End,
-            Self::System(..) => Code::Other,
             Self::Internal(_) => Code::Internal,
         }
     }
@@ -107,7 +106,7 @@ impl Failure {
     /// Returns the text for people.
     pub fn text(&self) -> String {
         match self {
-            Self::Rect(error) => humanize::with_causes(error),
+            Self::Rect(error) => humanize::on_one_line(&error.to_string()),
             Self::Dictionary(error) => humanize::with_causes(error),
             Self::Argument(name, problem) => format!("the argument {name} {problem}"),
             Self::Handle(kind) => format!(
@@ -116,9 +115,18 @@ impl Failure {
             Self::TimedOut(item, ms) => format!("no {item} within {ms} ms"),
             Self::Closed => "the session was closed, or the object was dropped while the call was waiting".to_owned(),
             Self::End => "there are no more items".to_owned(),
-            Self::System(operation, error) => format!("{operation}: {error}"),
             Self::Internal(message) => format!("internal error of RECT, please report it: {message}"),
         }
+    }
+
+    /// Returns the error of the library, if it has causes.
+    pub fn with_causes(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        let error: &(dyn std::error::Error + 'static) = match self {
+            Self::Rect(error) => error,
+            Self::Dictionary(error) => error,
+            _ => return None,
+        };
+        error.source().map(|_| error)
     }
 }
 
@@ -136,6 +144,8 @@ fn code(error: &Error) -> Code {
         Error::TimedOut { .. } => Code::TimedOut,
         Error::Service { .. } => Code::Service,
         Error::Zenoh { .. } => Code::Zenoh,
+        Error::Thread { .. } => Code::Thread,
+        Error::Dictionary(_) => Code::Dictionary,
         Error::TransferRefused { .. } => Code::TransferRefused,
         Error::TransferFailed { .. } => Code::TransferFailed,
         Error::File { .. } => Code::File,

@@ -1,5 +1,8 @@
 //! Keeps the table of the objects that C has handles of, the only global state. A handle is a number, never an address.
 //! Using one that was dropped, was never created, or belongs to an object of another kind is an error.
+//!
+//! The crate slotmap would reuse a handle after 2^31 objects in one entry, which takes 2.5 days at 10,000 messages per second;
+//! here such an entry is retired.
 use std::{
     any::Any,
     mem::MaybeUninit,

@@ -6,8 +6,8 @@ use rect::Name;
 use crate::{
     handle::{self, Object},
     payload::PayloadView,
-    robot::URGENCIES,
     text::{number, Text},
+    urgency::URGENCIES,
 };
 
 /// A message from another robot, or from another program of the same robot.

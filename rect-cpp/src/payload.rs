@@ -6,7 +6,7 @@ use std::{
 
 use bytes::Bytes;
 use rect::{
-    core::{encoding, payload::PayloadError},
+    core::{cause::Cause, encoding, payload::PayloadError},
     Encoding, Payload,
 };
 
@@ -134,7 +134,7 @@ fn text<'a>(bytes: &'a [u8], found: &Encoding) -> Result<&'a str, PayloadError> 
     }
     std::str::from_utf8(bytes).map_err(|error| PayloadError::Read {
         format: "text",
-        reason: error.to_string(),
+        reason: Cause::new(error),
     })
 }
 

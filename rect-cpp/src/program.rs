@@ -21,7 +21,7 @@ impl Object for Program {
 impl Program {
     /// Starts a runtime and connects.
     pub fn connect(options: Options) -> Result<Self, Failure> {
-        let cannot_start = |error| Failure::System("cannot start a thread", error);
+        let cannot_start = |source| rect::Error::Thread { source };
         let runtime = Arc::new(Runtime::start().map_err(cannot_start)?);
         let robot = runtime.wait(options.connect())?;
         Ok(Self { robot, runtime })

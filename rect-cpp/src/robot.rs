@@ -2,7 +2,6 @@
 use std::{
     ffi::{c_char, CStr},
     mem::MaybeUninit,
-    time::Duration,
 };
 
 use rect::core::codec;
@@ -10,6 +9,7 @@ use rect::core::codec;
 use crate::{
     argument::{require, text},
     boundary::{buffer, call, require_out, write_out, ErrorOut},
+    cancellable::timeout,
     dictionary::{self, Dictionary},
     failure::{Code, Failure},
     handle,
@@ -18,6 +18,7 @@ use crate::{
     payload::PayloadView,
     program::Program,
     text::{choice, names_into_c, Names},
+    urgency::URGENCIES,
 };
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
@@ -32,25 +33,7 @@ pub struct RobotHandle {
     pub id: u64,
 }
 
-/// The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
-#[repr(C)]
-pub enum Urgency {
-    /// For data that may wait, e.g. files.
-    Bulk = 0,
-    /// For most messages. The default.
-    Normal = 1,
-    /// For messages that must arrive before all others, e.g. emergency stops.
-    Urgent = 2,
-}
-
-/// The urgencies by their numbers in C.
-pub const URGENCIES: [(u32, rect::Urgency); 3] = [
-    (Urgency::Bulk as u32, rect::Urgency::Bulk),
-    (Urgency::Normal as u32, rect::Urgency::Normal),
-    (Urgency::Urgent as u32, rect::Urgency::Urgent),
-];
-
-/// Size of a robot's name, including the terminating zero byte.
+/// Size of the name of a robot or fleet, including the terminating zero byte.
 pub const NAME_BYTES: usize = 30;
 
 /// Counts of the messages of a program since it connected.
@@ -199,6 +182,23 @@ pub extern "C" fn rect_robot_name(
     })
 }
 
+/// Writes the fleet's name to `fleet`, with a terminating zero byte. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_fleet(
+    robot: RobotHandle,
+    fleet: Option<&mut MaybeUninit<[c_char; NAME_BYTES]>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // A name always fits: it has at most 29 bytes.
+        write_out(
+            "fleet",
+            fleet,
+            buffer(robot.resolve()?.robot.fleet().as_str()),
+        )
+    })
+}
+
 /// Publishes a payload on `topic` to every subscriber.
 ///
 /// ```c
@@ -254,7 +254,8 @@ pub unsafe extern "C" fn rect_robot_send(
 /// Waits for the next message that `sender` publishes on `topic`, or sends to this robot, and writes it to `message`.
 /// Earlier messages are not returned.
 ///
-/// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms`. May be called on any thread.
+/// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit). May be called
+/// on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_wait_for_message(
     robot: RobotHandle,
@@ -268,7 +269,7 @@ pub unsafe extern "C" fn rect_robot_wait_for_message(
         require_out("message", &message)?;
         // SAFETY: the caller follows the rules of rect.h.
         let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
-        let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
+        let (program, timeout) = (robot.resolve()?, timeout(timeout_ms));
         let received = program.wait(program.robot.wait_for_message(sender, topic, timeout))?;
         write_out("message", message, message::into_c(received))
     })
@@ -287,6 +288,44 @@ pub extern "C" fn rect_robot_peers(
         let program = robot.resolve()?;
         let peers = program.wait(program.robot.peers())?;
         write_out("names", names, names_into_c(peers))
+    })
+}
+
+/// Waits until the robot `name` is reachable; returns at once if it is. Its programs may start later:
+/// `rect_publisher_wait_for_subscriber` waits for one that subscribes.
+///
+/// Returns `RECT_CODE_TIMED_OUT` if the robot is not reachable within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
+/// `RECT_CODE_NAME` if the name is invalid. May be called on any thread.
+#[no_mangle]
+pub unsafe extern "C" fn rect_robot_wait_for_peer(
+    robot: RobotHandle,
+    name: *const c_char,
+    timeout_ms: u32,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // SAFETY: the caller follows the rules of rect.h.
+        let name = unsafe { text("name", name) }?;
+        let program = robot.resolve()?;
+        program.wait(program.robot.wait_for_peer(name, timeout(timeout_ms)))
+    })
+}
+
+/// Waits until every reachable router knows the subscriptions and services of this program, so that messages and requests that
+/// other robots send from now on arrive. Declarations reach the other robots a moment after the calls that made them, later
+/// over a slow link. Without a router, the wait is for the directly linked programs.
+///
+/// Returns `RECT_CODE_TIMED_OUT` if a router does not answer within `timeout_ms` (`RECT_FOREVER` waits without a limit). May
+/// be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_wait_until_established(
+    robot: RobotHandle,
+    timeout_ms: u32,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        let program = robot.resolve()?;
+        program.wait(program.robot.wait_until_established(timeout(timeout_ms)))
     })
 }
 
@@ -316,6 +355,18 @@ pub extern "C" fn rect_robot_counters(
             rejected,
         };
         write_out("counters", counters, counted)
+    })
+}
+
+/// Writes to `is_closed` whether the session was closed. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_is_closed(
+    robot: RobotHandle,
+    is_closed: Option<&mut MaybeUninit<bool>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        write_out("is_closed", is_closed, robot.resolve()?.robot.is_closed())
     })
 }
 

@@ -4,11 +4,15 @@ use std::{
     mem::MaybeUninit,
 };
 
-use rect::{core::stream::picture::LossyFormat, core::stream::sender::Mode};
+use rect::core::stream::{
+    options::{PartialOptions, Preset},
+    picture::LossyFormat,
+};
 
 use crate::{
     argument::{require, text},
     boundary::{call, require_out, write_out, ErrorOut, Out},
+    cancellable::FOREVER,
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
@@ -44,11 +48,16 @@ pub struct StreamOptions {
     pub mode: u32,
     /// Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     pub webp: bool,
-    /// Maximum frame rate, in frames per second. Default: 15 for an adaptive stream, no limit for a sensor. Required for a
-    /// fixed stream.
+    /// Maximum frame rate, 0.01 to 1,000,000 frames per second. Default: 15, or no limit for a sensor.
     pub max_frames_per_s: f64,
-    /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. Default: 5.
+    /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, 0.01 to 1,000,000 frames per second.
+    /// Default: 5.
     pub min_frames_per_s: f64,
+    /// Maximum data rate of an adaptive stream, 1 or more bytes per second. Default: 20,000,000.
+    pub max_bytes_per_s: f64,
+    /// Interval at which receivers report what arrives, 200 to 10,000 ms; `RECT_FOREVER` for no reports. Default: 500 for an
+    /// adaptive stream, 2000 for a fixed one, and no reports for a sensor.
+    pub feedback_interval_ms: u32,
 }
 
 struct OwnedStream(rect::Stream);
@@ -57,50 +66,44 @@ impl Object for OwnedStream {
     const KIND: &'static str = "stream";
 }
 
-fn per_s(name: &'static str, given: f64) -> Result<Option<f64>, Failure> {
-    match given {
-        0.0 => Ok(None),
-        rate if rate.is_finite() && rate > 0.0 => Ok(Some(rate)),
-        rate => Err(Failure::argument(
-            name,
-            format!("is {rate}, but must be positive and finite"),
-        )),
-    }
+/// Returns the value of an option, or `None` if it is 0, which stands for the default.
+fn unless_0<T: Default + PartialEq>(value: T) -> Option<T> {
+    (value != T::default()).then_some(value)
 }
 
 fn read_options(given: Option<&StreamOptions>) -> Result<rect::StreamOptions, Failure> {
     let Some(given) = given else {
         return Ok(rect::StreamOptions::default());
     };
-    let max = per_s("options.max_frames_per_s", given.max_frames_per_s)?;
-    let min = per_s("options.min_frames_per_s", given.min_frames_per_s)?;
-    let modes = [
-        (StreamMode::Adaptive as u32, Some(Mode::Adaptive)),
-        (StreamMode::Fixed as u32, Some(Mode::Fixed)),
-        (StreamMode::Sensor as u32, None),
+    let presets = [
+        (StreamMode::Adaptive as u32, Preset::Adaptive),
+        (StreamMode::Fixed as u32, Preset::Fixed),
+        (StreamMode::Sensor as u32, Preset::Sensor),
     ];
-    let mut options = match choice("options.mode", &modes, given.mode)? {
-        Some(Mode::Adaptive) => rect::StreamOptions::default(),
-        Some(Mode::Fixed) => rect::StreamOptions::fixed(max.ok_or_else(|| {
-            Failure::argument(
-                "options.max_frames_per_s",
-                "is 0, but a fixed stream requires a maximum frame rate",
-            )
-        })?),
-        None => rect::StreamOptions::sensor(),
+    let feedback_interval_s = match given.feedback_interval_ms {
+        0 => None,
+        FOREVER => Some(0.0),
+        ms => Some(f64::from(ms) / 1000.0),
     };
-    if given.webp {
-        options.lossy_format = LossyFormat::Webp;
-    }
-    options.max_frames_per_s = max.unwrap_or(options.max_frames_per_s);
-    options.min_frames_per_s = min.unwrap_or(options.min_frames_per_s);
-    Ok(options)
+    let options = PartialOptions {
+        preset: choice("options.mode", &presets, given.mode)?,
+        max_frames_per_s: unless_0(given.max_frames_per_s),
+        min_frames_per_s: unless_0(given.min_frames_per_s),
+        max_bytes_per_s: unless_0(given.max_bytes_per_s),
+        feedback_interval_s,
+        lossy_format: match given.webp {
+            true => LossyFormat::Webp,
+            false => LossyFormat::Jpeg,
+        },
+    };
+    Ok(options.complete().map_err(rect::Error::from)?)
 }
 
 /// Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
 /// `options` may be NULL for the defaults.
 ///
-/// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_ARGUMENT` if an option is. May be called on any thread.
+/// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_OPTION` if an option is out of range. May be called on
+/// any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_stream(
     robot: RobotHandle,

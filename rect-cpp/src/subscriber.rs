@@ -15,6 +15,7 @@ use crate::{
     message::{self, Message},
     program::Program,
     robot::RobotHandle,
+    sender_counts::{self, CountsBySender},
     subscription::{self, Source, Subscription},
     text::choice,
 };
@@ -164,6 +165,21 @@ pub extern "C" fn rect_subscriber_dropped(
     call(error, || {
         let waiting = handle::get::<Cancellable<rect::Subscriber>>(subscriber.id)?;
         write_out("dropped", dropped, waiting.source().dropped())
+    })
+}
+
+/// Writes how many messages of each robot the subscriber has received and missed to `counts`. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_subscriber_counts_by_sender(
+    subscriber: Subscriber,
+    counts: Option<&mut MaybeUninit<CountsBySender>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        require_out("counts", &counts)?;
+        let waiting = handle::get::<Cancellable<rect::Subscriber>>(subscriber.id)?;
+        let counted = sender_counts::into_c(waiting.source().counts_by_sender());
+        write_out("counts", counts, counted)
     })
 }
 

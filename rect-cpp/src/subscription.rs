@@ -61,7 +61,7 @@ pub fn start<S: Source>(
         let call = |item| wrapper.run(|context| invoke(&item, context));
         runtime.for_each(|| items.next(), call);
     });
-    started.map_err(|error| Failure::System("cannot start a thread for the callback", error))?;
+    started.map_err(|source| rect::Error::Thread { source })?;
     let id = handle::insert(CallbackSubscription { callback, source });
     Ok(Subscription { id })
 }

@@ -106,6 +106,22 @@ pub extern "C" fn rect_watch_next(
     })
 }
 
+/// Writes the round trip of a small message to the stream's sender to `round_trip_us`, in microseconds; -1 until the first one
+/// has been measured. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_watch_round_trip(
+    watch: Watch,
+    round_trip_us: Option<&mut MaybeUninit<i64>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        let watching = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
+        let measured = watching.source().round_trip().map(|time| time.as_micros());
+        let us = measured.map_or(-1, |us| i64::try_from(us).unwrap_or(i64::MAX));
+        write_out("round_trip_us", round_trip_us, us)
+    })
+}
+
 /// Calls `callback` for each frame of a stream, one after another, on a thread of the subscription, until the subscription
 /// is dropped. Frames that arrive during a call wait or are dropped as `options` specify; by default only the newest one is
 /// kept.

@@ -3,25 +3,29 @@
 #include <cstdio>
 #include <cstdlib>
 #include <rect.hpp>
+#include <string>
 
-#include "catch_amalgamated.hpp"
+#include "catch.hpp"
 
 namespace {
 
-class HandleLeakCheck : public Catch::EventListenerBase {
+class HandleLeakCheck : public EventListener {
 public:
-    using Catch::EventListenerBase::EventListenerBase;
+    using EventListener::EventListener;
 
-    void testCaseStarting(const Catch::TestCaseInfo&) override { before_ = rect_handle_count(); }
-    void testCaseEnded(const Catch::TestCaseStats& stats) override {
+    void testCaseStarting(const Catch::TestCaseInfo& test) override {
+        name_ = test.name;
+        before_ = rect_handle_count();
+    }
+    void testCaseEnded(const Catch::TestCaseStats&) override {
         if (rect_handle_count() != before_) {
-            const auto name = stats.testInfo->name.c_str();
-            std::fprintf(stderr, "%s: %zu handles were not dropped\n", name, rect_handle_count() - before_);
+            std::fprintf(stderr, "%s: %zu handles were not dropped\n", name_.c_str(), rect_handle_count() - before_);
             std::abort();
         }
     }
 
 private:
+    std::string name_;
     std::size_t before_ = 0;
 };
 

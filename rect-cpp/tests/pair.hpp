@@ -13,7 +13,7 @@
 #include <rect.hpp>
 #include <string>
 
-#include "catch_amalgamated.hpp"
+#include "catch.hpp"
 
 using namespace std::chrono_literals;
 

@@ -80,25 +80,56 @@ static void messages(rect_robot one, rect_robot two) {
     rect_message message;
     rect_robot urgent;
     rect_code code;
+    rect_counts_by_sender counts;
+    rect_publisher greetings;
+    bool has_subscribers;
     char name[RECT_NAME_BYTES];
     const rect_payload hello = rect_payload_text("hello");
     must(rect_robot_on_message(two, "wombat-1/greeting", NULL, on_message, &two, NULL, &echoing, &error), "on_message");
     must(rect_robot_subscribe(one, "wombat-2/echo", NULL, &subscriber, &error), "subscribe");
     must(rect_robot_with_urgency(one, RECT_URGENCY_URGENT, &urgent, &error), "with_urgency");
+    must(rect_robot_wait_for_peer(one, "wombat-2", TIMEOUT_MS, &error), "wait_for_peer");
+    must(rect_robot_wait_until_established(one, TIMEOUT_MS, &error), "wait_until_established");
+    must(rect_robot_publisher(urgent, "greeting", &greetings, &error), "publisher");
+    must(rect_publisher_wait_for_subscriber(greetings, TIMEOUT_MS, &error), "wait_for_subscriber");
+    must(rect_publisher_has_subscribers(greetings, &has_subscribers, &error), "has_subscribers");
+    check(has_subscribers, "there is a subscriber after waiting for one");
     do {
-        must(rect_robot_publish(urgent, "greeting", &hello, &error), "publish");
+        must(rect_publisher_publish(greetings, &hello, &error), "publish");
         code = rect_subscriber_next(subscriber, RETRY_MS, &message, &error);
     } while (code == RECT_CODE_TIMED_OUT);
     must(code, "next");
+    must(rect_drop(&greetings.id, &error), "drop");
     check(equals(message.sender, "wombat-2") && equals(message.topic, "echo") && has_text(message.payload, "hello"),
           "the echo is received");
     must(rect_drop(&message.id, &error), "drop");
     check(message.id == 0, "dropping sets the id to 0");
     must(rect_robot_name(urgent, &name, &error), "name");
     check(strcmp(name, "wombat-1") == 0, "the handle has the name of the robot");
+    must(rect_robot_fleet(urgent, &name, &error), "fleet");
+    check(strcmp(name, "rect") == 0, "the handle has the name of the fleet");
+    must(rect_subscriber_counts_by_sender(subscriber, &counts, &error), "counts_by_sender");
+    check(counts.len == 1 && equals(counts.items[0].sender, "wombat-2") && counts.items[0].received > 0, "a message is counted");
+    must(rect_drop(&counts.id, &error), "drop");
     must(rect_drop(&urgent.id, &error), "drop");
     must(rect_drop(&subscriber.id, &error), "drop");
     must(rect_drop(&echoing.id, &error), "drop");
+}
+
+/* The causes are those of the last error, if it has any. */
+static void causes(void) {
+    const char *listen[] = {"carrier-pigeon/roof"};
+    rect_options options = {0};
+    rect_robot robot;
+    char cause[RECT_ERROR_BYTES];
+    options.login_file = "/none";
+    options.listen = listen;
+    options.listen_len = 1;
+    check(rect_connect("wombat-1", &options, &robot, &error) == RECT_CODE_OPTION, "the endpoint is rejected");
+    check(rect_error_cause(0, &cause) == RECT_CODE_OK && strstr(cause, "carrier-pigeon") != NULL, "the cause is Zenoh's error");
+    check(rect_error_cause(0, NULL) == RECT_CODE_ARGUMENT, "NULL is rejected");
+    check(rect_connect(NULL, NULL, &robot, &error) == RECT_CODE_ARGUMENT, "the name is required");
+    check(rect_error_cause(0, &cause) == RECT_CODE_END, "an error of the caller has no cause");
 }
 
 static void services(rect_robot one, rect_robot two) {
@@ -122,6 +153,7 @@ static void streams(rect_robot one, rect_robot two) {
     rect_watch watch;
     rect_frame frame;
     rect_code code;
+    int64_t round_trip_us;
     const unsigned char value[] = {12, 34};
     const rect_payload payload = rect_payload_bytes(value, sizeof value);
     options.mode = RECT_STREAM_MODE_SENSOR;
@@ -133,6 +165,8 @@ static void streams(rect_robot one, rect_robot two) {
     } while (code == RECT_CODE_TIMED_OUT);
     must(code, "next");
     check(frame.payload.len == 2 && memcmp(frame.payload.data, value, 2) == 0, "the frame is correct");
+    must(rect_watch_round_trip(watch, &round_trip_us, &error), "round_trip");
+    check(round_trip_us >= -1, "the round trip is not measured yet, or positive");
     must(rect_drop(&frame.id, &error), "drop");
     must(rect_drop(&watch.id, &error), "drop");
     must(rect_drop(&stream.id, &error), "drop");
@@ -164,6 +198,7 @@ int main(void) {
     rect_robot one;
     rect_robot two;
     rect_robot copy;
+    causes();
     connect_pair(&one, &two);
     messages(one, two);
     services(one, two);

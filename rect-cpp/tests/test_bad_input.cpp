@@ -23,8 +23,6 @@ std::string argument_error(rect_code code, const rect_error& error) {
     return error.text;
 }
 
-using Catch::Matchers::ContainsSubstring;
-
 const rect_payload hello = rect_payload_text("hello");
 
 }  // namespace
@@ -141,7 +139,16 @@ TEST_CASE("invalid options for connecting are rejected") {
     CHECK_THAT(no_router.error().text, ContainsSubstring("rect-router"));
     options = {};
     options.listen = {"carrier-pigeon/roof"};
-    CHECK(rect::connect("wombat-1", options).error().code == rect::Code::option);
+    const auto no_protocol = rect::connect("wombat-1", options).error();
+    CHECK(no_protocol.code == rect::Code::option);
+    REQUIRE(no_protocol.causes.size() > 0);
+    CHECK_THAT(no_protocol.causes[0], ContainsSubstring("carrier-pigeon"));
+    try {
+        must(rect::connect("wombat-1", options));
+        FAIL("no exception");
+    } catch (const rect::Exception& exception) {
+        CHECK(exception.causes() == no_protocol.causes);
+    }
     options = {};
     options.zenoh = {{"transport/unicast/max_links", "{"}};
     CHECK(rect::connect("wombat-1", options).error().code == rect::Code::argument);

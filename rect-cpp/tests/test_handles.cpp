@@ -15,7 +15,7 @@ TEST_CASE("calls on a dropped handle fail, and so does dropping a copy of it") {
     robot.drop();
     rect_error error;
     CHECK(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE);
-    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("already dropped"));
+    CHECK_THAT(error.text, ContainsSubstring("already dropped"));
     CHECK(copy.id == 0);
     CHECK(rect_drop(&copy.id, &error) == RECT_CODE_OK);
 
@@ -28,6 +28,10 @@ TEST_CASE("calls on a dropped handle fail, and so does dropping a copy of it") {
     CHECK(rect::Subscriber().next(0ms).error().code == rect::Code::handle);
     CHECK(rect::Replies().next().error().code == rect::Code::handle);
     CHECK(rect::Stream().send("x").error().code == rect::Code::handle);
+    CHECK(rect::Publisher().publish("x").error().code == rect::Code::handle);
+    CHECK(rect::Publisher().wait_for_subscriber(0ms).error().code == rect::Code::handle);
+    CHECK(robot.wait_for_peer("wombat-2", 0ms).error().code == rect::Code::handle);
+    CHECK(robot.wait_until_established(0ms).error().code == rect::Code::handle);
     CHECK(rect::Watch().next(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfer().wait(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfers().next(0ms).error().code == rect::Code::handle);
@@ -40,7 +44,7 @@ TEST_CASE("a handle of another kind is rejected") {
     rect_names names;
     rect_error error;
     CHECK(rect_robot_peers(not_a_robot, &names, &error) == RECT_CODE_HANDLE);
-    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("robot"));
+    CHECK_THAT(error.text, ContainsSubstring("robot"));
     CHECK(must(subscriber.dropped()) == 0);
 }
 

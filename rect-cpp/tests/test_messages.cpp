@@ -23,6 +23,11 @@ TEST_CASE("a published message is received with its metadata") {
     CHECK_FALSE(message->late());
     CHECK(message->problem().empty());
     CHECK(must(subscriber.dropped()) == 0);
+    const auto counts = must(subscriber.counts_by_sender());
+    REQUIRE(counts.size() == 1);
+    CHECK(counts.at("wombat-1").received > 0);
+    CHECK(counts.at("wombat-1").missed == 0);
+    CHECK(must(pair.two.fleet()) == "rect");
 }
 
 TEST_CASE("a message sent to one robot has its recipient and urgency") {

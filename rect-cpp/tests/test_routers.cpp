@@ -39,6 +39,24 @@ TEST_CASE("a message received over Bluetooth reports its method", "[.routers]") 
     CHECK(must((*message)->payload.text()) == "12.5");
 }
 
+TEST_CASE("messages over Bluetooth arrive once the subscription is established", "[.routers]") {
+    Routers routers;
+    must(routers.two.wait_for_peer("wombat-1", deadline));
+    const auto subscriber = must(routers.two.subscribe("wombat-1/arm/*"));
+    must(routers.two.wait_until_established(deadline));
+    must(routers.one.publish("arm/angle", 12.5));
+    CHECK(must(subscriber.next(deadline))->topic() == "arm/angle");
+}
+
+TEST_CASE("a publisher waits for a subscriber over Bluetooth", "[.routers]") {
+    Routers routers;
+    const auto angles = must(routers.one.publisher("arm/angle"));
+    const auto subscriber = must(routers.two.subscribe("wombat-1/arm/*"));
+    must(angles.wait_for_subscriber(deadline));
+    must(angles.publish(12.5));
+    CHECK(must(subscriber.next(deadline))->topic() == "arm/angle");
+}
+
 TEST_CASE("a request over Bluetooth is answered", "[.routers]") {
     Routers routers;
     const auto service = must(routers.two.serve("battery", [](const rect::Request& request) { return std::string(request.sender()); }));

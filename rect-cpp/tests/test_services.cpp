@@ -49,11 +49,11 @@ TEST_CASE("a refusal, thrown or returned, is reported to the sender of the reque
     const auto thrown = request_when_available(pair.one, "thrower", "");
     REQUIRE_FALSE(thrown.has_value());
     CHECK(thrown.error().code == rect::Code::service);
-    CHECK_THAT(thrown.error().text, Catch::Matchers::ContainsSubstring("wombat-2") &&
-                                        Catch::Matchers::ContainsSubstring("there are the cells 1 and 2"));
+    CHECK_THAT(thrown.error().text, ContainsSubstring("wombat-2") &&
+                                        ContainsSubstring("there are the cells 1 and 2"));
     const auto returned = request_when_available(pair.one, "returner", "");
     REQUIRE_FALSE(returned.has_value());
-    CHECK_THAT(returned.error().text, Catch::Matchers::ContainsSubstring("not now"));
+    CHECK_THAT(returned.error().text, ContainsSubstring("not now"));
 }
 
 TEST_CASE("an exception in a service is reported locally and answered with an internal error") {
@@ -75,7 +75,7 @@ TEST_CASE("a request to an unknown robot fails with an error that lists the reac
     const auto reply = pair.one.request("wombat-7", "double", "21", 2s);
     REQUIRE_FALSE(reply.has_value());
     CHECK(reply.error().code == rect::Code::no_service);
-    CHECK_THAT(reply.error().text, Catch::Matchers::ContainsSubstring("wombat-2"));
+    CHECK_THAT(reply.error().text, ContainsSubstring("wombat-2"));
 }
 
 TEST_CASE("a slow service times out, and dropping it waits for the call in progress") {

@@ -2,6 +2,7 @@
 //
 //     build/default/tests/rect_tests -# '[#test_streams]'
 #include <atomic>
+#include <nlohmann/json.hpp>
 #include <thread>
 #include <vector>
 
@@ -61,7 +62,7 @@ TEST_CASE("a camera's pictures arrive as pictures") {
     }
     CHECK(width > 0);
     CHECK(width <= 64);
-    CHECK_THAT(must(stream.status()), Catch::Matchers::ContainsSubstring("\"groups\""));
+    CHECK_THAT(must(stream.status()), ContainsSubstring("\"groups\""));
 }
 
 TEST_CASE("sending without receivers sends nothing and succeeds") {
@@ -70,13 +71,49 @@ TEST_CASE("sending without receivers sends nothing and succeeds") {
     CHECK(must(stream.send("frame")) == 0);
 }
 
+TEST_CASE("the byte limit of a stream is respected, and receivers report") {
+    Pair pair;
+    rect::StreamOptions options;
+    options.max_bytes_per_s = 1000;
+    options.feedback_interval = 200ms;
+    const auto stream = must(pair.one.stream("camera", options));
+    const auto watch = must(pair.two.watch("wombat-1", "camera"));
+    const std::vector<std::uint8_t> pixels(64 * 48 * 3, 90);
+    const Repeat sending([&] { must(stream.send(rect::Picture(64, 48, rect::Format::rgb8, pixels))); });
+    until([&] {
+        const auto status = nlohmann::json::parse(must(stream.status()));
+        for (const auto& group : status["groups"]) {
+            CHECK(group["bytes_per_s"].get<double>() <= 1000);
+        }
+        return !status["receivers"].empty();
+    });
+    until([&] { return must(watch.round_trip()).has_value(); });
+}
+
 TEST_CASE("invalid options of a stream are rejected") {
     Pair pair;
-    CHECK(pair.one.stream("s", rect::StreamOptions::fixed(0)).error().code == rect::Code::argument);
-    CHECK(pair.one.stream("s", rect::StreamOptions::fixed(-1)).error().code == rect::Code::argument);
     rect::StreamOptions wrong;
     wrong.mode = static_cast<rect::StreamOptions::Mode>(9);
     const auto error = pair.one.stream("s", wrong).error();
     CHECK(error.code == rect::Code::argument);
-    CHECK_THAT(error.text, Catch::Matchers::ContainsSubstring("options.mode is 9"));
+    CHECK_THAT(error.text, ContainsSubstring("options.mode is 9"));
+
+    const auto rejected = [&](const rect::StreamOptions& options) {
+        const auto error = pair.one.stream("s", options).error();
+        CHECK(error.code == rect::Code::option);
+        return error.text;
+    };
+    CHECK_THAT(rejected(rect::StreamOptions::fixed(-1)),
+               ContainsSubstring("the option max_frames_per_s cannot be") && ContainsSubstring("-1") && ContainsSubstring("0.01 to 1000000"));
+    rect::StreamOptions options;
+    options.min_frames_per_s = 2e6;
+    CHECK_THAT(rejected(options), ContainsSubstring("min_frames_per_s"));
+    options = {};
+    options.max_bytes_per_s = 0.5;
+    CHECK_THAT(rejected(options), ContainsSubstring("max_bytes_per_s") && ContainsSubstring("1 or more"));
+    options = {};
+    options.feedback_interval = 100ms;
+    CHECK_THAT(rejected(options), ContainsSubstring("feedback_interval") && ContainsSubstring("0.2 to 10 seconds"));
+    options.feedback_interval = rect::forever;
+    must(pair.one.stream("s", options));
 }

@@ -74,7 +74,7 @@ TEST_CASE("transfers that are too large or whose file is missing fail") {
     const auto large = pair.one.transfer("wombat-2", "files", std::string(101, 'x'), with_deadline());
     REQUIRE_FALSE(large.has_value());
     CHECK(large.error().code == rect::Code::transfer_refused);
-    CHECK_THAT(large.error().text, Catch::Matchers::ContainsSubstring("100"));
+    CHECK_THAT(large.error().text, ContainsSubstring("100"));
     const auto none = pair.one.transfer("wombat-2", "files", rect::File{"/no/such/file"}, with_deadline());
     REQUIRE_FALSE(none.has_value());
     CHECK(none.error().code == rect::Code::file);

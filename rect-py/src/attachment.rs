@@ -32,14 +32,7 @@ pub fn write_attachment(
     PyBytes::new(py, &attachment.encode())
 }
 
-/// Encodes the attachment of a message that is sent now.
-#[pyfunction]
-pub fn write_attachment_now(py: Python<'_>, source: u16, sequence: u32) -> Bound<'_, PyBytes> {
-    write_attachment(py, source, sequence, Some(now_ms()), None)
-}
-
 /// Returns the time by this computer's clock, in milliseconds since 1970.
-#[pyfunction]
 pub fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| since.as_millis() as u64)

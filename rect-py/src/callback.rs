@@ -5,7 +5,9 @@ use std::time::Instant;
 use pyo3::{intern, prelude::*};
 use rect::core::key::AddressError;
 
-use crate::{connection::Links, counters::AtomicCounters, message::Inbound, queue::Queue};
+use crate::{
+    connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,
+};
 
 /// The callback for the messages of one Zenoh subscriber of a subscription. It appends a tuple to the queue: the
 /// metadata, the payload, the encoding, and the method of the link (`None` if it is unknown).
@@ -106,9 +108,4 @@ impl Timestamp {
     fn ago(&self) -> f64 {
         self.0.elapsed().as_secs_f64()
     }
-}
-
-/// Returns the bytes of a `ZBytes`.
-fn bytes_of<'py>(zbytes: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    zbytes.call_method0(intern!(zbytes.py(), "to_bytes"))
 }

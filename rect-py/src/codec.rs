@@ -1,16 +1,16 @@
 //! Exposes codecs and dictionaries, which compress and decompress payloads.
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
     codec::{self, dictionary::DictionaryCodec, Limits},
-    dictionary::{self, Dictionaries, RobotDictionaries},
+    dictionary::{self, Dictionaries},
     encoding::Encoding,
     payload::Payload,
 };
 
-use crate::{detached::detached, errors::OrRaise, key_space::name};
+use crate::{detached::detached, errors::OrRaise};
 
 /// The bytes and the encoding of a payload, as Python objects.
 pub type Parts<'py> = (Bound<'py, PyBytes>, String);
@@ -32,10 +32,6 @@ pub struct Codec(Arc<dyn codec::Codec>);
 /// Raises `DictionaryError` if the bytes are not a dictionary.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Dictionary(pub Arc<dictionary::Dictionary>);
-
-/// The dictionaries of several robots. A dictionary is used only for the messages of its robot.
-#[pyclass(frozen, module = "rect._rect")]
-pub struct DictionaryStore(Mutex<RobotDictionaries>);
 
 /// Makes a payload that shares the bytes of a Python object.
 pub fn payload(bytes: PyBackedBytes, encoding: &str) -> Payload {
@@ -109,41 +105,6 @@ pub fn decode<'py>(
     let limits = limits(max_bytes, None);
     let decoded = detached(py, || codec::decode(&payload, &limits, &store)).or_raise()?;
     Ok(parts(py, &decoded))
-}
-
-#[pymethods]
-impl DictionaryStore {
-    #[new]
-    fn new() -> Self {
-        Self(Mutex::default())
-    }
-
-    /// Adds a dictionary of a robot.
-    fn add(&self, robot: &str, dictionary: &Dictionary) -> PyResult<()> {
-        let robot = name(robot)?;
-        let mut robots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        robots.add(&robot, dictionary.0.clone());
-        Ok(())
-    }
-
-    /// Decodes a payload of a robot completely, with the dictionaries of that robot. Raises `CodecError`.
-    fn decode<'py>(
-        &self,
-        py: Python<'py>,
-        robot: &str,
-        bytes: PyBackedBytes,
-        encoding: &str,
-    ) -> PyResult<Parts<'py>> {
-        let robot = name(robot)?;
-        let payload = payload(bytes, encoding);
-        let decoded = py.detach(|| {
-            let robots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            let dictionaries = robots.of(&robot).clone();
-            drop(robots);
-            codec::decode(&payload, &Limits::default(), &dictionaries)
-        });
-        Ok(parts(py, &decoded.or_raise()?))
-    }
 }
 
 #[pymethods]

@@ -6,8 +6,9 @@ use rect::core::{
     key,
     name::Name,
     payload::PayloadError,
-    stream::{self, Group},
+    publication::PublicationKey,
     topic::{Pattern, Topic},
+    urgency::Urgency,
 };
 
 use crate::errors::OrRaise;
@@ -68,12 +69,6 @@ pub fn encoding_parts(text: &str) -> (String, Option<String>, Option<String>) {
     )
 }
 
-/// Returns whether a payload of that encoding is compressed by a codec.
-#[pyfunction]
-pub fn is_encoded(text: &str) -> bool {
-    codec::is_encoded(&Encoding::new(text.to_owned()))
-}
-
 /// Raises `PayloadError` unless a payload with that encoding can be sent.
 #[pyfunction]
 pub fn check_encoding(text: &str) -> PyResult<()> {
@@ -99,14 +94,15 @@ impl KeySpace {
         self.0.robot.as_str()
     }
 
-    /// Returns the key under which this robot publishes on a topic or serves it.
-    fn publication(&self, topic: &str) -> PyResult<String> {
-        Ok(self.0.publication(&self::topic(topic)?))
-    }
-
-    /// Returns the key of messages from this robot to another one.
-    fn message(&self, robot: &str, topic: &str) -> PyResult<String> {
-        Ok(self.0.message(&name(robot)?, &self::topic(topic)?))
+    /// Returns the key under which this robot publishes on a topic or serves it, or the key of its messages to one robot.
+    #[pyo3(signature = (topic, recipient=None))]
+    fn publication(&self, topic: &str, recipient: Option<&str>) -> PyResult<String> {
+        let key = PublicationKey {
+            topic: self::topic(topic)?,
+            recipient: recipient.map(name).transpose()?,
+            urgency: Urgency::default(),
+        };
+        Ok(key.key(&self.0))
     }
 
     /// Returns the key of a service of a robot, or of all robots (`None`).
@@ -145,42 +141,7 @@ impl KeySpace {
         ))
     }
 
-    /// Returns the key of a stream's frames for a group: 0 is the main group, 1 the slow one.
-    fn frames(&self, sender: &str, topic: &str, group: usize) -> PyResult<String> {
-        let key_space = self.of(sender)?;
-        let group = Group::ALL.get(group).copied().unwrap_or_default();
-        Ok(group.key(&key_space, &self::topic(topic)?))
-    }
-
-    /// Returns the key of the notices of a stream.
-    fn notice(&self, sender: &str, topic: &str) -> PyResult<String> {
-        Ok(stream::notice_key(&self.of(sender)?, &self::topic(topic)?))
-    }
-
-    /// Returns the key of this robot's feedback on a stream of `sender`.
-    fn feedback(&self, sender: &str, topic: &str) -> PyResult<String> {
-        Ok(stream::feedback_key(
-            &self.0,
-            &name(sender)?,
-            &self::topic(topic)?,
-        ))
-    }
-
-    /// Returns the key expression of all feedback on a stream of this robot.
-    fn feedbacks(&self, topic: &str) -> PyResult<String> {
-        Ok(stream::feedback_keys(&self.0, &self::topic(topic)?))
-    }
-
     fn __repr__(&self) -> String {
         format!("KeySpace({}/{})", self.0.fleet, self.0.robot)
-    }
-}
-
-impl KeySpace {
-    /// Returns the key space of another robot of the fleet.
-    fn of(&self, robot: &str) -> PyResult<key::KeySpace> {
-        let fleet = self.0.fleet.clone();
-        let robot = name(robot)?;
-        Ok(key::KeySpace { fleet, robot })
     }
 }

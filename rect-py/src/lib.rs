@@ -4,17 +4,22 @@
 //! library's storage. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
 mod attachment;
 mod callback;
+mod clock;
 mod codec;
 mod connection;
 mod counters;
+mod decoder;
 mod detached;
+mod driver;
 mod errors;
 mod key_space;
 mod message;
 mod picture;
+mod publication;
 mod queue;
 mod request;
 mod router;
+mod settings;
 mod stream;
 mod transfer;
 mod urgency;
@@ -27,25 +32,31 @@ use pyo3::prelude::*;
 mod _rect {
     #[pymodule_export]
     use crate::{
-        attachment::{now_ms, read_attachment, write_attachment, write_attachment_now},
+        attachment::{read_attachment, write_attachment},
         callback::{OnMessage, OnRequest, Timestamp},
-        codec::{decode, Codec, Dictionary, DictionaryStore},
-        connection::{named_connection, Links, Presence},
+        codec::{decode, Codec, Dictionary},
+        connection::{named_connection, Links},
         counters::AtomicCounters,
+        decoder::{Decoder, Fetched},
         detached::{forget_work, settle},
+        driver::{
+            direct_presence, established_wait, observer, peer_wait, peers_query, registry_change,
+            registry_query, router_observer, ConnectionsReport, Driver, Report,
+        },
         errors::{forget, on_one_line},
         key_space::{
-            check_encoding, check_name, check_topic, encoding_parts, is_encoded, pattern,
-            pattern_of, KeySpace,
+            check_encoding, check_name, check_topic, encoding_parts, pattern, pattern_of, KeySpace,
         },
         message::{Inbound, MessageMetadata},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
+        publication::Numbering,
         queue::{Ended, Queue},
-        request::{error_encoding, error_from, read_request_header, write_request_header},
+        request::{busy_reply, error_encoding, requester, Inquiry},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
-        stream::{Job, StreamReceiver, StreamSender},
-        transfer::{transfer_ended, Admission, Offered, Pull, Question, TransferSender},
-        urgency::{qos, stream_qos, uses_separate_session},
+        settings::{default_router, session_settings},
+        stream::{FrameCounter, Job, StreamPublish, StreamWatch},
+        transfer::{OfferedTransfer, TransferPull, TransferPush, TransferReception},
+        urgency::{choose_session, qos},
         value::{read_value, write_value},
     };
 
@@ -54,17 +65,26 @@ mod _rect {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         use rect::core::{
-            login, named_connection, queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS, router,
-            transfer,
+            endpoint, inquiry, login, named_connection, peers,
+            publication::{self, Publications},
+            queue::DEFAULT_CAPACITY,
+            request::DEFAULT_TIMEOUT_MS,
+            router, service, settings,
         };
-        module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
-        module.add("DEFAULT_TIMEOUT_MS", DEFAULT_TIMEOUT_MS)?;
-        module.add("LOGIN_VARIABLE", login::FILE_VARIABLE)?;
-        module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
-        module.add("TRANSFER_OFFERS", transfer::OFFERS)?;
-        module.add("CONFIG", named_connection::CONFIG)?;
         module.add("ADD", named_connection::ADD)?;
+        module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
+        module.add("DEFAULT_TIMEOUT_S", f64::from(DEFAULT_TIMEOUT_MS) / 1000.0)?;
+        module.add("DIAGNOSIS", settings::DIAGNOSIS.to_vec())?;
+        module.add("LARGE_BYTES", publication::LARGE_BYTES)?;
+        module.add("LOGIN_VARIABLE", login::FILE_VARIABLE)?;
+        module.add("MAX_CONCURRENT", service::MAX_CONCURRENT)?;
+        module.add("MAX_PUBLICATIONS", Publications::<()>::MAX)?;
+        module.add("MAX_REPLIES", inquiry::MAX_REPLIES)?;
+        module.add("QUERY_TIMEOUT_S", peers::TIMEOUT.as_secs_f64())?;
         module.add("REMOVE", named_connection::REMOVE)?;
+        module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
+        module.add("ROUTER_VARIABLE", endpoint::ROUTER_VARIABLE)?;
+        module.add("SERVICE_CAPACITY", service::CAPACITY)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -3,6 +3,7 @@ use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
     array::{Array, Element},
+    cause::Cause,
     codec::CodecError,
     payload::ToPayload,
     picture::{Format, Picture},
@@ -32,9 +33,9 @@ pub fn picture_of(
         Some(format) => Picture::new(width, height, format, Bytes::from_owner(pixels)),
         None => Err(CodecError::Damaged {
             format: "picture",
-            reason: format!(
+            reason: Cause::new(format!(
                 "there is no pixel format {format:?}; possible formats: grey8, rgb8, rgba8"
-            ),
+            )),
         }),
     };
     picture.or_raise()
@@ -112,7 +113,7 @@ pub fn array_encoding(element: &str, shape: Vec<usize>, bytes: PyBackedBytes) ->
             );
             Err(CodecError::Damaged {
                 format: "array",
-                reason,
+                reason: Cause::new(reason),
             })
         }
     };

@@ -1,32 +1,111 @@
-//! Encodes and decodes the headers of requests, and the encodings of error replies.
+//! Exposes the requests of a program, the meaning of their replies, and the headers of the requests to its services.
 use bytes::Bytes;
-use pyo3::{prelude::*, types::PyBytes};
+use pyo3::{
+    intern,
+    prelude::*,
+    pybacked::PyBackedBytes,
+    types::{PyBytes, PyTuple},
+};
 use rect::core::{
     encoding::Encoding,
+    inquiry::{self, ReplyKind},
     payload::Payload,
-    request::{error_from_payload, error_to_payload, RequestHeader},
+    request::error_to_payload,
+    service::{self, Requester},
 };
 
-use crate::key_space::name;
+use crate::{
+    codec::{parts, payload, Parts},
+    driver::{bytes_of, get, seconds},
+    key_space::{name, topic, KeySpace},
+    urgency,
+};
 
-/// Encodes the header of a request: the robot that sends it, and its timeout in milliseconds.
-#[pyfunction]
-pub fn write_request_header<'py>(
-    py: Python<'py>,
-    robot: &str,
-    timeout_ms: u32,
-) -> PyResult<Bound<'py, PyBytes>> {
-    let sender = name(robot)?;
-    let header = RequestHeader { sender, timeout_ms };
-    Ok(PyBytes::new(py, &header.encode()))
+/// A request to services.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Inquiry(inquiry::Inquiry);
+
+#[pymethods]
+impl Inquiry {
+    /// Creates a request to the service `topic` of a robot, or of all robots (`None`).
+    #[new]
+    fn new(
+        key_space: &KeySpace,
+        robot: Option<&str>,
+        topic: &str,
+        timeout_s: f64,
+    ) -> PyResult<Self> {
+        let robot = robot.map(name).transpose()?;
+        let place = key_space.0.clone();
+        let inquiry = inquiry::Inquiry::new(place, robot, self::topic(topic)?, seconds(timeout_s));
+        Ok(Self(inquiry))
+    }
+
+    /// Returns the query to send, as the step `get` of a driver.
+    fn get<'py>(
+        &self,
+        py: Python<'py>,
+        bytes: PyBackedBytes,
+        encoding: &str,
+        urgency: &str,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        let urgency = urgency::parse(py, urgency)?;
+        get(py, 0, self.0.get(payload(bytes, encoding), urgency))
+    }
+
+    /// Returns the meaning of a reply of Zenoh: `answer` or `error`, each with the robot (`None` if it does not use RECT)
+    /// and the payload, `timed_out`, or `not_of_a_robot` with the key.
+    fn on_reply<'py>(
+        &self,
+        py: Python<'py>,
+        reply: &Bound<'py, PyAny>,
+    ) -> PyResult<(&'static str, Option<String>, Parts<'py>)> {
+        let ok = reply.getattr(intern!(py, "ok"))?;
+        let received = if ok.is_none() {
+            let error = reply.getattr(intern!(py, "err"))?;
+            Err(payload_of(&error)?)
+        } else {
+            let key = ok.getattr(intern!(py, "key_expr"))?.str()?.to_string();
+            Ok(rect::core::driver::Sample {
+                key,
+                payload: payload_of(&ok)?,
+                attachment: None,
+                is_deleted: false,
+            })
+        };
+        let nothing = || (PyBytes::new(py, &[]), String::new());
+        Ok(match self.0.on_reply(received) {
+            ReplyKind::Answer { sender, payload } => {
+                ("answer", Some(sender.to_string()), parts(py, &payload))
+            }
+            ReplyKind::Error { robot, payload } => {
+                let robot = robot.map(|robot| robot.to_string());
+                ("error", robot, parts(py, &payload))
+            }
+            ReplyKind::TimedOut => ("timed_out", None, nothing()),
+            ReplyKind::NotOfARobot { key } => ("not_of_a_robot", Some(key), nothing()),
+        })
+    }
+
+    /// Description of the expected reply, for the text of a timeout.
+    #[getter]
+    fn expected(&self) -> String {
+        self.0.expected()
+    }
 }
 
-/// Decodes the header of a request: its sender, and its timeout in milliseconds. Returns `None` if the bytes are not a
-/// header of RECT.
+/// Returns the sender of a request (`None` if it does not use RECT) and its timeout in seconds, from its attachment.
 #[pyfunction]
-pub fn read_request_header(bytes: &[u8]) -> Option<(String, u32)> {
-    let header = RequestHeader::decode(bytes)?;
-    Some((header.sender.to_string(), header.timeout_ms))
+pub fn requester(attachment: Option<&[u8]>) -> (Option<String>, f64) {
+    let requester = Requester::of(attachment);
+    let robot = requester.robot.map(|robot| robot.to_string());
+    (robot, requester.timeout.as_secs_f64())
+}
+
+/// Returns the error reply of a robot to a request for which there is no room.
+#[pyfunction]
+pub fn busy_reply<'py>(py: Python<'py>, robot: &str) -> PyResult<Parts<'py>> {
+    Ok(parts(py, &service::busy(&name(robot)?)))
 }
 
 /// Returns the encoding of an error reply of a robot. `encoding` is that of the error's payload.
@@ -36,13 +115,10 @@ pub fn error_encoding(robot: &str, encoding: String) -> PyResult<String> {
     Ok(error_to_payload(&name(robot)?, error).encoding.to_string())
 }
 
-/// Splits the encoding of an error reply into the robot (`None` if it does not use RECT) and the encoding of the error.
-#[pyfunction]
-pub fn error_from(encoding: String) -> (Option<String>, String) {
-    let reply = Payload::new(Bytes::new(), Encoding::new(encoding));
-    let (robot, error) = error_from_payload(reply);
-    (
-        robot.map(|robot| robot.to_string()),
-        error.encoding.to_string(),
-    )
+/// Returns the payload of a sample or an error reply of Zenoh.
+fn payload_of(received: &Bound<'_, PyAny>) -> PyResult<Payload> {
+    let py = received.py();
+    let bytes = bytes_of(&received.getattr(intern!(py, "payload"))?)?;
+    let encoding = received.getattr(intern!(py, "encoding"))?.str()?;
+    Ok(payload(bytes.extract()?, &encoding.to_cow()?))
 }

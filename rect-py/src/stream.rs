@@ -1,39 +1,35 @@
-//! Wraps the core's sending and receiving ends of a stream, and supplies them with the time of the monotonic clock.
-use std::{
-    sync::{Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant},
-};
+//! Wraps the core's sending and receiving ends of a stream.
+use std::sync::{Arc, Mutex};
 
-use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
-use rect::core::{
-    attachment::Attachment,
-    stream::{
-        feedback::Feedback,
-        feedback_from,
-        ladder::Coding,
-        notice::Notice,
-        picture::{encode, LossyFormat},
-        receiver::Receiver,
-        sender::{self, Options, Sender},
-        Group,
-    },
+use pyo3::{
+    prelude::*,
+    pybacked::PyBackedBytes,
+    types::{PyBytes, PyTuple},
+};
+use rect::core::stream::{
+    ladder::Coding,
+    options::{OptionError, PartialOptions},
+    picture::{encode, LossyFormat},
+    publish, sender, watch,
 };
 
 use crate::{
-    codec::{parts, Parts},
+    attachment::now_ms,
+    clock::Clock,
+    codec::{parts, payload, Parts},
     detached::detached,
-    errors::{raised, OrRaise},
-    key_space::{name, KeySpace},
+    driver::{act, lock, Driver},
+    errors::{raised, OrRaise, Raised},
+    key_space::{name, topic, KeySpace},
     picture::picture_of,
+    urgency,
 };
-
-/// Maximum feedback interval, in seconds.
-const MAX_FEEDBACK_INTERVAL_S: f64 = 3600.0;
 
 /// The sending end of a stream.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct StreamSender {
-    core: Mutex<Sender>,
+pub struct StreamPublish {
+    core: Arc<Mutex<publish::StreamPublish>>,
+    clock: Clock,
     lossy_format: LossyFormat,
 }
 
@@ -43,82 +39,78 @@ pub struct Job(sender::Job);
 
 /// The receiving end of a stream.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct StreamReceiver(Mutex<Receiver>);
+pub struct StreamWatch {
+    core: Arc<Mutex<watch::StreamWatch>>,
+    clock: Clock,
+}
+
+/// Counts the frames that a program has not read.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct FrameCounter(Mutex<watch::FrameCounter>);
 
 #[pymethods]
-impl StreamSender {
-    /// Creates a sender. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the
+impl StreamPublish {
+    /// Creates a sender. `unix_ms` is the time in milliseconds since 1970; default: the time of the clock. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the
     /// mode. Raises `OptionError`.
     #[new]
-    #[pyo3(signature = (mode, source, unix_ms, *, max_frames_per_s=None, min_frames_per_s=None, max_bytes_per_s=None,
-        feedback_interval_s=None, webp=false))]
+    #[pyo3(signature = (key_space, topic, urgency, mode, source, *, max_frames_per_s=None, min_frames_per_s=None, max_bytes_per_s=None,
+        feedback_interval_s=None, webp=false, unix_ms=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
+        key_space: &KeySpace,
+        topic: &str,
+        urgency: &str,
         mode: &str,
         source: u16,
-        unix_ms: u64,
         max_frames_per_s: Option<f64>,
         min_frames_per_s: Option<f64>,
         max_bytes_per_s: Option<f64>,
         feedback_interval_s: Option<f64>,
         webp: bool,
+        unix_ms: Option<u64>,
     ) -> PyResult<Self> {
-        let option_error = |option: &str, value: String, expected: &str| {
-            raised(py, "OptionError", (option, value, expected))
+        let partial = PartialOptions {
+            preset: mode.parse().or_raise()?,
+            max_frames_per_s,
+            min_frames_per_s,
+            max_bytes_per_s,
+            feedback_interval_s,
+            lossy_format: if webp {
+                LossyFormat::Webp
+            } else {
+                LossyFormat::Jpeg
+            },
         };
-        let positive = |option: &str, number: Option<f64>| match number {
-            Some(number) if !(number.is_finite() && number > 0.0) => Err(option_error(
-                option,
-                number.to_string(),
-                "it must be a number above 0",
-            )),
-            number => Ok(number),
-        };
-        let mut options = match mode {
-            "adaptive" => Options::default(),
-            "fixed" => Options::fixed(Options::default().max_frames_per_s),
-            "sensor" => Options::sensor(),
-            _ => {
-                let expected = "it must be \"adaptive\", \"fixed\" or \"sensor\"";
-                return Err(option_error("mode", mode.to_owned(), expected));
-            }
-        };
-        if let Some(max) = positive("max_frames_per_s", max_frames_per_s)? {
-            options.max_frames_per_s = max;
-        }
-        if let Some(min) = positive("min_frames_per_s", min_frames_per_s)? {
-            options.min_frames_per_s = min;
-        }
-        if let Some(max) = positive("max_bytes_per_s", max_bytes_per_s)? {
-            options.rates.max_bytes_per_s = max;
-            options.rates.initial_bytes_per_s = options.rates.initial_bytes_per_s.min(max);
-            options.rates.min_bytes_per_s = options.rates.min_bytes_per_s.min(max);
-        }
-        match feedback_interval_s {
-            Some(seconds) if !(0.0..=MAX_FEEDBACK_INTERVAL_S).contains(&seconds) => {
-                let expected = "it must be 0 (never) to 3600 seconds";
-                return Err(option_error(
-                    "feedback_interval",
-                    seconds.to_string(),
-                    expected,
-                ));
-            }
-            Some(seconds) => options.feedback_interval = Duration::from_secs_f64(seconds),
-            None => {}
-        }
-        if webp {
-            options.lossy_format = LossyFormat::Webp;
-        }
+        let options = partial.complete().or_raise()?;
         let lossy_format = options.lossy_format;
-        let core = Mutex::new(Sender::new(options, source, unix_ms, Instant::now()));
-        Ok(Self { core, lossy_format })
+        let clock = Clock::new();
+        let now = clock.created_at();
+        let stream = publish::StreamPublish::new(
+            &key_space.0,
+            &self::topic(topic)?,
+            options,
+            urgency::parse(py, urgency)?,
+            source,
+            unix_ms.unwrap_or_else(now_ms),
+            now,
+        );
+        Ok(Self {
+            core: Arc::new(Mutex::new(stream)),
+            clock,
+            lossy_format,
+        })
+    }
+
+    /// Returns the driver to execute.
+    fn driver(&self) -> Driver {
+        Driver::shared(&self.core, &self.clock)
     }
 
     /// Offers a frame of `pixels` pixels (or bytes, if it is not a picture). Returns a job for each group of receivers
     /// that is due for a frame.
     fn offer(&self, pixels: usize) -> Vec<Job> {
-        let jobs = self.core().offer(pixels, Instant::now());
+        let jobs = lock(&self.core).offer(pixels, self.clock.now());
         jobs.into_iter().map(Job).collect()
     }
 
@@ -136,64 +128,45 @@ impl StreamSender {
         Ok(parts(py, &encoded.or_raise()?))
     }
 
-    /// Handles a frame that was encoded into `bytes` bytes, and returns its attachment.
-    fn on_encoded<'py>(&self, py: Python<'py>, job: &Job, bytes: usize) -> Bound<'py, PyBytes> {
-        let attachment = self.core().on_encoded(job.0, bytes, Instant::now());
-        PyBytes::new(py, &attachment.encode())
+    /// Returns the step that sends the frame that was encoded for a job.
+    fn frame<'py>(
+        &self,
+        py: Python<'py>,
+        job: &Job,
+        bytes: PyBackedBytes,
+        encoding: &str,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        let payload = payload(bytes, encoding);
+        let action = lock(&self.core).frame(job.0, payload, self.clock.now());
+        act(py, action)
     }
 
-    /// Handles Zenoh's report whether a group's key has subscribers.
-    fn on_subscribers(&self, group: usize, has_subscribers: bool) {
-        if let Some(group) = Group::ALL.get(group) {
-            self.core().on_subscribers(*group, has_subscribers);
-        }
-    }
-
-    /// Handles the feedback of a receiver. Invalid feedback changes nothing.
-    fn on_feedback(&self, key_space: &KeySpace, key: &str, bytes: &[u8]) {
-        let decoded = (feedback_from(&key_space.0, key), Feedback::decode(bytes));
-        if let (Some(robot), Ok(feedback)) = decoded {
-            self.core().on_feedback(&robot, &feedback, Instant::now());
-        }
-    }
-
-    /// Returns the notice to publish now, if there is one.
-    fn poll_notice<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
-        let notice = self.core().poll_notice(Instant::now())?;
-        Some(PyBytes::new(py, &notice.encode()))
-    }
-
-    /// Returns the current notice, for a receiver that queries it.
-    fn notice<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        let notice = self.core().notice(Instant::now());
-        PyBytes::new(py, &notice.encode())
+    /// The key that identifies the stream.
+    #[getter]
+    fn key(&self) -> String {
+        lock(&self.core).notice_key().to_owned()
     }
 
     /// Returns the state of the stream, as JSON.
     fn status<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        let status = self.core().status();
+        let status = lock(&self.core).status();
         // It contains only numbers and names, so encoding it as JSON cannot fail.
         PyBytes::new(py, &serde_json::to_vec(&status).unwrap_or_default())
     }
 }
 
-impl StreamSender {
-    fn core(&self) -> MutexGuard<'_, Sender> {
-        self.core.lock().unwrap_or_else(PoisonError::into_inner)
+impl Raised for OptionError {
+    fn raised(self) -> PyErr {
+        let reason = self.reason();
+        Python::attach(|py| match self.value.parse::<f64>() {
+            Ok(number) => raised(py, "OptionError", (self.option, number, reason)),
+            Err(_) => raised(py, "OptionError", (self.option, self.value, reason)),
+        })
     }
 }
 
 #[pymethods]
 impl Job {
-    /// The group of receivers: 0 is the main group, 1 the slow one.
-    #[getter]
-    fn group(&self) -> usize {
-        Group::ALL
-            .iter()
-            .position(|group| *group == self.0.group)
-            .unwrap_or_default()
-    }
-
     /// The quality, 1 to 100. `None` if the picture is to be lossless, or if the stream is not adaptive.
     #[getter]
     fn quality(&self) -> Option<u8> {
@@ -211,72 +184,39 @@ impl Job {
 }
 
 #[pymethods]
-impl StreamReceiver {
+impl StreamWatch {
+    /// Creates the receiving end of a stream of a robot. `id` is a random number of 16 bits.
     #[new]
-    fn new(robot: &str, id: u16) -> PyResult<Self> {
-        let receiver = Receiver::new(name(robot)?, id, Instant::now());
-        Ok(Self(Mutex::new(receiver)))
+    fn new(key_space: &KeySpace, robot: &str, topic: &str, id: u16) -> PyResult<Self> {
+        let (robot, topic, clock) = (name(robot)?, self::topic(topic)?, Clock::new());
+        let core = watch::StreamWatch::new(&key_space.0, robot, topic, id, clock.created_at());
+        Ok(Self {
+            core: Arc::new(Mutex::new(core)),
+            clock,
+        })
     }
 
-    /// Handles a frame, and returns its number, its age in seconds if it is known, and the number of frames directly
-    /// before it that did not arrive. Returns `None` if the frame is older than one that has already arrived.
-    fn on_frame(&self, attachment: Option<&[u8]>, bytes: usize) -> Option<(u32, Option<f64>, u32)> {
-        let attachment = attachment.and_then(Attachment::decode);
-        let seen = self.core().on_frame(attachment, bytes, Instant::now())?;
-        let age = seen.age.map(|age| age.as_secs_f64());
-        Some((seen.number, age, seen.skipped))
-    }
-
-    /// Handles the reply to a query for the notice that was sent `asked_s_ago` seconds ago.
-    fn on_answer(&self, notice: &[u8], asked_s_ago: f64) {
-        let now = Instant::now();
-        let ago = Duration::try_from_secs_f64(asked_s_ago).unwrap_or_default();
-        let asked = now.checked_sub(ago).unwrap_or(now);
-        if let Ok(notice) = Notice::decode(notice) {
-            self.core().on_reply(&notice, asked, now);
-        }
-    }
-
-    /// Handles a notice that the sender published.
-    fn on_notice(&self, notice: &[u8]) {
-        if let Ok(notice) = Notice::decode(notice) {
-            self.core().on_notice(&notice);
-        }
-    }
-
-    /// Returns the group whose frames to subscribe to, once it is known.
-    fn poll_group(&self) -> Option<usize> {
-        let group = self.core().poll_group(Instant::now())?;
-        Group::ALL.iter().position(|known| *known == group)
-    }
-
-    /// Returns whether to query the notice of the sender now.
-    fn poll_question(&self) -> bool {
-        self.core().poll_query(Instant::now())
-    }
-
-    /// Returns the feedback to send now, if there is any.
-    fn poll_feedback<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyBytes>> {
-        let feedback = self.core().poll_feedback(Instant::now())?;
-        Some(PyBytes::new(py, &feedback.encode()))
-    }
-
-    /// Returns the time until the next poll, in seconds. A poll is due at once after a notice has arrived.
-    fn poll_in(&self) -> f64 {
-        let now = Instant::now();
-        let at = self.core().poll_at(now);
-        at.saturating_duration_since(now).as_secs_f64()
+    /// Returns the driver to execute.
+    fn driver(&self) -> Driver {
+        Driver::shared(&self.core, &self.clock)
     }
 
     /// Returns the round trip of a small message to the sender, in seconds, once it is known.
     fn round_trip(&self) -> Option<f64> {
-        let round_trip = self.core().round_trip();
+        let round_trip = lock(&self.core).round_trip();
         round_trip.map(|time| time.as_secs_f64())
     }
 }
 
-impl StreamReceiver {
-    fn core(&self) -> MutexGuard<'_, Receiver> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+#[pymethods]
+impl FrameCounter {
+    #[new]
+    fn new() -> Self {
+        Self(Mutex::default())
+    }
+
+    /// Handles that the program reads a frame. Returns the number of frames since the previous one that it read.
+    fn on_read(&self, ordinal: u64) -> u32 {
+        lock(&self.0).on_read(ordinal)
     }
 }

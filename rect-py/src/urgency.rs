@@ -1,8 +1,14 @@
 //! Converts urgencies between their names and the core's type, and to Zenoh's quality of service.
 use pyo3::prelude::*;
-use rect::core::urgency::{Qos, Urgency};
+use rect::core::{
+    settings::{SessionChoice, SessionsState},
+    urgency::Urgency,
+};
 
-use crate::errors::raised;
+use crate::{
+    driver::{qos_fields, QosFields},
+    errors::raised,
+};
 
 const ALL: [(&str, Urgency); 3] = [
     ("urgent", Urgency::Urgent),
@@ -10,25 +16,32 @@ const ALL: [(&str, Urgency); 3] = [
     ("bulk", Urgency::Bulk),
 ];
 
-/// Zenoh's priority (1 to 7), whether a message is sent without batching, and whether a congested link drops it.
-type QosFields = (u8, bool, bool);
-
 /// Returns the quality of service of messages of that urgency.
 #[pyfunction]
 pub fn qos(py: Python<'_>, urgency: &str) -> PyResult<QosFields> {
-    Ok(fields(parse(py, urgency)?.qos()))
+    Ok(qos_fields(parse(py, urgency)?.qos()))
 }
 
-/// Returns the quality of service of a stream's frames of that urgency.
+/// Returns which session carries messages of that urgency: `normal`, `separate`, or `open` if the separate session is to
+/// be opened now. `is_linked`: whether the normal session is linked with the router.
 #[pyfunction]
-pub fn stream_qos(py: Python<'_>, urgency: &str) -> PyResult<QosFields> {
-    Ok(fields(parse(py, urgency)?.qos().drop_when_congested()))
-}
-
-/// Returns whether messages of that urgency use a separate session with the router.
-#[pyfunction]
-pub fn uses_separate_session(py: Python<'_>, urgency: &str) -> PyResult<bool> {
-    Ok(parse(py, urgency)?.uses_separate_session())
+pub fn choose_session(
+    py: Python<'_>,
+    urgency: &str,
+    has_router: bool,
+    is_open: bool,
+    is_linked: bool,
+) -> PyResult<&'static str> {
+    let state = SessionsState {
+        has_router,
+        is_open,
+        is_linked,
+    };
+    Ok(match state.choose(parse(py, urgency)?) {
+        SessionChoice::Normal => "normal",
+        SessionChoice::Separate => "separate",
+        SessionChoice::Open => "open",
+    })
 }
 
 /// Returns the name of an urgency.
@@ -40,11 +53,8 @@ pub fn as_str(urgency: Urgency) -> &'static str {
     }
 }
 
-fn fields(qos: Qos) -> QosFields {
-    (qos.priority, qos.express, qos.droppable)
-}
-
-fn parse(py: Python<'_>, text: &str) -> PyResult<Urgency> {
+/// Parses the name of an urgency. Raises `OptionError`.
+pub fn parse(py: Python<'_>, text: &str) -> PyResult<Urgency> {
     let found = ALL.iter().find(|(name, _)| *name == text);
     found.map(|(_, urgency)| *urgency).ok_or_else(|| {
         let expected = "it must be \"urgent\", \"normal\" or \"bulk\"";

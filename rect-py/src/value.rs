@@ -7,7 +7,10 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple},
 };
-use rect::core::payload::{Cbor, Json, PayloadError, ToPayload};
+use rect::core::{
+    cause::Cause,
+    payload::{Cbor, Json, PayloadError, ToPayload},
+};
 use serde::{
     de::{MapAccess, SeqAccess, Visitor},
     ser::{SerializeMap, SerializeSeq},
@@ -97,7 +100,7 @@ impl Path<'_> {
         };
         let error = PayloadError::Write {
             format: form.name(),
-            reason: format!("{at} {reason}"),
+            reason: Cause::new(format!("{at} {reason}")),
         };
         raised(py, "PayloadError", (error.to_string(), "write"))
     }
@@ -269,7 +272,7 @@ fn unhashable(py: Python<'_>, key: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
     }
     let error = PayloadError::Read {
         format: "CBOR",
-        reason: format!("the key {} is not hashable", shown(key)),
+        reason: Cause::new(format!("the key {} is not hashable", shown(key))),
     };
     raised(py, "PayloadError", (error.to_string(), "read"))
 }

@@ -85,7 +85,7 @@ def test_keys(given: dict[str, Any], out: Any) -> None:
     if given["do"] == "publication":
         found = key_space.publication(given["topic"])
     elif given["do"] == "message":
-        found = key_space.message(given["recipient"], given["topic"])
+        found = key_space.publication(given["topic"], given["recipient"])
     elif given["do"] == "service":
         found = key_space.service(given["of"], given["topic"])
     elif given["do"] == "own":

@@ -14,7 +14,7 @@ import pytest
 import rect
 import zenoh
 from conftest import DEADLINE, until_served
-from rect.service import MAX_CONCURRENT
+from rect import _rect
 
 Pair = tuple[rect.Robot, rect.Robot]
 
@@ -69,7 +69,7 @@ def test_handler_that_exits_replies_with_error_and_service_continues(
     until_served(two, "wombat-1", "exits")
     with caplog.at_level(logging.ERROR, "rect"):
         # More requests than there are worker threads.
-        for _ in range(MAX_CONCURRENT + 1):
+        for _ in range(_rect.MAX_CONCURRENT + 1):
             with pytest.raises(rect.ServiceError, match=r"the service called sys\.exit\(3\)"):
                 two.request("wombat-1", "exits", "exit", timeout=DEADLINE)
     assert two.request("wombat-1", "exits", timeout=DEADLINE).value == 1

@@ -230,7 +230,7 @@ def test_full_queue_of_events_counts_drops(pair: Pair) -> None:
     with two.events() as events:
         events.next(DEADLINE)
         for _ in range(DEFAULT_CAPACITY + 3):
-            events._queue.push(rect.Event("router_up"))
+            events._queue.push(("router_up", None, None, None))
         assert events.dropped == 3
 
 

@@ -87,19 +87,26 @@ def test_file_that_changes_during_transfer_fails_on_both_sides(pair: Pair, tmp_p
 
 def test_transfer_resumes_after_receiver_restart(pair: Pair, tmp_path: Path) -> None:
     one, two = pair
-    data = os.urandom(30_000_000)
-    began = threading.Event()
+    # So large that it takes longer than the interval between two reports of its progress.
+    source = tmp_path / "source"
+    with source.open("wb") as file:
+        file.truncate(200_000_000)
+    began, closed = threading.Event(), threading.Event()
 
     def on_progress(about: rect.Received, progress: rect.Progress) -> None:
         if progress.received_bytes:
             began.set()
+            # The transfer must not be complete before it is interrupted.
+            closed.wait(DEADLINE)
 
-    transfers = two.receive_transfers("*/maps", folder=tmp_path, on_progress=on_progress)
+    transfers = two.receive_transfers(
+        "*/maps", folder=tmp_path / "received", max_bytes=1 << 30, on_progress=on_progress
+    )
     failed: list[BaseException] = []
 
     def send() -> None:
         try:
-            one.transfer("wombat-2", "maps", data, name="map")
+            one.transfer("wombat-2", "maps", source, name="map")
         except BaseException as error:
             failed.append(error)
 
@@ -107,14 +114,19 @@ def test_transfer_resumes_after_receiver_restart(pair: Pair, tmp_path: Path) -> 
     sending.start()
     assert began.wait(DEADLINE)
     transfers.close()
+    closed.set()
     first: list[int] = []
     again = two.receive_transfers(
-        "*/maps", folder=tmp_path, on_progress=lambda about, progress: first.append(progress.received_bytes)
+        "*/maps",
+        folder=tmp_path / "received",
+        max_bytes=1 << 30,
+        on_progress=lambda about, progress: first.append(progress.received_bytes),
     )
     received = again.next(DEADLINE)
     sending.join(DEADLINE)
     assert not failed
-    assert received.value == data
+    assert isinstance(received.content, Path)
+    assert received.content.stat().st_size == 200_000_000
     assert first[0] > 0
 
 
@@ -147,7 +159,11 @@ def test_stopped_outgoing_transfer_raises_closed(pair: Pair) -> None:
 def _offer(sender: str, data: bytes) -> bytes:
     """Returns an offer to wombat-2 that names `sender`. Any program can make such an offer."""
     key_space = _rect.KeySpace("rect", sender)
-    return _rect.TransferSender(key_space, "wombat-2", "maps", data, 1, name="map.bin").offer
+    driver = _rect.TransferPush(key_space, "wombat-2", "maps", data, 1, name="map.bin").driver()
+    steps = iter(driver.poll, None)
+    _, _, _, payload, *_ = next(step for step in steps if step[0] == "get")
+    offer: bytes = payload[0]
+    return offer
 
 
 def _send_offer(forger: rect.Robot, offer: bytes) -> None:

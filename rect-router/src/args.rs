@@ -1,8 +1,13 @@
 //! Defines the flags of `rect-router`: those of zenohd 1.10.2 with the same meaning, and `--login-as`.
+mod command;
 
 use clap::{builder::PossibleValuesParser, Parser};
 
-use crate::{commands::Command, version};
+pub use self::command::{
+    CheckArgs, Command, CompletionArgs, ConnectionsArgs, DoctorArgs, InitArgs, ManArgs, QueryArgs,
+    RouterArgs, ScanArgs, SimArgs,
+};
+use crate::version;
 
 /// Parses the command line. Invalid flags end the program with status 2 and a message on stderr.
 pub fn parse() -> Args {

@@ -8,31 +8,15 @@ mod logins;
 
 use std::time::Duration;
 
-use serde::Deserialize;
 use zenoh::Config;
 use zenoh_link::admission;
 
 pub use self::logins::LoginLimit;
-use crate::config::{uses_bluetooth, ConfigError};
+use crate::config::{uses_bluetooth, ConfigError, SessionSettings};
 
 /// Maximum duration of a handshake over other links than Bluetooth. A local program or a computer on the same network
 /// completes it in milliseconds; only a busy Bluetooth link needs Zenoh's own limit (`accept_timeout`, 10 s).
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(3);
-
-/// The settings `plugins: { rect: { sessions: { ... } } }`. An omitted one is a share of
-/// `transport/unicast/max_sessions`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SessionSettings {
-    /// Number of sessions reserved for links over Bluetooth and for connections that this router dials; default a quarter of
-    /// all. Ignored without a Bluetooth endpoint: nothing is reserved then.
-    pub bluetooth: Option<usize>,
-    /// Maximum number of sessions of one login over other links than Bluetooth; default half of the remainder.
-    pub per_user: Option<usize>,
-    /// Maximum number of sessions from one IP address, or from all programs of this computer, over other links than
-    /// Bluetooth; default three quarters of the remainder.
-    pub per_address: Option<usize>,
-}
 
 /// The limits of one router.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,8 +8,9 @@ use std::process::ExitCode;
 
 use rect::core::humanize;
 use rect_router::{
-    args, commands, config,
-    limits::{SessionLimits, SessionSettings},
+    args, commands,
+    config::{self, SessionSettings},
+    limits::SessionLimits,
     logging,
     robot_services::RobotServices,
     router, threads, version,

@@ -7,7 +7,7 @@ use std::{
     thread,
 };
 
-use super::{no_thread, Runtime};
+use super::Runtime;
 use crate::{
     session::{call, Subscriber},
     Error, Message,
@@ -47,7 +47,7 @@ impl Subscription {
             runtime.for_each(|| of_thread.subscriber.next(), on_message);
         };
         let thread = thread::Builder::new().name("rect-callback".into());
-        thread.spawn(run).map_err(no_thread)?;
+        thread.spawn(run).map_err(Error::thread)?;
         Ok(Self(shared))
     }
 }

@@ -3,8 +3,9 @@
 use bytes::Bytes;
 
 use super::{
-    codec::{quantised, CodecError, Limits},
+    codec_error::{damaged, CodecError},
     encoding::Encoding,
+    limits::Limits,
     payload::{Payload, PayloadError, ToPayload},
 };
 
@@ -96,7 +97,7 @@ impl Array {
         if size(element, shape, &Limits::any())? != bytes.len() {
             let schema = schema(element, shape);
             let reason = format!("{} bytes are not the size of {schema}", bytes.len());
-            return Err(damaged(reason));
+            return Err(damaged(KIND, reason));
         }
         let shape = shape.to_vec();
         Ok(Self {
@@ -154,9 +155,10 @@ impl Array {
             Some((Element::named(element)?, shape))
         };
         Some(match described() {
-            None => Err(damaged(format!(
-                "{schema:?} is not a valid element type and shape"
-            ))),
+            None => Err(damaged(
+                KIND,
+                format!("{schema:?} is not a valid element type and shape"),
+            )),
             Some((element, shape)) => size(element, &shape, limits)
                 .and_then(|_| Self::new(element, &shape, payload.bytes.clone())),
         })
@@ -176,9 +178,8 @@ pub(super) fn size(
 ) -> Result<usize, CodecError> {
     if !(1..=MAX_DIMENSIONS).contains(&shape.len()) {
         let found = shape.len();
-        return Err(damaged(format!(
-            "it has {found} dimensions, but must have 1 to {MAX_DIMENSIONS}"
-        )));
+        let reason = format!("it has {found} dimensions, but must have 1 to {MAX_DIMENSIONS}");
+        return Err(damaged(KIND, reason));
     }
     // An array with an empty dimension has no bytes, but its other dimensions must be within the limits nevertheless.
     let lengths = shape.iter().map(|&length| length.max(1) as u64);
@@ -193,13 +194,6 @@ fn schema(element: Element, shape: &[usize]) -> String {
     format!("{KIND};{};{}", element.as_str(), shape.join("x"))
 }
 
-fn damaged(reason: String) -> CodecError {
-    CodecError::Damaged {
-        format: KIND,
-        reason,
-    }
-}
-
 impl ToPayload for Array {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         Ok(self.clone().payload())
@@ -207,20 +201,6 @@ impl ToPayload for Array {
 
     fn into_payload(self) -> Result<Payload, PayloadError> {
         Ok(self.payload())
-    }
-}
-
-impl Payload {
-    /// Reads the payload as an array, raw or quantised.
-    ///
-    /// # Errors
-    /// Returns [`PayloadError::Mismatch`] if the payload is something else, and [`PayloadError::Codec`] if it is
-    /// damaged or too large.
-    pub fn array(&self, limits: &Limits) -> Result<Array, PayloadError> {
-        if self.encoding.as_str() == quantised::ENCODING {
-            return Ok(quantised::read(&self.bytes, limits)?);
-        }
-        Ok(Array::raw(self, limits).ok_or_else(|| self.mismatch("an array"))??)
     }
 }
 

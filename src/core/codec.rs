@@ -1,5 +1,6 @@
-//! Defines [`Codec`], which encodes payloads into smaller ones and decodes them, the [`Limits`] of decoders, and the
-//! choice of a codec: by a specification of the user ([`parse`]) or by a payload's encoding ([`decode`]).
+//! Defines [`Codec`], which encodes payloads into smaller ones and decodes them, and the choice of a codec: by a
+//! specification of the user ([`parse`]) or by a payload's encoding ([`decode`], [`Payload::picture`],
+//! [`Payload::array`]).
 //!
 //! | specification | input | output |
 //! |---|---|---|
@@ -12,13 +13,16 @@
 //! | `quantised:<error>` | arrays of floats | `application/octet-stream;quantised` |
 use std::{fmt, sync::Arc};
 
-use super::{dictionary::Dictionaries, encoding::Encoding, payload::Payload};
+use super::{codec_error::damaged, dictionary::Dictionaries, encoding::Encoding, payload::Payload};
+
+pub use super::{codec_error::CodecError, limits::Limits};
 
 pub mod dictionary;
 pub mod jpeg;
 pub mod none;
 pub mod png;
 pub mod quantised;
+mod values;
 pub mod webp;
 pub mod zstd;
 
@@ -39,89 +43,6 @@ pub trait Codec: fmt::Debug + Send + Sync {
     /// # Errors
     /// Returns an error if the bytes are invalid, or if the result would exceed `limits`.
     fn decode(&self, payload: &Payload, limits: &Limits) -> Result<Payload, CodecError>;
-}
-
-/// The limits of a decoder, which protect a receiver against malicious peers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Maximum size of a decoded payload, in bytes. Default: 64 MiB.
-    pub max_bytes: usize,
-    /// Maximum number of pixels of a picture. Default: 16 million.
-    pub max_pixels: usize,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            max_bytes: 64 << 20,
-            max_pixels: 16_000_000,
-        }
-    }
-}
-
-/// A codec cannot be created, or cannot encode or decode a payload.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum CodecError {
-    /// There is no codec of that name. The message lists those that exist.
-    #[error("there is no codec {name:?}; available codecs: {available}")]
-    Unknown {
-        /// The name that was given.
-        name: String,
-        /// The available codecs, with their options.
-        available: &'static str,
-    },
-    /// The codec does not have the option, or its value is out of range.
-    #[error("{codec}: invalid option {value:?}: expected {expected}")]
-    Option {
-        /// The name of the codec.
-        codec: &'static str,
-        /// The value that was given.
-        value: String,
-        /// The expected option.
-        expected: &'static str,
-    },
-    /// The codec does not support this kind of payload.
-    #[error("{codec} cannot process {found}: it requires {expected}")]
-    Kind {
-        /// The name of the codec.
-        codec: &'static str,
-        /// The encoding of the payload.
-        found: Encoding,
-        /// The supported payloads.
-        expected: &'static str,
-    },
-    /// The bytes are invalid or truncated.
-    #[error("invalid {format}: {reason}")]
-    Damaged {
-        /// The format.
-        format: &'static str,
-        /// The reason.
-        reason: String,
-    },
-    /// The decoded payload would exceed a limit.
-    #[error("this {format} is too large: {found}; the limit is {limit}")]
-    TooLarge {
-        /// The format.
-        format: &'static str,
-        /// The decoded size with its unit, as far as it is known.
-        found: String,
-        /// The limit with its unit.
-        limit: String,
-    },
-    /// The payload was encoded with a dictionary that this program does not have (yet).
-    #[error("encoded with the dictionary {id}, which this program does not have: the sender must share it")]
-    Dictionary {
-        /// The id of the dictionary.
-        id: u32,
-    },
-    /// Encoding failed, in most cases because there is not enough memory.
-    #[error("{codec} failed: {reason}")]
-    Failed {
-        /// The name of the codec.
-        codec: &'static str,
-        /// The reason that the library reports.
-        reason: String,
-    },
 }
 
 const AVAILABLE: &str =
@@ -188,54 +109,6 @@ pub fn decode(
         payload = Payload::new(bytes, encoding);
     }
     Ok(payload)
-}
-
-impl Limits {
-    /// No limits, for data that is already in memory.
-    pub(super) fn any() -> Self {
-        Self {
-            max_bytes: isize::MAX as usize,
-            max_pixels: usize::MAX,
-        }
-    }
-
-    /// Returns the size in bytes of a picture of these dimensions, if the limits allow it.
-    pub(super) fn picture(
-        &self,
-        format: &'static str,
-        [width, height]: [u32; 2],
-        channels: usize,
-    ) -> Result<usize, CodecError> {
-        if width == 0 || height == 0 {
-            return Err(damaged(format, format_args!("{width}x{height} pixels")));
-        }
-        let pixels = u64::from(width) * u64::from(height);
-        if pixels > self.max_pixels as u64 {
-            return Err(CodecError::TooLarge {
-                format,
-                found: format!("{width}x{height} pixels"),
-                limit: format!("{} pixels", self.max_pixels),
-            });
-        }
-        self.bytes(format, pixels.saturating_mul(channels as u64))
-    }
-
-    /// Returns `bytes` if the limits allow it.
-    pub(super) fn bytes(&self, format: &'static str, bytes: u64) -> Result<usize, CodecError> {
-        match usize::try_from(bytes) {
-            Ok(bytes) if bytes <= self.max_bytes => Ok(bytes),
-            _ => Err(CodecError::TooLarge {
-                format,
-                found: format!("{bytes} bytes"),
-                limit: format!("{} bytes", self.max_bytes),
-            }),
-        }
-    }
-}
-
-fn damaged(format: &'static str, reason: impl fmt::Display) -> CodecError {
-    let reason = reason.to_string();
-    CodecError::Damaged { format, reason }
 }
 
 /// Returns the beginning of a user's input, for an error message.

@@ -20,6 +20,12 @@ pub fn with_causes(error: &(dyn Error + 'static)) -> String {
     text
 }
 
+/// Returns the causes of an error, outermost first, each as one line.
+pub fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = String> + 'a {
+    std::iter::successors(error.source(), |&cause| cause.source())
+        .map(|cause| clean_up(&cause.to_string()))
+}
+
 /// Returns an error's text as one line, without the source locations that Zenoh adds.
 pub fn on_one_line(error: &str) -> String {
     clean_up(error)
@@ -213,6 +219,19 @@ mod tests {
             source: inner("hci0 is off"),
         };
         assert_eq!(with_causes(&plain), "no radio: hci0 is off");
+    }
+
+    #[test]
+    fn causes_are_listed_from_the_outermost_to_the_innermost() {
+        let cause = |text, source: Option<TestError>| {
+            let source = source.map(Box::new);
+            TestError { text, source }
+        };
+        let off = cause("hci0 is off at /src/radio.rs:7.", None);
+        let error = cause("no link", Some(cause("no radio", Some(off))));
+        let all: Vec<_> = causes(&error).collect();
+        assert_eq!(all, ["no radio", "hci0 is off"]);
+        assert_eq!(causes(&cause("no link", None)).count(), 0);
     }
 
     #[test]

@@ -3,7 +3,8 @@ use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
 use super::{
-    codec::CodecError,
+    cause::Cause,
+    codec_error::CodecError,
     encoding::{Encoding, TooLong},
 };
 
@@ -33,7 +34,8 @@ pub enum PayloadError {
         /// The format: `JSON`, `CBOR` and so on.
         format: &'static str,
         /// The reason that the serializer reports.
-        reason: String,
+        #[source]
+        reason: Cause,
     },
     /// The payload has another encoding than the call expects. Check [`Payload::encoding`] first.
     #[error("the payload is {found}, but {expected} is required")]
@@ -50,7 +52,8 @@ pub enum PayloadError {
         /// The format: `JSON`, `CBOR` and so on.
         format: &'static str,
         /// The reason that the parser reports.
-        reason: String,
+        #[source]
+        reason: Cause,
     },
     /// The encoding is too long to be sent.
     #[error(transparent)]
@@ -149,13 +152,19 @@ impl Payload {
 /// The maximum nesting of CBOR; the same as serde_json's.
 const MAX_DEPTH: usize = 128;
 
-fn read(format: &'static str, error: impl std::fmt::Display) -> PayloadError {
-    let reason = error.to_string();
+fn read(
+    format: &'static str,
+    error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+) -> PayloadError {
+    let reason = Cause::new(error);
     PayloadError::Read { format, reason }
 }
 
-fn write(format: &'static str, error: impl std::fmt::Display) -> PayloadError {
-    let reason = error.to_string();
+fn write(
+    format: &'static str,
+    error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+) -> PayloadError {
+    let reason = Cause::new(error);
     PayloadError::Write { format, reason }
 }
 

@@ -7,8 +7,10 @@ use fast_image_resize::{
 };
 
 use super::{
-    codec::{jpeg, png, webp, CodecError, Limits},
+    cause::Cause,
+    codec_error::CodecError,
     encoding::Encoding,
+    limits::Limits,
     payload::{Payload, PayloadError, ToPayload},
 };
 
@@ -78,7 +80,7 @@ impl Picture {
             let reason = format!("{found} bytes are not the size of {width}x{height} {name}");
             return Err(CodecError::Damaged {
                 format: KIND,
-                reason,
+                reason: Cause::new(reason),
             });
         }
         Ok(Self {
@@ -128,11 +130,10 @@ impl Picture {
         let mut to = Image::new(width, height, pixel);
         let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
         ImageRef::new(self.width, self.height, &self.pixels, pixel)
-            .map_err(|error| error.to_string())
+            .map_err(Cause::new)
             .and_then(|from| {
-                Resizer::new()
-                    .resize(&from, &mut to, &options)
-                    .map_err(|error| error.to_string())
+                let resized = Resizer::new().resize(&from, &mut to, &options);
+                resized.map_err(Cause::new)
             })
             .map_err(|reason| CodecError::Failed {
                 codec: KIND,
@@ -157,7 +158,7 @@ impl Picture {
         Some(match described() {
             None => Err(CodecError::Damaged {
                 format: KIND,
-                reason: format!("{schema:?} is not a valid pixel format and size"),
+                reason: Cause::new(format!("{schema:?} is not a valid pixel format and size")),
             }),
             Some((format, width, height)) => limits
                 .picture(KIND, [width, height], format.channels())
@@ -191,24 +192,6 @@ impl ToPayload for Picture {
 
     fn into_payload(self) -> Result<Payload, PayloadError> {
         Ok(self.payload())
-    }
-}
-
-impl Payload {
-    /// Decodes the payload as a picture: raw, PNG, JPEG or WebP.
-    ///
-    /// # Errors
-    /// Returns [`PayloadError::Mismatch`] if the payload is something else, and [`PayloadError::Codec`] if it is
-    /// damaged or too large.
-    pub fn picture(&self, limits: &Limits) -> Result<Picture, PayloadError> {
-        let bytes = &self.bytes;
-        let picture = match self.encoding.media_type() {
-            "image/png" => png::read(bytes, limits),
-            "image/jpeg" => jpeg::read(bytes, limits),
-            "image/webp" => webp::read(bytes, limits),
-            _ => Picture::raw(self, limits).ok_or_else(|| self.mismatch("a picture"))?,
-        };
-        Ok(picture?)
     }
 }
 

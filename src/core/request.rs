@@ -66,6 +66,11 @@ pub fn error_from_payload(reply: Payload) -> (Option<Name>, Payload) {
     }
 }
 
+/// Returns whether an error reply of `robot` is Zenoh's own: the timeout of the query has expired.
+pub fn is_timeout(robot: Option<&Name>, error: &Payload) -> bool {
+    robot.is_none() && error.bytes == b"Timeout"[..]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -83,6 +88,16 @@ mod tests {
             assert_eq!(RequestHeader::decode(wrong), None, "{wrong:?}");
         }
         assert_eq!(super::super::attachment::Attachment::decode(&bytes), None);
+    }
+
+    #[test]
+    fn only_an_error_without_a_robot_is_a_timeout() {
+        let timeout = Payload::new("Timeout", Encoding::TEXT);
+        let other = Payload::new("the arm is stuck", Encoding::TEXT);
+        let robot = Name::new("wombat-2").expect("valid name");
+        assert!(is_timeout(None, &timeout));
+        assert!(!is_timeout(Some(&robot), &timeout));
+        assert!(!is_timeout(None, &other));
     }
 
     #[test]

@@ -20,12 +20,15 @@ pub mod groups;
 pub mod ladder;
 pub mod notice;
 pub mod offset;
+pub mod options;
 pub mod pacer;
 pub mod picture;
+pub mod publish;
 pub mod rate;
 pub mod receiver;
 pub mod sender;
 pub mod status;
+pub mod watch;
 
 #[cfg(test)]
 mod simulation;

@@ -21,13 +21,19 @@
 //! | [`admission`] | decides which offers to accept |
 //! | [`receiver`] | decides which pieces to request, and when |
 //! | [`window`] | decides how much may be in flight, and the size of pieces |
+//! | [`push`], [`pull`], [`reception`] | drive a session: which Zenoh actions the above results in |
 //! | [`ranges`], [`record`] | keep track of what was received, also across restarts |
 pub mod admission;
 pub mod answer;
+pub mod files;
 pub mod offer;
 pub mod progress;
+mod progress_throttle;
+pub mod pull;
+pub mod push;
 pub mod ranges;
 pub mod receiver;
+pub mod reception;
 pub mod record;
 pub mod request;
 pub mod sender;

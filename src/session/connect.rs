@@ -4,22 +4,30 @@ use std::{thread, time::Duration};
 use tokio::sync::oneshot;
 use zenoh::{Config, Session, Wait};
 
-use crate::core::router::{robot_of_router, ROBOT_TIMEOUT};
+use crate::{
+    core::{
+        router::{robot_of_router, ROBOT_TIMEOUT},
+        settings::DIAGNOSIS,
+    },
+    error::Error,
+};
 
-/// Settings with which Zenoh reports why it cannot connect. A Zenoh client reports only that it could not.
-const DIAGNOSIS: [(&str, &str); 5] = [
-    ("mode", "\"peer\""),
-    ("connect/exit_on_failure", "true"),
-    ("listen/endpoints", "[]"),
-    ("scouting/gossip/enabled", "false"),
-    ("open/return_conditions/connect_scouted", "false"),
-];
+/// Why an attempt to open a session failed.
+pub(super) enum NotOpened {
+    /// Zenoh's reason.
+    Zenoh(zenoh::Error),
+    /// It took longer than the limit.
+    TimedOut,
+}
 
 /// Makes one attempt to open a session.
 ///
 /// # Errors
-/// Returns the reason why the session cannot be opened, or `None` if opening it took longer than `limit`.
-pub(super) async fn open(config: Config, limit: Duration) -> Result<Session, Option<String>> {
+/// Returns why the session cannot be opened in time, or the error that no thread can be started.
+pub(super) async fn open(
+    config: Config,
+    limit: Duration,
+) -> Result<Result<Session, NotOpened>, Error> {
     let (done, opened) = oneshot::channel();
     // Zenoh blocks the thread, for minutes if the address does not respond. A separate thread can be abandoned, whereas a
     // runtime waits for its threads when it is dropped.
@@ -32,26 +40,24 @@ pub(super) async fn open(config: Config, limit: Duration) -> Result<Session, Opt
         }
     };
     let thread = thread::Builder::new().name("rect-open".into());
-    if let Err(error) = thread.spawn(attempt) {
-        return Err(Some(format!("cannot start a thread: {error}")));
-    }
-    match tokio::time::timeout(limit, opened).await {
-        Ok(Ok(opened)) => opened.map_err(Some),
-        Ok(Err(_)) => Err(Some("Zenoh panicked".to_owned())),
-        Err(_) => Err(None),
-    }
+    thread.spawn(attempt).map_err(Error::thread)?;
+    Ok(match tokio::time::timeout(limit, opened).await {
+        Ok(Ok(opened)) => opened.map_err(NotOpened::Zenoh),
+        Ok(Err(_)) => Err(NotOpened::Zenoh("Zenoh panicked".into())),
+        Err(_) => Err(NotOpened::TimedOut),
+    })
 }
 
-fn attempt(config: Config) -> Result<Session, String> {
+fn attempt(config: Config) -> zenoh::Result<Session> {
     let error = match zenoh::open(config.clone()).wait() {
         Ok(session) => return Ok(session),
         Err(error) => error,
     };
-    Err(reason(config).unwrap_or_else(|| error.to_string()))
+    Err(reason(config).unwrap_or(error))
 }
 
 /// Returns the reason why the router cannot be reached, or `None` if it is reachable by now.
-fn reason(mut config: Config) -> Option<String> {
+fn reason(mut config: Config) -> Option<zenoh::Error> {
     for (key, value) in DIAGNOSIS {
         config.insert_json5(key, value).ok()?;
     }
@@ -62,7 +68,7 @@ fn reason(mut config: Config) -> Option<String> {
             }
             None
         }
-        Err(error) => Some(error.to_string()),
+        Err(error) => Some(error),
     }
 }
 

@@ -5,17 +5,21 @@ use std::{
     time::{Duration, Instant},
 };
 
-use serde_json::{json, Value};
+use serde_json::Value;
 use zenoh::{Config, Session};
 
-use super::{connect, robot::Robot};
+use super::{
+    connect::{self, NotOpened},
+    robot::Robot,
+};
 use crate::{
     core::{
-        endpoint, humanize,
+        endpoint,
         key::KeySpace,
         login::{self, Login},
         name::Name,
         router::{JoinAttempts, JoinError},
+        settings::SessionLinks,
     },
     error::Error,
 };
@@ -40,6 +44,24 @@ pub struct Options {
     allows_name_mismatch: bool,
     timeout: Duration,
     zenoh: Vec<(String, Value)>,
+}
+
+/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
+///
+/// [`Options`] selects another router, another fleet, or direct links.
+///
+/// ```no_run
+/// # async fn hello() -> Result<(), rect::Error> {
+/// let robot = rect::connect("wombat-1").await?;
+/// robot.publish("greeting", "hello").await?;
+/// # Ok(()) }
+/// ```
+///
+/// # Errors
+/// [`Error::Name`] if `robot` is not a valid name, [`Error::NoRouter`] if no router replies within 5 s, and the other errors
+/// of [`Options::connect`].
+pub async fn connect(robot: &str) -> Result<Robot, Error> {
+    Options::new(robot)?.connect().await
 }
 
 impl Options {
@@ -163,11 +185,17 @@ impl Options {
     /// # Errors
     /// [`Error::NoRouter`] if no router replies within the [timeout](Self::timeout), [`Error::LoginRefused`] if the
     /// router rejects the login, [`Error::WrongRobot`] if it serves another robot, [`Error::Option`] if Zenoh rejects
-    /// one of the options, and [`Error::Zenoh`] if the session ends while it is being set up.
+    /// one of the options, [`Error::Thread`] if no thread can be started, and [`Error::Zenoh`] if the session ends while
+    /// it is being set up.
     pub async fn connect(self) -> Result<Robot, Error> {
-        if self.is_direct() {
-            let opened = zenoh::open(self.config(None)?).await;
-            let session = opened.map_err(|error| self.refused(&error))?;
+        if self.links().is_direct() {
+            let config = self.config(self.login_or_file().credentials())?;
+            let opened = zenoh::open(config).await;
+            let session = opened.map_err(|source| Error::Option {
+                option: "listen or endpoint",
+                value: self.links().locators(),
+                source,
+            })?;
             return Robot::start(session, self.place, None).await;
         }
         let (session, config) = self.join().await?;
@@ -190,97 +218,50 @@ impl Options {
         loop {
             let config = self.config(joining.credentials())?;
             let limit = joining.limit(began.elapsed());
-            let reason = match connect::open(config.clone(), limit).await {
+            let source = match connect::open(config.clone(), limit).await? {
                 Ok(session) => return Ok((session, config)),
-                Err(reason) => reason,
+                Err(NotOpened::Zenoh(error)) => Some(error),
+                Err(NotOpened::TimedOut) => None,
             };
-            let pause = joining.on_failure(began.elapsed(), reason.as_deref());
-            tokio::time::sleep(pause.map_err(|error| self.connect_error(error))?).await;
+            let reason = source.as_ref().map(ToString::to_string);
+            match joining.on_failure(began.elapsed(), reason.as_deref()) {
+                Ok(pause) => tokio::time::sleep(pause).await,
+                Err(error) => return Err(self.connect_error(error, source)),
+            }
         }
     }
 
-    fn connect_error(&self, error: JoinError) -> Error {
+    fn connect_error(&self, error: JoinError, source: Option<zenoh::Error>) -> Error {
         match error {
-            JoinError::NoRouter { reason } => {
-                let endpoint = self.router.clone();
-                Error::NoRouter { endpoint, reason }
-            }
+            JoinError::NoRouter { reason } => Error::NoRouter {
+                endpoint: self.router.clone(),
+                reason,
+                source,
+            },
             JoinError::Login(refused) => refused.into(),
         }
     }
 
-    fn is_direct(&self) -> bool {
-        !self.endpoints.is_empty() || !self.listen.is_empty()
+    fn links(&self) -> SessionLinks<'_> {
+        SessionLinks {
+            router: &self.router,
+            endpoints: &self.endpoints,
+            listen: &self.listen,
+        }
     }
 
-    fn refused(&self, error: &zenoh::Error) -> Error {
-        let all = self.listen.iter().chain(&self.endpoints);
-        let all = all.cloned().collect::<Vec<_>>().join(" ");
-        option_error("listen or endpoint", all, error)
-    }
-
-    /// Returns Zenoh's configuration. `credentials` are for the router; direct links use the login of the options.
+    /// Returns Zenoh's configuration, with the login `credentials`.
     fn config(&self, credentials: Option<(&str, &str)>) -> Result<Config, Error> {
         let mut config = Config::default();
-        let mut settings = vec![
-            // Links are configured explicitly: multicast scouting would connect all robots in a network with each other.
-            ("scouting/multicast/enabled", json!(false)),
-            // Messages wait for room on a slow link instead of closing it (docs/reference/configuration.md).
-            (
-                "transport/link/tx/queue/congestion_control/block/wait_before_close",
-                json!(60_000_000),
-            ),
-        ];
-        if self.is_direct() {
-            settings.extend([
-                ("mode", json!("peer")),
-                ("connect/endpoints", json!(self.endpoints)),
-                ("connect/timeout_ms", json!(-1)),
-                ("connect/exit_on_failure", json!(false)),
-                ("connect/retry", retry(200)),
-                ("listen/endpoints", json!(self.listen)),
-                ("listen/exit_on_failure", json!(true)),
-                ("scouting/gossip/enabled", json!(false)),
-            ]);
-        } else {
-            settings.extend([
-                ("mode", json!("client")),
-                ("connect/endpoints", json!([self.router])),
-                // One attempt; `join` decides about further ones. The backoff applies to reconnecting.
-                ("connect/timeout_ms", json!(0)),
-                ("connect/retry", retry(100)),
-            ]);
-        }
-        let login = self.login_or_file();
-        let credentials = match self.is_direct() {
-            true => login.credentials(),
-            false => credentials,
-        };
-        if let Some((user, password)) = credentials {
-            let login = json!({ "user": user, "password": password });
-            settings.push(("transport/auth/usrpwd", login));
-        }
-        for (key, value) in settings {
-            let inserted = config.insert_json5(key, &value.to_string());
-            inserted.map_err(|error| self.rejected(key, &value, &error))?;
-        }
-        for (key, value) in &self.zenoh {
-            let inserted = config.insert_json5(key, &value.to_string());
-            inserted.map_err(|error| option_error("zenoh", format!("{key}: {value}"), &error))?;
+        for setting in self.links().settings(credentials, &self.zenoh) {
+            let inserted = config.insert_json5(&setting.key, &setting.value.to_string());
+            inserted.map_err(|source| Error::Option {
+                option: setting.option,
+                value: setting.given,
+                source,
+            })?;
         }
         Ok(config)
-    }
-
-    /// Returns the error for a setting of RECT that Zenoh rejects. It names the option that determines the setting.
-    fn rejected(&self, key: &str, value: &Value, error: &zenoh::Error) -> Error {
-        match key {
-            "connect/endpoints" if !self.is_direct() => {
-                option_error("router", self.router.clone(), error)
-            }
-            "connect/endpoints" => option_error("endpoint", self.endpoints.join(" "), error),
-            "listen/endpoints" => option_error("listen", self.listen.join(" "), error),
-            _ => option_error("zenoh", format!("{key}: {value}"), error),
-        }
     }
 
     fn login_or_file(&self) -> Login {
@@ -293,18 +274,6 @@ impl Options {
             }
         }
     }
-}
-
-fn option_error(option: &'static str, value: String, error: &zenoh::Error) -> Error {
-    Error::Option {
-        option,
-        value,
-        reason: humanize::with_causes(error.as_ref()),
-    }
-}
-
-fn retry(first_ms: u32) -> Value {
-    json!({ "period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2 })
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use std::{
 
 use tokio::sync::Notify;
 
+use super::shared::Sink;
 use crate::core::queue::{Pushed, Queue};
 
 /// A queue between Zenoh's threads and the program.
@@ -109,6 +110,16 @@ impl<T> ReceiveQueue<T> {
 
     fn state(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<T: Send> Sink<T> for Arc<ReceiveQueue<T>> {
+    fn deliver(&self, item: T) {
+        self.push(item);
+    }
+
+    fn end(&self) {
+        self.close();
     }
 }
 

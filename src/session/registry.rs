@@ -1,25 +1,19 @@
 //! Queries the routers for reachable robots and connections (docs/reference/registry.md lists the keys), and changes the
 //! named connections of a router.
-use std::time::Duration;
-
 use serde::de::DeserializeOwned;
-use zenoh::{bytes::ZBytes, query::Reply};
 
-use super::{request::is_timeout, robot::Robot};
+use super::{executor::Executor, robot::Robot, shared::NoItems};
 use crate::{
     core::{
         connection::Connection,
-        encoding::Encoding,
         name::Name,
-        named_connection::{NamedConnection, ADD, CONFIG, REMOVE},
+        named_connection::{NamedConnection, ADD, REMOVE},
         payload::Payload,
-        request::error_from_payload,
+        peers::{PeersQuery, TIMEOUT},
+        registry::{RegistryError, RegistryQuery},
     },
     error::Error,
 };
-
-/// Timeout of a query. Routers reply at once, but a slow and busy link delays the reply.
-const TIMEOUT: Duration = Duration::from_secs(5);
 
 impl Robot {
     /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
@@ -27,25 +21,10 @@ impl Robot {
     /// # Errors
     /// [`Error::Zenoh`] if the session is closed.
     pub async fn peers(&self) -> Result<Vec<Name>, Error> {
-        let place = &self.inner.place;
-        let asked = self
-            .inner
-            .session
-            .liveliness()
-            .get(place.own(None, "alive/*"));
-        let asked = asked.timeout(TIMEOUT).await;
-        let replies = asked.map_err(Error::zenoh("cannot query the reachable robots"))?;
-        let mut peers = Vec::new();
-        while let Ok(reply) = replies.recv_async().await {
-            let Ok(sample) = reply.into_result() else {
-                continue;
-            };
-            let robot = place.robot_of(sample.key_expr().as_str());
-            peers.extend(robot.filter(|robot| *robot != place.robot));
-        }
-        peers.sort();
-        peers.dedup();
-        Ok(peers)
+        let query = PeersQuery::new(self.inner.place.clone());
+        Executor::new(&self.inner.session, query, NoItems)
+            .run()
+            .await
     }
 
     /// Returns the connections of this robot's router: named connections, links, and discovered robots.
@@ -86,8 +65,9 @@ impl Robot {
         question: &str,
         filter: &str,
     ) -> Result<T, Error> {
-        let reply = self.query_router(robot, question, filter, None).await?;
-        Ok(reply.value()?)
+        let place = self.inner.place.clone();
+        let query = RegistryQuery::new(place, robot.clone(), question, filter);
+        Ok(self.query_router(robot, query).await?.value()?)
     }
 
     /// Adds a named connection to this robot's router, replacing the one of the same name. The router dials it from now on,
@@ -154,58 +134,28 @@ impl Robot {
             .await
     }
 
-    async fn configure(&self, robot: Name, action: &str, payload: String) -> Result<(), Error> {
-        let parameters = format!("{action};by={}", self.name());
-        self.query_router(robot, CONFIG, &parameters, Some(payload))
-            .await?;
+    async fn configure(&self, robot: Name, action: &str, argument: String) -> Result<(), Error> {
+        let place = self.inner.place.clone();
+        let change = RegistryQuery::change(place, robot.clone(), action, argument);
+        self.query_router(robot, change).await?;
         Ok(())
     }
 
-    async fn query_router(
-        &self,
-        robot: Name,
-        question: &str,
-        parameters: &str,
-        payload: Option<String>,
-    ) -> Result<Payload, Error> {
-        let key = self.inner.place.own(Some(&robot), question);
-        let selector = match parameters {
-            "" => key,
-            _ => format!("{key}?{parameters}"),
-        };
-        let asked = self.inner.session.get(selector).timeout(TIMEOUT);
-        let asked = match payload {
-            Some(payload) => asked.payload(payload).await,
-            None => asked.await,
-        };
-        let replies = asked.map_err(Error::zenoh("cannot query the router"))?;
-        let json = |bytes: &ZBytes| Payload::new(bytes.to_bytes().into_owned(), Encoding::JSON);
-        match replies.recv_async().await.map(Reply::into_result) {
-            Ok(Ok(sample)) => Ok(json(sample.payload())),
-            Ok(Err(error)) => {
-                let (replied, payload) = error_from_payload(json(error.payload()));
-                if is_timeout(replied.as_ref(), &payload) {
-                    return Err(Error::TimedOut {
-                        expected: format!("reply from the router of {robot} about {question}"),
-                        timeout: TIMEOUT,
-                    });
-                }
-                let robot = Some(robot);
-                Err(Error::Service { robot, payload })
+    async fn query_router(&self, robot: Name, query: RegistryQuery) -> Result<Payload, Error> {
+        let executor = Executor::new(&self.inner.session, query, NoItems);
+        executor.run().await?.map_err(|error| match error {
+            RegistryError::Rejected(payload) => Error::Service {
+                robot: Some(robot),
+                payload,
+            },
+            RegistryError::TimedOut { expected } => Error::TimedOut {
+                expected,
+                timeout: TIMEOUT,
+            },
+            RegistryError::NoService { service, available } => {
+                Error::no_service(robot.to_string(), service, &available)
             }
-            Err(_) => Err(self
-                .no_service(robot.to_string(), of_registry(question))
-                .await),
-        }
-    }
-}
-
-/// Returns the name of the queried service for the error that is returned if no router replies.
-fn of_registry(question: &str) -> String {
-    if question == CONFIG {
-        "changes of connections (the router's access control must allow them, and its settings must name a connections file)"
-            .to_owned()
-    } else {
-        format!("the registry ({question})")
+            RegistryError::Closed => Error::Closed,
+        })
     }
 }

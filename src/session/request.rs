@@ -8,32 +8,25 @@ use std::{
     time::Duration,
 };
 
-use zenoh::{
-    cancellation::CancellationToken,
-    query::{ConsolidationMode, QueryTarget},
-};
+use zenoh::cancellation::CancellationToken;
 
 use super::{
+    convert,
     decoder::Decoder,
-    publication::priority,
+    queries,
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
-    subscriber::payload,
 };
 use crate::{
     core::{
-        key::{Address, KeySpace},
+        inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
         name::Name,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
-        request::{error_from_payload, RequestHeader},
         topic::Topic,
     },
     error::Error,
 };
-
-/// Capacity of the queue of replies; when it is full, Zenoh waits for the program.
-const REPLIES: usize = 64;
 
 /// The reply of a service to a request.
 #[derive(Clone, Debug)]
@@ -48,12 +41,7 @@ pub struct Reply {
 pub struct Replies {
     queue: Arc<ReceiveQueue<zenoh::query::Reply>>,
     decoder: Arc<Decoder>,
-    place: KeySpace,
-    /// The robot that the request was sent to; `None` for all robots.
-    asked: Option<Name>,
-    /// The expected reply, for the text of a timeout.
-    expected: String,
-    timeout: Duration,
+    inquiry: Inquiry,
     cancellation: CancellationToken,
 }
 
@@ -131,28 +119,14 @@ impl Robot {
         value: impl ToPayload,
         timeout: Duration,
     ) -> Result<Replies, Error> {
-        let place = &self.inner.place;
-        let payload = self.payload(value)?;
-        let queue = ReceiveQueue::new(Queue::new(REPLIES, WhenFull::Block));
-        let asking = RequestHeader {
-            sender: place.robot.clone(),
-            timeout_ms: u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX),
-        };
+        let inquiry = Inquiry::new(self.inner.place.clone(), robot, topic, timeout);
+        let get = inquiry.get(self.payload(value)?, self.urgency());
+        let queue = ReceiveQueue::new(Queue::new(MAX_REPLIES, WhenFull::Block));
         let cancellation = CancellationToken::default();
-        let qos = self.urgency().qos();
         // Zenoh drops the callback after the last reply.
         let writer = QueueWriter::new(&queue);
         let session = self.inner.urgency_sessions.of(self.urgency()).await;
-        let asked = session
-            .get(place.service(robot.as_ref(), &topic))
-            .payload(payload.bytes)
-            .encoding(payload.encoding.as_str())
-            .attachment(asking.encode())
-            .priority(priority(qos))
-            .express(qos.express)
-            .target(QueryTarget::All)
-            .consolidation(ConsolidationMode::None)
-            .timeout(timeout)
+        let asked = queries::builder(session, get)
             .cancellation_token(cancellation.clone())
             .callback(move |reply| {
                 writer.push(reply);
@@ -163,27 +137,14 @@ impl Robot {
         Ok(Replies {
             queue,
             decoder: self.inner.decoder.clone(),
-            place: place.clone(),
-            asked: robot,
-            expected: format!("reply about {topic}"),
-            timeout,
+            inquiry,
             cancellation,
         })
     }
 
-    pub(super) async fn no_service(&self, robot: String, topic: String) -> Error {
+    async fn no_service(&self, robot: String, topic: String) -> Error {
         let peers = self.peers().await.unwrap_or_default();
-        let peers: Vec<&str> = peers.iter().map(Name::as_str).collect();
-        let available = if peers.is_empty() {
-            "none".to_owned()
-        } else {
-            peers.join(", ")
-        };
-        Error::NoService {
-            robot,
-            topic,
-            available,
-        }
+        Error::no_service(robot, topic, &peers)
     }
 }
 
@@ -195,53 +156,34 @@ impl Replies {
     /// [`Error::TimedOut`] if the timeout expired before all services had replied, and [`Error::Zenoh`] if the key of a
     /// reply is not that of a robot. Further calls return the other replies.
     pub async fn next(&mut self) -> Option<Result<Reply, Error>> {
-        let timed_out = || Error::TimedOut {
-            expected: self.expected.clone(),
-            timeout: self.timeout,
-        };
         // Zenoh has a timer for each request; a second one would wake a thread each time.
-        let answer = match self.queue.pop().await?.into_result() {
-            Ok(sample) => {
-                let address = self.place.address(sample.key_expr().as_str());
-                let mut payload = payload(sample.payload(), sample.encoding());
-                match address {
-                    Some(Address { sender, .. }) => {
-                        let decoded = self.decoder.decode(&sender, &mut payload).await;
-                        decoded
-                            .map(|()| Reply { sender, payload })
-                            .map_err(Error::from)
-                    }
-                    None => Err(Error::Zenoh {
-                        operation: "the reply has no valid key of a robot",
-                        reason: format!("its key is {:?}", sample.key_expr().as_str()),
-                    }),
-                }
+        let reply = convert::reply(self.queue.pop().await?);
+        Some(match self.inquiry.on_reply(reply) {
+            ReplyKind::Answer {
+                sender,
+                mut payload,
+            } => {
+                let decoded = self.decoder.decode(&sender, &mut payload).await;
+                let reply = decoded.map(|()| Reply { sender, payload });
+                reply.map_err(Error::from)
             }
-            Err(error) => {
-                let (robot, payload) =
-                    error_from_payload(payload(error.payload(), error.encoding()));
-                if is_timeout(robot.as_ref(), &payload) {
-                    Err(timed_out())
-                } else {
-                    // Only the robot that was asked can reply, whichever name the error contains.
-                    let robot = robot.map(|robot| self.asked.clone().unwrap_or(robot));
-                    Err(Error::Service { robot, payload })
-                }
-            }
-        };
-        Some(answer)
+            ReplyKind::Error { robot, payload } => Err(Error::Service { robot, payload }),
+            ReplyKind::TimedOut => Err(Error::TimedOut {
+                expected: self.inquiry.expected(),
+                timeout: self.inquiry.timeout(),
+            }),
+            ReplyKind::NotOfARobot { key } => Err(Error::Zenoh {
+                operation: "the reply has no valid key of a robot",
+                source: format!("its key is {key:?}").into(),
+            }),
+        })
     }
-}
-
-/// Returns whether an error reply of `robot` is Zenoh's own: the timeout of the query has expired.
-pub(super) fn is_timeout(robot: Option<&Name>, error: &Payload) -> bool {
-    robot.is_none() && error.bytes == b"Timeout"[..]
 }
 
 impl fmt::Debug for Replies {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Replies")
-            .field("expected", &self.expected)
+            .field("expected", &self.inquiry.expected())
             .finish_non_exhaustive()
     }
 }
@@ -257,21 +199,5 @@ impl Drop for Replies {
         // is running now and finds the queue closed. That wait is not needed, and a task for it would wake a thread.
         let cancelled = pin!(self.cancellation.cancel().into_future());
         let _ = cancelled.poll(&mut Context::from_waker(Waker::noop()));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::core::encoding::Encoding;
-
-    #[test]
-    fn only_an_error_without_a_robot_is_a_timeout() {
-        let timeout = Payload::new("Timeout", Encoding::TEXT);
-        let other = Payload::new("the arm is stuck", Encoding::TEXT);
-        let robot = Name::new("wombat-2").expect("a name");
-        assert!(is_timeout(None, &timeout));
-        assert!(!is_timeout(Some(&robot), &timeout));
-        assert!(!is_timeout(None, &other));
     }
 }

@@ -1,35 +1,37 @@
 //! Defines [`Robot`], a program's handle of its session, and publishes messages.
 use std::{
-    collections::HashMap,
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Instant,
 };
 
 use tokio::runtime::Handle;
-use zenoh::{liveliness::LivelinessToken, Config, Session};
+use zenoh::{Config, Session};
 
 use super::{
+    convert::now_ms,
     decoder::Decoder,
-    options::Options,
+    executor::{Executor, Running},
     publication::Publication,
-    state::{self, RouterLinks},
+    router_links::RouterLinks,
+    shared::NoItems,
     urgency_sessions::UrgencySessions,
 };
 use crate::{
     core::{
-        codec::Codec,
+        codec::{dictionary::DictionaryCodec, Codec},
         counters::AtomicCounters,
+        dictionary::Dictionary,
         key::KeySpace,
         name::Name,
         payload::{Payload, ToPayload},
+        peers::DirectPresence,
+        publication::{PublicationKey, Publications},
         topic::Topic,
         urgency::Urgency,
     },
     error::Error,
 };
-
-/// Largest number of cached publishers. When it is reached, the cache is emptied and publishers are declared again on use.
-const MAX_PUBLICATIONS: usize = 256;
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet.
 ///
@@ -47,40 +49,14 @@ pub(super) struct Inner {
     pub(super) urgency_sessions: UrgencySessions,
     pub(super) place: KeySpace,
     pub(super) runtime: Handle,
-    publications: Mutex<HashMap<PublicationKey, Arc<Publication>>>,
+    publications: Mutex<Publications<Publication>>,
     pub(super) decoder: Arc<Decoder>,
     pub(super) counting: Arc<AtomicCounters>,
     /// The router's links; `None` without a router.
     pub(super) router_links: Option<RouterLinks>,
     pub(super) direct: bool,
-    /// The robot's liveliness token; `None` if its router declares one.
-    _presence: Option<LivelinessToken>,
-}
-
-/// The topic, recipient and urgency of a publisher's messages.
-#[derive(Clone, PartialEq, Eq, Hash)]
-struct PublicationKey {
-    topic: Topic,
-    recipient: Option<Name>,
-    urgency: Urgency,
-}
-
-/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
-///
-/// [`Options`] selects another router, another fleet, or direct links.
-///
-/// ```no_run
-/// # async fn hello() -> Result<(), rect::Error> {
-/// let robot = rect::connect("wombat-1").await?;
-/// robot.publish("greeting", "hello").await?;
-/// # Ok(()) }
-/// ```
-///
-/// # Errors
-/// [`Error::Name`] if `robot` is not a valid name, [`Error::NoRouter`] if no router replies within 5 s, and the other errors
-/// of [`Options::connect`].
-pub async fn connect(robot: &str) -> Result<Robot, Error> {
-    Options::new(robot)?.connect().await
+    /// The presence of the robot; `None` if its router has one.
+    _presence: Option<Running<DirectPresence>>,
 }
 
 impl Robot {
@@ -92,12 +68,13 @@ impl Robot {
     ) -> Result<Self, Error> {
         let direct = router.is_none();
         let (presence, router_links) = if direct {
-            (
-                Some(state::declare_liveliness(&session, &place).await?),
-                None,
-            )
+            let id = session.zid().to_string();
+            let presence = DirectPresence::new(&place, &id, now_ms(), Instant::now());
+            let executor = Executor::new(&session, presence, NoItems);
+            (Some(executor.start(&Handle::current())?), None)
         } else {
-            (None, Some(RouterLinks::follow(&session, &place).await?))
+            let links = RouterLinks::follow(&session, &place, &Handle::current())?;
+            (None, Some(links))
         };
         let decoder = Decoder::new(&session, &place);
         let inner = Inner {
@@ -179,6 +156,27 @@ impl Robot {
         }
     }
 
+    /// Returns a handle that compresses the payloads of messages and requests with zstd and `dictionary`, which makes
+    /// small JSON messages much smaller.
+    ///
+    /// Each receiver fetches the dictionary once. This program serves it until the session ends.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), Box<dyn std::error::Error>> {
+    /// let dictionary = rect::core::dictionary::Dictionary::read("telemetry.dictionary")?;
+    /// let compressed = robot.with_dictionary(dictionary.into())?;
+    /// compressed.publish("telemetry", rect::Json([1, 2, 3])).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Dictionary`] if this program shares another dictionary with the same id, and [`Error::Zenoh`] if the
+    /// session is closed.
+    pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
+        self.inner.decoder.serve(&dictionary)?;
+        Ok(self.with_codec(Arc::new(DictionaryCodec::new(dictionary))))
+    }
+
     /// Returns the urgency of the messages of this handle.
     pub fn urgency(&self) -> Urgency {
         self.urgency
@@ -203,7 +201,7 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        self.put(topic.try_into()?, None, self.payload(value)?)
+        self.send_to(topic.try_into()?, None, self.payload(value)?)
             .await
     }
 
@@ -229,8 +227,13 @@ impl Robot {
         Error: From<N::Error> + From<T::Error>,
     {
         let recipient = Some(robot.try_into()?);
-        self.put(topic.try_into()?, recipient, self.payload(value)?)
+        self.send_to(topic.try_into()?, recipient, self.payload(value)?)
             .await
+    }
+
+    /// Returns whether the session is closed.
+    pub fn is_closed(&self) -> bool {
+        self.inner.session.is_closed()
     }
 
     /// Closes the session and everything that belongs to it, even if other clones of this handle exist.
@@ -251,50 +254,51 @@ impl Robot {
         Ok(payload.sendable()?)
     }
 
-    async fn put(
+    async fn send_to(
         &self,
         topic: Topic,
         recipient: Option<Name>,
         payload: Payload,
     ) -> Result<(), Error> {
-        let urgency = self.urgency;
-        let destination = PublicationKey {
+        let key = PublicationKey {
             topic,
             recipient,
-            urgency,
+            urgency: self.urgency,
         };
-        let publication = self.publication(destination).await?;
+        let publication = self.publication(key).await?;
+        self.put(&publication, payload).await
+    }
+
+    pub(super) async fn put(
+        &self,
+        publication: &Arc<Publication>,
+        payload: Payload,
+    ) -> Result<(), Error> {
         let bytes = payload.bytes.len();
-        publication.put(payload, &self.inner.runtime).await?;
+        let put = publication.clone().put(payload, &self.inner.runtime);
+        put.await?;
         self.inner.counting.on_sent(bytes);
         Ok(())
     }
 
-    async fn publication(&self, destination: PublicationKey) -> Result<Arc<Publication>, Error> {
-        if let Some(cached) = self.publications().get(&destination) {
+    pub(super) async fn publication(&self, key: PublicationKey) -> Result<Arc<Publication>, Error> {
+        if let Some(cached) = self.publications().get(&key) {
             return Ok(cached.clone());
         }
-        let session = self.inner.urgency_sessions.of(destination.urgency).await;
+        let session = self.inner.urgency_sessions.of(key.urgency).await;
         let mut publications = self.publications();
         // Another task may have declared it in the meantime.
-        if let Some(cached) = publications.get(&destination) {
+        if let Some(cached) = publications.get(&key) {
             return Ok(cached.clone());
         }
-        let place = &self.inner.place;
-        let key = match &destination.recipient {
-            None => place.publication(&destination.topic),
-            Some(recipient) => place.message(recipient, &destination.topic),
-        };
-        let publication = Publication::declare(session, key, destination.urgency.qos())?;
+        let qos = key.urgency.qos();
+        let publication = Publication::declare(session, key.key(&self.inner.place), qos)?;
         let publication = Arc::new(publication);
-        if publications.len() >= MAX_PUBLICATIONS {
-            publications.clear();
-        }
-        publications.insert(destination, publication.clone());
+        publications.add(key, publication.clone());
         Ok(publication)
     }
 
-    fn publications(&self) -> MutexGuard<'_, HashMap<PublicationKey, Arc<Publication>>> {
+    fn publications(&self) -> MutexGuard<'_, Publications<Publication>> {
         let publications = self.inner.publications.lock();
         publications.unwrap_or_else(PoisonError::into_inner)
     }

@@ -3,33 +3,29 @@ use std::{fmt, future::Future, sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinHandle, time::Instant};
 use zenoh::{
-    bytes::{Encoding, ZBytes},
+    bytes::ZBytes,
     query::{Query, Queryable},
     Wait,
 };
 
 use super::{
     decoder::Decoder,
+    queries,
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
-    subscriber,
 };
 use crate::{
     core::{
-        encoding,
+        driver::Answer,
         name::Name,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
-        request::{error_to_payload, RequestHeader, DEFAULT_TIMEOUT_MS},
+        request::error_to_payload,
+        service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
         topic::Topic,
     },
     error::Error,
 };
-
-/// Capacity of the queue of requests; further ones are refused with an error at once.
-const CAPACITY: usize = 256;
-/// Largest number of requests that [`Robot::serve`] processes concurrently.
-const MAX_CONCURRENT: usize = 16;
 
 /// Receives the requests to a service; created by [`Robot::requests`]. Dropping it ends the service.
 pub struct Requests {
@@ -84,12 +80,9 @@ impl Robot {
         let key_of_answers = key.clone();
         let on_query = move |query: Query| {
             let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
-            let busy = request.query.clone();
+            let query = request.query.clone();
             if !writer.push(request) {
-                let text = format!("the service is busy with {CAPACITY} requests: try again later");
-                let error =
-                    error_to_payload(&place.robot, Payload::new(text, encoding::Encoding::TEXT));
-                let _ = reply_error(&busy, error);
+                queries::answer(&query, Answer::Error(busy(&place.robot)));
             }
         };
         let declared = self
@@ -219,20 +212,13 @@ impl Drop for Service {
 impl Request {
     fn new(query: Query, me: Name, key: String) -> Self {
         let attachment = query.attachment().map(ZBytes::to_bytes);
-        let header = attachment.and_then(|bytes| RequestHeader::decode(&bytes));
-        let timeout_ms = header
-            .as_ref()
-            .map_or(DEFAULT_TIMEOUT_MS, |header| header.timeout_ms);
-        let empty = (ZBytes::new(), Encoding::default());
-        let bytes = query.payload().unwrap_or(&empty.0);
-        let payload = subscriber::payload(bytes, query.encoding().unwrap_or(&empty.1));
-        let timeout = Duration::from_millis(timeout_ms.into());
+        let requester = Requester::of(attachment.as_deref());
         Self {
             me,
             key,
-            sender: header.map(|header| header.sender),
-            payload,
-            deadline: Instant::now() + timeout,
+            sender: requester.robot,
+            payload: queries::payload_of(&query),
+            deadline: Instant::now() + requester.timeout,
             query,
         }
     }

@@ -10,25 +10,23 @@ use std::{
     time::Duration,
 };
 
-use bytes::Bytes;
 use futures_core::Stream;
 use tokio::task::JoinHandle;
 use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 
 use super::{
+    convert::payload,
     decoder::Decoder,
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
-    state::RouterLinks,
+    router_links::RouterLinks,
 };
 use crate::{
     core::{
-        encoding::Encoding,
         gaps::SenderCounts,
         key::AddressError,
         message::{Delivery, Inbound, Message},
         name::Name,
-        payload::Payload,
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
         topic::Pattern,
     },
@@ -126,17 +124,15 @@ impl Robot {
         let declare = |key: String, directed: bool| {
             let (writer, inbound) = (QueueWriter::new(&queue), inbound.clone());
             let counting = self.inner.counting.clone();
-            let links = self.inner.router_links.as_ref().map(RouterLinks::links);
+            let links = self.inner.router_links.as_ref().map(RouterLinks::table);
             let on_sample = move |sample: Sample| {
                 let mut message = match on_sample(&inbound, &sample, directed) {
                     Ok(message) => message,
                     Err(AddressError::NotForThisRobot) => return,
                     Err(AddressError::InvalidTopic { .. }) => return counting.on_rejected(),
                 };
-                if let Some(links) = &links {
-                    let links = links.lock().unwrap_or_else(PoisonError::into_inner);
-                    message.method = links.method(&message.sender).map(str::to_owned);
-                }
+                let links = links.as_ref();
+                message.method = links.and_then(|links| links.method(&message.sender));
                 counting.on_received(message.payload.bytes.len(), message.missed);
                 writer.push(message);
             };
@@ -322,12 +318,6 @@ fn on_sample(
         priority: sample.priority() as u8,
         directed,
     })
-}
-
-/// Converts a payload from Zenoh's types.
-pub(super) fn payload(bytes: &ZBytes, encoding: &zenoh::bytes::Encoding) -> Payload {
-    let bytes = Bytes::from(bytes.to_bytes().into_owned());
-    Payload::new(bytes, Encoding::new(encoding))
 }
 
 fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {

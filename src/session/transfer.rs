@@ -3,17 +3,17 @@
 //! The protocol's decisions are made in [`core::transfer`](crate::core::transfer). Each transfer has a separate thread at
 //! either end, since file access and a full link block. On a slow link, the thread wakes up a few times per second.
 mod incoming;
-mod offering;
 mod options;
 mod outgoing;
-mod progress_throttle;
-mod pull;
-mod queries;
-mod receiver;
+mod received;
+mod receiving;
+mod sending;
+mod stop;
 
-pub use incoming::{Received, Transfers};
+pub use incoming::Transfers;
 pub use options::{Destination, IncomingTransfer, ReceiveOptions};
 pub use outgoing::{Transfer, TransferSource};
+pub use received::Received;
 
 use super::robot::Robot;
 use crate::{

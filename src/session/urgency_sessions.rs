@@ -6,7 +6,10 @@
 use tokio::sync::OnceCell;
 use zenoh::{Config, Session};
 
-use crate::core::urgency::Urgency;
+use crate::core::{
+    settings::{SessionChoice, SessionsState},
+    urgency::Urgency,
+};
 
 pub(super) struct UrgencySessions {
     normal: Session,
@@ -38,15 +41,18 @@ impl UrgencySessions {
     }
 
     async fn open(&self, urgency: Urgency) -> &Session {
-        let Some(config) = &self.config else {
+        let separate = &self.separate[urgency as usize];
+        let linked = self.normal.info().routers_zid().await.next().is_some();
+        let state = SessionsState {
+            has_router: self.config.is_some(),
+            is_open: separate.initialized(),
+            is_linked: linked && !self.normal.is_closed(),
+        };
+        let (SessionChoice::Open | SessionChoice::Separate, Some(config)) =
+            (state.choose(urgency), &self.config)
+        else {
             return &self.normal;
         };
-        // Without a link to the router, opening a session would block the caller.
-        let is_linked = self.normal.info().routers_zid().await.next().is_some();
-        if self.normal.is_closed() || !is_linked {
-            return &self.normal;
-        }
-        let separate = &self.separate[urgency as usize];
         let opened = separate.get_or_try_init(|| async { zenoh::open(config.clone()).await });
         opened.await.unwrap_or_else(|error| {
             tracing::warn!(

@@ -10,6 +10,8 @@ use crate::{
     secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
 };
 
+pub use crate::node_id::NodeId;
+
 /// The first bytes of every message of the handshake. Zenoh's own first message (InitSyn) has 0x01 in the low five bits of
 /// its first byte and `R` (0x52) does not, so the first byte identifies a plain peer.
 pub const MAGIC: [u8; 4] = *b"RECT";
@@ -34,16 +36,6 @@ const KIND_PROOF: u8 = 5;
 const NONCE_FOLLOWS: u8 = b'S';
 /// The byte that precedes the connection intervals of a hello, after the name and the nonce.
 const INTERVALS_FOLLOW: u8 = b'I';
-
-/// A random number that identifies one run of a node.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct NodeId(pub u64);
-
-impl fmt::Debug for NodeId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:016x}", self.0)
-    }
-}
 
 /// The content of HELLO and ACCEPT: the properties of the side that sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 //! and the lanes have strict precedence. This module bounds what the lanes hold, applies the receiver's credits, and
 //! verifies the check of each SDU, which detects loss and damage.
 //!
-//! The module is plain logic without I/O and is given the time; `traffic.rs` moves the SDUs.
+//! The module is plain logic without I/O and is given the time; `link/traffic.rs` moves the SDUs.
 //!
 //! ```text
 //! write_all(priority) -> Lanes::push -> Scheduler: lanes by priority -> Lanes::peek -> SDU -> channel

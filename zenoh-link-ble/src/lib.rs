@@ -21,14 +21,13 @@ mod listener;
 pub mod locator;
 mod manager;
 mod name_conflict;
+mod node_id;
 mod pending_handshakes;
-mod plain;
 pub mod radio;
 mod rejected_peers;
 mod scanner;
 pub mod secret;
 pub mod status;
-mod traffic;
 
 pub use error::{BleError, DialStep};
 pub use locator::BLE_LOCATOR_PREFIX;

@@ -1,15 +1,20 @@
 //! Implements Zenoh's link trait for an open link, whose batches travel on lanes or, to a plain peer, without framing.
 //!
-//! Delegates to `traffic` and `plain` for the batches. Its submodules decide which links exist ([`table`]), end a link
-//! once (`close_once`), delay its successor (`reroute_holdoff`), and keep what all links of a node share (`node`,
-//! `history`).
+//! Its submodules carry the batches (`traffic`, `plain`), decide which links exist ([`table`]), end a link once
+//! (`close_once`), delay its successor (`reroute_holdoff`), and keep what all links of a node share (`node`, `history`,
+//! `open_links`).
 pub(crate) mod close_once;
 pub(crate) mod history;
 pub(crate) mod interval_events;
 pub mod intervals;
 pub(crate) mod node;
+mod number;
+mod open_links;
+mod plain;
 pub(crate) mod reroute_holdoff;
+pub(crate) mod status;
 pub mod table;
+mod traffic;
 
 use std::{
     sync::{
@@ -34,12 +39,17 @@ use crate::{
     hello::Hello,
     interval::ConnectionInterval,
     lanes::Lane,
-    link::{close_once::CloseOnce, interval_events::IntervalEvents, node::Node, table::LinkNumber},
+    link::{
+        close_once::CloseOnce,
+        interval_events::IntervalEvents,
+        node::Node,
+        number::LinkNumber,
+        plain::Plain,
+        status::LinkStatus,
+        traffic::{Tasks, Traffic, TrafficOptions},
+    },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
-    plain::Plain,
     radio::{Channel, Radio},
-    status::LinkStatus,
-    traffic::{Tasks, Traffic, TrafficOptions},
 };
 
 /// The framing of the batches of a link.

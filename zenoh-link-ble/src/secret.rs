@@ -7,7 +7,7 @@ use std::{fmt, fs, io, io::Read, path::Path};
 use hmac::{Hmac, Mac};
 use sha3::Sha3_256;
 
-use crate::hello::NodeId;
+use crate::node_id::NodeId;
 
 /// Size of a nonce, in bytes. It is large enough that a node never uses the same nonce twice.
 pub const NONCE_BYTES: usize = 16;

@@ -1,103 +1,20 @@
 //! Reports the state of all `ble` links of the process: links, lanes, peers and discovered nodes. Zenoh creates the link
 //! managers and does not expose them, so the nodes are kept in a list for the whole process.
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, Weak},
-    time::{Duration, Instant},
-};
+use std::sync::{Arc, Weak};
 
 use parking_lot::Mutex;
-use serde::Serialize;
-use zenoh_protocol::core::Priority;
 
+use crate::link::node::Node;
 pub use crate::{
     discovered::DiscoveredStatus,
     lanes::report::Count,
-    link::history::{Event, PeerStatus},
-};
-use crate::{
-    lanes::{Lane, Lanes},
-    link::{node::Node, table::LinkNumber, LinkBle},
+    link::{
+        history::{Event, PeerStatus},
+        status::{LaneStatus, LanesStatus, LinkStatus, NodeStatus},
+    },
 };
 
 static NODES: Mutex<Vec<Weak<Node>>> = Mutex::new(Vec::new());
-
-/// The `ble` links of one Zenoh runtime.
-#[derive(Clone, Debug, Serialize)]
-pub struct NodeStatus {
-    /// The name with which the node listens; empty if it does not listen.
-    pub name: String,
-    /// Open links.
-    pub links: Vec<LinkStatus>,
-    /// History of the peers that were linked or dialled.
-    pub peers: Vec<PeerStatus>,
-    /// Nodes whose advertisements were received within the last minute. A node scans only while it dials, and while it
-    /// searches for another robot with its name.
-    pub discovered: Vec<DiscoveredStatus>,
-}
-
-/// An open link.
-#[derive(Clone, Debug, Serialize)]
-pub struct LinkStatus {
-    /// Number that identifies the link within the process.
-    pub link: u64,
-    /// Name of the peer, or its address if it has no name.
-    pub peer: String,
-    /// Bluetooth address of the peer.
-    pub address: String,
-    /// Name of the local adapter.
-    pub adapter: String,
-    /// Largest batch, in bytes.
-    pub mtu: u16,
-    /// Time since the link was opened, in seconds.
-    pub up_s: f64,
-    /// Batches that were sent.
-    pub sent: Count,
-    /// Batches that were received.
-    pub received: Count,
-    /// State of the lanes. A link with a plain peer has none.
-    pub lanes: Option<LanesStatus>,
-}
-
-/// The lanes of a link, and the path to the peer that they share.
-#[derive(Clone, Debug, Serialize)]
-pub struct LanesStatus {
-    /// Rate of the path while there is enough to send, in bytes per second, once it was measured.
-    pub rate_bytes_per_s: Option<f64>,
-    /// Moving average of the time from an SDU to its acknowledgement, in milliseconds, once it was measured.
-    pub round_trip_ms: Option<f64>,
-    /// Number of bytes that were sent and not acknowledged yet.
-    pub in_flight_bytes: u16,
-    /// Current limit of the bytes in flight.
-    pub in_flight_limit_bytes: u16,
-    /// Number of bytes that may wait on a lane before it accepts another message that must arrive.
-    pub backlog_limit_bytes: usize,
-    /// The lanes that were used, the most urgent first.
-    pub lanes: Vec<LaneStatus>,
-}
-
-/// A lane of a link, in both directions.
-#[derive(Clone, Debug, Serialize)]
-pub struct LaneStatus {
-    /// Name of Zenoh's priority, such as `Data`.
-    pub priority: String,
-    /// Batches that were sent.
-    pub sent: Count,
-    /// Batches that wait to be sent. Here, `bytes` is the memory that they occupy.
-    pub waiting: Count,
-    /// Number of waiting bytes that count towards `backlog_limit_bytes`: those of messages that are not large.
-    pub backlog_bytes: u64,
-    /// How long the oldest waiting batch has waited, in milliseconds; `None` if none waits.
-    pub oldest_ms: Option<f64>,
-    /// Number of batches that were withdrawn because Zenoh abandoned their message.
-    pub abandoned: u64,
-    /// Whether the peer has stopped the lane.
-    pub is_stopped: bool,
-    /// Batches that were received.
-    pub received: Count,
-    /// Number of received bytes that Zenoh has not read yet, with 24 more for each batch.
-    pub unread_bytes: usize,
-}
 
 /// Returns the state of the `ble` links of each Zenoh runtime in this process.
 pub fn nodes() -> Vec<NodeStatus> {
@@ -128,72 +45,4 @@ pub(crate) fn find_or_add(
     let node = make();
     nodes.push(Arc::downgrade(&node));
     node
-}
-
-/// The open links of a node.
-#[derive(Default)]
-pub(crate) struct OpenLinks(BTreeMap<LinkNumber, Weak<LinkBle>>);
-
-impl OpenLinks {
-    pub(crate) fn add(&mut self, number: LinkNumber, link: &Arc<LinkBle>) {
-        self.0.retain(|_, link| link.strong_count() > 0);
-        self.0.insert(number, Arc::downgrade(link));
-    }
-
-    pub(crate) fn remove(&mut self, number: LinkNumber) {
-        self.0.remove(&number);
-    }
-
-    /// Returns a link, if it still exists. The caller must use and drop it without holding a lock.
-    pub(crate) fn get(&self, number: LinkNumber) -> Option<Arc<LinkBle>> {
-        self.0.get(&number).and_then(Weak::upgrade)
-    }
-
-    /// Returns the links that still exist. The caller must use and drop them without holding a lock, because dropping the
-    /// last reference ends a link.
-    pub(crate) fn all(&self) -> Vec<Arc<LinkBle>> {
-        self.0.values().filter_map(Weak::upgrade).collect()
-    }
-}
-
-impl LanesStatus {
-    /// Returns the current state of the lanes, and the totals of what was sent and received.
-    pub(crate) fn of(lanes: &Lanes, now: Instant) -> (Self, Count, Count) {
-        let (mut sent, mut received) = (Count::default(), Count::default());
-        let mut used = Vec::new();
-        for lane in Lane::all() {
-            let (out, into) = lanes.lane_report(lane, now);
-            sent = sent + out.sent;
-            received = received + into.received;
-            let priority = Priority::try_from(lane.number());
-            if out.sent + out.waiting + into.received == Count::default() {
-                continue;
-            }
-            used.push(LaneStatus {
-                priority: priority.map_or_else(|_| lane.number().to_string(), |p| format!("{p:?}")),
-                sent: out.sent,
-                waiting: out.waiting,
-                backlog_bytes: out.backlog_bytes,
-                oldest_ms: out.oldest.map(milliseconds),
-                abandoned: out.abandoned_sdus,
-                is_stopped: out.is_stopped,
-                received: into.received,
-                unread_bytes: into.unread_bytes,
-            });
-        }
-        let (in_flight_bytes, in_flight_limit_bytes) = lanes.in_flight();
-        let status = Self {
-            rate_bytes_per_s: lanes.path().rate_bytes_per_s(),
-            round_trip_ms: lanes.path().round_trip().map(milliseconds),
-            in_flight_bytes,
-            in_flight_limit_bytes,
-            backlog_limit_bytes: lanes.backlog_limit_bytes(),
-            lanes: used,
-        };
-        (status, sent, received)
-    }
-}
-
-fn milliseconds(duration: Duration) -> f64 {
-    1000.0 * duration.as_secs_f64()
 }

@@ -3,10 +3,12 @@
 #ifndef RECT_ERROR_HPP
 #define RECT_ERROR_HPP
 
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "../rect.h"
 #include "abi.hpp"
@@ -44,7 +46,7 @@ enum class Code {
     dictionary = RECT_CODE_DICTIONARY,
     /// There is no router at the endpoint. Start one, or specify another endpoint.
     no_router = RECT_CODE_NO_ROUTER,
-    /// Zenoh rejects a locator or another option.
+    /// A locator or another option is invalid. The text names the option and the values that are allowed.
     option = RECT_CODE_OPTION,
     /// The robot does not offer the service. Check that the robot is reachable and that its program is running.
     no_service = RECT_CODE_NO_SERVICE,
@@ -67,6 +69,8 @@ enum class Code {
     /// The router belongs to another robot than the name under which the program connects. Use that robot's name, or connect
     /// to the router of the right robot.
     wrong_robot = RECT_CODE_WRONG_ROBOT,
+    /// The operating system does not start another thread. Close other programs, or raise the limit of threads.
+    thread = RECT_CODE_THREAD,
 };
 
 /// The reason why a call failed.
@@ -75,6 +79,9 @@ struct Error {
     Code code;
     /// One line for people: what happened, and what to do.
     std::string text;
+    /// The errors of Zenoh or of the operating system that caused this one, outermost first. The text already contains what
+    /// matters of them; they help to find out why something was refused.
+    std::vector<std::string> causes{};
 };
 
 #if RECT_HAS_STD_EXPECTED
@@ -99,12 +106,18 @@ using unexpected = nonstd::unexpected_type<E>;
 class Exception : public std::runtime_error {
 public:
     /// Creates the exception of an error.
-    explicit Exception(const Error& error) : std::runtime_error(error.text), code_(error.code) {}
+    explicit Exception(const Error& error)
+        : std::runtime_error(error.text), code_(error.code), causes_(std::make_shared<Causes>(error.causes)) {}
     /// Returns the kind of the error.
     [[nodiscard]] Code code() const noexcept { return code_; }
+    /// Returns the errors that caused this one, outermost first; see Error::causes.
+    [[nodiscard]] const std::vector<std::string>& causes() const noexcept { return *causes_; }
 
 private:
+    using Causes = const std::vector<std::string>;
     Code code_;
+    // Shared, because copying an exception must not throw.
+    std::shared_ptr<Causes> causes_;
 };
 
 /// Returns the value of an `expected`, or throws an Exception if it is an error.
@@ -123,8 +136,14 @@ T must(expected<T> result) {
 /// @cond
 namespace detail {
 
+// Must be called on the thread of the call that failed, before the next call.
 inline unexpected<Error> failed(rect_code code, const rect_error& error) {
-    return unexpected<Error>(Error{static_cast<Code>(code), error.text});
+    Error failure{static_cast<Code>(code), error.text};
+    char cause[RECT_ERROR_BYTES];
+    while (rect_error_cause(failure.causes.size(), &cause) == RECT_CODE_OK) {
+        failure.causes.emplace_back(cause);
+    }
+    return unexpected<Error>(std::move(failure));
 }
 
 inline unexpected<Error> failed(Code code, std::string text) {

@@ -6,7 +6,9 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <optional>
+#include <string>
 #include <string_view>
 
 #include "payload.hpp"
@@ -117,6 +119,14 @@ private:
     MessageView view_;
 };
 
+/// How many messages of one robot a Subscriber has received and missed.
+struct SenderCounts {
+    /// Number of messages that arrived.
+    std::uint64_t received;
+    /// Number of messages that did not arrive, according to their sequence numbers.
+    std::uint64_t missed;
+};
+
 /// A subscription with a receive queue from which the program takes messages. Destroying it ends the subscription.
 ///
 ///     const auto angles = rect::must(robot.subscribe("wombat-2/arm/angle"));
@@ -142,6 +152,22 @@ public:
         rect_error error;
         const auto code = rect_subscriber_dropped({handle_id()}, &dropped, &error);
         return detail::value_or_error<std::uint64_t>(code, error, [&] { return dropped; });
+    }
+
+    /// Returns how many messages of each robot were received and missed, by the robot's name.
+    [[nodiscard]] expected<std::map<std::string, SenderCounts>> counts_by_sender() const {
+        using All = std::map<std::string, SenderCounts>;
+        rect_counts_by_sender counts;
+        rect_error error;
+        const auto code = rect_subscriber_counts_by_sender({handle_id()}, &counts, &error);
+        return detail::value_or_error<All>(code, error, [&] {
+            const Handle handle(counts.id);
+            All all;
+            for (const auto& item : span<const rect_sender_counts>(counts.items, counts.len)) {
+                all[std::string(detail::view(item.sender))] = {item.received, item.missed};
+            }
+            return all;
+        });
     }
 };
 

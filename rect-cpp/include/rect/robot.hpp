@@ -16,6 +16,7 @@
 #include "message.hpp"
 #include "numbers.hpp"
 #include "options.hpp"
+#include "publisher.hpp"
 #include "service.hpp"
 #include "stream.hpp"
 #include "transfer.hpp"
@@ -50,6 +51,14 @@ public:
         return detail::value_or_error<std::string>(code, error, [&] { return std::string(name); });
     }
 
+    /// Returns the name of the fleet.
+    [[nodiscard]] expected<std::string> fleet() const {
+        char fleet[RECT_NAME_BYTES];
+        rect_error error;
+        const auto code = rect_robot_fleet(raw(), &fleet, &error);
+        return detail::value_or_error<std::string>(code, error, [&] { return std::string(fleet); });
+    }
+
     /// Returns a handle of the same robot whose messages and requests have another urgency:
     /// `robot.with_urgency(rect::Urgency::urgent)`.
     [[nodiscard]] expected<Robot> with_urgency(Urgency urgency) const {
@@ -82,6 +91,14 @@ public:
             rect_error error;
             return detail::ok_or_error(rect_robot_publish(raw(), topic.c_str(), &payload, &error), error);
         });
+    }
+
+    /// Creates a publisher of `topic`, with the urgency and codec of this handle. Fails with Code::topic if the topic is invalid.
+    [[nodiscard]] expected<Publisher> publisher(const Text& topic) const {
+        rect_publisher publisher;
+        rect_error error;
+        const auto code = rect_robot_publisher(raw(), topic.c_str(), &publisher, &error);
+        return detail::value_or_error<Publisher>(code, error, [&] { return Publisher(publisher.id); });
     }
 
     /// Sends a value on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use
@@ -175,10 +192,11 @@ public:
     }
 
     /// Creates a stream of which only the newest frame matters: a slow link drops older ones. Fails with Code::topic if the
-    /// topic is invalid, and with Code::argument if an option is.
+    /// topic is invalid, and with Code::option if an option is out of range.
     [[nodiscard]] expected<Stream> stream(const Text& topic, StreamOptions options = {}) const {
-        const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp, options.max_frames_per_s,
-                                              options.min_frames_per_s};
+        const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp,
+                                              options.max_frames_per_s, options.min_frames_per_s,
+                                              options.max_bytes_per_s,  detail::ms(options.feedback_interval)};
         rect_stream stream;
         rect_error error;
         const auto code = rect_robot_stream(raw(), topic.c_str(), &raw_options, &stream, &error);
@@ -292,6 +310,23 @@ public:
         });
     }
 
+    /// Waits until the robot `name` is reachable; returns at once if it is. Its programs may start later:
+    /// Publisher::wait_for_subscriber waits for one that subscribes. Fails with Code::timed_out if the robot is not reachable
+    /// within `timeout`, and with Code::name if the name is invalid.
+    expected<void> wait_for_peer(const Text& name, Milliseconds timeout = forever) const {
+        rect_error error;
+        return detail::ok_or_error(rect_robot_wait_for_peer(raw(), name.c_str(), detail::ms(timeout), &error), error);
+    }
+
+    /// Waits until every reachable router knows the subscriptions and services of this program, so that messages and requests
+    /// that other robots send from now on arrive. Declarations reach the other robots a moment after the calls that made them,
+    /// later over a slow link. Without a router, the wait is for the directly linked programs. Fails with Code::timed_out if a
+    /// router does not answer within `timeout`.
+    expected<void> wait_until_established(Milliseconds timeout = forever) const {
+        rect_error error;
+        return detail::ok_or_error(rect_robot_wait_until_established(raw(), detail::ms(timeout), &error), error);
+    }
+
     /// Returns the connections of a router. `filter` selects connections, e.g. `method=ble` or
     /// `peer=wombat-2;state=connected` (docs/reference/registry.md). `target` is the robot whose router is queried; empty means this
     /// robot. Fails with Code::no_service if the router does not answer.
@@ -358,6 +393,14 @@ public:
         rect_error error;
         const auto code = rect_robot_counters(raw(), &counters, &error);
         return detail::value_or_error<Counters>(code, error, [&] { return counters; });
+    }
+
+    /// Returns whether the session was closed.
+    [[nodiscard]] expected<bool> is_closed() const {
+        bool is_closed = false;
+        rect_error error;
+        const auto code = rect_robot_is_closed(raw(), &is_closed, &error);
+        return detail::value_or_error<bool>(code, error, [&] { return is_closed; });
     }
 
     /// Closes the session and everything that belongs to it, regardless of other handles.

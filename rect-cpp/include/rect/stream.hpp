@@ -29,17 +29,32 @@ struct StreamOptions {
     Mode mode = Mode::adaptive;
     /// Whether to compress pictures as WebP instead of JPEG. WebP is smaller, but takes several times as long.
     bool webp = false;
-    /// Maximum frame rate, in frames per second. 0 means the default: 15 for an adaptive stream, no limit for a sensor.
-    /// Required for a fixed stream.
+    /// Maximum frame rate, 0.01 to 1,000,000 frames per second. 0 means the default: 15, or no limit for a sensor.
     double max_frames_per_s = 0;
-    /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, in frames per second. 0 means the
-    /// default, 5.
+    /// Minimum frame rate that an adaptive stream aims for with its smallest pictures, 0.01 to 1,000,000 frames per second.
+    /// 0 means the default, 5.
     double min_frames_per_s = 0;
+    /// Maximum data rate of an adaptive stream, 1 or more bytes per second. 0 means the default, 20,000,000.
+    double max_bytes_per_s = 0;
+    /// Interval at which receivers report what arrives, 0.2 to 10 s; `rect::forever` for no reports. 0 means the default:
+    /// 500 ms for an adaptive stream, 2 s for a fixed one, and no reports for a sensor.
+    std::chrono::milliseconds feedback_interval{0};
 
     /// Returns the options for the values of a sensor.
-    static StreamOptions sensor() { return {Mode::sensor, false, 0, 0}; }
+    static StreamOptions sensor() { return of(Mode::sensor); }
     /// Returns the options for frames that are sent unchanged, at a limited rate in frames per second.
-    static StreamOptions fixed(double max_frames_per_s) { return {Mode::fixed, false, max_frames_per_s, 0}; }
+    static StreamOptions fixed(double max_frames_per_s) {
+        auto options = of(Mode::fixed);
+        options.max_frames_per_s = max_frames_per_s;
+        return options;
+    }
+
+private:
+    static StreamOptions of(Mode mode) {
+        StreamOptions options;
+        options.mode = mode;
+        return options;
+    }
 };
 
 /// A stream that this program sends. Destroying it ends the stream.
@@ -148,6 +163,17 @@ public:
         rect_error error;
         const auto code = rect_watch_next({handle_id()}, detail::ms(timeout), &frame, &error);
         return detail::value_or_error<Frame>(code, error, [&] { return Frame(frame); });
+    }
+
+    /// Returns the round trip of a small message to the sender, or nothing until the first one has been measured.
+    [[nodiscard]] expected<std::optional<std::chrono::microseconds>> round_trip() const {
+        using RoundTrip = std::optional<std::chrono::microseconds>;
+        std::int64_t round_trip_us = -1;
+        rect_error error;
+        const auto code = rect_watch_round_trip({handle_id()}, &round_trip_us, &error);
+        return detail::value_or_error<RoundTrip>(code, error, [&] {
+            return round_trip_us < 0 ? RoundTrip() : RoundTrip(std::chrono::microseconds(round_trip_us));
+        });
     }
 };
 

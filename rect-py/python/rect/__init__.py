@@ -27,6 +27,7 @@ from rect.errors import (
     PayloadError,
     RectError,
     ServiceError,
+    ThreadError,
     TimedOut,
     TransferError,
     TransferFailed,
@@ -34,12 +35,13 @@ from rect.errors import (
     WrongRobot,
     ZenohError,
 )
+from rect.events import Counters, Event, Events
 from rect.message import Message
+from rect.publisher import Publisher
 from rect.registry import Connection, Connections, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
-from rect.state import Counters, Event, Events
 from rect.stream import Frame, Stream, Watch
 from rect.subscriber import SenderCounts, Subscriber, Subscription
 from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
@@ -76,6 +78,7 @@ __all__ = [
     "Picture",
     "PixelFormat",
     "Progress",
+    "Publisher",
     "Received",
     "RectError",
     "Refusal",
@@ -90,6 +93,7 @@ __all__ = [
     "StreamMode",
     "Subscriber",
     "Subscription",
+    "ThreadError",
     "TimedOut",
     "TransferError",
     "TransferFailed",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import lru_cache
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar, cast
 
@@ -18,6 +20,7 @@ from rect.errors import ZenohError
 from rect.waiting import is_main, next_wait
 
 T = TypeVar("T")
+_LOG = logging.getLogger("rect")
 
 _PRIORITIES = (
     zenoh.Priority.REAL_TIME,
@@ -28,15 +31,35 @@ _PRIORITIES = (
     zenoh.Priority.DATA_LOW,
     zenoh.Priority.BACKGROUND,
 )
-#: Payloads of at least this size may have to wait until a link accepts them; they are sent on a separate thread.
-LARGE_BYTES = 16 * 1024
 
 
+@lru_cache
 def qos(qos_fields: tuple[int, bool, bool]) -> dict[str, Any]:
     """Converts the quality of service that the core chose into keyword arguments of Zenoh's calls."""
     priority, express, droppable = qos_fields
     congestion = zenoh.CongestionControl.DROP if droppable else zenoh.CongestionControl.BLOCK
     return {"priority": _PRIORITIES[priority - 1], "express": express, "congestion_control": congestion}
+
+
+def get_arguments(
+    selector: str,
+    payload: tuple[bytes, str] | None,
+    attachment: bytes | None,
+    qos_fields: tuple[int, bool, bool],
+    is_for_all: bool,
+    timeout: float,
+) -> tuple[str, dict[str, Any]]:
+    """Returns the selector and the keyword arguments of Zenoh's `get` for a query that the core prepared."""
+    arguments = {
+        **qos(qos_fields),
+        "target": zenoh.QueryTarget.ALL if is_for_all else zenoh.QueryTarget.BEST_MATCHING,
+        "consolidation": zenoh.ConsolidationMode.NONE,
+        "timeout": timeout,
+        "attachment": attachment,
+    }
+    if payload is not None:
+        arguments["payload"], arguments["encoding"] = payload
+    return selector, arguments
 
 
 def direct(callback: Callable[[Any], object], drop: Callable[[], object] | None = None) -> Any:
@@ -47,6 +70,14 @@ def direct(callback: Callable[[Any], object], drop: Callable[[], object] | None 
 def zenoh_error(operation: str, error: BaseException) -> ZenohError:
     """Makes a `ZenohError` with the reason on one line."""
     return ZenohError(operation, _rect.on_one_line(str(error)))
+
+
+def undeclared(declared: Any) -> None:
+    """Undeclares a Zenoh declaration, if it has not ended already."""
+    try:
+        declared.undeclare()
+    except zenoh.ZError as error:
+        _LOG.debug("the declaration had already ended: %s", error)
 
 
 def payload_bytes(payload: Any) -> bytes:

@@ -23,19 +23,19 @@ import zenoh as stock
 
 from rect import _rect
 from rect import robot as blocking
-from rect._zenoh import LARGE_BYTES
 from rect.choices import Urgency, WhenFull
 from rect.errors import CodecError, NoService, TimedOut
+from rect.events import Counters, Event
+from rect.events import Events as BlockingEvents
 from rect.message import Message
 from rect.options import Options, seconds, text
+from rect.publisher import Publisher as BlockingPublisher
 from rect.receive_queue import DEFAULT_CAPACITY, Ended
 from rect.registry import Connections
 from rect.request import Replies as BlockingReplies
 from rect.request import Reply
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
-from rect.service import MAX_CONCURRENT, Request, Requests
-from rect.state import Counters, Event
-from rect.state import Events as BlockingEvents
+from rect.service import Request, Requests
 from rect.stream import Frame
 from rect.stream import Stream as BlockingStream
 from rect.stream import Watch as BlockingWatch
@@ -276,6 +276,18 @@ class Robot:
         """Shares a dictionary with all robots, and returns its codec; see `rect.Robot.share_dictionary`."""
         return self._robot.share_dictionary(dictionary)
 
+    def publisher(self, topic: str, *, urgency: Urgency = "normal", codec: CodecLike = None) -> Publisher:
+        """Returns a publisher of `topic`, which can wait for a subscriber; see `rect.Robot.publisher`."""
+        return Publisher(self._robot.publisher(topic, urgency=urgency, codec=codec))
+
+    async def wait_for_peer(self, robot: str, timeout: float) -> None:
+        """Waits until `robot` is reachable; see `rect.Robot.wait_for_peer`."""
+        await asyncio.to_thread(self._robot.wait_for_peer, robot, timeout)
+
+    async def wait_until_established(self, timeout: float) -> None:
+        """Waits until the other robots know this program's subscriptions; see `rect.Robot.wait_until_established`."""
+        await asyncio.to_thread(self._robot.wait_until_established, timeout)
+
     async def peers(self) -> list[str]:
         """Returns the names of the other robots of the fleet that are reachable now; see `rect.Robot.peers`."""
         return await asyncio.to_thread(self._robot.peers)
@@ -341,7 +353,7 @@ class Robot:
     async def _publish(self, topic: str, recipient: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
-        if len(payload.bytes) < LARGE_BYTES and self._session.urgency_sessions.is_open(urgency):
+        if len(payload.bytes) < _rect.LARGE_BYTES and self._session.urgency_sessions.is_open(urgency):
             self._robot._publish(topic, recipient, payload, urgency, None)
         else:
             await asyncio.to_thread(self._robot._publish, topic, recipient, payload, urgency, None)
@@ -362,6 +374,32 @@ class _Handle:
 
     async def __aexit__(self, *_: object) -> None:
         self.close()
+
+
+class Publisher(_Handle):
+    """Publishes on one topic, and reports whether there are subscribers; see `rect.Publisher`."""
+
+    def __init__(self, publisher: BlockingPublisher) -> None:
+        super().__init__(publisher)
+        self._publisher = publisher
+
+    @property
+    def topic(self) -> str:
+        """Topic of the messages."""
+        return self._publisher.topic
+
+    @property
+    def has_subscribers(self) -> bool:
+        """Whether at least one subscriber of another program receives the messages."""
+        return self._publisher.has_subscribers
+
+    async def publish(self, value: Any) -> None:
+        """Publishes `value` to every subscriber; see `rect.Publisher.publish`."""
+        await asyncio.to_thread(self._publisher.publish, value)
+
+    async def wait_for_subscriber(self, timeout: float) -> None:
+        """Waits until a subscriber receives the messages; see `rect.Publisher.wait_for_subscriber`."""
+        await asyncio.to_thread(self._publisher.wait_for_subscriber, timeout)
 
 
 class _Source(_Handle, Generic[T]):
@@ -437,7 +475,7 @@ class Events(_Source[Event]):
     counts_by_sender: Mapping[str, SenderCounts] = {}
 
     def __init__(self, events: BlockingEvents) -> None:
-        super().__init__(events, events._EXPECTED, events._queue.pop_async)
+        super().__init__(events, events._EXPECTED, events.next_async)
         self._events = events
 
     async def next(self, timeout: float | None = None) -> Event:
@@ -567,7 +605,7 @@ class Service:
         self._handler = handler
         self._robot = robot
         self._requests = Requests(robot._session, topic)
-        self._room = asyncio.Semaphore(MAX_CONCURRENT)
+        self._room = asyncio.Semaphore(_rect.MAX_CONCURRENT)
         self._task = robot.begin(self._run())
 
     def close(self) -> None:

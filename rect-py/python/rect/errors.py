@@ -122,6 +122,13 @@ class ZenohError(RectError):
         super().__init__(f"{operation}: {reason}")
 
 
+class ThreadError(RectError, RuntimeError):
+    """A thread cannot be started. Has the computer too many processes, or too little memory?"""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"cannot start a thread: {reason}")
+
+
 class TransferError(RectError):
     """A transfer cannot be offered or completed."""
 

@@ -17,23 +17,13 @@ from rect import _rect
 from rect._zenoh import call_interruptibly
 from rect.errors import OptionError
 
-#: Default locator of the router on this computer.
-DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 #: Environment variable with the locator of the router for all programs that do not name one.
-ROUTER_VARIABLE = "RECT_ENDPOINT"
-#: Settings with which Zenoh reports why it cannot connect: in client mode it reports only that it cannot.
-_DIAGNOSIS: dict[str, Any] = {
-    "mode": "peer",
-    "connect/exit_on_failure": True,
-    "listen/endpoints": [],
-    "scouting/gossip/enabled": False,
-    "open/return_conditions/connect_scouted": False,
-}
+ROUTER_VARIABLE = _rect.ROUTER_VARIABLE
 
 
 def default_router() -> str:
     """Returns the router's locator for programs that name none: `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`."""
-    return os.environ.get(ROUTER_VARIABLE) or DEFAULT_ROUTER
+    return _rect.default_router(os.environ.get(ROUTER_VARIABLE))
 
 
 def default_login_file() -> str:
@@ -98,7 +88,7 @@ class Options:
         began = time.monotonic()
         while True:
             settings = self._settings(attempts.credentials())
-            _config(settings, self._locators())
+            _config(settings)
             reason: str | None
             try:
                 return call_interruptibly(
@@ -113,12 +103,12 @@ class Options:
             time.sleep(attempts.on_failure(time.monotonic() - began, reason))
 
     def _open_directly(self, attempts: _rect.JoinAttempts) -> zenoh.Session:
-        config = _config(self._settings(attempts.credentials()), self._locators())
+        config = _config(self._settings(attempts.credentials()))
         try:
             return call_interruptibly(lambda: zenoh.open(config), lambda session: session.close())
         except zenoh.ZError as error:
             locators = " ".join([*self.listen, *self.endpoints])
-            raise OptionError("listen or endpoints", locators, _rect.on_one_line(str(error))) from None
+            raise OptionError("listen or endpoints", locators, _rect.on_one_line(str(error))) from error
 
     def _join_attempts(self) -> _rect.JoinAttempts:
         file = Path(self.login_file or default_login_file())
@@ -133,69 +123,37 @@ class Options:
         login = None if self.login is None else (self.login[0], self.login[1])
         return _rect.JoinAttempts(self.endpoint, self.timeout, login, str(file), text, unreadable)
 
-    def _settings(self, credentials: tuple[str, str] | None) -> dict[str, Any]:
-        settings: dict[str, Any] = {
-            # Robots connect by their configured links. Multicast would connect robots of other fleets, too.
-            "scouting/multicast/enabled": False,
-            # A message that a slow link cannot accept yet waits; it does not close the link
-            # (docs/reference/configuration.md).
-            "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
-        }
-        if self.is_direct:
-            settings.update(
-                {
-                    "mode": "peer",
-                    "connect/endpoints": list(self.endpoints),
-                    "connect/timeout_ms": -1,
-                    "connect/exit_on_failure": False,
-                    "connect/retry": _retry(200),
-                    "listen/endpoints": list(self.listen),
-                    "listen/exit_on_failure": True,
-                    "scouting/gossip/enabled": False,
-                }
-            )
-        else:
-            settings.update(
-                {
-                    "mode": "client",
-                    "connect/endpoints": [self.endpoint],
-                    # A single attempt: `open` decides about further ones. These pauses apply to reconnecting.
-                    "connect/timeout_ms": 0,
-                    "connect/retry": _retry(100),
-                }
-            )
-        if credentials is not None:
-            user, password = credentials
-            settings["transport/auth/usrpwd"] = {"user": user, "password": password}
-        return {**settings, **self.settings}
-
-    def _locators(self) -> dict[str, tuple[str, str]]:
-        """Returns the option and the value that determine each setting with locators."""
-        dialled = ("endpoints", " ".join(self.endpoints)) if self.is_direct else ("router", self.endpoint)
-        options = {"connect/endpoints": dialled, "listen/endpoints": ("listen", " ".join(self.listen))}
-        return {key: option for key, option in options.items() if key not in self.settings}
+    def _settings(self, credentials: tuple[str, str] | None) -> _Settings:
+        added = json.dumps(dict(self.settings))
+        return _rect.session_settings(self.endpoint, list(self.endpoints), list(self.listen), credentials, added)
 
 
-def _config(settings: Mapping[str, Any], options: Mapping[str, tuple[str, str]] | None = None) -> zenoh.Config:
-    """Returns Zenoh's configuration. `options` are the options and values that errors about a setting name."""
+#: Settings of Zenoh: path, value in JSON, and the option with its value that determine it.
+_Settings = list[tuple[str, str, str, str]]
+
+
+def _config(settings: _Settings) -> zenoh.Config:
+    """Returns Zenoh's configuration. Raises `OptionError`."""
     config = zenoh.Config()
-    for key, value in settings.items():
-        value = json.dumps(value)
+    for key, value, option, given in settings:
         try:
             config.insert_json5(key, value)
         except zenoh.ZError as error:
-            option, given = (options or {}).get(key, ("zenoh", f"{key}: {value}"))
-            raise OptionError(option, given, _rect.on_one_line(str(error))) from None
+            option = "endpoints" if option == "endpoint" else option
+            raise OptionError(option, given, _rect.on_one_line(str(error))) from error
     return config
 
 
-def _attempt(settings: Mapping[str, Any]) -> zenoh.Session:
+def _attempt(settings: _Settings) -> zenoh.Session:
     """Tries once to open the session. Raises `zenoh.ZError` with the reason."""
     try:
         return zenoh.open(_config(settings))
     except zenoh.ZError:
+        config = _config(settings)
+        for key, value in _rect.DIAGNOSIS:
+            config.insert_json5(key, value)
         # Raises an error with the reason. If it succeeds instead, the router has just started: the error is kept.
-        with contextlib.closing(zenoh.open(_config({**settings, **_DIAGNOSIS}))):
+        with contextlib.closing(zenoh.open(config)):
             raise
 
 
@@ -236,7 +194,3 @@ def whole(name: str, value: object, minimum: int) -> int:
     if not minimum <= value < 2**63:
         raise OptionError(name, value, f"it must be an integer of at least {minimum}")
     return value
-
-
-def _retry(first_ms: int) -> dict[str, int]:
-    return {"period_init_ms": first_ms, "period_max_ms": 1000, "period_increase_factor": 2}

@@ -13,20 +13,18 @@ from rect import _rect
 from rect._zenoh import qos, zenoh_error
 from rect.values import Payload
 
-_HIGHEST = 2**32
-
 
 class Publication:
     """A Zenoh publisher whose messages carry a source and a sequence number."""
 
     def __init__(self, session: zenoh.Session, key: str, urgency: str, check: Callable[[], None]) -> None:
         try:
-            self._publisher = session.declare_publisher(key, **qos(_rect.qos(urgency)))
+            #: The publisher of Zenoh.
+            self.publisher = session.declare_publisher(key, **qos(_rect.qos(urgency)))
         except zenoh.ZError as error:
-            raise zenoh_error("cannot declare the publisher", error) from None
+            raise zenoh_error("cannot declare the publisher", error) from error
         self._check = check
-        self._source = random.getrandbits(16)
-        self._next = 0
+        self._numbering = _rect.Numbering(random.getrandbits(16))
         self._lock = threading.Lock()
         self._encoding: tuple[str, zenoh.Encoding | None] = ("", None)
 
@@ -35,14 +33,14 @@ class Publication:
         # The lock is held while sending, so that messages of several threads are sent in order of their numbers.
         with self._lock:
             self._check()
-            attachment = _rect.write_attachment_now(self._source, self._next)
+            attachment = self._numbering.attachment()
             try:
-                self._publisher.put(payload.bytes, encoding=self._convert(payload.encoding), attachment=attachment)
+                self.publisher.put(payload.bytes, encoding=self._convert(payload.encoding), attachment=attachment)
             except zenoh.ZError as error:
                 # The session may have been closed in the meantime.
                 self._check()
-                raise zenoh_error("cannot send the message", error) from None
-            self._next = (self._next + 1) % _HIGHEST
+                raise zenoh_error("cannot send the message", error) from error
+            self._numbering.on_sent()
 
     def finish(self, timeout: float) -> None:
         """Waits for a message that is being sent: Python aborts if a thread is inside Zenoh when it exits."""

@@ -6,22 +6,15 @@ import html
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-import zenoh
-
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.choices import ConnectionState
-from rect.errors import NoService, PayloadError, TimedOut
-from rect.receive_queue import Ended, ReceiveQueue
-from rect.request import ZENOH_TIMEOUT, service_error
-from rect.values import JSON, Payload
+from rect.errors import Closed, NoService, PayloadError, TimedOut
+from rect.executor import Executor
+from rect.request import service_error
+from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
-
-#: Timeout of a query, in seconds. A router answers at once, but a congested slow link adds delay.
-_TIMEOUT_S = 5.0
-_ANSWERS = 4096
 
 
 @dataclass(frozen=True)
@@ -84,71 +77,43 @@ class Connections(list[Connection]):
 
 def query(session: Session, robot: str, question: str, filter: str) -> Any:
     """Returns the answer of a robot's registry (docs/reference/registry.md) about what `filter` selects."""
-    return _query_router(session, robot, question, filter, None).value
+    return _answer(session, robot, _rect.registry_query(session.key_space, robot, question, filter)).value
 
 
 def configure(session: Session, robot: str, action: str, argument: str) -> None:
     """Adds or removes a connection of a robot's router."""
-    _query_router(session, robot, _rect.CONFIG, f"{action};by={session.key_space.robot}", argument.encode())
+    _answer(session, robot, _rect.registry_change(session.key_space, robot, action, argument))
 
 
-def _service_name(question: str) -> str:
-    """Returns the description of a question for the error that no router answers it."""
-    if question != _rect.CONFIG:
-        return f"the registry ({question})"
-    return (
-        "changes of connections (the router's access control must allow them, and its settings must name a "
-        "connections file)"
-    )
-
-
-def _query_router(session: Session, robot: str, question: str, parameters: str, payload: bytes | None) -> Payload:
-    key = session.key_space.own(robot, question)
-    replies: ReceiveQueue[zenoh.Reply] = ReceiveQueue(1, "drop_newest")
-    session.receive_queues.add(replies)
-    try:
-        selector = f"{key}?{parameters}" if parameters else key
-        session.zenoh.get(selector, direct(replies.queue, replies.queue.end), timeout=_TIMEOUT_S, payload=payload)
-        reply = replies.pop(_TIMEOUT_S)
-    except zenoh.ZError as error:
-        raise zenoh_error("cannot query the router", error) from None
-    except Ended:
-        raise NoService(robot, _service_name(question), peers(session)) from None
-    except TimeoutError:
-        raise _timed_out(robot, question) from None
-    finally:
-        session.receive_queues.discard(replies)
-    if reply.ok is not None:
-        return Payload(payload_bytes(reply.ok.payload), JSON)
-    error_bytes = payload_bytes(None if reply.err is None else reply.err.payload)
-    if error_bytes == ZENOH_TIMEOUT:
-        raise _timed_out(robot, question)
-    raise service_error(robot, Payload(error_bytes, "text/plain"))
-
-
-def _timed_out(robot: str, question: str) -> TimedOut:
-    return TimedOut(f"reply from the router of {robot} about {question}", _TIMEOUT_S)
+def _answer(session: Session, robot: str, driver: _rect.Driver) -> Payload:
+    outcome, detail = Executor(session, driver).run()
+    if outcome == "answer":
+        return Payload(*detail)
+    if outcome == "rejected":
+        raise service_error(robot, Payload(*detail))
+    if outcome == "timed_out":
+        raise TimedOut(detail, _rect.QUERY_TIMEOUT_S)
+    if outcome == "no_service":
+        raise NoService(robot, *detail)
+    session.check()
+    raise Closed
 
 
 def peers(session: Session) -> list[str]:
     """Returns the names of the other robots of the fleet that are reachable now, in order."""
-    replies: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_ANSWERS, "drop_newest")
-    session.receive_queues.add(replies)
-    reachable = set()
-    try:
-        alive = session.key_space.own(None, "alive/*")
-        session.zenoh.liveliness().get(alive, direct(replies.queue, replies.queue.end), timeout=_TIMEOUT_S)
-        while True:
-            reply = replies.pop(_TIMEOUT_S)
-            if reply.ok is not None:
-                reachable.add(session.key_space.robot_of(str(reply.ok.key_expr)))
-    except zenoh.ZError as error:
-        raise zenoh_error("cannot query which robots are reachable", error) from None
-    except (Ended, TimeoutError):
+    names: list[str] = Executor(session, _rect.peers_query(session.key_space)).run()
+    session.check()
+    return names
+
+
+def wait(session: Session, driver: _rect.Driver, expected: str, timeout: float) -> None:
+    """Runs a wait of the core. Raises `TimedOut` and `Closed`."""
+    waited = Executor(session, driver).run()
+    if waited == "timed_out":
+        raise TimedOut(expected, timeout)
+    if waited == "closed":
         session.check()
-    finally:
-        session.receive_queues.discard(replies)
-    return sorted(robot for robot in reachable - {session.key_space.robot} if robot is not None)
+        raise Closed
 
 
 def connections(session: Session, robot: str, filter: str) -> Connections:

@@ -5,24 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, qos, zenoh_error
+from rect._zenoh import direct, get_arguments, zenoh_error
 from rect.errors import RectError, ServiceError, TimedOut, ZenohError
 from rect.receive_queue import Ended, ReceiveQueue
 from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
-
-#: Number of replies that may wait for the program. A service that sends more is blocked.
-_REPLIES = 64
-#: Payload of the error that Zenoh itself sends when a request times out.
-ZENOH_TIMEOUT = b"Timeout"
 
 
 @dataclass(frozen=True)
@@ -52,28 +46,24 @@ class Replies:
         self, session: Session, robot: str | None, topic: str, payload: Payload, urgency: str, timeout: float
     ) -> None:
         self._session = session
-        self._robot = robot
-        self._expected = f"reply about {topic}"
+        self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout)
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
-        self._queue: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_REPLIES, "block")
+        self._queue: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_rect.MAX_REPLIES, "block")
         self._cancellation = zenoh.CancellationToken()
-        header = _rect.write_request_header(session.key_space.robot, min(int(timeout * 1000), 2**32 - 1))
         session.receive_queues.add(self._queue)
+        _, _, *query = self._inquiry.get(payload.bytes, payload.encoding, urgency)
+        selector, arguments = get_arguments(*query)
         try:
             session.urgency_sessions.of(urgency).get(
-                session.key_space.service(robot, topic),
+                selector,
                 # Zenoh drops the callback after the last reply.
                 direct(self._queue.queue, self._queue.queue.end),
-                payload=payload.bytes,
-                encoding=payload.encoding,
-                attachment=header,
-                timeout=timeout,
                 cancellation_token=self._cancellation,
-                **_get_arguments(urgency),
+                **arguments,
             )
         except zenoh.ZError as error:
-            raise zenoh_error("cannot send the request", error) from None
+            raise zenoh_error("cannot send the request", error) from error
 
     def __iter__(self) -> Iterator[Reply]:
         return self
@@ -125,7 +115,7 @@ class Replies:
         self.close()
 
     def __repr__(self) -> str:
-        return f"Replies({self._expected})"
+        return f"Replies({self._inquiry.expected})"
 
     def _remaining(self) -> float:
         return max(self._deadline - time.monotonic(), 0)
@@ -136,37 +126,17 @@ class Replies:
 
     def timed_out(self) -> TimedOut:
         self._queue.close()
-        return TimedOut(self._expected, self._timeout)
+        return TimedOut(self._inquiry.expected, self._timeout)
 
     def _reply(self, reply: zenoh.Reply) -> Reply:
-        if reply.ok is None:
-            raise self._error(reply)
-        key = str(reply.ok.key_expr)
-        address = self._session.key_space.address(key)
-        if address is None:
-            raise ZenohError("the reply does not come from a robot", f"its key is {key!r}")
-        sender = address[0]
-        payload = Payload(payload_bytes(reply.ok.payload), str(reply.ok.encoding))
-        return Reply(sender, self._session.decoder.payload(sender, payload))
-
-    def _error(self, reply: zenoh.Reply) -> RectError:
-        error = reply.err
-        if error is None:
-            return ZenohError("the reply is neither a value nor an error", repr(reply))
-        robot, encoding = _rect.error_from(str(error.encoding))
-        payload = Payload(payload_bytes(error.payload), encoding)
-        if robot is None and payload.bytes == ZENOH_TIMEOUT:
-            return self.timed_out()
-        # Only the requested robot can reply, so the name in the reply is not trusted.
-        return service_error(None if robot is None else self._robot or robot, payload)
-
-
-@lru_cache
-def _get_arguments(urgency: str) -> dict[str, Any]:
-    """Returns the arguments of Zenoh's `get` for a request of that urgency."""
-    arguments = qos(_rect.qos(urgency))
-    del arguments["congestion_control"]
-    return {**arguments, "target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
+        kind, robot, payload = self._inquiry.on_reply(reply)
+        if kind == "answer" and robot is not None:
+            return Reply(robot, self._session.decoder.payload(robot, Payload(*payload)))
+        if kind == "error":
+            raise service_error(robot, Payload(*payload))
+        if kind == "timed_out":
+            raise self.timed_out()
+        raise ZenohError("the reply has no valid key of a robot", f"its key is {robot!r}")
 
 
 def service_error(robot: str | None, payload: Payload) -> ServiceError:

@@ -10,24 +10,24 @@ from typing import Any, Union, overload
 import zenoh
 
 from rect import _rect, registry
-from rect._zenoh import LARGE_BYTES, call_interruptibly
 from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
 from rect.errors import NoService, OptionError
+from rect.events import Counters, Event, Events
 from rect.message import Message
+from rect.opening import open_session
 from rect.options import Options, seconds, text, whole
+from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
-from rect.session import Session
-from rect.state import Counters, Event, Events
 from rect.stream import Frame, Stream, Watch
 from rect.subscriber import Subscriber, Subscription, callable_or_none
 from rect.transfer import OnProgress, OutgoingTransfer, Progress, Received, Transfers
 from rect.values import codec_of, payload_of
 
 #: Default timeout of a request, in seconds.
-DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_MS / 1000
+DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_S
 
 #: Default maximum size of a transfer that is accepted, in bytes.
 DEFAULT_MAX_BYTES = 64 << 20
@@ -55,7 +55,8 @@ def connect(
     - `router`: locator of another router, such as `tcp/192.168.0.7:7447`. Default: the value of the environment
       variable `RECT_ENDPOINT`, or else `tcp/127.0.0.1:7447`.
     - `endpoints`: locators that the program dials directly, without a router, until they are reachable, such as
-      `["tcp/192.168.0.7:7447"]`. This function does not wait for the links. Only routers support `ble/` locators.
+      `["tcp/192.168.0.7:7447"]`. This function does not wait for the links. A `ble/` locator raises `OptionError`: a
+      Python program uses Bluetooth through a router.
     - `listen`: locators at which the program accepts direct links, without a router, such as `["tcp/0.0.0.0:7447"]`.
     - `login`: user and password. Default: the first line of `login_file`, `user:password`, if it can be read.
     - `login_file`: path of the login file. Default: the value of the environment variable `RECT_LOGIN`, or else
@@ -85,7 +86,7 @@ class Robot:
     """
 
     def __init__(self, options: Options) -> None:
-        self._session = Session(options)
+        self._session = open_session(options)
 
     @property
     def name(self) -> str:
@@ -181,6 +182,48 @@ class Robot:
         self._session.check()
         subscriber = Subscriber(self._session, text("pattern", pattern), capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
+
+    def publisher(self, topic: str, *, urgency: Urgency = "normal", codec: CodecLike = None) -> Publisher:
+        """Returns a publisher of `topic`, which knows whether there are subscribers and can wait for one.
+
+        For `urgency` and `codec` see `publish`.
+
+        Raises `InvalidTopicError`, `CodecError`, `OptionError` and `Closed`.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     angles = robot.publisher("arm/angle")
+        ...     angles.has_subscribers
+        False
+        """
+        self._session.check()
+        return Publisher(self._session, text("topic", topic), text("urgency", urgency), codec_of(codec))
+
+    def wait_for_peer(self, robot: str, timeout: float) -> None:
+        """Waits until `robot` is reachable. Returns at once if it is. `timeout` is in seconds.
+
+        A robot is reachable while its router, or a program without a router, is connected with this one. Its programs
+        may start later: `Publisher.wait_for_subscriber` waits for one that subscribes.
+
+        Raises `TimedOut`, `InvalidNameError`, `OptionError` and `Closed`.
+        """
+        self._session.check()
+        timeout = seconds("timeout", timeout)
+        driver = _rect.peer_wait(self._session.key_space, text("robot", robot), timeout)
+        registry.wait(self._session, driver, f"connection with {robot}", timeout)
+
+    def wait_until_established(self, timeout: float) -> None:
+        """Waits until every reachable router knows the subscriptions and services of this program.
+
+        Messages and requests that other robots send from then on arrive. Declarations reach the other robots a moment
+        after the calls that made them, later over a slow link. Programs without a router answer themselves.
+        `timeout` is in seconds.
+
+        Raises `TimedOut` if a router does not answer in time, `OptionError` and `Closed`.
+        """
+        self._session.check()
+        timeout = seconds("timeout", timeout)
+        driver = _rect.established_wait(self._session.key_space, timeout)
+        registry.wait(self._session, driver, "answer of every router", timeout)
 
     def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
         """Waits for the next message of `robot` on `topic` and returns it.
@@ -290,12 +333,12 @@ class Robot:
           codec); `fixed` sends frames unchanged, at most `max_frames_per_s` (the default with a codec); `sensor` sends
           every value and receives no feedback.
         - `codec`: compresses each frame; see `publish`.
-        - `max_frames_per_s`: maximum rate of frames. Default: 15, or no maximum for `sensor`.
+        - `max_frames_per_s`: maximum rate of frames, 0.01 to 1 million. Default: 15, or 1 million for `sensor`.
         - `min_frames_per_s`: rate that an adaptive stream maintains by reducing the size and quality of pictures.
           Default: 5.
         - `max_bytes_per_s`: maximum rate of bytes of an adaptive stream. Default: 20 million.
-        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never) to 3600. Receivers
-          use at least 0.2 and at most 10. Default: 0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
+        - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never), or 0.2 to 10.
+          Default: 0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
         - `lossy_format`: format of an adaptive stream's lossy pictures: `jpeg` (default), or `webp`, which is smaller
           and takes longer to encode.
         - `urgency`: see `publish`.
@@ -464,13 +507,14 @@ class Robot:
         Pass the codec to `publish` or `send`. A receiver fetches the dictionary once, on the first message that needs
         it. Small JSON messages compress well only with a dictionary.
 
-        Raises `ZenohError` and `Closed`. Example:
+        Raises `DictionaryError` if this program shares another dictionary with the same id, `ZenohError` and `Closed`.
+        Example:
 
             codec = robot.share_dictionary(rect.Dictionary.train(samples, 4096))
             robot.publish("telemetry", {"angle_deg": 3}, codec=codec)
         """
         self._session.check()
-        self._session.decoder.share_dictionary(dictionary)
+        self._session.decoder.serve(dictionary)
         return _rect.Codec.with_dictionary(dictionary)
 
     def peers(self) -> list[str]:
@@ -578,15 +622,9 @@ class Robot:
         return f"Robot({self.fleet}/{self.name}{', closed' if self.is_closed else ''})"
 
     def _publish(self, topic: str, recipient: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
-        session = self._session
-        session.check()
+        self._session.check()
         payload = payload_of(value, codec_of(codec))
-        publication = session.publication(text("topic", topic), recipient, text("urgency", urgency))
-        if len(payload.bytes) < LARGE_BYTES:
-            publication.put(payload)
-        else:
-            call_interruptibly(lambda: publication.put(payload))
-        session.counters.on_sent(len(payload.bytes))
+        self._session.publish(text("topic", topic), recipient, payload, text("urgency", urgency))
 
     def _request(
         self, robot: str | None, topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike

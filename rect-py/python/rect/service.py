@@ -13,19 +13,15 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect.declared import Declared
 from rect.errors import CodecError, RectError
 from rect.receive_queue import Ended, ReceiveQueue
-from rect.subscriber import Declared
 from rect.values import Payload, payload_of
 
 if TYPE_CHECKING:
     from rect.session import Session
 
 _LOG = logging.getLogger("rect")
-#: Number of requests that may wait for the program. Any further request is answered with an error at once.
-_WAITING = 256
-#: Number of requests that a service handles concurrently.
-MAX_CONCURRENT = 16
 
 
 class Refusal(Exception):
@@ -47,8 +43,7 @@ class Request:
 
     def __init__(self, query: zenoh.Query, me: str, key: str, age: float = 0) -> None:
         attachment = query.attachment
-        header = None if attachment is None else _rect.read_request_header(attachment.to_bytes())
-        sender, timeout_ms = header or (None, _rect.DEFAULT_TIMEOUT_MS)
+        sender, timeout = _rect.requester(None if attachment is None else attachment.to_bytes())
         encoding = query.encoding
         self._query = query
         self._me = me
@@ -59,7 +54,7 @@ class Request:
         #: The payload: bytes with an encoding.
         self.payload = Payload(payload_bytes(query.payload), "zenoh/bytes" if encoding is None else str(encoding))
         #: Time at which the requester stops waiting, by `time.monotonic()`.
-        self.deadline = time.monotonic() - age + timeout_ms / 1000
+        self.deadline = time.monotonic() - age + timeout
 
     @property
     def value(self) -> Any:
@@ -85,7 +80,7 @@ class Request:
         try:
             self._query.reply(self._key, payload.bytes, encoding=payload.encoding)
         except zenoh.ZError as error:
-            raise zenoh_error("cannot send the reply", error) from None
+            raise zenoh_error("cannot send the reply", error) from error
 
     def refuse(self, error: Any) -> None:
         """Sends an error, which the requester receives as `ServiceError`.
@@ -97,7 +92,7 @@ class Request:
         try:
             self._query.reply_err(payload.bytes, encoding=encoding)
         except zenoh.ZError as refusal:
-            raise zenoh_error("cannot send the reply", refusal) from None
+            raise zenoh_error("cannot send the reply", refusal) from refusal
 
     def close(self) -> None:
         """Ends the request: no more replies follow."""
@@ -124,15 +119,17 @@ class Requests:
 
     def __init__(self, session: Session, topic: str) -> None:
         self._session = session
-        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(_WAITING, "drop_newest")
+        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(
+            _rect.SERVICE_CAPACITY, "drop_newest"
+        )
         self._key = session.key_space.publication(topic)
-        on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot, self._key))
+        on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot))
         self._declared = Declared(session, self._queue)
         try:
             self._declared.add(session.zenoh.declare_queryable(self._key, direct(on_request), complete=True))
         except zenoh.ZError as error:
             self._declared.end()
-            raise zenoh_error("cannot declare the service", error) from None
+            raise zenoh_error("cannot declare the service", error) from error
 
     def next(self) -> Request:
         """Waits for the next request that can still be answered. Raises `Ended`."""
@@ -207,7 +204,7 @@ class Service:
     def _ensure_waiting_worker(self) -> None:
         """Starts a worker unless one waits for a request already, or the limit is reached."""
         with self._lock:
-            if self._idle or self._workers >= MAX_CONCURRENT:
+            if self._idle or self._workers >= _rect.MAX_CONCURRENT:
                 return
             self._idle += 1
             self._workers += 1
@@ -234,11 +231,11 @@ def error_text(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-def _refuse_overload(me: str, key: str) -> Callable[[zenoh.Query], None]:
+def _refuse_overload(me: str) -> Callable[[zenoh.Query], None]:
     def refuse(query: zenoh.Query) -> None:
-        request = Request(query, me, key)
-        request.refuse(f"the service is overloaded: {_WAITING} requests are waiting. Try again later.")
-        request.close()
+        payload, encoding = _rect.busy_reply(me)
+        with query:
+            query.reply_err(payload, encoding=encoding)
 
     return refuse
 

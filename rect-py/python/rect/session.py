@@ -9,27 +9,52 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import zenoh
 
-from rect import _rect, state
+from rect import _rect
 from rect._zenoh import call_interruptibly, zenoh_error
-from rect.decoder import Decoder
-from rect.errors import Closed
-from rect.options import Options, tokens_of_router
+from rect.errors import Closed, ThreadError
+from rect.options import Options
 from rect.publication import Publication
 from rect.receive_queue import ReceiveQueue
-from rect.request import Replies
-from rect.state import RouterLinks
-from rect.subscriber import Declared, undeclared
 from rect.urgency_sessions import UrgencySessions
+from rect.values import Payload
 
-if TYPE_CHECKING:
-    from rect.stream import Stream
 
-#: Maximum number of publishers to keep. Beyond it, they are declared again when their topics are used again.
-_MAX_PUBLICATIONS = 256
+class Ending(Protocol):
+    """A handle, or a request, that ends with the session."""
+
+    def end(self) -> None:
+        """Ends it. May block."""
+
+
+class Declaring(Ending, Protocol):
+    """A handle with declarations."""
+
+    def on_fork(self) -> None:
+        """Drops the declarations in a child process."""
+
+
+class FrameSender(Protocol):
+    """A stream, which may be sending a frame."""
+
+    def finish(self, timeout: float) -> None:
+        """Waits until no frame is being sent."""
+
+
+class Decoding(Protocol):
+    """Decodes payloads, with dictionaries that it fetches and serves."""
+
+    def payload(self, sender: str, payload: Payload) -> Payload:
+        """Decodes a payload; fetches a missing dictionary first."""
+
+    def payload_now(self, sender: str, payload: Payload) -> Payload:
+        """Decodes a payload with the dictionaries that are present."""
+
+    def serve(self, dictionary: _rect.Dictionary) -> None:
+        """Serves a dictionary."""
 
 
 class Session:
@@ -43,36 +68,26 @@ class Session:
         _ONCE_OPEN[:] = [True]
         self.zenoh = options.open()
         self.urgency_sessions = UrgencySessions(self.zenoh, None if self.is_direct else options.open)
-        self.decoder = Decoder(self.zenoh, self.key_space)
+        #: Decodes payloads; set when the session is complete.
+        self.decoder: Decoding
         self.counters = _rect.AtomicCounters()
         #: Handles with open declarations.
-        self.handles: set[Declared] = set()
+        self.handles: set[Declaring] = set()
         #: Garbage-collected handles; `check` ends them, since that may block.
-        self.abandoned: deque[Declared | Replies] = deque()
+        self.abandoned: deque[Ending] = deque()
         #: Queues at which a call waits for replies.
         self.receive_queues: set[ReceiveQueue[Any]] = set()
         #: Functions to call on close, before the Zenoh sessions are closed.
         self.close_callbacks: list[Callable[[], object]] = []
         #: Streams that send frames.
-        self.streams: weakref.WeakSet[Stream] = weakref.WeakSet()
+        self.streams: weakref.WeakSet[FrameSender] = weakref.WeakSet()
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str], Publication] = {}
         #: Links of the robot's router; `None` without a router.
-        self.router_links: RouterLinks | None = None
-        self._presence: zenoh.LivelinessToken | None = None
+        self.links: _rect.Links | None = None
         _OPEN.add(self)
-        try:
-            if self.is_direct:
-                self._presence = state.declare_liveliness(self.zenoh, self.key_space)
-            else:
-                if not options.allow_name_mismatch:
-                    _rect.check_router(self.key_space, options.endpoint, tokens_of_router(self.zenoh))
-                self.router_links = RouterLinks(self)
-        except BaseException:
-            self.close()
-            raise
 
     @property
     def is_closed(self) -> bool:
@@ -96,13 +111,21 @@ class Session:
         publication = self._publications.get(key_parts)
         if publication is not None:
             return publication
-        key_space = self.key_space
-        key = key_space.publication(topic) if recipient is None else key_space.message(recipient, topic)
+        key = self.key_space.publication(topic, recipient)
         publication = Publication(self.urgency_sessions.of(urgency), key, urgency, self.check)
         with self._lock:
-            if len(self._publications) >= _MAX_PUBLICATIONS:
+            if len(self._publications) >= _rect.MAX_PUBLICATIONS:
                 self._publications.clear()
             return self._publications.setdefault(key_parts, publication)
+
+    def publish(self, topic: str, recipient: str | None, payload: Payload, urgency: str) -> None:
+        """Publishes a payload to all robots or one recipient, and counts it."""
+        publication = self.publication(topic, recipient, urgency)
+        if len(payload.bytes) < _rect.LARGE_BYTES:
+            publication.put(payload)
+        else:
+            call_interruptibly(lambda: publication.put(payload))
+        self.counters.on_sent(len(payload.bytes))
 
     def close(self) -> None:
         with self._lock:
@@ -115,13 +138,11 @@ class Session:
             handle.end()
         for queue in list(self.receive_queues):
             queue.close()
-        if self._presence is not None:
-            undeclared(self._presence)
         _OPEN.discard(self)
         try:
             call_interruptibly(self.urgency_sessions.close)
         except zenoh.ZError as error:
-            raise zenoh_error("cannot close the session", error) from None
+            raise zenoh_error("cannot close the session", error) from error
         finally:
             self._finish()
 
@@ -129,7 +150,10 @@ class Session:
         """Runs a function on a new thread, which has to end soon after the session is closed."""
         thread = threading.Thread(target=run, name=name, daemon=True)
         self._threads.add(thread)
-        thread.start()
+        try:
+            thread.start()
+        except RuntimeError as error:
+            raise ThreadError(str(error)) from error
 
     def _finish(self) -> None:
         """Waits for threads that are still inside Zenoh: none may be there when Python exits."""

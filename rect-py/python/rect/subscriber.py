@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, Union
@@ -13,6 +12,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, zenoh_error
+from rect.declared import Declared
 from rect.errors import CodecError, TimedOut
 from rect.message import Message
 from rect.receive_queue import Ended, ReceiveQueue
@@ -59,15 +59,14 @@ class Subscriber:
         self._queue: ReceiveQueue[_Arrived] = ReceiveQueue(capacity, when_full)
         self._inbound = _rect.Inbound(session.key_space)
         keys = session.key_space.subscriptions(pattern)
-        links = None if session.router_links is None else session.router_links.links
         self._declared = Declared(session, self._queue)
         for key, directed in zip(keys, (False, True)):
-            on_message = _rect.OnMessage(self._queue.queue, self._inbound, session.counters, links, directed)
+            on_message = _rect.OnMessage(self._queue.queue, self._inbound, session.counters, session.links, directed)
             try:
                 self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
             except zenoh.ZError as error:
                 self._declared.end()
-                raise zenoh_error("cannot declare the subscriber", error) from None
+                raise zenoh_error("cannot declare the subscriber", error) from error
         self._declared.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Message:
@@ -129,60 +128,6 @@ def undecoded(arrived: _Arrived) -> Message:
     """Makes a message whose payload is not decoded yet."""
     metadata, payload, encoding, method = arrived
     return Message(metadata, Payload(payload, encoding), method)
-
-
-class Declared:
-    """The Zenoh declarations of one handle, and the receive queue that they fill."""
-
-    def __init__(self, session: Session, queue: ReceiveQueue[Any] | None = None) -> None:
-        self._session = session
-        self._queue = queue
-        self._declared: list[Any] = []
-        self._finalizer: weakref.finalize[..., Any] | None = None
-        session.handles.add(self)
-
-    def add(self, declared: Any) -> None:
-        self._declared.append(declared)
-
-    def leave_with(self, handle: object, leave: Callable[[], None] | None = None) -> None:
-        """Calls `leave`, by default this object's, when `handle` is garbage-collected without having been closed."""
-        self._finalizer = weakref.finalize(handle, leave or self.leave)
-        self._finalizer.atexit = False
-
-    def end(self) -> None:
-        """Undeclares everything and closes the queue. Items that are waiting can still be taken."""
-        # A closed handle needs no finaliser. Python ignores a KeyboardInterrupt that is raised in one.
-        if self._finalizer is not None:
-            self._finalizer.detach()
-        # The queue comes first, since a thread of Zenoh may be waiting for room in it.
-        if self._queue is not None:
-            self._queue.close()
-        self._session.handles.discard(self)
-        declared, self._declared = self._declared, []
-        for one in declared:
-            if not self._session.is_closed:
-                undeclared(one)
-
-    def on_fork(self) -> None:
-        """Drops the declarations in a child process: they belong to threads of the parent."""
-        for one in self._declared:
-            _rect.forget(one)
-        if self._queue is not None:
-            self._queue.on_fork()
-
-    def leave(self) -> None:
-        """Schedules `end` for a handle that was garbage-collected. Does not block: the session calls `end` later."""
-        if self._queue is not None:
-            self._queue.close()
-        self._session.abandoned.append(self)
-
-
-def undeclared(declared: Any) -> None:
-    """Undeclares a Zenoh declaration, if it has not ended already."""
-    try:
-        declared.undeclare()
-    except zenoh.ZError as error:
-        _LOG.debug("the declaration had already ended: %s", error)
 
 
 class Subscription(Generic[T]):

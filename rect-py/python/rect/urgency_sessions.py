@@ -29,14 +29,14 @@ class UrgencySessions:
 
     def of(self, urgency: str) -> zenoh.Session:
         """Returns the session for messages of that urgency, and opens it if necessary."""
-        if self._open is None or not _rect.uses_separate_session(urgency):
+        if self._choose(urgency, is_linked=True) == "normal":
             return self._normal
         with self._lock:
-            session = self._others.get(urgency)
-            if session is not None:
-                return session
-            # Do not wait for a router that is unreachable.
-            if self._normal.is_closed() or not self._normal.info.routers_zid():
+            is_linked = not self._normal.is_closed() and bool(self._normal.info.routers_zid())
+            choice = self._choose(urgency, is_linked)
+            if choice == "separate":
+                return self._others[urgency]
+            if choice == "normal" or self._open is None:
                 return self._normal
             try:
                 opened = self._others[urgency] = self._open()
@@ -51,7 +51,10 @@ class UrgencySessions:
 
     def is_open(self, urgency: str) -> bool:
         """Whether `of` returns without opening a session."""
-        return self._open is None or urgency in self._others or not _rect.uses_separate_session(urgency)
+        return self._choose(urgency, is_linked=True) != "open"
+
+    def _choose(self, urgency: str, is_linked: bool) -> str:
+        return _rect.choose_session(urgency, self._open is not None, urgency in self._others, is_linked)
 
     def all(self) -> list[zenoh.Session]:
         """Returns all open sessions."""

@@ -3,8 +3,13 @@ use std::path::Path;
 
 use clap::Parser;
 
-use super::{service, CheckArgs, Failure};
-use crate::{args::Args, config, limits::SessionLimits, robot_services::RobotServices};
+use super::{service, Failure};
+use crate::{
+    args::{Args, CheckArgs},
+    config,
+    limits::SessionLimits,
+    robot_services::RobotServices,
+};
 
 /// Checks the configuration, the login file, the connections file and the listeners without starting anything.
 ///

@@ -16,8 +16,11 @@ use rect::{
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 
-use super::{Failure, QueryArgs, RouterArgs};
-use crate::config::read_login_file;
+use super::Failure;
+use crate::{
+    args::{QueryArgs, RouterArgs},
+    config::read_login_file,
+};
 
 /// Timeout for replies, which several robots may send over a slow link.
 const REPLY_TIMEOUT: Duration = Duration::from_secs(5);

@@ -1,7 +1,8 @@
 //! Implements `rect-router connections`: prints the connections of robots as a table or as JSON.
 use rect::{core::connection::Connection, terminal::connections_of_robots};
 
-use super::{client::show, ConnectionsArgs, Failure};
+use super::{client::show, Failure};
+use crate::args::ConnectionsArgs;
 
 /// Queries and prints the connections.
 ///

@@ -14,7 +14,8 @@ use rect::{
 };
 use serde::Serialize;
 
-use super::{DoctorArgs, Failure};
+use super::Failure;
+use crate::args::DoctorArgs;
 
 /// The result of one check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

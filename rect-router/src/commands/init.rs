@@ -11,9 +11,9 @@ use rect::core::{login, name::Name};
 
 use super::{
     service::{self, Owner},
-    Failure, InitArgs,
+    Failure,
 };
-use crate::config::MAX_SOCKET_PATH;
+use crate::{args::InitArgs, config::MAX_SOCKET_PATH};
 
 /// The shipped configurations, each with the robot's name that it contains.
 const ROBOT: (&str, &str) = (include_str!("../../../config/robot.json5"), "wombat-1");

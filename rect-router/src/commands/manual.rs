@@ -1,8 +1,8 @@
 //! Implements `rect-router man` and `rect-router completion`: writes manual pages and scripts for shell completion.
 use clap::CommandFactory;
 
-use super::{CompletionArgs, Failure, ManArgs};
-use crate::args::Args;
+use super::Failure;
+use crate::args::{Args, CompletionArgs, ManArgs};
 
 /// Prints the completion script of a shell.
 pub fn complete(args: &CompletionArgs) {

@@ -10,7 +10,8 @@ use zenoh_link::ble::{
     radio::{bluez, sim, AdvertisingReport, Radio, RadioError},
 };
 
-use super::{Failure, ScanArgs};
+use super::Failure;
+use crate::args::ScanArgs;
 
 /// Scans and prints the discovered robots.
 ///

@@ -19,7 +19,8 @@ use signal_hook::{
 use tempfile::TempDir;
 
 use self::{air::Air, program::Program, robot::SimulatedRobot};
-use super::{Failure, SimArgs};
+use super::Failure;
+use crate::args::SimArgs;
 
 /// Interval at which the routers are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);

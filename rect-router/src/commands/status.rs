@@ -5,7 +5,8 @@ use rect::{
 };
 use serde_json::Value;
 
-use super::{client::show, Failure, QueryArgs};
+use super::{client::show, Failure};
+use crate::args::QueryArgs;
 
 const COLUMNS: [&str; 7] = [
     "ROBOT",

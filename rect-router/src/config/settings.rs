@@ -8,7 +8,6 @@ use serde_json::Value;
 use zenoh::Config;
 
 use super::ConfigError;
-use crate::limits::SessionSettings;
 
 const KEY: &str = "plugins/rect";
 /// Default of `max_connections`. An unused placeholder costs one wake-up in ten seconds.
@@ -90,6 +89,21 @@ pub struct Settings {
     /// In a stock zenohd: the listener of the host that the plugin connects to, such as `tcp/127.0.0.1:7447`; default its
     /// first listener.
     pub host: Option<String>,
+}
+
+/// The settings `plugins: { rect: { sessions: { ... } } }`. An omitted one is a share of
+/// `transport/unicast/max_sessions`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SessionSettings {
+    /// Number of sessions reserved for links over Bluetooth and for connections that this router dials; default a quarter of
+    /// all. Ignored without a Bluetooth endpoint: nothing is reserved then.
+    pub bluetooth: Option<usize>,
+    /// Maximum number of sessions of one login over other links than Bluetooth; default half of the remainder.
+    pub per_user: Option<usize>,
+    /// Maximum number of sessions from one IP address, or from all programs of this computer, over other links than
+    /// Bluetooth; default three quarters of the remainder.
+    pub per_address: Option<usize>,
 }
 
 fn default_fleet() -> String {

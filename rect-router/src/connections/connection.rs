@@ -14,7 +14,10 @@ use zenoh_link::{
 use zenoh_link_placeholder::Dial;
 use zenoh_result::ZResult;
 
-use super::{observed::ObservedLink, spec::Spec};
+use super::{
+    observed::{LinkObserver, ObservedLink},
+    spec::Spec,
+};
 
 /// A connection of the connections file.
 pub struct NamedConnection {
@@ -141,22 +144,24 @@ impl NamedConnection {
         links.iter().filter_map(Weak::upgrade).collect()
     }
 
-    pub(super) fn on_link_error(&self, reason: &str) {
+    fn on_failed(&self, reason: &str) {
+        self.state.lock().failed += 1;
+        self.on_link_error(reason);
+    }
+}
+
+impl LinkObserver for NamedConnection {
+    fn on_link_error(&self, reason: &str) {
         self.state.lock().last_error = Some(LastError {
             reason: reason.to_owned(),
             at: SystemTime::now(),
         });
     }
 
-    pub(super) fn on_link_dropped(&self, sent: Traffic, received: Traffic) {
+    fn on_link_dropped(&self, sent: Traffic, received: Traffic) {
         let mut state = self.state.lock();
         state.sent = state.sent + sent;
         state.received = state.received + received;
-    }
-
-    fn on_failed(&self, reason: &str) {
-        self.state.lock().failed += 1;
-        self.on_link_error(reason);
     }
 }
 
@@ -181,7 +186,8 @@ impl Dial for ConnectionDialler {
         let made = link(links, &connection.spec.endpoint).await;
         attempt.disarm();
         let made = made.inspect_err(|error| connection.on_failed(&error.to_string()))?;
-        let observed = |link| ObservedLink::new(link, Arc::clone(connection));
+        let observed =
+            |link| ObservedLink::new(link, Arc::clone(connection) as Arc<dyn LinkObserver>);
         let (made, links) = match made.0 {
             NewLink::Single(link) => {
                 let link = observed(link);

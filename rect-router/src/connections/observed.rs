@@ -1,5 +1,5 @@
-//! Wraps the link of a named connection: counts its traffic, reports its errors and its end to the connection, and allows
-//! the connection to close it.
+//! Wraps the link of a named connection: counts its traffic, reports its errors and its end to the connection (the
+//! [`LinkObserver`]), and allows the connection to close it.
 use std::{
     future::Future,
     sync::{
@@ -15,7 +15,13 @@ use zenoh_link::{LinkAuthId, LinkUnicastTrait, Locator};
 use zenoh_protocol::core::Priority;
 use zenoh_result::{bail, ZResult};
 
-use super::connection::NamedConnection;
+/// Receives the reports of the links that it is given to.
+pub trait LinkObserver: Send + Sync {
+    /// Called when an operation of a link fails.
+    fn on_link_error(&self, reason: &str);
+    /// Called when a link no longer exists, with the traffic that it has sent and received.
+    fn on_link_dropped(&self, sent: Traffic, received: Traffic);
+}
 
 /// Counts batches and bytes; can be read from other threads.
 #[derive(Default)]
@@ -38,21 +44,21 @@ impl Counter {
     }
 }
 
-/// A link that reports to its named connection.
+/// A link that reports to its observer.
 pub struct ObservedLink {
     link: Arc<dyn LinkUnicastTrait>,
-    connection: Arc<NamedConnection>,
+    observer: Arc<dyn LinkObserver>,
     sent: Counter,
     received: Counter,
     ended: CancellationToken,
 }
 
 impl ObservedLink {
-    /// Wraps `link`, whose errors, traffic and end are reported to `connection`.
-    pub fn new(link: Arc<dyn LinkUnicastTrait>, connection: Arc<NamedConnection>) -> Arc<Self> {
+    /// Wraps `link`, whose errors, traffic and end are reported to `observer`.
+    pub fn new(link: Arc<dyn LinkUnicastTrait>, observer: Arc<dyn LinkObserver>) -> Arc<Self> {
         Arc::new(Self {
             link,
-            connection,
+            observer,
             sent: Counter::default(),
             received: Counter::default(),
             ended: CancellationToken::new(),
@@ -75,7 +81,7 @@ impl ObservedLink {
             () = self.ended.cancelled() => bail!("the connection was removed or changed"),
         };
         if let Err(error) = &result {
-            self.connection.on_link_error(&error.to_string());
+            self.observer.on_link_error(&error.to_string());
         }
         result
     }
@@ -91,7 +97,7 @@ impl ObservedLink {
 impl Drop for ObservedLink {
     fn drop(&mut self) {
         let (sent, received) = self.traffic();
-        self.connection.on_link_dropped(sent, received);
+        self.observer.on_link_dropped(sent, received);
     }
 }
 

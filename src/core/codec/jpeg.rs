@@ -9,6 +9,7 @@ use zune_jpeg::{
 
 use super::{damaged, number, Codec, CodecError, Limits};
 use crate::core::{
+    cause::Cause,
     encoding::Encoding,
     payload::Payload,
     picture::{Format, Picture},
@@ -65,7 +66,7 @@ impl Codec for Jpeg {
             .encode(picture.pixels(), width, height, color)
             .map_err(|error| CodecError::Failed {
                 codec: NAME,
-                reason: error.to_string(),
+                reason: Cause::new(error),
             })?;
         Ok(Payload::new(bytes, Encoding::JPEG))
     }

@@ -5,6 +5,7 @@ use png::{BitDepth, ColorType, Compression, Decoder, Encoder, Transformations};
 
 use super::{damaged, no_option, Codec, CodecError, Limits};
 use crate::core::{
+    cause::Cause,
     encoding::Encoding,
     payload::Payload,
     picture::{Format, Picture},
@@ -34,7 +35,7 @@ impl Codec for Png {
         let picture = Picture::for_codec(NAME, payload)?;
         let bytes = write(&picture).map_err(|error| CodecError::Failed {
             codec: NAME,
-            reason: error.to_string(),
+            reason: Cause::new(error),
         })?;
         Ok(Payload::new(bytes, Encoding::PNG))
     }

@@ -157,7 +157,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
         return Err(damaged(FORMAT, "unsupported version"));
     }
     if !(1..=MAX_DIMENSIONS).contains(&dimensions) {
-        return Err(damaged(FORMAT, format_args!("{dimensions} dimensions")));
+        return Err(damaged(FORMAT, format!("{dimensions} dimensions")));
     }
     let mut shape = Vec::with_capacity(dimensions);
     for _ in 0..dimensions {
@@ -175,7 +175,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
     let (step, mut rest) = rest.split_first_chunk().ok_or_else(truncated)?;
     let step = f32::from_le_bytes(*step);
     if !(step.is_finite() && step > 0.0) {
-        return Err(damaged(FORMAT, format_args!("a step of {step}")));
+        return Err(damaged(FORMAT, format!("a step of {step}")));
     }
     let (distance, exceptions) = (length(&mut rest)?, length(&mut rest)?);
     let count = size / element.bytes();
@@ -204,7 +204,7 @@ pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, Code
 
 fn length(bytes: &mut &[u8]) -> Result<usize, CodecError> {
     let length = varint::read(bytes).ok_or_else(truncated)?;
-    usize::try_from(length).map_err(|_| damaged(FORMAT, format_args!("a length of {length}")))
+    usize::try_from(length).map_err(|_| damaged(FORMAT, format!("a length of {length}")))
 }
 
 fn truncated() -> CodecError {

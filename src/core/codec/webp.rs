@@ -8,6 +8,7 @@ use libwebp_sys as sys;
 
 use super::{damaged, number, Codec, CodecError, Limits};
 use crate::core::{
+    cause::Cause,
     encoding::Encoding,
     payload::Payload,
     picture::{Format, Picture},
@@ -58,7 +59,7 @@ impl Codec for Webp {
         }
         let bytes = write(&picture, self.quality).map_err(|reason| CodecError::Failed {
             codec: NAME,
-            reason,
+            reason: Cause::new(reason),
         })?;
         Ok(Payload::new(bytes, Encoding::WEBP))
     }

@@ -9,6 +9,7 @@ use zstd::zstd_safe::{self, CCtx, DCtx, DParameter, InBuffer, OutBuffer};
 
 use super::{damaged, number, Codec, CodecError, Limits};
 use crate::core::{
+    cause::Cause,
     dictionary::{Dictionaries, Prepared},
     encoding::{self, Encoding},
     payload::Payload,
@@ -107,7 +108,7 @@ pub(super) fn compress(
     };
     done.map_err(|code| CodecError::Failed {
         codec: NAME,
-        reason: zstd_safe::get_error_name(code).to_owned(),
+        reason: Cause::new(zstd_safe::get_error_name(code)),
     })?;
     frame.shrink_to_fit();
     Ok(frame)

@@ -2,6 +2,8 @@
 //! the maximum frame rate.
 use std::time::{Duration, Instant};
 
+use super::options::FRAMES_PER_S;
+
 /// The pacer of one group.
 #[derive(Clone, Debug, Default)]
 pub struct Pacer {
@@ -30,7 +32,7 @@ impl Pacer {
 const SLACK: Duration = Duration::from_millis(100);
 
 fn gap(frames_per_s: f64) -> Duration {
-    Duration::from_secs_f64(1.0 / frames_per_s.clamp(0.01, 1e6))
+    Duration::from_secs_f64(1.0 / frames_per_s.clamp(*FRAMES_PER_S.start(), *FRAMES_PER_S.end()))
 }
 
 #[cfg(test)]

@@ -32,11 +32,11 @@ const SILENCE: Duration = Duration::from_secs(2);
 /// The limits of a stream's data rate, in bytes per second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RateLimits {
-    /// Minimum rate. Default: 2,000.
+    /// Minimum rate, 1 or more. If it exceeds the maximum, the maximum is used. Default: 2,000.
     pub min_bytes_per_s: f64,
-    /// Rate before the first feedback, and for receivers that send none. Default: 60,000.
+    /// Rate before the first feedback, and for receivers that send none, 1 or more. Default: 60,000.
     pub initial_bytes_per_s: f64,
-    /// Maximum rate. Default: 20,000,000.
+    /// Maximum rate, 1 or more. Default: 20,000,000.
     pub max_bytes_per_s: f64,
 }
 
@@ -47,6 +47,20 @@ impl Default for RateLimits {
             initial_bytes_per_s: 60e3,
             max_bytes_per_s: 20e6,
         }
+    }
+}
+
+impl RateLimits {
+    /// Returns the rate before the first feedback, within the limits.
+    pub(super) fn initial(&self) -> f64 {
+        self.clamp(self.initial_bytes_per_s)
+    }
+
+    /// Returns the rate, or the limit that it exceeds.
+    pub(super) fn clamp(&self, bytes_per_s: f64) -> f64 {
+        bytes_per_s
+            .max(self.min_bytes_per_s)
+            .min(self.max_bytes_per_s)
     }
 }
 
@@ -68,9 +82,7 @@ impl Rate {
     pub fn new(limits: RateLimits, now: Instant) -> Self {
         Self {
             limits,
-            bytes_per_s: limits
-                .initial_bytes_per_s
-                .clamp(limits.min_bytes_per_s, limits.max_bytes_per_s),
+            bytes_per_s: limits.initial(),
             pace: None,
             lost_share: 0.0,
             cautious_until: None,
@@ -174,7 +186,7 @@ impl Rate {
     }
 
     fn within(&self, bytes_per_s: f64) -> f64 {
-        bytes_per_s.clamp(self.limits.min_bytes_per_s, self.limits.max_bytes_per_s)
+        self.limits.clamp(bytes_per_s)
     }
 }
 
@@ -213,6 +225,19 @@ mod tests {
         assert!(rate.bytes_per_s() > 8e6);
         run(&mut rate, &mut now, &feedback(Some(34_000), 5, 0), 12);
         assert!(rate.bytes_per_s() < 31e3);
+    }
+
+    #[test]
+    fn maximum_below_the_other_limits_is_respected() {
+        let now = Instant::now();
+        let limits = RateLimits {
+            max_bytes_per_s: 1000.0,
+            ..RateLimits::default()
+        };
+        let mut rate = Rate::new(limits, now);
+        assert_eq!(rate.bytes_per_s(), 1000.0);
+        rate.on_feedback(&feedback(Some(10_000_000), 5, 0), now);
+        assert_eq!(rate.bytes_per_s(), 1000.0);
     }
 
     #[test]

@@ -2,7 +2,9 @@
 //! to subscribe to, and what to report to the sender.
 use std::time::{Duration, Instant};
 
-use super::{feedback::Feedback, notice::Notice, offset::Offset, Group};
+use super::{
+    feedback::Feedback, notice::Notice, offset::Offset, options::FEEDBACK_INTERVAL, Group,
+};
 use crate::core::{
     attachment::{Attachment, Sent},
     name::Name,
@@ -204,7 +206,8 @@ impl Receiver {
             self.has_reported &= self.group == Some(group);
             self.group = Some(group);
         }
-        let interval = Duration::from_millis(u64::from(notice.feedback_ms.clamp(200, 10_000)));
+        let interval = Duration::from_millis(notice.feedback_ms.into());
+        let interval = interval.clamp(*FEEDBACK_INTERVAL.start(), *FEEDBACK_INTERVAL.end());
         self.feedback_interval = (notice.feedback_ms > 0).then_some(interval);
     }
 

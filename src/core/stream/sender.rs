@@ -4,6 +4,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+pub use super::options::{Mode, Options};
 use super::{
     feedback::Feedback,
     groups::Groups,
@@ -11,8 +12,7 @@ use super::{
     notice::{Notice, MAX_NAMES},
     offset::MillisecondClock,
     pacer::Pacer,
-    picture::LossyFormat,
-    rate::{Rate, RateLimits},
+    rate::Rate,
     status::{in_words, GroupStatus, ReceiverStatus, Status},
     Group,
 };
@@ -36,80 +36,6 @@ const NEWCOMER: Duration = Duration::from_secs(3);
 const LEAVES_WITHIN: Duration = Duration::from_secs(3);
 /// The slowest robot of the slow group limits the rate to no less than this share of the second slowest one's rate.
 const MIN_SHARE_OF_NEXT: f64 = 1.0 / 3.0;
-
-/// The options of a stream.
-///
-/// ```
-/// use rect::StreamOptions;
-/// let options = StreamOptions {
-///     max_frames_per_s: 30.0,
-///     ..StreamOptions::default()
-/// };
-/// assert_eq!(options.min_frames_per_s, 5.0);
-/// ```
-#[derive(Clone, Debug, PartialEq)]
-pub struct Options {
-    /// Whether quality, size and rate adapt to the links. Default: adaptive.
-    pub mode: Mode,
-    /// Minimum frame rate in frames per second: the target of the smallest step. If a link is too slow even for that
-    /// step, the rate is lower. Default: 5.
-    pub min_frames_per_s: f64,
-    /// Maximum frame rate in frames per second. Default: 15.
-    pub max_frames_per_s: f64,
-    /// Limits of the data rate.
-    pub rates: RateLimits,
-    /// Format of pictures that are compressed with a quality. Default: JPEG.
-    pub lossy_format: LossyFormat,
-    /// Steps of the ladder, best first. Empty (the default) for [`super::ladder::PICTURES`].
-    pub steps: Vec<Step>,
-    /// Interval at which receivers send feedback (20 to 30 bytes), from 0.2 to 10 s; receivers clamp other values. Zero
-    /// for no feedback. Default: 500 ms.
-    pub feedback_interval: Duration,
-}
-
-/// Whether frames adapt to the links.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
-    /// Frames are sent as the program supplies them.
-    Fixed,
-    /// Frames have the best quality that the links permit. The default.
-    #[default]
-    Adaptive,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            mode: Mode::Adaptive,
-            min_frames_per_s: 5.0,
-            max_frames_per_s: 15.0,
-            rates: RateLimits::default(),
-            lossy_format: LossyFormat::default(),
-            steps: Vec::new(),
-            feedback_interval: Duration::from_millis(500),
-        }
-    }
-}
-
-impl Options {
-    /// Returns the options for frames that are sent unchanged, at most `max_frames_per_s` per second.
-    pub fn fixed(max_frames_per_s: f64) -> Self {
-        Self {
-            mode: Mode::Fixed,
-            max_frames_per_s,
-            feedback_interval: Duration::from_secs(2),
-            ..Self::default()
-        }
-    }
-
-    /// Returns the options for sensor values: sent unchanged, without a maximum rate, and without feedback.
-    pub fn sensor() -> Self {
-        Self {
-            feedback_interval: Duration::ZERO,
-            ..Self::fixed(1e6)
-        }
-    }
-}
 
 /// A frame that is to be encoded and sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -204,7 +130,7 @@ impl Sender {
                 .unwrap_or(rate.is_some()),
         };
         let frames_per_s = self.options.max_frames_per_s;
-        let first = self.options.rates.initial_bytes_per_s;
+        let first = self.options.rates.initial();
         let output = &mut self.outputs[group.index()];
         if !has_receivers {
             output.ladder.forget();
@@ -229,7 +155,7 @@ impl Sender {
             Mode::Fixed => f64::INFINITY,
             Mode::Adaptive => self
                 .rate_of(job.group)
-                .unwrap_or(self.options.rates.initial_bytes_per_s),
+                .unwrap_or_else(|| self.options.rates.initial()),
         };
         let output = &mut self.outputs[job.group.index()];
         if let Some(step) = job.step {
@@ -369,7 +295,7 @@ impl Sender {
             .unwrap_or(rate.is_some())
             .then(|| GroupStatus {
                 group,
-                bytes_per_s: rate.unwrap_or(self.options.rates.initial_bytes_per_s),
+                bytes_per_s: rate.unwrap_or_else(|| self.options.rates.initial()),
                 step: output.step,
                 frame_bytes: match (output.step, output.frames) {
                     (Some(_), _) => output.ladder.frame_bytes(),
@@ -448,7 +374,7 @@ impl Sender {
         let lowest = rates.first().copied()?;
         Some(match (group, rates.get(1)) {
             (Group::Slow, Some(next)) => {
-                lowest.max((next * MIN_SHARE_OF_NEXT).min(self.options.rates.initial_bytes_per_s))
+                lowest.max((next * MIN_SHARE_OF_NEXT).min(self.options.rates.initial()))
             }
             _ => lowest,
         })
@@ -457,7 +383,7 @@ impl Sender {
     /// Returns the group that newcomers join: the slow group if the main group's frames would fill a slow link for
     /// seconds, and otherwise the main group.
     fn join(&self) -> Group {
-        let first = self.options.rates.initial_bytes_per_s;
+        let first = self.options.rates.initial();
         let is_heavy = self
             .rate_of(Group::Main)
             .is_some_and(|rate| rate > first * 2.0);

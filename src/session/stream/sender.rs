@@ -1,62 +1,38 @@
-//! Sends a stream: publishes the frames of each group that has receivers, processes feedback, and answers queries for the
-//! stream's notice.
+//! Sends a stream: runs the core's [`StreamPublish`], and encodes the frames that are due.
 use std::{
     fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Mutex, PoisonError},
     time::Instant,
-};
-
-use tokio::{sync::Notify, task::JoinHandle};
-use zenoh::{
-    bytes::Encoding,
-    matching::MatchingListener,
-    pubsub::{Publisher, Subscriber},
-    qos::CongestionControl,
-    query::{Query, Queryable},
-    sample::Sample,
-    Session, Wait,
 };
 
 use crate::{
     core::{
-        key::KeySpace,
         payload::{Payload, ToPayload},
         picture::Picture,
         stream::{
-            feedback::Feedback,
-            feedback_from, feedback_keys,
             ladder::Step,
-            notice_key,
             picture::{encode, LossyFormat},
-            sender::{Job, Options, Sender},
+            publish::StreamPublish,
+            sender::Options,
             status::Status,
-            Group,
         },
         topic::Topic,
-        urgency::Urgency,
     },
     error::Error,
     session::{
-        publication::{now_ms, priority},
+        convert::now_ms,
+        executor::{Executor, Running},
         robot::Robot,
+        shared::NoItems,
     },
 };
 
 /// Sends frames of which only the newest matters; created by [`Robot::stream`]. Dropping it ends the stream.
 pub struct Stream {
-    shared: Arc<Shared>,
+    running: Running<StreamPublish>,
     lossy_format: LossyFormat,
     /// Locked while a frame is sent, so that frames are sent in the order of their numbers.
-    sending: Mutex<[Publisher<'static>; 2]>,
-    task: JoinHandle<()>,
-    _declared: (Subscriber<()>, Queryable<()>, [MatchingListener<()>; 2]),
-}
-
-struct Shared {
-    core: Mutex<Sender>,
-    /// Notified when feedback of a receiver arrives.
-    feedback_received: Notify,
-    notice_key: String,
+    sending: Mutex<()>,
 }
 
 impl Robot {
@@ -73,7 +49,8 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, [`Error::Option`] if an option is out of range, and [`Error::Zenoh`] if the
+    /// session is closed.
     pub async fn stream<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -83,65 +60,27 @@ impl Robot {
         Error: From<T::Error>,
     {
         let inner = &self.inner;
-        let topic = topic.try_into()?;
-        let _entered = inner.runtime.enter();
-        Stream::declare(
-            &inner.session,
+        options.check()?;
+        let stream = StreamPublish::new(
             &inner.place,
-            &topic,
+            &topic.try_into()?,
             options,
             self.urgency(),
-        )
+            rand::random(),
+            now_ms(),
+            Instant::now(),
+        );
+        let lossy_format = stream.lossy_format();
+        let executor = Executor::new(&inner.session, stream, NoItems);
+        Ok(Stream {
+            running: executor.start(&inner.runtime)?,
+            lossy_format,
+            sending: Mutex::default(),
+        })
     }
 }
 
 impl Stream {
-    fn declare(
-        session: &Session,
-        place: &KeySpace,
-        topic: &Topic,
-        options: Options,
-        urgency: Urgency,
-    ) -> Result<Self, Error> {
-        let lossy_format = options.lossy_format;
-        let sender = Sender::new(options, rand::random(), now_ms(), Instant::now());
-        let shared = Arc::new(Shared {
-            core: Mutex::new(sender),
-            feedback_received: Notify::new(),
-            notice_key: notice_key(place, topic),
-        });
-        let [main, slow] = Group::ALL;
-        let (main, main_matched) = frames(session, place, topic, urgency, main, &shared)?;
-        let (slow, slow_matched) = frames(session, place, topic, urgency, slow, &shared)?;
-        let subscriber = session
-            .declare_subscriber(feedback_keys(place, topic))
-            .callback({
-                let (shared, place) = (shared.clone(), place.clone());
-                move |sample| shared.on_feedback(&place, &sample)
-            })
-            .wait()
-            .map_err(Error::zenoh("cannot subscribe to the stream's feedback"))?;
-        let queryable = session
-            .declare_queryable(shared.notice_key.clone())
-            .complete(true)
-            .callback({
-                let shared = shared.clone();
-                move |query| shared.on_query(&query)
-            })
-            .wait()
-            .map_err(Error::zenoh(
-                "cannot declare the queryable of the stream's notice",
-            ))?;
-        let task = tokio::spawn(publish_notices(session.clone(), shared.clone()));
-        Ok(Self {
-            shared,
-            lossy_format,
-            sending: Mutex::new([main, slow]),
-            task,
-            _declared: (subscriber, queryable, [main_matched, slow_matched]),
-        })
-    }
-
     /// Sends a frame unchanged to each group of receivers that is due for one, and returns the number of those groups (0 to
     /// 2). Does not wait for the link.
     ///
@@ -163,17 +102,22 @@ impl Stream {
     /// `encode` and does not wait for the link; asynchronous programs call it where blocking is permitted.
     ///
     /// # Errors
-    /// Returns the error of `encode`, [`Error::Payload`] if the encoding of the frame is too long, and [`Error::Zenoh`]
-    /// if the session is closed.
+    /// Returns the error of `encode`, [`Error::Payload`] if the encoding of the frame is too long, and
+    /// [`Error::Closed`] or [`Error::Zenoh`] if the session is closed.
     pub fn send_with(
         &self,
         pixels: usize,
         mut encode: impl FnMut(Option<Step>) -> Result<Payload, Error>,
     ) -> Result<usize, Error> {
-        let publishers = self.sending.lock().unwrap_or_else(PoisonError::into_inner);
-        let jobs = self.shared.core().offer(pixels, Instant::now());
+        let _sending = self.sending.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.running.has_ended() {
+            return Err(Error::Closed);
+        }
+        let jobs = self.running.driver().offer(pixels, Instant::now());
         for job in &jobs {
-            self.put(&publishers, *job, encode(job.step)?)?;
+            let payload = encode(job.step)?.sendable()?;
+            let frame = self.running.driver().frame(*job, payload, Instant::now());
+            self.running.act(frame)?;
         }
         Ok(jobs.len())
     }
@@ -197,115 +141,12 @@ impl Stream {
 
     /// Returns the current rate, throughput and step of each group, with the reason for the choice.
     pub fn status(&self) -> Status {
-        self.shared.core().status()
-    }
-
-    fn put(
-        &self,
-        publishers: &[Publisher<'static>; 2],
-        job: Job,
-        payload: Payload,
-    ) -> Result<(), Error> {
-        let payload = payload.sendable()?;
-        let attachment = self
-            .shared
-            .core()
-            .on_encoded(job, payload.bytes.len(), Instant::now());
-        let [main, slow] = publishers;
-        let publisher = match job.group {
-            Group::Main => main,
-            Group::Slow => slow,
-        };
-        let put = publisher.put(payload.bytes);
-        let put = put
-            .encoding(Encoding::from(payload.encoding.as_str()))
-            .attachment(attachment.encode());
-        put.wait().map_err(Error::zenoh("cannot send the frame"))
-    }
-}
-
-/// Declares the publisher of a group, and the listener that reports whether the group has subscribers.
-fn frames(
-    session: &Session,
-    place: &KeySpace,
-    topic: &Topic,
-    urgency: Urgency,
-    group: Group,
-    shared: &Arc<Shared>,
-) -> Result<(Publisher<'static>, MatchingListener<()>), Error> {
-    let qos = urgency.qos().drop_when_congested();
-    let refused = || Error::zenoh("cannot declare the stream's publisher");
-    let publisher = session
-        .declare_publisher(group.key(place, topic))
-        .priority(priority(qos))
-        .express(qos.express)
-        .congestion_control(CongestionControl::Drop)
-        .wait()
-        .map_err(refused())?;
-    let listener = publisher
-        .matching_listener()
-        .callback({
-            let shared = shared.clone();
-            move |status| shared.core().on_subscribers(group, status.matching())
-        })
-        .wait()
-        .map_err(refused())?;
-    let status = publisher.matching_status().wait().map_err(refused())?;
-    shared.core().on_subscribers(group, status.matching());
-    Ok((publisher, listener))
-}
-
-/// Publishes a notice, reliably, whenever feedback changes the assignment of receivers to groups.
-async fn publish_notices(session: Session, shared: Arc<Shared>) {
-    loop {
-        shared.feedback_received.notified().await;
-        let notice = shared.core().poll_notice(Instant::now());
-        if let Some(notice) = notice {
-            let put = session.put(&shared.notice_key, notice.encode());
-            let put = put
-                .encoding(Encoding::APPLICATION_JSON)
-                .congestion_control(CongestionControl::Block);
-            if let Err(error) = put.await {
-                tracing::debug!("no more notices on {}: {error}", shared.notice_key);
-                return;
-            }
-        }
-    }
-}
-
-impl Shared {
-    fn core(&self) -> MutexGuard<'_, Sender> {
-        self.core.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn on_feedback(&self, place: &KeySpace, sample: &Sample) {
-        let Some(robot) = feedback_from(place, sample.key_expr().as_str()) else {
-            return;
-        };
-        match Feedback::decode(&sample.payload().to_bytes()) {
-            Ok(feedback) => self.core().on_feedback(&robot, &feedback, Instant::now()),
-            Err(error) => tracing::debug!("{}: {error}", sample.key_expr()),
-        }
-        self.feedback_received.notify_one();
-    }
-
-    fn on_query(&self, query: &Query) {
-        let notice = self.core().notice(Instant::now());
-        let reply = query.reply(&self.notice_key, notice.encode());
-        if let Err(error) = reply.encoding(Encoding::APPLICATION_JSON).wait() {
-            tracing::debug!("cannot reply to a query for {}: {error}", self.notice_key);
-        }
-    }
-}
-
-impl Drop for Stream {
-    fn drop(&mut self) {
-        self.task.abort();
+        self.running.driver().status()
     }
 }
 
 impl fmt::Debug for Stream {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Stream({})", self.shared.notice_key)
+        write!(f, "Stream({})", self.running.driver().notice_key())
     }
 }

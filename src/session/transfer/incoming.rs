@@ -1,5 +1,5 @@
-//! Defines [`Transfers`], through which a program receives transfers, and starts its threads.
-use std::{fmt, fs, sync::Arc, thread, time::SystemTime};
+//! Defines [`Transfers`], through which a program receives transfers.
+use std::{fmt, fs, sync::Arc, time::SystemTime};
 
 use tokio::{
     runtime::Handle,
@@ -8,55 +8,25 @@ use tokio::{
         Mutex,
     },
 };
-use zenoh::{query::Queryable, Session, Wait};
+use zenoh::Session;
 
 use super::{
-    options::{Destination, IncomingTransfer, ReceiveOptions},
-    receiver::{self, Shared},
+    options::{Destination, ReceiveOptions},
+    received::Received,
+    receiving::Reception,
 };
 use crate::{
-    core::{
-        key::KeySpace,
-        topic::Pattern,
-        transfer::{
-            admission::{Admission, AdmissionRules},
-            OFFERS,
-        },
-    },
+    core::{key::KeySpace, topic::Pattern, transfer::admission::AdmissionRules},
     error::Error,
-    storage::{Content, Store},
+    storage::Store,
 };
-
-/// A complete transfer whose checksum was verified.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Received {
-    /// The properties of the transfer, which are also accessible through `Deref`: `received.sender`.
-    pub transfer: IncomingTransfer,
-    /// The content: a file or a buffer.
-    pub content: Content,
-}
 
 /// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
 ///
 /// Dropping it stops receiving. Incomplete transfers are kept only if they are received into a folder.
 pub struct Transfers {
     ended: Mutex<Receiver<Result<Received, Error>>>,
-    shared: Arc<Shared>,
-    _declared: Queryable<()>,
-}
-
-impl Received {
-    pub(super) fn new(transfer: IncomingTransfer, content: Content) -> Self {
-        Self { transfer, content }
-    }
-}
-
-impl std::ops::Deref for Received {
-    type Target = IncomingTransfer;
-
-    fn deref(&self) -> &IncomingTransfer {
-        &self.transfer
-    }
+    receiving: Arc<Reception>,
 }
 
 impl Transfers {
@@ -80,27 +50,9 @@ impl Transfers {
             max_bytes: options.max_bytes,
             max_concurrent: options.max_concurrent,
         };
-        let admission = Admission::new(place.robot.clone(), rules);
-        let key = place.own(Some(&place.robot), OFFERS);
-        let shared = Shared::new(session.clone(), place, options, runtime, admission, ended);
-        let (offers, incoming) = receiver::events();
-        let (this, reply_key) = (shared.clone(), key.clone());
-        let thread = thread::Builder::new().name("rect-admission".into());
-        let started = thread.spawn(move || this.answer_all(&incoming, &reply_key));
-        started.map_err(|error| Error::Zenoh {
-            operation: "cannot start a thread for transfers",
-            reason: error.to_string(),
-        })?;
-        // The thread ends with the queryable, which owns the other end of the channel.
-        let declared = session
-            .declare_queryable(key)
-            .callback(move |query| offers.push(query))
-            .wait()
-            .map_err(Error::zenoh("cannot declare the queryable for transfers"))?;
         Ok(Self {
+            receiving: Reception::start(session, place, runtime, rules, options, ended)?,
             ended: Mutex::new(waiting),
-            shared,
-            _declared: declared,
         })
     }
 
@@ -115,7 +67,7 @@ impl Transfers {
 
 impl Drop for Transfers {
     fn drop(&mut self) {
-        self.shared.stop();
+        self.receiving.stop();
         if let Ok(mut ended) = self.ended.try_lock() {
             ended.close();
         }

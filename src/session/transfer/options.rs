@@ -43,6 +43,9 @@ pub struct ReceiveOptions {
     pub(super) on_progress: Option<OnProgress>,
 }
 
+/// Called with the progress of an outgoing transfer.
+pub(super) type OnSendProgress = Box<dyn FnMut(Progress) + Send>;
+
 type OnProgress = Arc<dyn Fn(&IncomingTransfer, Progress) + Send + Sync>;
 
 /// The properties of a transfer that is being received.

@@ -4,7 +4,6 @@ use std::{
     future::{Future, IntoFuture},
     path::{Path, PathBuf},
     pin::Pin,
-    sync::mpsc,
     thread,
     time::Duration,
 };
@@ -13,7 +12,10 @@ use bytes::Bytes;
 use tokio::sync::oneshot;
 use zenoh::Session;
 
-use super::offering::{Stop, WAITING};
+use super::{
+    options::OnSendProgress,
+    stop::{Stop, StopOnDrop},
+};
 use crate::{
     core::{
         encoding::Encoding,
@@ -47,7 +49,7 @@ pub struct Transfer {
     pub(super) name: Option<String>,
     pub(super) encoding: Option<Encoding>,
     pub(super) timeout: Option<Duration>,
-    pub(super) on_progress: Option<Box<dyn FnMut(Progress) + Send>>,
+    pub(super) on_progress: Option<OnSendProgress>,
 }
 
 type Outcome = oneshot::Receiver<Result<(), Error>>;
@@ -112,8 +114,8 @@ impl Transfer {
         outcome.blocking_recv().unwrap_or(Err(Error::Closed))
     }
 
-    /// Starts the transfer. Dropping the returned [`Stop`] ends it; the other value resolves to its outcome.
-    fn begin(self) -> Result<(Stop, Outcome), Error> {
+    /// Starts the transfer. Dropping the returned [`StopOnDrop`] ends it; the other value resolves to its outcome.
+    fn begin(self) -> Result<(StopOnDrop, Outcome), Error> {
         let of_source = match &self.source {
             TransferSource::Bytes(_, encoding) => Some(encoding),
             TransferSource::File(_) => None,
@@ -121,20 +123,16 @@ impl Transfer {
         if let Some(encoding) = self.encoding.as_ref().or(of_source) {
             encoding.check_length().map_err(PayloadError::from)?;
         }
-        let (events, incoming) = mpsc::sync_channel(WAITING);
         let (done, outcome) = oneshot::channel();
-        let stop = Stop::new(&events);
+        let stop = Stop::default();
+        let stopped = stop.clone();
         let thread = thread::Builder::new().name("rect-transfer".into());
         let started = thread.spawn(move || {
-            let outcome = self.run(&events, &incoming);
             // Fails if the future was dropped and no one waits for the outcome.
-            let _ = done.send(outcome);
+            let _ = done.send(self.run(&stopped));
         });
-        started.map_err(|error| Error::Zenoh {
-            operation: "cannot start a thread for the transfer",
-            reason: error.to_string(),
-        })?;
-        Ok((stop, outcome))
+        started.map_err(Error::thread)?;
+        Ok((StopOnDrop(stop), outcome))
     }
 }
 

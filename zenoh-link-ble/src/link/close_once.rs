@@ -4,7 +4,7 @@ use std::sync::{
     Arc,
 };
 
-use crate::link::{node::Node, table::LinkNumber};
+use crate::link::{node::Node, number::LinkNumber};
 
 /// The end of one link.
 pub(crate) struct CloseOnce {

@@ -14,14 +14,16 @@ use crate::{
     link::{
         history::History,
         intervals::{Action, IntervalTable},
+        number::LinkNumber,
+        open_links::OpenLinks,
         reroute_holdoff::Holdoff,
-        table::{LinkNumber, LinkTable},
+        status::NodeStatus,
+        table::LinkTable,
         LinkBle,
     },
     radio::{Radio, RadioError},
     rejected_peers::RejectedPeers,
     secret::Secret,
-    status::{NodeStatus, OpenLinks},
 };
 
 /// The longest reroute holdoff of a link, even if other links end one after the other. Zenoh's own limit for opening a link

@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::link::table::LinkNumber;
+use crate::link::number::LinkNumber;
 
 /// Time after which Zenoh has computed its routes: its interval of 100 ms, and twice that as a margin for a busy processor.
 const HOLDOFF: Duration = Duration::from_millis(300);

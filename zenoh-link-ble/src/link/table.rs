@@ -18,12 +18,10 @@ use crate::{
     locator::Target,
 };
 
+pub use crate::link::number::LinkNumber;
+
 /// Time after a successful dial during which a hello of the same peer counts as crossing it.
 const CROSSING: Duration = Duration::from_secs(5);
-
-/// Identifies a link or dial within this process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct LinkNumber(pub u64);
 
 /// A link that carries batches.
 #[derive(Debug)]

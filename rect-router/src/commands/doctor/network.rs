@@ -7,10 +7,8 @@ use zenoh::{Session, Wait};
 
 use super::{login, names, radio, Finding};
 use crate::{
-    commands::{
-        client::{answers, session},
-        DoctorArgs,
-    },
+    args::DoctorArgs,
+    commands::client::{answers, session},
     connections::file::{self, Limits},
     registry::now_s,
 };

@@ -18,8 +18,11 @@ use serde_json::json;
 use zenoh::Session;
 use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
 
-use super::{Air, Failure, SimArgs};
-use crate::commands::{client, RouterArgs};
+use super::{Air, Failure};
+use crate::{
+    args::{RouterArgs, SimArgs},
+    commands::client,
+};
 
 /// The shipped configuration of simulated robots.
 const CONFIGURATION: &str = include_str!("../../../../config/simulation.json5");

@@ -1,0 +1,28 @@
+"""Opens and completes the session of a robot."""
+
+from __future__ import annotations
+
+from rect import _rect
+from rect.decoder import Decoder
+from rect.events import follow_links
+from rect.executor import Executor
+from rect.options import Options, tokens_of_router
+from rect.session import Session
+
+
+def open_session(options: Options) -> Session:
+    """Opens the session of a robot. Raises the errors of `rect.connect`."""
+    session = Session(options)
+    try:
+        session.decoder = Decoder(session)
+        if session.is_direct:
+            presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
+            Executor(session, presence).start("rect presence")
+        else:
+            if not options.allow_name_mismatch:
+                _rect.check_router(session.key_space, options.endpoint, tokens_of_router(session.zenoh))
+            session.links = follow_links(session)
+    except BaseException:
+        session.close()
+        raise
+    return session

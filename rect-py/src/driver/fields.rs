@@ -1,0 +1,141 @@
+//! Converts the items and outputs of drivers to Python objects.
+use std::convert::Infallible;
+
+use bytes::Bytes;
+use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes, IntoPyObjectExt};
+use rect::core::{
+    connection::{Connection, Event, Link},
+    driver::Sample,
+    name::Name,
+    payload::Payload,
+    peers::Waited,
+    registry::RegistryError,
+    stream::watch::ReceivedFrame,
+    transfer::Progress,
+};
+
+use crate::codec::parts;
+
+/// A value that a driver delivers, or with which it finishes.
+pub trait ToPython: Send {
+    /// Converts the value.
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>>;
+}
+
+/// A report of the connections of a router, for `Links`.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct ConnectionsReport(pub Vec<Connection>);
+
+#[pymethods]
+impl ConnectionsReport {
+    fn __repr__(&self) -> String {
+        format!("{} connections", self.0.len())
+    }
+}
+
+pub fn sample(
+    key: String,
+    payload: Payload,
+    attachment: Option<PyBackedBytes>,
+    is_deleted: bool,
+) -> Sample {
+    Sample {
+        key,
+        payload,
+        attachment: attachment.map(Bytes::from_owner),
+        is_deleted,
+    }
+}
+
+impl ToPython for Infallible {
+    fn to_python(self, _: Python<'_>) -> PyResult<Py<PyAny>> {
+        match self {}
+    }
+}
+
+impl ToPython for () {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        Ok(py.None())
+    }
+}
+
+impl ToPython for Vec<Name> {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let names: Vec<&str> = self.iter().map(Name::as_str).collect();
+        names.into_py_any(py)
+    }
+}
+
+impl ToPython for Waited {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let text = match self {
+            Self::Ready => "ready",
+            Self::TimedOut => "timed_out",
+            Self::Closed => "closed",
+        };
+        text.into_py_any(py)
+    }
+}
+
+impl ToPython for Result<Payload, RegistryError> {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        match self {
+            Ok(payload) => ("answer", parts(py, &payload)).into_py_any(py),
+            Err(RegistryError::Rejected(payload)) => {
+                ("rejected", parts(py, &payload)).into_py_any(py)
+            }
+            Err(RegistryError::TimedOut { expected }) => ("timed_out", expected).into_py_any(py),
+            Err(RegistryError::NoService { service, available }) => {
+                let available = available.to_python(py)?;
+                ("no_service", (service, available)).into_py_any(py)
+            }
+            Err(RegistryError::Closed) => ("closed", py.None()).into_py_any(py),
+        }
+    }
+}
+
+impl ToPython for ReceivedFrame {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let age = self.age.map(|age| age.as_secs_f64());
+        let bytes = PyBytes::new(py, &self.payload.bytes);
+        let encoding = self.payload.encoding.as_str();
+        (self.ordinal, self.number, age, bytes, encoding).into_py_any(py)
+    }
+}
+
+impl ToPython for Event {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        event_fields(self).into_py_any(py)
+    }
+}
+
+impl ToPython for Vec<Connection> {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        ConnectionsReport(self).into_py_any(py)
+    }
+}
+
+impl ToPython for Progress {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        (self.received_bytes, self.size_bytes).into_py_any(py)
+    }
+}
+
+/// The kind of the event, the robot, the method of the link, and the address of the peer.
+type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
+
+/// Converts an event.
+fn event_fields(event: Event) -> EventFields {
+    let link = |kind, link: Link| {
+        let robot = link.robot.map(|robot| robot.to_string());
+        (kind, robot, Some(link.method), Some(link.address))
+    };
+    match event {
+        Event::PeerUp { robot } => ("peer_up", Some(robot.to_string()), None, None),
+        Event::PeerDown { robot } => ("peer_down", Some(robot.to_string()), None, None),
+        Event::LinkUp(up) => link("link_up", up),
+        Event::LinkDown(down) => link("link_down", down),
+        Event::RouterUp => ("router_up", None, None, None),
+        Event::RouterDown => ("router_down", None, None, None),
+    }
+}

@@ -1,0 +1,92 @@
+//! Creates the drivers that a program uses without a handle.
+use std::time::Duration;
+
+use pyo3::prelude::*;
+use rect::core::{
+    observer::{Observer, RouterObserver},
+    peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
+    registry::RegistryQuery,
+};
+
+use super::Driver;
+use crate::{
+    attachment::now_ms,
+    clock::Clock,
+    key_space::{name, KeySpace},
+};
+
+/// Creates the question which robots are reachable.
+#[pyfunction]
+pub fn peers_query(key_space: &KeySpace) -> Driver {
+    Driver::new(PeersQuery::new(key_space.0.clone()), &Clock::new())
+}
+
+/// Creates the wait until a robot is reachable.
+#[pyfunction]
+pub fn peer_wait(key_space: &KeySpace, robot: &str, timeout_s: f64) -> PyResult<Driver> {
+    let clock = Clock::new();
+    let now = clock.created_at();
+    let wait = PeerWait::new(&key_space.0, &name(robot)?, now, seconds(timeout_s));
+    Ok(Driver::new(wait, &clock))
+}
+
+/// Creates the wait until all reachable robots know what this program has declared.
+#[pyfunction]
+pub fn established_wait(key_space: &KeySpace, timeout_s: f64) -> Driver {
+    let clock = Clock::new();
+    let now = clock.created_at();
+    let wait = EstablishedWait::new(&key_space.0, now, seconds(timeout_s));
+    Driver::new(wait, &clock)
+}
+
+/// Creates the presence of a program without a router. `id` is the id of its Zenoh session. `unix_ms` is the time in
+/// milliseconds since 1970; default: the time of the clock.
+#[pyfunction]
+#[pyo3(signature = (key_space, id, unix_ms=None))]
+pub fn direct_presence(key_space: &KeySpace, id: &str, unix_ms: Option<u64>) -> Driver {
+    let (clock, unix_ms) = (Clock::new(), unix_ms.unwrap_or_else(now_ms));
+    let presence = DirectPresence::new(&key_space.0, id, unix_ms, clock.created_at());
+    Driver::new(presence, &clock)
+}
+
+/// Creates a question to the registry of a robot.
+#[pyfunction]
+pub fn registry_query(
+    key_space: &KeySpace,
+    robot: &str,
+    question: &str,
+    filter: &str,
+) -> PyResult<Driver> {
+    let query = RegistryQuery::new(key_space.0.clone(), name(robot)?, question, filter);
+    Ok(Driver::new(query, &Clock::new()))
+}
+
+/// Creates a change of the named connections of a robot.
+#[pyfunction]
+pub fn registry_change(
+    key_space: &KeySpace,
+    robot: &str,
+    action: &str,
+    argument: String,
+) -> PyResult<Driver> {
+    let change = RegistryQuery::change(key_space.0.clone(), name(robot)?, action, argument);
+    Ok(Driver::new(change, &Clock::new()))
+}
+
+/// Creates the observer of robots, links and the router.
+#[pyfunction]
+pub fn observer(key_space: &KeySpace, is_direct: bool) -> Driver {
+    let observer = Observer::new(key_space.0.clone(), is_direct);
+    Driver::new(observer, &Clock::new())
+}
+
+/// Creates the observer of the router's links, whose reports are for `Links`.
+#[pyfunction]
+pub fn router_observer(key_space: &KeySpace) -> Driver {
+    Driver::new(RouterObserver::new(&key_space.0), &Clock::new())
+}
+
+/// Converts a duration; one that is too long counts as the longest.
+pub fn seconds(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
+}

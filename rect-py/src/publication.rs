@@ -1,0 +1,30 @@
+//! Numbers the messages that a program publishes.
+use std::sync::Mutex;
+
+use pyo3::{prelude::*, types::PyBytes};
+use rect::core::publication;
+
+use crate::{attachment::now_ms, driver::lock};
+
+/// Numbers the messages of one publisher.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Numbering(Mutex<publication::Numbering>);
+
+#[pymethods]
+impl Numbering {
+    /// Begins with the number 0. `source` is a random number of 16 bits that identifies the publisher.
+    #[new]
+    fn new(source: u16) -> Self {
+        Self(Mutex::new(publication::Numbering::new(source)))
+    }
+
+    /// Returns the attachment of a message that is sent now.
+    fn attachment<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, &lock(&self.0).attachment(now_ms()))
+    }
+
+    /// Handles that the message was sent.
+    fn on_sent(&self) {
+        lock(&self.0).on_sent();
+    }
+}

@@ -1,0 +1,191 @@
+//! Defines the commands of `rect-router` and their arguments. `commands` runs them.
+use std::{env, path::PathBuf};
+
+use clap::{Parser, Subcommand};
+use rect::core::{
+    endpoint, login,
+    name::{Name, NameError},
+};
+use zenoh_link::ble::radio::sim::Condition;
+
+/// The commands. Without one, the program runs a router.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Write a robot's configuration, login file and connections file to a folder
+    Init(InitArgs),
+    /// Check a configuration as the router would read it, without starting anything
+    Check(CheckArgs),
+    /// Show the status of the robots of the fleet, one line each
+    Status(QueryArgs),
+    /// Show the connections of one robot or of all robots of the fleet
+    Connections(ConnectionsArgs),
+    /// Show the robots whose Bluetooth advertisements are received
+    Scan(ScanArgs),
+    /// Find problems that keep this computer from reaching other robots, and give advice
+    Doctor(DoctorArgs),
+    /// Run simulated robots on this computer, without Bluetooth, until Ctrl-C
+    Sim(SimArgs),
+    /// Print a script for shell completion, e.g. rect-router completion bash
+    Completion(CompletionArgs),
+    /// Write the manual pages, one for each command
+    #[command(hide = true)]
+    Man(ManArgs),
+}
+
+/// The arguments of `init`.
+#[derive(Debug, Parser)]
+pub struct InitArgs {
+    /// Name of this robot, unique among all robots in range
+    pub robot: String,
+    /// Name of the fleet, the first part of all keys
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// Bluetooth adapter
+    #[arg(long, default_value = "hci0")]
+    pub adapter: String,
+    /// Login file of the team, copied from its first robot [default: create a new one]
+    #[arg(long, value_name = "FILE")]
+    pub users: Option<PathBuf>,
+    /// Write the configuration of a base station, from which the robots' connections may be changed
+    #[arg(long)]
+    pub base_station: bool,
+    /// Folder for the files; a relative path is relative to the current folder
+    #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
+    pub folder: PathBuf,
+    /// TCP port on 127.0.0.1 for the programs of this computer
+    #[arg(long, default_value_t = 7447, value_parser = clap::value_parser!(u16).range(1..))]
+    pub port: u16,
+    /// Start the installed service with this configuration, now and at each boot
+    #[arg(long)]
+    pub start: bool,
+}
+
+/// The arguments of `check`.
+#[derive(Debug, Parser)]
+pub struct CheckArgs {
+    /// Configuration file
+    #[arg(default_value = "/etc/rect/robot.json5")]
+    pub config: String,
+}
+
+/// The arguments of commands that query the registry.
+#[derive(Debug, Parser)]
+pub struct QueryArgs {
+    /// Name of the robot; `*` stands for all robots of the fleet
+    #[arg(default_value = "*")]
+    pub robot: String,
+    /// Name of the fleet
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Router to query
+    #[command(flatten)]
+    pub router: RouterArgs,
+}
+
+/// The arguments of `connections`.
+#[derive(Debug, Parser)]
+pub struct ConnectionsArgs {
+    /// Show connections of this method only: ble, tcp, udp, ...
+    #[arg(long)]
+    pub method: Option<String>,
+    /// Robots and router to query
+    #[command(flatten)]
+    pub query: QueryArgs,
+}
+
+/// The arguments for connecting to a running router.
+#[derive(Debug, Parser)]
+pub struct RouterArgs {
+    /// Endpoint of the router to connect to; $RECT_ENDPOINT changes the default
+    #[arg(long, value_name = "ENDPOINT", default_value_t = default_router(), value_parser = endpoint::parse)]
+    pub router: String,
+    /// Login file, used if the router requires a login; $RECT_LOGIN changes the default
+    #[arg(long, value_name = "FILE", default_value_os_t = default_login_file())]
+    pub users: PathBuf,
+}
+
+/// The arguments of `scan`.
+#[derive(Debug, Parser)]
+pub struct ScanArgs {
+    /// Bluetooth adapter
+    #[arg(long, default_value = "hci0")]
+    pub adapter: String,
+    /// Duration of the scan in seconds, 1 to 600
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=600))]
+    pub seconds: u64,
+    /// Name of the fleet, to distinguish its robots from those of other fleets
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The arguments of `doctor`.
+#[derive(Debug, Parser)]
+pub struct DoctorArgs {
+    /// Check that the router belongs to this robot [default: any robot]
+    #[arg(long = "as", value_name = "ROBOT")]
+    pub robot: Option<String>,
+    /// Name of the fleet
+    #[arg(long, default_value = "rect")]
+    pub fleet: String,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Router to query
+    #[command(flatten)]
+    pub router: RouterArgs,
+}
+
+/// The arguments of `sim`.
+#[derive(Debug, Parser)]
+pub struct SimArgs {
+    /// Number of robots, 2 to 8
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(2..=8))]
+    pub robots: u16,
+    /// Radio conditions: desk, room, wall, edge-of-range or crowded-hall
+    #[arg(long, default_value_t = Condition::Room)]
+    pub condition: Condition,
+    /// Name of the fleet
+    #[arg(long, default_value = "rect", value_parser = name)]
+    pub fleet: Name,
+    /// Port of the first robot's router; the other routers use the ports after it. A port that is in use, or 0, is replaced
+    /// by a free one
+    #[arg(long, default_value_t = 7447)]
+    pub port: u16,
+    /// Start only the routers, without programs that publish messages and answer requests
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// The arguments of `completion`.
+#[derive(Debug, Parser)]
+pub struct CompletionArgs {
+    /// Shell for which to print the script
+    pub shell: clap_complete::Shell,
+}
+
+/// The arguments of `man`.
+#[derive(Debug, Parser)]
+pub struct ManArgs {
+    /// Existing folder for the pages
+    pub folder: PathBuf,
+}
+
+/// Returns the endpoint of the router for commands that name none.
+fn default_router() -> String {
+    endpoint::default_router(env::var(endpoint::ROUTER_VARIABLE).ok())
+}
+
+fn name(text: &str) -> Result<Name, NameError> {
+    Name::new(text)
+}
+
+/// Returns the login file for commands that name none.
+fn default_login_file() -> PathBuf {
+    login::default_file(env::var(login::FILE_VARIABLE).ok()).into()
+}

@@ -1,0 +1,147 @@
+//! Decides how a message is published: its key, its number, and which publishers are kept.
+use std::{collections::HashMap, sync::Arc};
+
+use super::{
+    attachment::{Attachment, Sent},
+    key::KeySpace,
+    name::Name,
+    topic::Topic,
+    urgency::Urgency,
+};
+
+/// The size in bytes from which a payload may have to wait for room on a link, so that a thread that must not wait does
+/// not send it itself.
+pub const LARGE_BYTES: usize = 16 * 1024;
+
+/// The topic, recipient and urgency of a publisher's messages.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct PublicationKey {
+    /// The topic.
+    pub topic: Topic,
+    /// The one robot that gets the messages. `None`: all subscribers get them.
+    pub recipient: Option<Name>,
+    /// The urgency of the messages.
+    pub urgency: Urgency,
+}
+
+impl PublicationKey {
+    /// Returns the key of the messages.
+    pub fn key(&self, place: &KeySpace) -> String {
+        match &self.recipient {
+            None => place.publication(&self.topic),
+            Some(recipient) => place.message(recipient, &self.topic),
+        }
+    }
+}
+
+/// Numbers the messages of one publisher.
+#[derive(Debug)]
+pub struct Numbering {
+    source: u16,
+    next: u32,
+}
+
+impl Numbering {
+    /// Begins with the number 0. `source` is a random number that identifies the publisher.
+    pub fn new(source: u16) -> Self {
+        Self { source, next: 0 }
+    }
+
+    /// Returns the attachment of the next message. `unix_ms` is the time of sending in milliseconds since 1970.
+    pub fn attachment(&self, unix_ms: u64) -> Vec<u8> {
+        let attachment = Attachment {
+            source: self.source,
+            sequence: self.next,
+            sent: Sent::At(unix_ms),
+        };
+        attachment.encode()
+    }
+
+    /// Handles that the message was sent. A message that could not be sent leaves its number to the next one.
+    pub fn on_sent(&mut self) {
+        self.next = self.next.wrapping_add(1);
+    }
+}
+
+/// The publishers that a program has used.
+#[derive(Debug)]
+pub struct Publications<P>(HashMap<PublicationKey, Arc<P>>);
+
+impl<P> Publications<P> {
+    /// The maximum number of publishers. Adding one more empties the cache; publishers are declared again on use.
+    pub const MAX: usize = 256;
+
+    /// Returns the publisher of a key.
+    pub fn get(&self, key: &PublicationKey) -> Option<&Arc<P>> {
+        self.0.get(key)
+    }
+
+    /// Adds a publisher.
+    pub fn add(&mut self, key: PublicationKey, publisher: Arc<P>) {
+        if self.0.len() >= Self::MAX {
+            self.0.clear();
+        }
+        self.0.insert(key, publisher);
+    }
+
+    /// Returns all publishers.
+    pub fn iter(&self) -> impl Iterator<Item = &Arc<P>> {
+        self.0.values()
+    }
+}
+
+impl<P> Default for Publications<P> {
+    fn default() -> Self {
+        Self(HashMap::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn destination(topic: usize, recipient: Option<&str>) -> PublicationKey {
+        PublicationKey {
+            topic: Topic::new(&format!("t{topic}")).expect("valid topic"),
+            recipient: recipient.map(|name| Name::new(name).expect("valid name")),
+            urgency: Urgency::Normal,
+        }
+    }
+
+    #[test]
+    fn numbers_count_the_messages_that_were_sent() {
+        let mut numbering = Numbering::new(7);
+        let number = |numbering: &Numbering| {
+            let attachment = Attachment::decode(&numbering.attachment(1000));
+            attachment.expect("an attachment").sequence
+        };
+        assert_eq!(number(&numbering), 0);
+        assert_eq!(number(&numbering), 0, "it was not sent");
+        numbering.on_sent();
+        assert_eq!(number(&numbering), 1);
+        numbering.next = u32::MAX;
+        numbering.on_sent();
+        assert_eq!(number(&numbering), 0);
+    }
+
+    #[test]
+    fn the_cache_is_emptied_when_it_is_full() {
+        let mut publications = Publications::default();
+        for topic in 0..=Publications::<()>::MAX {
+            publications.add(destination(topic, None), Arc::new(topic));
+        }
+        assert_eq!(publications.iter().count(), 1);
+        let last = destination(Publications::<()>::MAX, None);
+        assert_eq!(publications.get(&last).map(|last| **last), Some(256));
+    }
+
+    #[test]
+    fn messages_to_one_robot_have_a_key_of_their_own() {
+        let name = |text| Name::new(text).expect("valid name");
+        let (fleet, robot) = (name("rect"), name("wombat-1"));
+        let place = KeySpace { fleet, robot };
+        assert_eq!(destination(1, None).key(&place), "rect/wombat-1/t1");
+        let directed = destination(1, Some("wombat-2")).key(&place);
+        assert_eq!(directed, "rect/wombat-1/to/wombat-2/t1");
+    }
+}

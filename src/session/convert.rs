@@ -1,0 +1,53 @@
+//! Converts between Zenoh's types and those of the core.
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use bytes::Bytes;
+use zenoh::{
+    bytes::{Encoding as ZenohEncoding, ZBytes},
+    qos::{CongestionControl, Priority},
+    sample::SampleKind,
+};
+
+use crate::core::{driver::Sample, encoding::Encoding, payload::Payload, urgency::Qos};
+
+pub(super) fn priority(qos: Qos) -> Priority {
+    Priority::try_from(qos.priority).unwrap_or_default()
+}
+
+pub(super) fn congestion_control(qos: Qos) -> CongestionControl {
+    if qos.droppable {
+        CongestionControl::Drop
+    } else {
+        CongestionControl::Block
+    }
+}
+
+pub(super) fn payload(bytes: &ZBytes, encoding: &ZenohEncoding) -> Payload {
+    Payload::new(owned(bytes), Encoding::new(encoding))
+}
+
+pub(super) fn sample(sample: &zenoh::sample::Sample) -> Sample {
+    Sample {
+        key: sample.key_expr().as_str().to_owned(),
+        payload: payload(sample.payload(), sample.encoding()),
+        attachment: sample.attachment().map(owned),
+        is_deleted: sample.kind() == SampleKind::Delete,
+    }
+}
+
+pub(super) fn reply(reply: zenoh::query::Reply) -> Result<Sample, Payload> {
+    match reply.result() {
+        Ok(received) => Ok(sample(received)),
+        Err(error) => Err(payload(error.payload(), error.encoding())),
+    }
+}
+
+/// Returns the time of this computer's clock, in milliseconds since 1970.
+pub(super) fn now_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0))
+}
+
+fn owned(bytes: &ZBytes) -> Bytes {
+    Bytes::from(bytes.to_bytes().into_owned())
+}
