@@ -186,6 +186,7 @@ let
     "clippy"
     "cmake"
     "doxygen"
+    "catch2_3"
     "installShellFiles"
     "ninja"
     "nlohmann_json"

@@ -49,9 +49,11 @@ class Decoding(Protocol):
 
     def payload(self, sender: str, payload: Payload) -> Payload:
         """Decodes a payload; fetches a missing dictionary first."""
+        ...
 
     def payload_now(self, sender: str, payload: Payload) -> Payload:
         """Decodes a payload with the dictionaries that are present."""
+        ...
 
     def serve(self, dictionary: _rect.Dictionary) -> None:
         """Serves a dictionary."""
