@@ -3,6 +3,7 @@
 mod faults {
     mod conversation;
     mod cuts;
+    mod intervals;
     mod peer_loss;
     mod stalled;
 }

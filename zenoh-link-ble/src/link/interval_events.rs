@@ -1,5 +1,5 @@
-//! Reports to the node what concerns the connection interval of one link: a message of the peer, and the loss of the link by
-//! the radio.
+//! Reports to the node what concerns the connection interval of one link: a message of the peer, and that the radio neglects
+//! or has lost the link.
 use std::sync::Arc;
 
 use crate::{
@@ -21,6 +21,12 @@ impl IntervalEvents {
     /// Reports that the peer has set or requests an interval.
     pub(crate) fn on_message(&self, interval: ConnectionInterval) {
         let action = self.node.intervals().on_message(self.number, interval);
+        self.node.perform(action);
+    }
+
+    /// Reports that the radio has sent nothing for a long time, although there was data to send.
+    pub(crate) fn on_starved(&self) {
+        let action = self.node.intervals().on_starved(self.number);
         self.node.perform(action);
     }
 

@@ -9,8 +9,8 @@
 //! The central prefers the default interval of its radio. In the handshake, both sides exchange the intervals that the new
 //! link must avoid, and both compute the same result. Handshakes with several peers at the same time may still
 //! lead to a conflict. The node that has it then changes the interval of a link of which it is the central, or requests
-//! another one from the central. A link that the radio has lost gets another interval when it is dialled again, because
-//! the cause may be a device that does not report its intervals.
+//! another one from the central. A link that the radio neglects gets another interval at once, and one that it has lost when
+//! it is dialled again, because the cause may be a device that does not report its intervals.
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::{
@@ -211,6 +211,13 @@ impl IntervalTable {
         self.losses.push_back((device, count.saturating_add(1)));
     }
 
+    /// Records that the radio has sent nothing for a long time, although there was data to send: it may have served a link
+    /// with a conflicting interval instead. Returns the action that gives the link another interval, if it can be changed.
+    pub fn on_starved(&mut self, number: LinkNumber) -> Option<Action> {
+        let current = self.links.get(&number)?.interval;
+        self.change(number, Some(current))
+    }
+
     /// Handles the message of a peer: the central has changed the interval, or the peer of this central requests another
     /// one. Returns the next action, if there is one.
     pub fn on_message(
@@ -251,15 +258,26 @@ impl IntervalTable {
             .filter(|(_, link)| link.peer_avoids.is_some() && link.changes < MAX_CHANGES)
             // A link of which this node is the central can be changed at once. Otherwise, the latest one gives way.
             .max_by_key(|(number, link)| (link.is_central, *number))?;
+        self.change(number, None)
+    }
+
+    /// Chooses another interval for a link, which avoids those of the other links and `avoid`.
+    fn change(&mut self, number: LinkNumber, avoid: Option<ConnectionInterval>) -> Option<Action> {
         let others = self.others(number);
         let link = self.links.get_mut(&number)?;
-        let own: Vec<_> = others
+        let peer_avoids = link.peer_avoids.as_ref()?;
+        if link.changes >= MAX_CHANGES {
+            return None;
+        }
+        let own = others
             .into_iter()
             .filter(|(is_central, _)| !(*is_central && link.is_central))
-            .map(|(_, interval)| interval)
+            .map(|(_, interval)| interval);
+        let avoid: Vec<_> = own
+            .chain(peer_avoids.iter().copied())
+            .chain(avoid)
             .collect();
-        let peer_avoids = link.peer_avoids.as_deref().unwrap_or_default();
-        let interval = link.interval.choose(&[&own[..], peer_avoids].concat(), 0);
+        let interval = link.interval.choose(&avoid, 0);
         link.changes += 1;
         if link.is_central {
             link.interval = interval;

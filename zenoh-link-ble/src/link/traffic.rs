@@ -26,6 +26,9 @@ use crate::{
 /// How long an SDU may wait for room in the controller before the link ends. Zenoh's own lease (10 s) ends a silent link
 /// sooner; this limit is for a link whose radio works but accepts nothing.
 pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(20);
+/// How long an SDU waits for room in the controller if the radio serves another connection instead: more than ten events of
+/// the intervals that RECT uses.
+const STARVED: Duration = Duration::from_millis(600);
 /// How long the peer may take to read a goodbye after an error before the channel is closed.
 const GOODBYE_TIMEOUT: Duration = Duration::from_millis(500);
 
@@ -282,9 +285,13 @@ impl Traffic {
                 Ok(SendOutcome::Sdu(Next::Signal)) => {}
                 Ok(SendOutcome::Sdu(Next::Goodbye)) => return,
                 Ok(SendOutcome::NoRoom) => {
+                    let since = Instant::now();
                     let room = tokio::time::timeout(SEND_TIMEOUT, self.channel.writable());
                     if let Some(Err(_)) = self.until_ack_deadline(room).await {
                         return self.end(send_timed_out());
+                    }
+                    if since.elapsed() >= STARVED {
+                        self.intervals.on_starved();
                     }
                 }
                 Ok(SendOutcome::Unacknowledged) => {

@@ -9,7 +9,7 @@ use super::Finding;
 const ABOUT: &str = "radio";
 /// Most controllers hold about this number of links.
 const MAX_LINKS: usize = 7;
-/// Number of robots in range up to which a robot finds its fleet within 5 s.
+/// Number of robots in range up to which a robot finds its fleet within 10 s.
 const MAX_ROBOTS: usize = 100;
 /// Signal strength below which packets are lost now and then, in dBm.
 const WEAK_DBM: i64 = -80;
@@ -60,7 +60,7 @@ fn crowd(links: usize, robots: usize) -> Finding {
         return Finding::poor(
             ABOUT,
             what,
-            "with more than 100 robots in range, links take more than 5 s to open: divide the robots among halls, or use Wi-Fi",
+            "with more than 100 robots in range, links take more than 10 s to open: divide the robots among halls, or use Wi-Fi",
         );
     }
     Finding::good(ABOUT, what)

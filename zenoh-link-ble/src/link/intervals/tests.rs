@@ -159,6 +159,16 @@ fn central_grants_a_request_unless_it_conflicts() {
 }
 
 #[test]
+fn starved_link_gets_another_interval() {
+    let mut table = table(&[link(1, true, 24), link(2, false, 25)]);
+    let action = table.on_starved(LinkNumber(1));
+    assert_eq!(action, Some(Action::Change(LinkNumber(1), units(23))));
+    let action = table.on_starved(LinkNumber(2));
+    assert_eq!(action, Some(Action::Request(LinkNumber(2), units(26))));
+    assert_eq!(table.on_starved(LinkNumber(3)), None);
+}
+
+#[test]
 fn number_of_changes_is_limited() {
     let mut table = table(&[link(1, true, 24)]);
     let changes = (0..100).filter_map(|_| table.on_message(LinkNumber(1), units(25)));

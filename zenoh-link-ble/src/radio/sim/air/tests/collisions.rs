@@ -46,7 +46,9 @@ fn collision_rate(advertisers: u32, advertising_interval: Duration) -> f64 {
 fn collision_rate_follows_the_aloha_formula() {
     for (advertisers, interval_ms) in [
         (10, 100),
+        (20, 100),
         (45, 100),
+        (70, 100),
         (100, 100),
         (45, 152),
         // More than 200 advertisers, for which 0.22 to 0.33 is published (Sensors 2020, 20, 107).
