@@ -7,6 +7,7 @@ mod decoder;
 mod events;
 mod executor;
 mod options;
+mod presence;
 mod publication;
 mod publisher;
 mod queries;

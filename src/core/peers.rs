@@ -24,7 +24,9 @@ pub fn tokens(place: &KeySpace, robot: Option<&Name>) -> String {
     place.own(robot, ALIVE)
 }
 
-/// Returns the key of the liveliness token of the robot of `place`, for the Zenoh session `id`.
+/// Returns the key of the liveliness token of the robot of `place`, for the Zenoh session `id`. A program that declares it
+/// also answers questions on this key, with an empty payload, for [`EstablishedWait`]. It declares the queryable first, so
+/// that a program that knows the token can ask.
 pub fn token(place: &KeySpace, id: &str) -> String {
     place.own(Some(&place.robot), &format!("alive/{id}"))
 }
@@ -151,7 +153,8 @@ impl Driver for PeerWait {
 /// Waits until all reachable robots know what this program has declared.
 ///
 /// The routers of the fleet are asked for the time. A declaration takes the same way as the question, and precedes it, so
-/// that a router that answers knows the declaration. Without a router, the peers answer a question about liveliness.
+/// that a router that answers knows the declaration. A program without a router answers questions on the key of its
+/// liveliness token. Zenoh answers questions about the tokens themselves without asking anyone.
 #[derive(Debug)]
 pub struct EstablishedWait {
     get: Option<Get>,
@@ -162,13 +165,14 @@ pub struct EstablishedWait {
 impl EstablishedWait {
     /// Creates the wait of a program, until `timeout` from `now`. `is_direct`: the program has no router.
     pub fn new(place: &KeySpace, is_direct: bool, now: Instant, timeout: Duration) -> Self {
-        let get = if is_direct {
-            Get::liveliness(tokens(place, None), timeout)
+        let key = if is_direct {
+            tokens(place, None)
         } else {
-            Get {
-                target: Target::All,
-                ..Get::new(place.own(None, "clock"), timeout)
-            }
+            place.own(None, "clock")
+        };
+        let get = Get {
+            target: Target::All,
+            ..Get::new(key, timeout)
         };
         Self {
             get: Some(get),

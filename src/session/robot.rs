@@ -5,10 +5,10 @@ use std::{
 };
 
 use tokio::runtime::Handle;
-use zenoh::{Config, Session, Wait};
+use zenoh::{Config, Session};
 
 use super::{
-    decoder::Decoder, publication::Publication, router_links::RouterLinks,
+    decoder::Decoder, presence::Presence, publication::Publication, router_links::RouterLinks,
     urgency_sessions::UrgencySessions,
 };
 use crate::{
@@ -19,7 +19,6 @@ use crate::{
         key::KeySpace,
         name::Name,
         payload::{Payload, ToPayload},
-        peers,
         publication::{PublicationKey, Publications},
         topic::Topic,
         urgency::Urgency,
@@ -49,8 +48,8 @@ pub(super) struct Inner {
     /// The router's links; `None` without a router.
     pub(super) router_links: Option<RouterLinks>,
     pub(super) direct: bool,
-    /// The robot's liveliness token; `None` if its router declares one.
-    _presence: Option<zenoh::liveliness::LivelinessToken>,
+    /// `None` if the router declares the robot's presence.
+    _presence: Option<Presence>,
 }
 
 impl Robot {
@@ -62,10 +61,7 @@ impl Robot {
     ) -> Result<Self, Error> {
         let direct = router.is_none();
         let (presence, router_links) = if direct {
-            let token = peers::token(&place, &session.zid().to_string());
-            let token = session.liveliness().declare_token(token).wait();
-            let refused = Error::zenoh("cannot declare the robot's liveliness token");
-            (Some(token.map_err(refused)?), None)
+            (Some(Presence::declare(&session, &place)?), None)
         } else {
             let links = RouterLinks::follow(&session, &place, &Handle::current())?;
             (None, Some(links))
@@ -164,7 +160,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Dictionary`] if this program shares another dictionary with the same id, and [`Error::Zenoh`] if the
+    /// [`Error::Dictionary`] if this program shares another dictionary with the same id, and [`Error::Closed`] if the
     /// session is closed.
     pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
         self.inner.decoder.serve(&dictionary)?;
@@ -186,7 +182,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, [`Error::Payload`] if the value cannot be serialized, [`Error::Codec`] if
-    /// the codec of this handle does not support it, and [`Error::Zenoh`] if the session is closed.
+    /// the codec of this handle does not support it, and [`Error::Closed`] if the session is closed.
     pub async fn publish<T: TryInto<Topic>>(
         &self,
         topic: T,

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import zenoh
 
 from rect import _rect
-from rect._zenoh import call_interruptibly, undeclared, zenoh_error
+from rect._zenoh import call_interruptibly, direct, undeclared, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
 from rect.publication import Publication
@@ -87,7 +87,8 @@ class Session:
         self._publications: dict[tuple[str, str | None, str], Publication] = {}
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
-        self._presence: zenoh.LivelinessToken | None = None
+        #: The declarations of the presence of this robot; empty with a router.
+        self._presence: list[Any] = []
         _OPEN.add(self)
 
     @property
@@ -139,8 +140,8 @@ class Session:
             handle.end()
         for queue in list(self.receive_queues):
             queue.close()
-        if self._presence is not None:
-            undeclared(self._presence)
+        for declared in self._presence:
+            undeclared(declared)
         _OPEN.discard(self)
         try:
             call_interruptibly(self.urgency_sessions.close)
@@ -159,12 +160,16 @@ class Session:
             raise ThreadError(str(error)) from error
 
     def declare_presence(self) -> None:
-        """Declares the liveliness token of this robot, which a router declares if there is one."""
+        """Declares the presence of this robot, which a router declares if there is one.
+
+        It is a liveliness token, and the answers to other programs that wait until their declarations are known.
+        """
         key = self.key_space.presence(str(self.zenoh.zid()))
         try:
-            self._presence = self.zenoh.liveliness().declare_token(key)
+            self._presence.append(self.zenoh.declare_queryable(key, direct(lambda query: query.reply(key, b""))))
+            self._presence.append(self.zenoh.liveliness().declare_token(key))
         except zenoh.ZError as error:
-            raise zenoh_error("cannot declare the liveliness of the robot", error) from error
+            raise zenoh_error("cannot declare the presence of the robot", error) from error
 
     def _finish(self) -> None:
         """Waits for threads that are still inside Zenoh: none may be there when Python exits."""
