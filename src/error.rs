@@ -1,6 +1,8 @@
 //! Defines [`Error`], the error type of sessions. Each variant documents what the program or its user can do about it.
 use std::{path::PathBuf, time::Duration};
 
+use zenoh::session::SessionClosedError;
+
 use crate::core::{
     codec::CodecError,
     dictionary::DictionaryError,
@@ -100,7 +102,7 @@ pub enum Error {
         /// The error, as the service returned it.
         payload: Payload,
     },
-    /// A Zenoh operation failed, often because the session is closed. If so, connect again.
+    /// A Zenoh operation failed. The text contains the reason that Zenoh reports.
     #[error("{operation}: {}", humanize::with_causes(.source.as_ref()))]
     Zenoh {
         /// The failure, such as "cannot declare the publisher".
@@ -196,7 +198,12 @@ impl Error {
 
     /// Returns a function that converts an error of Zenoh. `operation` states what failed, in the form "cannot ...".
     pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
-        move |source| Self::Zenoh { operation, source }
+        move |source| {
+            if source.is::<SessionClosedError>() {
+                return Self::Closed;
+            }
+            Self::Zenoh { operation, source }
+        }
     }
 
     /// Converts the error that a thread cannot be started.

@@ -1,4 +1,5 @@
-"""Defines fixtures and helpers: two directly linked robots in one process, and functions that wait for discovery."""
+"""Defines fixtures and helpers: two directly linked robots in one process, two linked routers, and functions
+that wait for discovery."""
 
 from __future__ import annotations
 
@@ -9,9 +10,8 @@ from typing import Any
 
 import pytest
 import rect
-
-#: Timeout after which a test fails, in seconds.
-DEADLINE = 30.0
+from programs import DEADLINE as DEADLINE
+from programs import Routers, linked_routers
 
 
 def free_port() -> int:
@@ -29,6 +29,13 @@ def pair() -> Iterator[tuple[rect.Robot, rect.Robot]]:
         for robot in (one, two):
             until_peer(robot)
         yield one, two
+
+
+@pytest.fixture(scope="module")
+def routers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Routers]:
+    """Starts the routers of `wombat-1` and `wombat-2`, linked on the simulated air."""
+    with linked_routers(tmp_path_factory.mktemp("connections")) as routers:
+        yield routers
 
 
 def until_peer(robot: rect.Robot) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 from conftest import DEADLINE, free_port
-from test_routers import Tool, program
+from programs import Tool, program
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
 _EXAMPLES = _REPOSITORY / "examples"

@@ -19,7 +19,7 @@ import pytest
 import rect
 import zenoh
 from conftest import DEADLINE, free_port
-from test_routers import program
+from programs import program
 
 Setting = dict[str, object]
 

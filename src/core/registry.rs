@@ -35,7 +35,7 @@ enum State {
 /// Why there is no answer to a question.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RegistryError {
-    /// The router rejects the question. The payload is the reason, in JSON.
+    /// The router rejects the question. The payload is the reason, a text.
     Rejected(Payload),
     /// The router did not answer in time.
     TimedOut {
@@ -96,13 +96,12 @@ impl RegistryQuery {
         if !matches!(self.state, State::Asking) {
             return;
         }
-        // Answers and errors of the registry are JSON; it does not say so, which saves bytes on the air.
-        let json = |payload: Payload| Payload {
-            encoding: Encoding::JSON,
-            ..payload
-        };
         self.state = State::Answered(match reply {
-            Ok(answer) => Ok(json(answer)),
+            // Answers of the registry are JSON; it does not say so, which saves bytes on the air. Its errors are text.
+            Ok(answer) => Ok(Payload {
+                encoding: Encoding::JSON,
+                ..answer
+            }),
             Err(error) => {
                 let (robot, error) = error_from_payload(error);
                 Err(if is_timeout(robot.as_ref(), &error) {
@@ -113,7 +112,7 @@ impl RegistryQuery {
                         ),
                     }
                 } else {
-                    RegistryError::Rejected(json(error))
+                    RegistryError::Rejected(error)
                 })
             }
         });

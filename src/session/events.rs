@@ -42,7 +42,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Closed`] if the session is closed.
     pub async fn events(&self) -> Result<Events, Error> {
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(DEFAULT_CAPACITY, WhenFull::DropOldest));

@@ -135,6 +135,10 @@ where
                 queries::put_once(session, &key, payload, qos)?;
             }
             Action::Get { id, get } => {
+                // Zenoh would end the query without replies, as if nobody were reachable.
+                if session.is_closed() {
+                    return Err(Error::Closed);
+                }
                 let (on_reply, on_end) = (shared.clone(), shared.clone());
                 queries::get(
                     session,

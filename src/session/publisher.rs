@@ -35,7 +35,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, and [`Error::Closed`] if the session is closed.
     pub async fn publisher<T: TryInto<Topic>>(&self, topic: T) -> Result<Publisher, Error>
     where
         Error: From<T::Error>,

@@ -19,7 +19,7 @@ impl Robot {
     /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
     ///
     /// # Errors
-    /// [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Closed`] if the session is closed.
     pub async fn peers(&self) -> Result<Vec<Name>, Error> {
         let query = PeersQuery::new(self.inner.place.clone());
         Executor::new(&self.inner.session, query, NoItems)
@@ -31,7 +31,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::NoService`] if the robot has no router with RECT's registry, [`Error::Service`] if the router rejects the
-    /// query, [`Error::TimedOut`] if no reply arrives within 5 s, and [`Error::Zenoh`] if the session is closed.
+    /// query, [`Error::TimedOut`] if no reply arrives within 5 s, and [`Error::Closed`] if the session is closed.
     pub async fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.connections_of(self.name().clone(), "").await
     }

@@ -60,7 +60,7 @@ impl Robot {
     /// [`Error::Service`] if the service replies with an error, [`Error::NoService`] if no program at `robot` serves
     /// the topic, [`Error::TimedOut`] if no reply arrives within `timeout`; [`Error::Name`], [`Error::Topic`] or
     /// [`Error::Payload`] if an argument is invalid; [`Error::Codec`] if the codec of this handle does not support the
-    /// value or the reply cannot be decoded; [`Error::Zenoh`] if the session is closed.
+    /// value or the reply cannot be decoded; [`Error::Closed`] if the session is closed.
     pub async fn request<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -99,7 +99,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] or [`Error::Payload`] if an argument is invalid, [`Error::Codec`] if the codec of this handle
-    /// does not support the value, and [`Error::Zenoh`] if the session is closed.
+    /// does not support the value, and [`Error::Closed`] if the session is closed.
     pub async fn request_all<T: TryInto<Topic>>(
         &self,
         topic: T,

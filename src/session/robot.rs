@@ -170,7 +170,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Dictionary`] if this program shares another dictionary with the same id, and [`Error::Zenoh`] if the
+    /// [`Error::Dictionary`] if this program shares another dictionary with the same id, and [`Error::Closed`] if the
     /// session is closed.
     pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
         self.inner.decoder.serve(&dictionary)?;
@@ -192,7 +192,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, [`Error::Payload`] if the value cannot be serialized, [`Error::Codec`] if
-    /// the codec of this handle does not support it, and [`Error::Zenoh`] if the session is closed.
+    /// the codec of this handle does not support it, and [`Error::Closed`] if the session is closed.
     pub async fn publish<T: TryInto<Topic>>(
         &self,
         topic: T,

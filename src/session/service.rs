@@ -68,7 +68,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, and [`Error::Closed`] if the session is closed.
     pub async fn requests<T: TryInto<Topic>>(&self, topic: T) -> Result<Requests, Error>
     where
         Error: From<T::Error>,
@@ -231,7 +231,7 @@ impl Request {
     /// Sends a reply. A service may reply several times to one request.
     ///
     /// # Errors
-    /// [`Error::Payload`] if the value cannot be serialized, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Payload`] if the value cannot be serialized, and [`Error::Closed`] if the session is closed.
     pub fn reply(&self, value: impl ToPayload) -> Result<(), Error> {
         let payload = value.into_payload()?.sendable()?;
         let reply = self.query.reply(&self.key, payload.bytes);

@@ -93,7 +93,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the pattern is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Topic`] if the pattern is invalid, and [`Error::Closed`] if the session is closed.
     pub async fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Subscriber, Error>
     where
         Error: From<P::Error>,
@@ -198,7 +198,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::TimedOut`] if no message arrives within `timeout`; [`Error::Name`] or [`Error::Topic`] if an argument is
-    /// invalid; [`Error::Zenoh`] or [`Error::Closed`] if the session is closed.
+    /// invalid; [`Error::Closed`] if the session is closed.
     pub async fn wait_for_message<N: TryInto<Name>>(
         &self,
         robot: N,

@@ -46,7 +46,7 @@ impl Robot {
     /// [`Error::TransferRefused`] if the receiver refuses it, [`Error::TransferFailed`] if it fails, [`Error::File`] if
     /// the file cannot be read, [`Error::Offer`] if the file [name](Transfer::name) is invalid, [`Error::Payload`] if
     /// the encoding is too long, [`Error::TimedOut`] if a [timeout](Transfer::timeout) was set and has expired, and
-    /// [`Error::Closed`] or [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Closed`] if the session is closed.
     pub fn transfer<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -84,7 +84,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the pattern is invalid, [`Error::File`] if the folder cannot be created, and [`Error::Zenoh`] if
+    /// [`Error::Topic`] if the pattern is invalid, [`Error::File`] if the folder cannot be created, and [`Error::Closed`] if
     /// the session is closed.
     pub async fn receive_transfers<P: TryInto<Pattern>>(
         &self,

@@ -25,7 +25,7 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::TimedOut`] if the robot is not reachable within `timeout`; [`Error::Name`] if the name is invalid;
-    /// [`Error::Zenoh`] or [`Error::Closed`] if the session is closed.
+    /// [`Error::Closed`] if the session is closed.
     pub async fn wait_for_peer<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -55,7 +55,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::TimedOut`] if a router does not answer within `timeout`; [`Error::Zenoh`] or [`Error::Closed`] if the
+    /// [`Error::TimedOut`] if a router does not answer within `timeout`; [`Error::Closed`] if the
     /// session is closed.
     pub async fn wait_until_established(&self, timeout: Duration) -> Result<(), Error> {
         let inner = &self.inner;

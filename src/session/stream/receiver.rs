@@ -59,7 +59,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid, and [`Error::Closed`] if the session is closed.
     pub async fn watch<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,

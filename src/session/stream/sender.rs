@@ -49,7 +49,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, [`Error::Option`] if an option is out of range, and [`Error::Zenoh`] if the
+    /// [`Error::Topic`] if the topic is invalid, [`Error::Option`] if an option is out of range, and [`Error::Closed`] if the
     /// session is closed.
     pub async fn stream<T: TryInto<Topic>>(
         &self,
@@ -85,7 +85,7 @@ impl Stream {
     /// 2). Does not wait for the link.
     ///
     /// # Errors
-    /// [`Error::Payload`] if the frame cannot be serialized, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Payload`] if the frame cannot be serialized, and [`Error::Closed`] if the session is closed.
     pub fn send(&self, frame: impl ToPayload) -> Result<usize, Error> {
         let payload = frame.to_payload()?;
         let size = payload.bytes.len();
@@ -103,7 +103,7 @@ impl Stream {
     ///
     /// # Errors
     /// Returns the error of `encode`, [`Error::Payload`] if the encoding of the frame is too long, and
-    /// [`Error::Closed`] or [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Closed`] if the session is closed.
     pub fn send_with(
         &self,
         pixels: usize,
@@ -133,7 +133,7 @@ impl Stream {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Codec`] if the picture cannot be encoded, and [`Error::Zenoh`] if the session is closed.
+    /// [`Error::Codec`] if the picture cannot be encoded, and [`Error::Closed`] if the session is closed.
     pub fn send_picture(&self, picture: &Picture) -> Result<usize, Error> {
         let pixels = picture.width() as usize * picture.height() as usize;
         self.send_with(pixels, |step| Ok(encode(picture, step, self.lossy_format)?))

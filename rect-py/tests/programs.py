@@ -1,0 +1,111 @@
+"""Provides the routers of two robots that are linked on the simulated air, and runs the `rect` command at them."""
+
+from __future__ import annotations
+
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rect
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "demo"))
+
+#: Timeout after which a test fails, in seconds.
+DEADLINE = 30.0
+
+
+def program(variable: str, name: str) -> str:
+    """Returns the path of a program. Fails the test if the program is not built."""
+    found = os.environ.get(variable) or shutil.which(name)
+    assert found, (
+        f"{name} was not found: build it with `cargo build --profile quick -p rect-robot -p rect-router`, "
+        f"and set {variable} to its path"
+    )
+    return found
+
+
+class Routers:
+    """The routers of `wombat-1` and `wombat-2`, which are linked by simulated Bluetooth."""
+
+    def __init__(self, room: Any, one: Any, two: Any) -> None:
+        self.room = room
+        self.endpoints = {"wombat-1": one.endpoint(), "wombat-2": two.endpoint()}
+
+    def connect(self, name: str) -> rect.Robot:
+        return rect.connect(name, router=self.endpoints[name])
+
+    @contextmanager
+    def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:
+        """Runs the `rect` command at the router of a robot."""
+        options = ["--as", robot, "--router", self.endpoints[robot]]
+        # The arguments after `--` belong to another program.
+        end = arguments.index("--") if "--" in arguments else len(arguments)
+        command = [program("RECT_TOOL", "rect"), *arguments[:end], *options, *arguments[end:]]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            tool = Tool(process)
+            try:
+                yield tool
+            finally:
+                process.terminate()
+                tool.finish_reading()
+
+
+class Tool:
+    """A running command whose output is read line by line."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        streams = (process.stdout, process.stderr)
+        self._readers = [threading.Thread(target=self._read, args=(stream,)) for stream in streams]
+        for reader in self._readers:
+            reader.start()
+
+    def line(self) -> str:
+        return self._lines.get(timeout=DEADLINE)
+
+    def until(self, expected: str) -> str:
+        """Returns the first line that contains `expected`. Skips other lines, such as those of Zenoh's log."""
+        line = self.line()
+        while expected not in line:
+            line = self.line()
+        return line
+
+    def ends(self) -> int:
+        return self.process.wait(DEADLINE)
+
+    def finish_reading(self) -> None:
+        """Waits until the output of the ended command is read."""
+        for reader in self._readers:
+            reader.join()
+
+    def _read(self, stream: Any) -> None:
+        for line in stream:
+            self._lines.put(line.rstrip("\n"))
+
+
+@contextmanager
+def linked_routers(folder: Path) -> Iterator[Routers]:
+    """Starts the routers, whose connections files are in `folder`, and yields them."""
+    files = {name: folder / f"{name}.json" for name in ("wombat-1", "wombat-2")}
+    for file in files.values():
+        file.write_text('{"connections": []}')
+    os.environ["RECT_ROUTER"] = program("RECT_ROUTER", "rect-router")
+    os.environ["RECT_TOOL"] = program("RECT_TOOL", "rect")
+    from robots import rect_settings  # type: ignore[import-not-found, unused-ignore]
+    from room import Room, wait_for_link  # type: ignore[import-not-found, unused-ignore]
+
+    with Room("desk") as room:
+        one, two = (
+            room.add_robot(name, arguments=tuple(rect_settings({"robot": name, "connections": str(file)})))
+            for name, file in files.items()
+        )
+        wait_for_link(one, two)
+        yield Routers(room, one, two)
