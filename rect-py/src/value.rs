@@ -9,7 +9,7 @@ use pyo3::{
 };
 use rect::core::{
     cause::Cause,
-    payload::{Cbor, Json, PayloadError, ToPayload},
+    payload::{Cbor, Json, PayloadError, ToPayload, MAX_DEPTH},
 };
 use serde::{
     de::{MapAccess, SeqAccess, Visitor},
@@ -21,9 +21,6 @@ use crate::{
     codec::{parts, payload, Parts},
     errors::{raised, OrRaise},
 };
-
-/// Maximum nesting depth of a value: the same limit as in the Rust library.
-const MAX_DEPTH: usize = 127;
 
 /// A value of JSON or CBOR.
 enum Value {
@@ -107,7 +104,7 @@ impl Path<'_> {
 }
 
 fn read<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
-    if path.0.len() > MAX_DEPTH {
+    if path.0.len() >= MAX_DEPTH {
         path.0.truncate(3);
         return Err(path.error(value.py(), form, "is nested too deeply, or contains itself"));
     }

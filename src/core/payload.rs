@@ -150,7 +150,7 @@ impl Payload {
 }
 
 /// The maximum nesting of CBOR; the same as serde_json's.
-const MAX_DEPTH: usize = 128;
+pub const MAX_DEPTH: usize = 128;
 
 fn read(
     format: &'static str,
