@@ -1,30 +1,10 @@
 // Tests C++ programs at two routers on the simulated air, which run_with_routers.py starts.
 //
 //     python tests/run_with_routers.py build/default/tests/rect_tests '[.routers]'
-#include <cstdlib>
 #include <thread>
 #include <vector>
 
-#include "pair.hpp"
-
-namespace {
-
-rect::Robot connect_to(const char* name, const char* variable) {
-    const char* endpoint = std::getenv(variable);
-    if (endpoint == nullptr) {
-        throw std::runtime_error(std::string(variable) + " is not set; run this test with run_with_routers.py");
-    }
-    rect::Options options;
-    options.router = endpoint;
-    return must(rect::connect(name, options));
-}
-
-struct Routers {
-    rect::Robot one = connect_to("wombat-1", "RECT_ROUTER_1");
-    rect::Robot two = connect_to("wombat-2", "RECT_ROUTER_2");
-};
-
-}  // namespace
+#include "routers.hpp"
 
 TEST_CASE("a message received over Bluetooth reports its method", "[.routers]") {
     Routers routers;
