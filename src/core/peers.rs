@@ -109,24 +109,53 @@ pub enum Waited {
     Closed,
 }
 
-/// Waits until a robot is reachable.
+/// The state of a wait: its first action, its end, and the outcome once it is known.
 #[derive(Debug)]
-pub struct PeerWait {
-    key: String,
+struct Wait {
+    first: Option<Action>,
     deadline: Instant,
-    is_declared: bool,
     waited: Option<Waited>,
 }
+
+impl Wait {
+    fn new(first: Action, now: Instant, timeout: Duration) -> Self {
+        Self {
+            first: Some(first),
+            deadline: deadline(now, timeout),
+            waited: None,
+        }
+    }
+
+    fn on_waited(&mut self, waited: Waited) -> Reaction<std::convert::Infallible> {
+        self.waited.get_or_insert(waited);
+        Reaction::POLL
+    }
+
+    fn poll(&mut self, now: Instant) -> Step<std::convert::Infallible, Waited> {
+        if let Some(first) = self.first.take() {
+            return Step::Act(first);
+        }
+        match self.waited {
+            Some(waited) => Step::Finished(waited),
+            None if now >= self.deadline => Step::Finished(Waited::TimedOut),
+            None => Step::Wait(Some(self.deadline)),
+        }
+    }
+}
+
+/// Waits until a robot is reachable.
+#[derive(Debug)]
+pub struct PeerWait(Wait);
 
 impl PeerWait {
     /// Creates the wait for `robot`, until `timeout` from `now`.
     pub fn new(place: &KeySpace, robot: &Name, now: Instant, timeout: Duration) -> Self {
-        Self {
-            key: tokens(place, Some(robot)),
-            deadline: deadline(now, timeout),
-            is_declared: false,
-            waited: None,
-        }
+        let key = tokens(place, Some(robot));
+        let declare = Action::Declare {
+            id: TOKENS,
+            declaration: Declaration::LivelinessSubscriber { key },
+        };
+        Self(Wait::new(declare, now, timeout))
     }
 }
 
@@ -135,28 +164,15 @@ impl Driver for PeerWait {
     type Output = Waited;
 
     fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Self::Item> {
-        self.waited = match event {
-            Event::Sample { sample, .. } if !sample.is_deleted => Some(Waited::Ready),
-            Event::Closed => self.waited.or(Some(Waited::Closed)),
-            _ => return Reaction::NONE,
-        };
-        Reaction::POLL
+        match event {
+            Event::Sample { sample, .. } if !sample.is_deleted => self.0.on_waited(Waited::Ready),
+            Event::Closed => self.0.on_waited(Waited::Closed),
+            _ => Reaction::NONE,
+        }
     }
 
     fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
-        if let Some(waited) = self.waited {
-            return Step::Finished(waited);
-        }
-        if !std::mem::replace(&mut self.is_declared, true) {
-            let key = self.key.clone();
-            let declaration = Declaration::LivelinessSubscriber { key };
-            let id = TOKENS;
-            return Step::Act(Action::Declare { id, declaration });
-        }
-        if now >= self.deadline {
-            return Step::Finished(Waited::TimedOut);
-        }
-        Step::Wait(Some(self.deadline))
+        self.0.poll(now)
     }
 }
 
@@ -165,11 +181,7 @@ impl Driver for PeerWait {
 /// The routers of the fleet, and the programs that have none, are asked for the time. A declaration takes the same way as
 /// the question, and precedes it, so that a router that answers knows the declaration.
 #[derive(Debug)]
-pub struct EstablishedWait {
-    get: Option<Get>,
-    waited: Option<Waited>,
-    deadline: Instant,
-}
+pub struct EstablishedWait(Wait);
 
 impl EstablishedWait {
     /// Creates the wait of a program, until `timeout` from `now`.
@@ -178,11 +190,7 @@ impl EstablishedWait {
             target: Target::All,
             ..Get::new(place.own(None, CLOCK), timeout)
         };
-        Self {
-            get: Some(get),
-            waited: None,
-            deadline: deadline(now, timeout),
-        }
+        Self(Wait::new(Action::Get { id: QUERY, get }, now, timeout))
     }
 }
 
@@ -191,24 +199,16 @@ impl Driver for EstablishedWait {
     type Output = Waited;
 
     fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Self::Item> {
-        self.waited = match event {
-            Event::Ended { .. } if now >= self.deadline => Some(Waited::TimedOut),
-            Event::Ended { .. } => Some(Waited::Ready),
-            Event::Closed => self.waited.or(Some(Waited::Closed)),
-            _ => return Reaction::NONE,
-        };
-        Reaction::POLL
+        match event {
+            Event::Ended { .. } if now >= self.0.deadline => self.0.on_waited(Waited::TimedOut),
+            Event::Ended { .. } => self.0.on_waited(Waited::Ready),
+            Event::Closed => self.0.on_waited(Waited::Closed),
+            _ => Reaction::NONE,
+        }
     }
 
     fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
-        if let Some(get) = self.get.take() {
-            return Step::Act(Action::Get { id: QUERY, get });
-        }
-        match self.waited {
-            Some(waited) => Step::Finished(waited),
-            None if now >= self.deadline => Step::Finished(Waited::TimedOut),
-            None => Step::Wait(Some(self.deadline)),
-        }
+        self.0.poll(now)
     }
 }
 
@@ -281,7 +281,7 @@ impl Driver for DirectPresence {
 }
 
 /// Returns the end of a timeout; a timeout beyond the range of the clock counts as a year.
-pub fn deadline(now: Instant, timeout: Duration) -> Instant {
+fn deadline(now: Instant, timeout: Duration) -> Instant {
     const YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
     now.checked_add(timeout).unwrap_or(now + YEAR)
 }

@@ -117,17 +117,6 @@ impl RegistryQuery {
             }
         });
     }
-
-    /// Describes the question for the error that no router answers it.
-    fn service(&self) -> String {
-        if self.question == CONFIG {
-            "changes of connections (the router's access control must allow them, and its settings must name a \
-             connections file)"
-                .to_owned()
-        } else {
-            format!("the registry ({})", self.question)
-        }
-    }
 }
 
 impl Driver for RegistryQuery {
@@ -158,12 +147,12 @@ impl Driver for RegistryQuery {
         if let Some(get) = self.get.take() {
             return Step::Act(Action::Get { id: QUERY, get });
         }
-        let service = self.service();
         match &mut self.state {
             State::Asking => Step::Wait(None),
             State::Answered(answer) => Step::Finished(answer.clone()),
             State::AskingPeers(peers) => match peers.poll(now) {
                 Step::Finished(available) => {
+                    let service = service(&self.question);
                     Step::Finished(Err(RegistryError::NoService { service, available }))
                 }
                 Step::Act(action) => Step::Act(action),
@@ -171,5 +160,16 @@ impl Driver for RegistryQuery {
                 Step::Wait(until) => Step::Wait(until),
             },
         }
+    }
+}
+
+/// Describes a question for the error that no router answers it.
+fn service(question: &str) -> String {
+    if question == CONFIG {
+        "changes of connections (the router's access control must allow them, and its settings must name a connections \
+         file)"
+            .to_owned()
+    } else {
+        format!("the registry ({question})")
     }
 }

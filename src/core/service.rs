@@ -40,11 +40,6 @@ pub fn busy(robot: &Name) -> Payload {
     error_to_payload(robot, Payload::new(text, Encoding::TEXT))
 }
 
-/// Returns the error reply of `robot` to a request that its program did not answer because its function failed.
-pub fn failed(robot: &Name, text: String) -> Payload {
-    error_to_payload(robot, Payload::new(text, Encoding::TEXT))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

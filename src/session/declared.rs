@@ -14,10 +14,7 @@ use zenoh::{
     Session, Wait,
 };
 
-use super::{
-    convert::{congestion_control, priority, sample},
-    shared::Shared,
-};
+use super::{convert::sample, queries, shared::Shared};
 use crate::{
     core::driver::{Declaration, Driver, Event, Id},
     error::Error,
@@ -126,16 +123,12 @@ where
             qos,
             observes_matching,
         } => {
-            let refused = || Error::zenoh("cannot declare the publisher");
-            let publisher = session
-                .declare_publisher(key)
-                .priority(priority(qos))
-                .express(qos.express)
-                .congestion_control(congestion_control(qos))
-                .wait()
-                .map_err(refused())?;
+            let publisher = queries::publisher(session, key, qos)?;
             let listener = match observes_matching {
-                true => Some(observe(&publisher, reporter).map_err(refused())?),
+                true => {
+                    let observed = observe(&publisher, reporter);
+                    Some(observed.map_err(Error::zenoh("cannot declare the publisher"))?)
+                }
                 false => {
                     // A publisher has no callback that would report the end of the session.
                     reporter.is_undeclared.store(true, Ordering::Relaxed);

@@ -156,13 +156,7 @@ where
         }
         Ok(())
     }
-}
 
-impl<D> Executor<D>
-where
-    D: Driver + Send + 'static,
-    D::Item: 'static,
-{
     /// Runs the driver to its end. Blocks the thread, also while a link has no room.
     pub(super) fn run_blocking(&self) -> Result<D::Output, Error> {
         self.block(|_| {})
@@ -173,17 +167,20 @@ where
     where
         D::Output: Send,
     {
-        let shared = self.shared.clone();
-        if let Next::Wait(_) = self.step().inspect_err(|_| self.end())? {
+        let executor = Arc::new(self);
+        if let Next::Wait(_) = executor.step().inspect_err(|_| executor.end())? {
+            let running = executor.clone();
             let run = move || {
-                if let Err(error) = self.run_blocking() {
+                if let Err(error) = running.run_blocking() {
                     tracing::debug!("a driver has ended: {error}");
                 }
             };
             let thread = std::thread::Builder::new().name(name.to_owned());
-            thread.spawn(run).map_err(Error::thread)?;
+            let started = thread.spawn(run).map_err(Error::thread);
+            // The sink may refer to the driver, and both would be kept.
+            started.inspect_err(|_| executor.end())?;
         }
-        Ok(shared)
+        Ok(executor.shared.clone())
     }
 
     fn block(&self, mut before_poll: impl FnMut(&Shared<D>)) -> Result<D::Output, Error> {

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::runtime::Handle;
 use zenoh::{bytes::Encoding as ZenohEncoding, pubsub::Publisher, Session, Wait};
 
-use super::convert::{congestion_control, now_ms, priority};
+use super::{convert::now_ms, queries};
 use crate::{
     core::{
         encoding::Encoding,
@@ -30,15 +30,8 @@ struct State {
 
 impl Publication {
     pub(super) fn declare(session: &Session, key: String, qos: Qos) -> Result<Self, Error> {
-        let publisher = session
-            .declare_publisher(key)
-            .priority(priority(qos))
-            .express(qos.express)
-            .congestion_control(congestion_control(qos))
-            .wait()
-            .map_err(Error::zenoh("cannot declare the publisher"))?;
         Ok(Self {
-            publisher,
+            publisher: queries::publisher(session, key, qos)?,
             state: Mutex::new(State {
                 numbering: Numbering::new(rand::random()),
                 encoding: (Encoding::BYTES, ZenohEncoding::ZENOH_BYTES),

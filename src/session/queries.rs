@@ -1,4 +1,4 @@
-//! Publishes, queries and answers on a Zenoh session as the core's actions say.
+//! Declares publishers, publishes, queries and answers on a Zenoh session as the core's actions say.
 use zenoh::{
     bytes::{Encoding, ZBytes},
     handlers::{CallbackDrop, DefaultHandler},
@@ -18,6 +18,21 @@ use crate::{
     },
     error::Error,
 };
+
+/// Declares a publisher.
+pub(super) fn publisher(
+    session: &Session,
+    key: String,
+    qos: Qos,
+) -> Result<Publisher<'static>, Error> {
+    let declared = session
+        .declare_publisher(key)
+        .priority(priority(qos))
+        .express(qos.express)
+        .congestion_control(congestion_control(qos))
+        .wait();
+    declared.map_err(Error::zenoh("cannot declare the publisher"))
+}
 
 pub(super) fn put(
     publisher: &Publisher<'static>,

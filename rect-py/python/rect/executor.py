@@ -92,11 +92,6 @@ class Executor:
         """Makes the thread poll the driver."""
         self._signals.put(None)
 
-    @property
-    def is_ended(self) -> bool:
-        """Whether the handle is closed."""
-        return self._is_ended
-
     def end(self) -> None:
         """Ends everything that the driver has declared."""
         self.declarations.end()

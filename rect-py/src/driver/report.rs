@@ -118,11 +118,6 @@ impl Report {
         let locator = text(&link, intern!(py, "dst"))?;
         self.react(py, self.driver.get().on_link(py, up, &locator)?)
     }
-
-    /// Reports that the session or the handle was closed.
-    fn closed(&self, py: Python<'_>) -> PyResult<()> {
-        self.react(py, self.driver.get().on_closed(py)?)
-    }
 }
 
 impl Report {
