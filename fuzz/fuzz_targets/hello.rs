@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::{
-    hello::{Challenge, HandshakeMessage, NodeId, MAGIC, MAX_SIZE},
-    secret::{Proof, ProofTranscript, Secret, Side, NONCE_BYTES},
+    protocol::hello::{Challenge, HandshakeMessage, NodeId, MAGIC, MAX_SIZE},
+    protocol::secret::{Proof, ProofTranscript, Secret, Side, NONCE_BYTES},
 };
 
 /// HELLO, ACCEPT, REFUSE, CHALLENGE, PROOF, and an unknown kind.

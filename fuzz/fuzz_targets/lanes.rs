@@ -5,7 +5,7 @@
 use std::time::{Duration, Instant};
 
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::lanes::{
+use zenoh_link_ble::protocol::lanes::{
     receiver::HIGH_WATERMARK,
     scheduler::{Bounds, RESERVED_BYTES_PER_LANE},
     sdu::{seal, Content},

@@ -2,7 +2,7 @@
 //! bytes.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::lanes::{
+use zenoh_link_ble::protocol::lanes::{
     batch_kind::BatchKind,
     sdu::{open, seal},
 };

@@ -11,7 +11,6 @@ use crate::{
     advertisement::Advertisement,
     error::{BleError, DialStep},
     handshake::{agreed_mtu, channel_options, dialler_handshake, own_window},
-    hello::{Hello, Intervals, NodeId, Refusal, VERSION},
     link::{
         intervals::NewLink,
         node::{set_if_changed, Node},
@@ -19,8 +18,9 @@ use crate::{
         Framing, LinkBle, Opened,
     },
     locator::{ConnectLocator, Target},
+    protocol::hello::{Hello, Intervals, NodeId, Refusal, VERSION},
+    protocol::secret::Secret,
     radio::{AdvertisingReport, Channel, ChannelOptions, RadioError, Security},
-    secret::Secret,
 };
 
 /// The shortest and the longest timeout of one LE connect, in milliseconds.

@@ -3,8 +3,8 @@
 use std::{fmt, sync::Arc, time::Duration};
 
 use crate::{
-    address::DeviceAddress, hello::Refusal, locator::LocatorError, radio::RadioError,
-    secret::SecretError,
+    address::DeviceAddress, locator::LocatorError, protocol::hello::Refusal,
+    protocol::secret::SecretError, radio::RadioError,
 };
 
 /// Why a link could not be opened, or has ended.

@@ -1,14 +1,14 @@
 //! Performs the handshake on a new channel, for the dialler and the listener. Each step has a timeout.
 //!
-//! The messages are defined in [`hello`](crate::hello), and the proofs in [`secret`](crate::secret).
+//! The messages are defined in [`hello`](crate::protocol::hello), and the proofs in [`secret`](crate::protocol::secret).
 use std::{sync::Arc, time::Duration};
 
 use crate::{
     error::BleError,
-    hello::{Challenge, HandshakeMessage, Hello, NodeId, Refusal, MIN_MTU, VERSION},
-    lanes::{credits, HEADER},
+    protocol::hello::{Challenge, HandshakeMessage, Hello, NodeId, Refusal, MIN_MTU, VERSION},
+    protocol::lanes::{credits, HEADER},
+    protocol::secret::{nonce, ProofTranscript, Secret, Side},
     radio::{Channel, ChannelOptions, RadioError, Security},
-    secret::{nonce, ProofTranscript, Secret, Side},
 };
 
 /// How long the peer may take for each message: 60 of the longest connection intervals (50 ms) that Linux requests by

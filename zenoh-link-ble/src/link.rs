@@ -36,9 +36,7 @@ use zenoh_result::ZResult;
 use crate::{
     error::{describe, into_zenoh, BleError},
     handshake::own_window,
-    hello::Hello,
     interval::ConnectionInterval,
-    lanes::Lane,
     link::{
         close_once::CloseOnce,
         interval_events::IntervalEvents,
@@ -49,6 +47,8 @@ use crate::{
         traffic::{Tasks, Traffic, TrafficOptions},
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
+    protocol::hello::Hello,
+    protocol::lanes::Lane,
     radio::{Channel, Radio},
 };
 

@@ -13,7 +13,6 @@ use crate::{
     advertisement::Advertisement,
     error::{describe, BleError},
     handshake::{agreed_mtu, answer, channel_options, own_window, receive_hello, refuse, FirstSdu},
-    hello::{HandshakeMessage, Hello, VERSION},
     link::{
         intervals::NewLink,
         node::{set_if_changed, ListenerIdentity, Node},
@@ -23,8 +22,9 @@ use crate::{
     locator::ListenLocator,
     name_conflict::{NameConflictCheck, NameSearch},
     pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
+    protocol::hello::{HandshakeMessage, Hello, VERSION},
+    protocol::secret::Secret,
     radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
-    secret::Secret,
 };
 
 /// How often the state of the adapter is checked in addition to the radio's notifications.

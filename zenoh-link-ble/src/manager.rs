@@ -13,10 +13,10 @@ use zenoh_result::ZResult;
 use crate::{
     dialer::dial,
     error::{describe, into_zenoh, BleError, DialStep},
-    hello::NodeId,
     link::{node::Node, table::LinkCounts},
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
+    protocol::hello::NodeId,
     radio::{bluez, sim, Radio, RadioError},
     status,
 };

@@ -275,7 +275,7 @@ pub trait Channel: Send + Sync {
     fn is_central(&self) -> Option<bool>;
 
     /// Returns how many bytes of received SDUs are guaranteed to be buffered while `recv` is not called. Each SDU
-    /// counts [`SDU_OVERHEAD_BYTES`](crate::lanes::credits::SDU_OVERHEAD_BYTES) in addition to its own size.
+    /// counts [`SDU_OVERHEAD_BYTES`](crate::protocol::lanes::credits::SDU_OVERHEAD_BYTES) in addition to its own size.
     fn receive_capacity_bytes(&self) -> usize;
 
     /// Sends one SDU if the controller and the receiver have room for it. Returns `false` if they do not; wait for

@@ -7,11 +7,11 @@ use parking_lot::Mutex;
 use crate::link::node::Node;
 pub use crate::{
     discovered::DiscoveredStatus,
-    lanes::report::Count,
     link::{
         history::{Event, PeerStatus},
         status::{LaneStatus, LanesStatus, LinkStatus, NodeStatus},
     },
+    protocol::lanes::report::Count,
 };
 
 static NODES: Mutex<Vec<Weak<Node>>> = Mutex::new(Vec::new());

@@ -15,9 +15,9 @@ use std::collections::{BTreeMap, VecDeque};
 
 use crate::{
     address::DeviceAddress,
-    hello::{Intervals, MAX_INTERVALS},
     interval::ConnectionInterval,
     link::table::LinkNumber,
+    protocol::hello::{Intervals, MAX_INTERVALS},
 };
 
 /// Largest number of peers whose lost links are counted.

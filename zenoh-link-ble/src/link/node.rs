@@ -9,7 +9,6 @@ use zenoh_link_commons::NewLinkChannelSender;
 use crate::{
     adapter::Adapter,
     address::DeviceAddress,
-    hello::{Intervals, NodeId},
     interval::ConnectionInterval,
     link::{
         history::History,
@@ -21,9 +20,10 @@ use crate::{
         table::LinkTable,
         LinkBle,
     },
+    protocol::hello::{Intervals, NodeId},
+    protocol::secret::Secret,
     radio::{Radio, RadioError},
     rejected_peers::RejectedPeers,
-    secret::Secret,
 };
 
 /// The longest reroute holdoff of a link, even if other links end one after the other. Zenoh's own limit for opening a link

@@ -7,8 +7,8 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{
     error::BleError,
-    lanes::report::Count,
     link::traffic::{send_timed_out, SEND_TIMEOUT},
+    protocol::lanes::report::Count,
     radio::Channel,
 };
 

@@ -6,8 +6,8 @@ use zenoh_protocol::core::Priority;
 
 use crate::{
     discovered::DiscoveredStatus,
-    lanes::{report::Count, Lane, Lanes},
     link::history::PeerStatus,
+    protocol::lanes::{report::Count, Lane, Lanes},
 };
 
 /// The `ble` links of one Zenoh runtime.

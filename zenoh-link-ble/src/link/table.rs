@@ -13,9 +13,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{
     address::DeviceAddress,
-    hello::{Hello, NodeId, Refusal},
     link::reroute_holdoff::{Holdoff, RerouteHoldoff},
     locator::Target,
+    protocol::hello::{Hello, NodeId, Refusal},
 };
 
 pub use crate::link::number::LinkNumber;

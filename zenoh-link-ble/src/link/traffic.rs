@@ -8,10 +8,11 @@ use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 
 use crate::{
     error::{describe, BleError},
-    goodbye::Goodbye,
     handshake::drain_until_closed,
     interval::ConnectionInterval,
-    lanes::{
+    link::{close_once::CloseOnce, interval_events::IntervalEvents, status::LanesStatus},
+    protocol::goodbye::Goodbye,
+    protocol::lanes::{
         ack_timer::ACK_TIMEOUT,
         receiver::Violation,
         report::Count,
@@ -19,7 +20,6 @@ use crate::{
         sdu::SduError,
         Change, Lane, Lanes, HEADER, LANES,
     },
-    link::{close_once::CloseOnce, interval_events::IntervalEvents, status::LanesStatus},
     radio::{Channel, RadioError},
 };
 

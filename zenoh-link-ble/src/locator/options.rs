@@ -9,8 +9,8 @@ use super::{
 };
 use crate::{
     address::{AddressType, Psm},
-    hello::MIN_MTU,
-    lanes::scheduler::Bounds,
+    protocol::hello::MIN_MTU,
+    protocol::lanes::scheduler::Bounds,
     radio::Security,
 };
 

@@ -1,7 +1,7 @@
 //! Contract of the handshake: the response of a listener to the first SDU of a channel, and the negotiated values.
 use zenoh_link_ble::{
-    hello::{HandshakeMessage, Hello, Refusal, MIN_MTU},
-    lanes::{
+    protocol::hello::{HandshakeMessage, Hello, Refusal, MIN_MTU},
+    protocol::lanes::{
         credits::MIN_WINDOW,
         sdu::{self, Content},
         Lane,

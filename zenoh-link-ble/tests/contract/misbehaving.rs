@@ -3,10 +3,10 @@ use std::{sync::Arc, time::Duration};
 
 use tokio::time::Instant;
 use zenoh_link_ble::{
-    goodbye::Goodbye,
-    hello::{HandshakeMessage, Hello},
-    lanes::{credits::cost, sdu::Content, Lane},
     locator::DEFAULT_MTU,
+    protocol::goodbye::Goodbye,
+    protocol::hello::{HandshakeMessage, Hello},
+    protocol::lanes::{credits::cost, sdu::Content, Lane},
     radio::Channel,
     status,
 };
@@ -252,7 +252,7 @@ pub async fn oversize_batch_ends_the_link(world: World) {
 pub async fn repeated_sdu_ends_the_link(world: World) {
     let (mut raw, far, _b) = raw_peer(&world).await;
     let mut sdu = batch(20);
-    zenoh_link_ble::lanes::sdu::seal(0, &mut sdu);
+    zenoh_link_ble::protocol::lanes::sdu::seal(0, &mut sdu);
     raw.send_raw(&sdu).await;
     raw.send_raw(&sdu).await;
     let mut buffer = [0; 100];

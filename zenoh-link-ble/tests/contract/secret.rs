@@ -5,9 +5,9 @@ use std::sync::Arc;
 use tempfile::TempDir;
 use zenoh_link_ble::{
     advertisement::Advertisement,
-    hello::{Challenge, HandshakeMessage, Hello, NodeId, Refusal},
+    protocol::hello::{Challenge, HandshakeMessage, Hello, NodeId, Refusal},
+    protocol::secret::{ProofTranscript, Secret, Side, NONCE_BYTES, PROOF_BYTES},
     radio::Channel,
-    secret::{ProofTranscript, Secret, Side, NONCE_BYTES, PROOF_BYTES},
 };
 
 use super::{advertisement, World};

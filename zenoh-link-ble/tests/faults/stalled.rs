@@ -3,15 +3,15 @@ use std::time::Duration;
 
 use tokio::time::{sleep, timeout, Instant};
 use zenoh_link_ble::{
-    goodbye::Goodbye,
-    lanes::{
+    locator::DEFAULT_MTU,
+    protocol::goodbye::Goodbye,
+    protocol::lanes::{
         ack_timer::ACK_TIMEOUT,
         credits::{cost, Acks},
         receiver::HIGH_WATERMARK,
         sdu::Content,
         Lane, LANES,
     },
-    locator::DEFAULT_MTU,
     radio::{
         sim::{Condition, RECEIVE_BUFFER_BYTES},
         Radio,

@@ -3,11 +3,11 @@ use std::{sync::Arc, time::Duration};
 
 use tokio::{runtime::Handle, time::Instant};
 use zenoh_link_ble::{
-    link::table::LinkCounts,
     radio::{
         sim::{AirOptions, Condition, SimAir},
         Radio,
     },
+    LinkCounts,
 };
 use zenoh_link_commons::LinkUnicast;
 

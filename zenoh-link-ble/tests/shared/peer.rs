@@ -2,7 +2,7 @@
 use std::{cell::Cell, future::Future, sync::Arc, time::Duration};
 
 use tokio::runtime::Handle;
-use zenoh_link_ble::{hello::NodeId, radio::Radio, LinkManagerUnicastBle};
+use zenoh_link_ble::{protocol::hello::NodeId, radio::Radio, LinkManagerUnicastBle};
 use zenoh_link_commons::{LinkManagerUnicastTrait, LinkUnicast};
 use zenoh_result::ZResult;
 

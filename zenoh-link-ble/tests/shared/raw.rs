@@ -2,13 +2,13 @@
 use std::sync::Arc;
 
 use zenoh_link_ble::{
-    hello::{HandshakeMessage, Hello, NodeId},
-    lanes::{
+    locator::DEFAULT_MTU,
+    protocol::hello::{HandshakeMessage, Hello, NodeId},
+    protocol::lanes::{
         credits::{cost, Allowance},
         sdu::{self, Content},
         Lane,
     },
-    locator::DEFAULT_MTU,
     radio::{Channel, ChannelOptions, Radio},
 };
 

@@ -16,7 +16,7 @@ use super::{
     sdu::{self, Content, SduError},
     Change, Lane, Lanes, LANES,
 };
-use crate::hello::MIN_MTU;
+use crate::protocol::hello::MIN_MTU;
 
 const MTU: usize = 1000;
 const WINDOW: u16 = 12_000;

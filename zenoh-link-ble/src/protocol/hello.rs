@@ -6,8 +6,8 @@ use std::fmt;
 
 use crate::{
     interval::ConnectionInterval,
-    lanes::credits::MIN_WINDOW,
-    secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
+    protocol::lanes::credits::MIN_WINDOW,
+    protocol::secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
 };
 
 pub use crate::node_id::NodeId;

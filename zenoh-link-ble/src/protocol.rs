@@ -1,0 +1,8 @@
+//! The wire format and the state of a link's lanes, without I/O.
+//!
+//! `PROTOCOL.md` is the specification. This module is public only for the tests and the fuzz targets of this
+//! repository: it may change in any release.
+pub mod goodbye;
+pub mod hello;
+pub mod lanes;
+pub mod secret;
