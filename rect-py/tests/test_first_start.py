@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import socket
 import subprocess
@@ -21,7 +22,9 @@ def test_init_prints_command_that_starts_router(tmp_path: Path) -> None:
         line.removeprefix("start it with: ") for line in output.splitlines() if line.startswith("start it with: ")
     )
     with (tmp_path / "log").open("w") as log:
-        router = subprocess.Popen(shlex.split(command), cwd="/", stdout=log, stderr=log)
+        # An air of its own: the default one may have robots that the user has started.
+        environment = {**os.environ, "RECT_AIR": str(tmp_path / "air.sock")}
+        router = subprocess.Popen(shlex.split(command), cwd="/", env=environment, stdout=log, stderr=log)
     try:
         deadline = time.monotonic() + 30
         while "rect-router is up" not in (text := (tmp_path / "log").read_text()):

@@ -29,10 +29,11 @@ use crate::{
 /// Maximum time for closing the links, which notifies the peers.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A running Zenoh runtime and a session in it.
+/// A running Zenoh runtime, a session in it, and the services that answer on the session.
 struct Opened {
     runtime: Runtime,
     session: Session,
+    services: Option<RunningServices>,
 }
 
 enum Event {
@@ -58,23 +59,17 @@ pub fn run(
 
     // Opening may wait for peers; on a separate thread it does not delay the handling of signals.
     spawn("open", &events, move || {
-        Event::Opened(open(config, &limits))
+        Event::Opened(open(config, &limits, robot))
     })?;
     let opened = match next.recv() {
         Ok(Event::Opened(opened)) => opened?,
         _ => return Ok(()),
     };
-    let session = &opened.session;
-    status::serve(session).map_err(RouterError::Open)?;
-    let running = robot
-        .map(|robot| robot.start(session, None))
-        .transpose()
-        .map_err(RouterError::Open)?;
-    tracing::info!("rect-router is up, with id {}", session.zid());
+    tracing::info!("rect-router is up, with id {}", opened.session.zid());
     notify_systemd();
 
     match next.recv() {
-        Ok(Event::StopRequested) => close(opened, running, &events, &next),
+        Ok(Event::StopRequested) => close(opened, &events, &next),
         _ => Ok(()),
     }
 }
@@ -88,12 +83,11 @@ fn notify_systemd() {
 
 fn close(
     opened: Opened,
-    running: Option<RunningServices>,
     events: &Sender<Event>,
     next: &Receiver<Event>,
 ) -> Result<(), RouterError> {
     spawn("close", events, move || {
-        let closed = robot_services::close(&opened.session, running)
+        let closed = robot_services::close(&opened.session, opened.services)
             .and_then(|()| opened.runtime.close().wait());
         if let Err(error) = closed {
             tracing::warn!("error while closing the links: {error}");
@@ -124,8 +118,12 @@ fn spawn(
         .map_err(RouterError::System)
 }
 
-/// Opens the runtime. Zenoh panics if a required plugin cannot be loaded or started; the panic is returned as an error.
-fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
+/// Opens the router. Zenoh panics if a required plugin cannot be loaded or started; the panic is returned as an error.
+fn open(
+    config: Config,
+    limits: &SessionLimits,
+    robot: Option<RobotServices>,
+) -> Result<Opened, RouterError> {
     let opening_thread = thread::current().id();
     let on_panic = panic::take_hook();
     panic::set_hook(Box::new(move |panic| {
@@ -133,21 +131,34 @@ fn open(config: Config, limits: &SessionLimits) -> Result<Opened, RouterError> {
             on_panic(panic);
         }
     }));
-    let opening = || ZRuntime::Application.block_in_place(open_runtime(config, limits));
-    match panic::catch_unwind(AssertUnwindSafe(opening)) {
+    match panic::catch_unwind(AssertUnwindSafe(|| open_services(config, limits, robot))) {
         Ok(opened) => opened.map_err(RouterError::Open),
         Err(panic) => Err(RouterError::Panic(with_advice(reason(panic)))),
     }
 }
 
-/// Opens a session as `zenoh::open` does, but keeps the runtime in order to observe the sessions that it accepts.
-async fn open_runtime(config: Config, limits: &SessionLimits) -> zenoh::Result<Opened> {
-    let mut runtime = RuntimeBuilder::new(config).build().await?;
-    let dynamic = DynamicRuntime::from(runtime.clone());
-    dynamic.new_handler(Arc::new(limits.logins()));
-    let session = zenoh::session::init(dynamic).await?;
-    runtime.start().await?;
-    Ok(Opened { runtime, session })
+/// Opens a session as `zenoh::open` does, but keeps the runtime in order to observe the sessions that it accepts. The
+/// services are started before the listeners, so that the first program that connects already finds them.
+fn open_services(
+    config: Config,
+    limits: &SessionLimits,
+    robot: Option<RobotServices>,
+) -> zenoh::Result<Opened> {
+    let (mut runtime, session) = ZRuntime::Application.block_in_place(async {
+        let runtime = RuntimeBuilder::new(config).build().await?;
+        let dynamic = DynamicRuntime::from(runtime.clone());
+        dynamic.new_handler(Arc::new(limits.logins()));
+        let session = zenoh::session::init(dynamic).await?;
+        zenoh::Result::Ok((runtime, session))
+    })?;
+    status::serve(&session)?;
+    let services = robot.map(|robot| robot.start(&session, None)).transpose()?;
+    ZRuntime::Application.block_in_place(runtime.start())?;
+    Ok(Opened {
+        runtime,
+        session,
+        services,
+    })
 }
 
 /// Appends advice to the error of a missing plugin library.

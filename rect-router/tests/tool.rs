@@ -76,8 +76,14 @@ fn connects_shows_and_measures_robots() {
         table.contains("radio") && table.contains("wombat-1"),
         "{table}"
     );
-    let peers = wait_for(&two, &["peers"], "wombat-1");
+    let peers = text_of(&run(&two, &["peers", "--wait", "wombat-1"]));
     assert!(peers.contains("ble") && peers.contains("dBm"), "{peers}");
+    let still = ["peers", "--wait-lost", "wombat-1", "--timeout", "100ms"];
+    let still = text_of(&run(&two, &still));
+    assert!(
+        still.contains("wombat-1 is still reachable after 100 ms"),
+        "{still}"
+    );
     // The other robot has no name for the connection.
     let other = wait_for(&one, &["connections", "wombat-2", "--json"], "radio");
     let other: Value = serde_json::from_str(&other).expect("JSON");

@@ -3,13 +3,14 @@ use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
 use rect::{
-    core::humanize::milliseconds,
+    core::humanize::{duration, milliseconds},
     terminal::{self, connections_of_robot, Table},
-    Connection, ConnectionState, Name,
+    Connection, ConnectionState, Event, Name, Robot,
 };
 use serde_json::json;
 
 use crate::{
+    duration::DurationArgument,
     session::{name, JoinArguments},
     Done,
 };
@@ -17,6 +18,15 @@ use crate::{
 /// List the reachable robots of the fleet, and how they are linked with this one
 #[derive(Args)]
 pub struct PeersArguments {
+    /// Wait until this robot is reachable, then list
+    #[arg(long, value_name = "ROBOT", value_parser = name)]
+    wait: Option<Name>,
+    /// Wait until this robot is no longer reachable, then list
+    #[arg(long, value_name = "ROBOT", value_parser = name, conflicts_with = "wait")]
+    wait_lost: Option<Name>,
+    /// How long --wait and --wait-lost wait
+    #[arg(long, value_name = "TIME", default_value = "30s")]
+    timeout: DurationArgument,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -43,6 +53,16 @@ pub struct ConnectionsArguments {
 /// Runs `rect peers`.
 pub async fn peers(arguments: PeersArguments) -> Done {
     let robot = arguments.join.join_unnamed().await?;
+    let DurationArgument(timeout) = arguments.timeout;
+    if let Some(peer) = arguments.wait {
+        robot.wait_for_peer(peer, timeout).await?;
+    }
+    if let Some(peer) = arguments.wait_lost {
+        let lost = wait_until_lost(&robot, &peer);
+        tokio::time::timeout(timeout, lost)
+            .await
+            .map_err(|_| format!("{peer} is still reachable after {}", duration(timeout)))??;
+    }
     let peers = robot.peers().await?;
     // Without a registry, the robots are listed without their links.
     let connections = robot.connections().await.unwrap_or_default();
@@ -93,6 +113,21 @@ pub async fn peers(arguments: PeersArguments) -> Done {
     }
     table.print();
     Ok(ExitCode::SUCCESS)
+}
+
+/// Returns when `peer` is not reachable.
+async fn wait_until_lost(robot: &Robot, peer: &Name) -> Result<(), rect::Error> {
+    // Before the list of robots is read, so that no change between the two is missed.
+    let events = robot.events().await?;
+    if !robot.peers().await?.contains(peer) {
+        return Ok(());
+    }
+    while let Some(event) = events.next().await {
+        if matches!(&event, Event::PeerDown { robot } if robot == peer) {
+            return Ok(());
+        }
+    }
+    Err(rect::Error::Closed)
 }
 
 /// Runs `rect connections`.
