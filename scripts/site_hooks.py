@@ -1,4 +1,4 @@
-"""Hooks of MkDocs: makes the site load nothing from another server.
+"""Hooks of MkDocs: makes the site load nothing from another server, and gives wide tables room.
 
 Browsers run no worker for a page that is opened from a file. For the search, Material then loads a replacement, which
 this hook takes from the site itself.
@@ -12,6 +12,15 @@ from mkdocs.utils import get_relative_url
 
 _SHIM = "https://unpkg.com/iframe-worker/shim"
 _OWN = "assets/iframe-worker.js"
+# Pages whose tables are wider than the space between the navigation and the table of contents.
+_WIDE_PAGES = {"reference/api.md"}
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Hides what is beside the text of a wide page."""
+    if page.file.src_uri in _WIDE_PAGES:
+        page.meta["hide"] = ["navigation", "toc"]
+    return markdown
 
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:

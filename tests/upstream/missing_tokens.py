@@ -2,7 +2,7 @@
 declaration of a liveliness subscriber with history gets no reply. usage: ZENOHD=<stock zenohd> python missing_tokens.py
 
 The same query is answered if it comes first, or a moment later. `PeersQuery` in `src/core/peers.rs` therefore asks
-twice. Exit status: 0 if the fault exists, 1 if it is gone."""
+twice. Exit status: 0 if the fault exists, otherwise 1."""
 
 import os
 import socket
