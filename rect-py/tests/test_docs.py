@@ -65,7 +65,7 @@ def simulation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None
 
 def test_first_program_prints_messages_of_simulated_robots(simulation: None) -> None:
     text = (_REPOSITORY / "docs" / "reference" / "python.md").read_text()
-    (block,) = re.findall(r"```python sim\n(.*?)```", text, re.DOTALL)
+    (block,) = re.findall(r'```python title="first.py"\n(.*?)```', text, re.DOTALL)
     pipe = subprocess.PIPE
     reader = subprocess.Popen([sys.executable, "-u", "-c", block], stdout=pipe, stderr=pipe, text=True)
     with reader:
