@@ -1,7 +1,8 @@
 //! `rect-router`: a router that accepts zenohd's flags and configuration files and adds Bluetooth LE links.
 //!
 //! This file only defines the order of the steps. The flags become a configuration (`config.rs`), the configuration becomes
-//! a running router (`router.rs`) with its threads (`threads.rs`), and a signal stops it (`signals.rs`). An error is
+//! a running router (`router.rs`) with its threads (`threads.rs`), and a signal stops it (`signals.rs`). Before
+//! all that, the router gives up its privileges (`privileges.rs`). An error is
 //! reported once, on stderr.
 
 use std::process::ExitCode;
@@ -11,7 +12,7 @@ use rect_router::{
     args, commands,
     config::{self, SessionSettings},
     limits::SessionLimits,
-    logging,
+    logging, privileges,
     robot_services::RobotServices,
     router, threads, version,
 };
@@ -22,7 +23,10 @@ fn main() -> ExitCode {
     if let Some(command) = &args.command {
         return commands::run(command);
     }
-    let status = match run(&args) {
+    let status = match privileges::use_and_drop()
+        .map_err(Into::into)
+        .and_then(|()| run(&args))
+    {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             logging::report(&humanize::with_causes(error.as_ref()));

@@ -24,7 +24,8 @@ use rect::core::{
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
 use zenoh_link::ble::{
-    advertisement::Advertisement, status::DiscoveredStatus, BLE_LOCATOR_PREFIX as BLE,
+    advertisement::Advertisement, radio::bluez::management, status::DiscoveredStatus,
+    BLE_LOCATOR_PREFIX as BLE,
 };
 
 use self::{
@@ -123,6 +124,7 @@ impl Registry {
                 auto_connect: rule.auto_connect,
                 auto_links: rule.auto_links,
                 same_name: others.name_conflicts(),
+                chooses_intervals: management::is_permitted(),
                 connections: Counts::of(&connections),
             }
         })?;

@@ -32,6 +32,8 @@ pub struct Status {
     pub auto_links: usize,
     /// Identifiers of other routers of the fleet with this robot's name; normally empty.
     pub same_name: Vec<String>,
+    /// Whether the router may choose connection intervals on Linux; `None` before the first Bluetooth link.
+    pub chooses_intervals: Option<bool>,
     /// Number of its connections.
     pub connections: Counts,
 }

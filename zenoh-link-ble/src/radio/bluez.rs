@@ -3,6 +3,7 @@
 mod channel;
 mod errors;
 mod identity;
+pub mod management;
 mod pairing;
 mod peer_intervals;
 mod role;

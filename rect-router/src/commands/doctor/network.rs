@@ -1,8 +1,8 @@
 //! Checks the connections of this computer: its router, its peers and their clocks.
-use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use rect::core::{display, humanize::short_reason, named_connection::CONFIG};
 use serde_json::Value;
+use std::{collections::BTreeSet, time::Duration};
 use zenoh::{Session, Wait};
 
 use super::{login, names, radio, Finding};
@@ -38,11 +38,12 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     if let Some(robot) = &robot {
         findings.extend(connections_file(&session, &args.fleet, robot));
         findings.push(others(&session, &args.fleet, robot));
-        let may_choose = radio::may_choose_intervals(Path::new("/"));
-        for (_, connections) in replies(
-            &session,
-            &format!("{}/{robot}/@rect/connections", args.fleet),
-        ) {
+        let own = format!("{}/{robot}/@rect", args.fleet);
+        let status = replies(&session, &format!("{own}/status"));
+        let may_choose = status
+            .iter()
+            .find_map(|(_, status)| status["chooses_intervals"].as_bool());
+        for (_, connections) in replies(&session, &format!("{own}/connections")) {
             findings.extend(radio::findings(&connections, may_choose));
         }
     }

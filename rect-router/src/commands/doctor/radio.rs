@@ -1,7 +1,5 @@
 //! Checks the air around a robot: how many Bluetooth links it has, how many robots are in range, how well it receives them,
 //! and whether its router may choose connection intervals. docs/concepts/radio.md explains the limits.
-use std::{fs, path::Path};
-
 use serde_json::Value;
 
 use super::Finding;
@@ -13,8 +11,6 @@ const MAX_LINKS: usize = 7;
 const MAX_ROBOTS: usize = 100;
 /// Signal strength below which packets are lost now and then, in dBm.
 const WEAK_DBM: i64 = -80;
-/// The bit of CAP_NET_ADMIN in the capabilities of a process.
-const CAP_NET_ADMIN: u64 = 1 << 12;
 
 /// Returns the findings about the Bluetooth connections of a robot, which are the answer of its registry. `may_choose` is
 /// whether its router may choose connection intervals, if that is known.
@@ -40,7 +36,8 @@ pub fn findings(connections: &Value, may_choose: Option<bool>) -> Vec<Finding> {
         findings.push(Finding::poor(
             ABOUT,
             format!("all {links} Bluetooth links have the same connection interval, so one of them may be lost now and then"),
-            "let one robot dial all others, or give the router CAP_NET_ADMIN (docs/concepts/radio.md)",
+            "start the router as the installed service, which may set the interval of each link, or let one robot dial all others \
+             (docs/concepts/radio.md)",
         ));
     }
     findings.extend(ble().filter_map(weak));
@@ -83,24 +80,6 @@ fn weak(connection: &Value) -> Option<Finding> {
         ),
         "bring the two closer, or mount the antennas outside the metal (docs/how-to/distance.md)",
     ))
-}
-
-/// Returns whether the router of this computer may choose connection intervals, which requires CAP_NET_ADMIN, or `None` if no
-/// router or no Bluetooth adapter is found. `root` is the root of the file system, which tests replace.
-pub fn may_choose_intervals(root: &Path) -> Option<bool> {
-    let mut adapters = fs::read_dir(root.join("sys/class/bluetooth")).ok()?;
-    adapters.next()?.ok()?;
-    let processes = fs::read_dir(root.join("proc")).ok()?;
-    let router = processes.flatten().map(|entry| entry.path()).find(|path| {
-        let name = fs::read_to_string(path.join("comm"));
-        name.is_ok_and(|name| name.trim() == "rect-router")
-    })?;
-    let status = fs::read_to_string(router.join("status")).ok()?;
-    let effective = status
-        .lines()
-        .find_map(|line| line.strip_prefix("CapEff:"))?;
-    let effective = u64::from_str_radix(effective.trim(), 16).ok()?;
-    Some(effective & CAP_NET_ADMIN != 0)
 }
 
 #[cfg(test)]
@@ -160,28 +139,5 @@ mod tests {
         };
         assert!(not_good(robots(100), None).is_empty());
         assert!(not_good(robots(101), None)[0].contains("101 robots"));
-    }
-
-    #[test]
-    fn reads_the_capabilities_of_the_router() {
-        let root = tempfile::tempdir().expect("a folder");
-        let write = |path: &str, text: &str| {
-            let path = root.path().join(path);
-            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-            fs::write(path, text).expect("written");
-        };
-        write("proc/77/comm", "rect-router\n");
-        write(
-            "proc/77/status",
-            "Name:\trect-router\nCapEff:\t0000000000001000\n",
-        );
-        assert_eq!(may_choose_intervals(root.path()), None, "no adapter");
-        write("sys/class/bluetooth/hci0/type", "");
-        assert_eq!(may_choose_intervals(root.path()), Some(true));
-        write(
-            "proc/77/status",
-            "Name:\trect-router\nCapEff:\t0000000000000000\n",
-        );
-        assert_eq!(may_choose_intervals(root.path()), Some(false));
     }
 }

@@ -22,6 +22,7 @@ const DISCONNECT: u16 = 0x0406;
 const READ_BD_ADDR: u16 = 0x1009;
 const LE_SET_RANDOM_ADDRESS: u16 = 0x2005;
 const LE_SET_ADVERTISING_PARAMETERS: u16 = 0x2006;
+const LE_CONNECTION_UPDATE: u16 = 0x2013;
 const LE_READ_BUFFER_SIZE: u16 = 0x2002;
 const LE_READ_BUFFER_SIZE_V2: u16 = 0x2060;
 
@@ -74,6 +75,11 @@ pub enum HostCommand {
     /// Resets the controller.
     Reset,
     Disconnect,
+    /// Changes the connection interval of a link, in units of 1.25 ms.
+    UpdateConnection {
+        handle: Handle,
+        interval: u16,
+    },
     SetRandomAddress(Address),
     /// Maximum time between two advertising events.
     SetAdvertisingInterval(Duration),
@@ -87,6 +93,13 @@ pub fn host_command(packet: &[u8]) -> HostCommand {
     match (u16::from_le_bytes([*low, *high]), parameters) {
         (HCI_RESET, _) => HostCommand::Reset,
         (DISCONNECT, _) => HostCommand::Disconnect,
+        // Handle, minimum and maximum interval.
+        (LE_CONNECTION_UPDATE, [handle_low, handle_high, _, _, low, high, ..]) => {
+            HostCommand::UpdateConnection {
+                handle: u16::from_le_bytes([*handle_low, *handle_high]),
+                interval: u16::from_le_bytes([*low, *high]),
+            }
+        }
         (LE_SET_RANDOM_ADDRESS, [a, b, c, d, e, f]) => {
             HostCommand::SetRandomAddress([*a, *b, *c, *d, *e, *f])
         }
@@ -112,10 +125,13 @@ pub enum ControllerEvent {
     /// Response to either version of LE Read Buffer Size; the values are at the same positions in both.
     BufferSize,
     DisconnectStatus,
+    UpdateConnectionStatus,
+    /// There is a link, with this connection interval in units of 1.25 ms.
     Connected {
         handle: Handle,
         role: Role,
         peer: Address,
+        interval: u16,
     },
     Disconnected {
         handle: Handle,
@@ -146,12 +162,21 @@ pub fn controller_event(packet: &[u8]) -> ControllerEvent {
         (COMMAND_STATUS, [_, _, low, high]) if u16::from_le_bytes([*low, *high]) == DISCONNECT => {
             ControllerEvent::DisconnectStatus
         }
+        (COMMAND_STATUS, [0, _, low, high])
+            if u16::from_le_bytes([*low, *high]) == LE_CONNECTION_UPDATE =>
+        {
+            ControllerEvent::UpdateConnectionStatus
+        }
         (DISCONNECTION_COMPLETE, [0, low, high, _]) => ControllerEvent::Disconnected {
             handle: u16::from_le_bytes([*low, *high]),
         },
         // LE Connection Complete and its enhanced form start with the same fields: status, handle, role, peer's address
-        // type, address.
-        (LE_META, [0x01 | 0x0a, 0, low, high, role, _, a, b, c, d, e, f, ..]) => {
+        // type, address. In the enhanced form, two more addresses precede the interval.
+        (LE_META, [form @ (0x01 | 0x0a), 0, low, high, role, _, a, b, c, d, e, f, rest @ ..]) => {
+            let more_addresses = if *form == 0x0a { 12 } else { 0 };
+            let Some([interval_low, interval_high, ..]) = rest.get(more_addresses..) else {
+                return ControllerEvent::Other;
+            };
             ControllerEvent::Connected {
                 handle: u16::from_le_bytes([*low, *high]),
                 role: if *role == 0 {
@@ -160,6 +185,7 @@ pub fn controller_event(packet: &[u8]) -> ControllerEvent {
                     Role::Peripheral
                 },
                 peer: [*a, *b, *c, *d, *e, *f],
+                interval: u16::from_le_bytes([*interval_low, *interval_high]),
             }
         }
         (LE_META, [0x02, _, _, _, a, b, c, d, e, f, ..]) => ControllerEvent::AdvertisingReport {
@@ -191,6 +217,14 @@ pub fn set_connected_handle(packet: &mut [u8], handle: Handle) {
     if let Some(field) = packet.get_mut(5..7) {
         field.copy_from_slice(&handle.to_le_bytes());
     }
+}
+
+/// LE Connection Update Complete, with the supervision timeout that the robots use, 2 s.
+pub fn update_complete(handle: Handle, interval: u16) -> Vec<u8> {
+    let [low, high] = handle.to_le_bytes();
+    let [interval_low, interval_high] = interval.to_le_bytes();
+    let head = [EVENT, LE_META, 10, 0x03, 0, low, high];
+    [&head[..], &[interval_low, interval_high, 0, 0, 200, 0]].concat()
 }
 
 pub fn disconnection_complete(handle: Handle, reason: u8) -> Vec<u8> {
@@ -250,9 +284,9 @@ mod tests {
     #[test]
     fn ignores_truncated_events() {
         let connected = [
-            EVENT, LE_META, 19, 1, 0, 42, 0, 0, 0, 1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0,
+            EVENT, LE_META, 19, 1, 0, 42, 0, 0, 0, 1, 2, 3, 4, 5, 6, 12, 0, 0, 0, 0, 0, 0,
         ];
-        for n in 0..15 {
+        for n in 0..17 {
             assert_eq!(
                 controller_event(&connected[..n]),
                 ControllerEvent::Other,
@@ -264,7 +298,8 @@ mod tests {
             ControllerEvent::Connected {
                 handle: 42,
                 role: Role::Central,
-                peer: [1, 2, 3, 4, 5, 6]
+                peer: [1, 2, 3, 4, 5, 6],
+                interval: 12,
             }
         );
     }

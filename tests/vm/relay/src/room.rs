@@ -122,9 +122,15 @@ impl Room {
             return String::new();
         };
         let state = if c.frozen { "frozen" } else { "on the air" };
+        let intervals: Vec<_> = c
+            .links
+            .values()
+            .map(|link| link.interval.to_string())
+            .collect();
         format!(
-            "{state}, {} links, {} bytes sent, pace {}",
+            "{state}, {} links with intervals [{}], {} bytes sent, pace {}",
             c.links.len(),
+            intervals.join(" "),
             c.sent_bytes,
             c.bytes_per_s
         )
@@ -145,9 +151,13 @@ impl Room {
         match hci::host_command(&packet) {
             HostCommand::Reset => {
                 controller.disconnects.clear();
+                controller.updates.clear();
                 self.forget_links(id);
             }
             HostCommand::Disconnect => controller.disconnects.push_back(false),
+            HostCommand::UpdateConnection { handle, interval } => {
+                controller.updates.push_back((handle, interval));
+            }
             HostCommand::SetRandomAddress(address) => controller.random_address = Some(address),
             HostCommand::SetAdvertisingInterval(interval) => {
                 controller.advertising_interval = interval;
@@ -170,10 +180,22 @@ impl Room {
             ControllerEvent::BufferSize => {
                 hci::set_buffer_size(&mut packet, self.buffers.acl_bytes, self.buffers.count);
             }
+            ControllerEvent::UpdateConnectionStatus => {
+                // btvirt accepts the command and does not report its completion.
+                self.outputs
+                    .push_back(Output::Host(id, std::mem::take(&mut packet)));
+                pass = false;
+                self.complete_update(id);
+            }
             ControllerEvent::DisconnectStatus => {
                 self.edit(id, |c| pass = c.disconnects.pop_front() != Some(true));
             }
-            ControllerEvent::Connected { handle, role, peer } => {
+            ControllerEvent::Connected {
+                handle,
+                role,
+                peer,
+                interval,
+            } => {
                 // btvirt reports the dialler's handle to the dialled end. The handles differ as soon as one end has two
                 // links.
                 let handle = match role {
@@ -182,6 +204,7 @@ impl Room {
                 };
                 hci::set_connected_handle(&mut packet, handle);
                 self.on_connected(id, handle, peer);
+                self.set_interval(id, handle, interval);
             }
             ControllerEvent::Disconnected { handle } => self.on_disconnected(id, handle),
             ControllerEvent::AdvertisingReport { from } => {

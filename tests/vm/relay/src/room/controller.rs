@@ -16,6 +16,8 @@ pub(super) struct Link {
     pub(super) peer: Address,
     /// Set when both ends have reported the connection.
     pub(super) other_end: Option<(Id, Handle)>,
+    /// Connection interval in units of 1.25 ms.
+    pub(super) interval: u16,
 }
 
 #[derive(Debug)]
@@ -40,6 +42,8 @@ pub(super) struct Controller {
     pub(super) frozen: bool,
     /// One entry per pending Disconnect command: `true` if the relay sent it, `false` if the kernel did.
     pub(super) disconnects: VecDeque<bool>,
+    /// Handle and new interval of each accepted LE Connection Update.
+    pub(super) updates: VecDeque<(Handle, u16)>,
     /// Number of bytes of ACL data that arrived at a peer, without headers.
     pub(super) sent_bytes: u64,
 }
@@ -56,6 +60,7 @@ impl Controller {
             on_air: None,
             frozen: false,
             disconnects: VecDeque::new(),
+            updates: VecDeque::new(),
             sent_bytes: 0,
         }
     }

@@ -53,7 +53,15 @@ impl Room {
                     .map(|(other_handle, _)| (*i, *other_handle))
             });
         self.edit(id, |c| {
-            c.links.insert(handle, Link { peer, other_end });
+            let interval = 0;
+            c.links.insert(
+                handle,
+                Link {
+                    peer,
+                    other_end,
+                    interval,
+                },
+            );
         });
         if let Some((other, other_handle)) = other_end {
             self.edit(other, |c| {
@@ -61,6 +69,33 @@ impl Room {
                     link.other_end = Some((id, handle));
                 }
             });
+        }
+    }
+
+    /// Records the connection interval of one end of a link.
+    pub(super) fn set_interval(&mut self, id: Id, handle: Handle, interval: u16) {
+        self.edit(id, |c| {
+            if let Some(link) = c.links.get_mut(&handle) {
+                link.interval = interval;
+            }
+        });
+    }
+
+    /// Reports the completion of the oldest LE Connection Update of a controller to both ends of the link.
+    pub(super) fn complete_update(&mut self, id: Id) {
+        let Some(controller) = self.controllers.get_mut(&id) else {
+            return;
+        };
+        let Some((handle, interval)) = controller.updates.pop_front() else {
+            return;
+        };
+        let Some(link) = controller.links.get(&handle) else {
+            return;
+        };
+        for (end, handle) in link.other_end.into_iter().chain([(id, handle)]) {
+            self.set_interval(end, handle, interval);
+            let event = hci::update_complete(handle, interval);
+            self.outputs.push_back(Output::Host(end, event));
         }
     }
 

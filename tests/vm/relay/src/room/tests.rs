@@ -334,3 +334,45 @@ fn shorter_advertising_interval_is_reported_sooner() {
     bed.room.on_time(bed.now + Duration::from_millis(640));
     assert_eq!(bed.outputs(), [Output::Host(bed.ids[0], report(1))]);
 }
+
+#[test]
+fn connection_update_completes_at_both_ends() {
+    let mut bed = Bed::new(2, 0);
+    bed.connect((0, 42), 1);
+    let update = vec![
+        hci::COMMAND,
+        0x13,
+        0x20,
+        14,
+        42,
+        0,
+        13,
+        0,
+        13,
+        0,
+        0,
+        0,
+        200,
+        0,
+        0,
+        0,
+        0,
+        0,
+    ];
+    bed.send(0, update);
+    bed.outputs();
+    let status = vec![hci::EVENT, 0x0f, 4, 0, 1, 0x13, 0x20];
+    bed.room
+        .on_controller_packet(bed.ids[0], status.clone(), bed.now);
+    let complete = hci::update_complete(42, 13);
+    let expected = [
+        Output::Host(bed.ids[0], status),
+        Output::Host(bed.ids[1], complete.clone()),
+        Output::Host(bed.ids[0], complete),
+    ];
+    assert_eq!(bed.outputs(), expected);
+    assert!(bed
+        .room
+        .describe(bed.ids[1])
+        .contains("1 links with intervals [13]"));
+}
