@@ -6,7 +6,7 @@ use std::{fmt, time::Duration};
 pub struct ConnectionInterval(u16);
 
 /// Number of candidates on either side of the preferred interval.
-const SPREAD: u16 = 8;
+pub const SPREAD: u16 = 8;
 /// Two intervals conflict unless each is at least this many times their greatest common divisor.
 const MIN_RATIO: u16 = 3;
 

@@ -213,7 +213,7 @@ def test_router_with_permission_sets_the_connection_timing(robots):
     for name in sorted(defaults):
         (folder / name).write_text(str(defaults[name]))
     pair(robots)
-    assert [int((folder / name).read_text()) for name in defaults] == [6, 12, 200]
+    assert [int((folder / name).read_text()) for name in defaults] == [6, 20, 200]
 
 
 def test_link_survives_bluetoothd_restart_and_reconnects(robots):

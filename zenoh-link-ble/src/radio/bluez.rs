@@ -14,7 +14,10 @@ mod socket;
 mod timing;
 mod watch;
 
-use std::{future::Future, sync::Arc};
+use std::{
+    future::Future,
+    sync::{Arc, OnceLock},
+};
 
 use async_trait::async_trait;
 use bluer::{adv, Adapter, Session, Uuid};
@@ -53,10 +56,6 @@ const ADVERTISING_INTERVAL: (std::time::Duration, std::time::Duration) = (
     std::time::Duration::from_millis(150),
 );
 
-/// Connection interval that is preferred where the router chooses: the longest of `config/bluetooth.conf`, 15 ms.
-const DEFAULT_INTERVAL: ConnectionInterval =
-    ConnectionInterval::nearest(std::time::Duration::from_millis(15));
-
 /// How long bluetoothd transmits one advertisement before it switches to the next one. After a link ends, Linux 5.10
 /// advertises again only when this time has elapsed. The default is 2 s, and bluetoothd accepts whole seconds only.
 const ADVERTISING_TURN: std::time::Duration = std::time::Duration::from_secs(1);
@@ -71,6 +70,7 @@ pub fn radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
         watch: OnceCell::new(),
         pairing: Pairing::default(),
         peer_intervals: PeerIntervals::default(),
+        preferred_interval: OnceLock::new(),
         scan_recovery: ScanRecovery::default(),
     }))
 }
@@ -82,6 +82,7 @@ struct BluezRadio {
     watch: OnceCell<Watch>,
     pairing: Pairing,
     peer_intervals: PeerIntervals,
+    preferred_interval: OnceLock<ConnectionInterval>,
     scan_recovery: ScanRecovery,
 }
 
@@ -238,7 +239,9 @@ impl Radio for BluezRadio {
     }
 
     fn default_interval(&self) -> ConnectionInterval {
-        DEFAULT_INTERVAL
+        *self
+            .preferred_interval
+            .get_or_init(timing::preferred_interval)
     }
 
     async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {

@@ -7,6 +7,8 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+use crate::interval::{ConnectionInterval, SPREAD};
+
 // Paths relative to the root of the file system.
 /// Folder with one file for each adapter that `rect-bluetooth@.service` has configured.
 const SET_BY_SERVICE: &str = "run/rect-bluetooth";
@@ -37,7 +39,7 @@ const PARAMETERS: [Parameter; 3] = [
         file: "conn_max_interval",
         key: "MaxConnectionInterval",
         default: 40,
-        target: 12,
+        target: 20,
     },
     Parameter {
         file: "supervision_timeout",
@@ -85,6 +87,24 @@ pub fn is_configured_externally(root: &Path, adapter: &str) -> bool {
         || is_configured(&fs::read_to_string(root.join(MAIN_CONF)).unwrap_or_default())
 }
 
+/// Returns the connection interval that links should have: [`SPREAD`] units below the maximum of `main.conf`, or of RECT's
+/// settings. The kernel of the peripheral requests another interval if the one of the link is outside its own range, so that
+/// all intervals that the router chooses must be inside.
+pub(super) fn preferred_interval() -> ConnectionInterval {
+    preferred_below(&fs::read_to_string(Path::new("/").join(MAIN_CONF)).unwrap_or_default())
+}
+
+fn preferred_below(main_conf: &str) -> ConnectionInterval {
+    let [_, max, _] = &PARAMETERS;
+    let configured = main_conf
+        .lines()
+        .filter_map(|line| line.split_once('='))
+        .find(|(key, _)| key.trim() == max.key)
+        .and_then(|(_, value)| value.trim().parse().ok());
+    let preferred = configured.unwrap_or(max.target).saturating_sub(SPREAD);
+    ConnectionInterval::from_units(preferred).unwrap_or(ConnectionInterval::MIN)
+}
+
 /// Returns whether bluetoothd sets the parameters if it runs with this `main.conf`.
 fn is_configured(main_conf: &str) -> bool {
     let keys = || main_conf.lines().filter_map(|line| line.split_once('='));
@@ -130,6 +150,16 @@ mod tests {
         );
         write(MAIN_CONF, RECT_MAIN_CONF);
         assert!(is_configured_externally(root.path(), "hci1"));
+    }
+
+    #[test]
+    fn chosen_intervals_are_in_the_range_of_the_kernel() {
+        let units = |main_conf| preferred_below(main_conf).units();
+        assert_eq!(units(RECT_MAIN_CONF), 12);
+        assert_eq!(units("#MaxConnectionInterval = 40\n"), 12);
+        assert_eq!(units("MaxConnectionInterval=32\n"), 24);
+        assert_eq!(units("MaxConnectionInterval = 9\n"), 6);
+        assert_eq!(units("MaxConnectionInterval = soon\n"), 12);
     }
 
     #[test]
