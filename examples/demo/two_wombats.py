@@ -8,6 +8,7 @@ import hashlib
 import importlib.metadata
 import io
 import json
+import os
 import shutil
 import sys
 import time
@@ -56,8 +57,17 @@ def main() -> int:
             f"  {adapter['name']} sent {adapter['stats']['bytes_on_air'] / 1000:.0f} kB, with headers and repetitions"
         )
     print(f"All messages arrived intact, in {time.monotonic() - started:.0f} s.")
-    print(NEXT.format(rect=shutil.which("rect") or "rect"))
+    print(NEXT.format(rect=tool()))
     return 0
+
+
+def tool() -> str:
+    """Returns how the user runs `rect` from this folder: `make demo` has it in its PATH, and the user may not."""
+    path = shutil.which("rect")
+    if path is None:
+        return "rect"
+    relative = os.path.relpath(path)
+    return path if relative.startswith("..") else relative
 
 
 def json_both_ways(here: zenoh.Session, there: zenoh.Session) -> None:
