@@ -22,6 +22,8 @@ use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, S
 const LEASE: Duration = Duration::from_secs(5);
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
 const MAX_WAITING_QUERIES: usize = 16;
+/// How long the service waits for the declarations that arrive together with a query.
+const DECLARATIONS_PASS: Duration = Duration::from_millis(50);
 /// Timeout of the query to this router's own admin space.
 const ADMIN_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -145,7 +147,12 @@ impl TopicService {
     }
 
     /// Returns the number of publishers of each topic that are declared at this router.
+    ///
+    /// Zenoh 1.10's admin space replies while it holds its routing tables for reading, and reads them again for the reply. If
+    /// a declaration arrives in between, the router stops for good (`resources_data` in `net/runtime/adminspace.rs`). A
+    /// query often arrives together with declarations of the same session; the delay lets these pass first.
     fn publishers(&self) -> BTreeMap<String, usize> {
+        thread::sleep(DECLARATIONS_PASS);
         let admin = format!("@/{}/router/publisher/", self.admin.zid());
         let prefix = format!("{admin}{}/", self.own);
         let asked = self
