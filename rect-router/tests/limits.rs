@@ -19,7 +19,8 @@ use zenoh::Session;
 /// Allows 12 sessions. 3 of them are reserved for Bluetooth; one login may have 5 of the other 9.
 const SESSIONS: [&str; 2] = ["--cfg", "transport/unicast/max_sessions:12"];
 
-/// Opens a session as the second user of the team's login file.
+/// Opens a session as the second user of the team's login file. It may take several attempts: the sessions of a greedy login
+/// are closed only once they are open, and until then they use the sessions that all logins share.
 fn other_user(folder: &str, endpoint: &str) -> Session {
     let users = fs::read_to_string(format!("{folder}/users")).expect("a login file");
     let (user, password) = users
@@ -28,7 +29,11 @@ fn other_user(folder: &str, endpoint: &str) -> Session {
         .and_then(|line| line.split_once(':'))
         .expect("a login");
     let login = json!({ "user": user, "password": password }).to_string();
-    client_with(endpoint, &[("transport/auth/usrpwd", &login)]).expect("let in")
+    let settings = [
+        ("transport/auth/usrpwd", login.as_str()),
+        ("connect/timeout_ms", "10000"),
+    ];
+    client_with(endpoint, &settings).expect("let in")
 }
 
 #[test]
