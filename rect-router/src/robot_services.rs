@@ -110,7 +110,7 @@ impl RobotServices {
         }
         let (own, settings) = (&self.own, &self.settings);
         let keys = format!("{}/{}", settings.fleet, settings.robot);
-        topics::serve(session, host.as_ref(), &keys)?;
+        topics::serve(session, &keys)?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
         Ok(RunningServices {

@@ -1,11 +1,12 @@
 //! Answers queries about the topics that the robot's programs publish and their rates: `<fleet>/<robot>/@rect/topics`
 //! (docs/reference/registry.md).
 //!
-//! The topics are those of the publishers declared at this router. Messages are counted by a subscription to the robot's own
-//! keys; they are published at this router, so that the subscription causes no traffic over the air. It exists only
-//! while rates are queried.
+//! A query makes the router count messages, by a subscription to the robot's own keys. They are published at this router, so
+//! that the subscription causes no traffic over the air. It ends a few seconds after the last query.
+//!
+//! Zenoh's admin space would list declared publishers without a subscription. It is not used, because such a query can stop a
+//! router of Zenoh 1.10 for good (`tests/upstream/admin_space_freeze.py`).
 use std::{
-    collections::BTreeMap,
     sync::{
         mpsc::{self, Receiver, RecvTimeoutError, TrySendError},
         Arc,
@@ -15,34 +16,29 @@ use std::{
 };
 
 use parking_lot::Mutex;
-use rect::core::topics::{report_declared, Counter, Topics, MEASURE, TOPIC, TOPICS};
+use rect::core::topics::{Counter, Topics, TOPIC, TOPICS};
 use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 
-/// Time for which messages are counted after the last query that requested it.
+/// Time for which messages are counted after the last query.
 const LEASE: Duration = Duration::from_secs(5);
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
 const MAX_WAITING_QUERIES: usize = 16;
-/// How long the service waits for the declarations that arrive together with a query.
-const DECLARATIONS_PASS: Duration = Duration::from_millis(50);
-/// Timeout of the query to this router's own admin space.
-const ADMIN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Declares the queryable, which answers until the session is closed. `own` is the prefix of the robot's keys,
-/// `<fleet>/<robot>`. `host` is the session of another router in this process to which the robot's programs are connected.
+/// `<fleet>/<robot>`.
 ///
 /// # Errors
 /// Fails if the queryable cannot be declared or the thread cannot be started.
-pub fn serve(session: &Session, host: Option<&Session>, own: &str) -> zenoh::Result<()> {
+pub fn serve(session: &Session, own: &str) -> zenoh::Result<()> {
     let key = format!("{own}/@rect/{TOPICS}");
     let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
     let service = TopicService {
         session: session.clone(),
-        admin: host.unwrap_or(session).clone(),
         own: own.to_owned(),
         key: key.clone(),
         measurement: None,
     };
-    // The service queries the admin space, which must not happen on one of Zenoh's threads.
+    // A thread of its own ends the count when no more queries arrive.
     thread::Builder::new()
         .name("topics".to_owned())
         .spawn(move || service.run(&next))?;
@@ -59,7 +55,6 @@ pub fn serve(session: &Session, host: Option<&Session>, own: &str) -> zenoh::Res
 /// Answers the queries, on a thread of its own.
 struct TopicService {
     session: Session,
-    admin: Session,
     own: String,
     key: String,
     measurement: Option<Measurement>,
@@ -90,11 +85,9 @@ impl TopicService {
 
     fn answer(&mut self, query: &Query) {
         let made = TopicQuery::parse(query).and_then(|question| {
-            if question.measure {
-                self.measure().map_err(|error| error.to_string())?;
-            }
-            serde_json::to_vec(&self.topics(question.topic.as_deref()))
-                .map_err(|error| error.to_string())
+            let topics = self.count(question.topic.as_deref());
+            let topics = topics.map_err(|error| error.to_string())?;
+            serde_json::to_vec(&topics).map_err(|error| error.to_string())
         });
         log_failure(match made {
             Ok(json) => query
@@ -105,26 +98,22 @@ impl TopicService {
         });
     }
 
-    fn topics(&self, topic: Option<&str>) -> Topics {
-        let publishers = self.publishers();
-        match &self.measurement {
-            Some(measurement) => {
-                measurement
-                    .counter
-                    .lock()
-                    .report(Instant::now(), &publishers, topic)
-            }
-            None => report_declared(&publishers, topic),
-        }
+    /// Starts counting messages, or prolongs the count, and returns what was counted until now.
+    fn count(&mut self, topic: Option<&str>) -> zenoh::Result<Topics> {
+        let now = Instant::now();
+        let measurement = match self.measurement.take() {
+            Some(measurement) => measurement,
+            None => self.start(now)?,
+        };
+        let measurement = self.measurement.insert(Measurement {
+            until: now + LEASE,
+            ..measurement
+        });
+        let counter = measurement.counter.lock();
+        Ok(counter.report(now, topic))
     }
 
-    /// Starts counting messages, or prolongs the counting.
-    fn measure(&mut self) -> zenoh::Result<()> {
-        let now = Instant::now();
-        if let Some(measurement) = &mut self.measurement {
-            measurement.until = now + LEASE;
-            return Ok(());
-        }
+    fn start(&self, now: Instant) -> zenoh::Result<Measurement> {
         let counter = Arc::new(Mutex::new(Counter::new(now)));
         let (counting, prefix) = (Arc::clone(&counter), format!("{}/", self.own));
         let on_sample = move |sample: Sample| {
@@ -138,51 +127,12 @@ impl TopicService {
         };
         let subscriber = self.session.declare_subscriber(format!("{}/**", self.own));
         let subscriber = subscriber.callback(on_sample).wait()?;
-        self.measurement = Some(Measurement {
+        Ok(Measurement {
             counter,
             until: now + LEASE,
             _subscriber: subscriber,
-        });
-        Ok(())
+        })
     }
-
-    /// Returns the number of publishers of each topic that are declared at this router.
-    ///
-    /// Zenoh 1.10's admin space replies while it holds its routing tables for reading, and reads them again for the reply. If
-    /// a declaration arrives in between, the router stops for good (`resources_data` in `net/runtime/adminspace.rs`). A
-    /// query often arrives together with declarations of the same session; the delay lets these pass first.
-    fn publishers(&self) -> BTreeMap<String, usize> {
-        thread::sleep(DECLARATIONS_PASS);
-        let admin = format!("@/{}/router/publisher/", self.admin.zid());
-        let prefix = format!("{admin}{}/", self.own);
-        let asked = self
-            .admin
-            .get(format!("{prefix}**"))
-            .timeout(ADMIN_TIMEOUT)
-            .wait();
-        let mut publishers = BTreeMap::new();
-        for reply in asked.into_iter().flatten() {
-            let Ok(sample) = reply.into_result() else {
-                continue;
-            };
-            let Some(topic) = sample.key_expr().as_str().strip_prefix(&prefix) else {
-                continue;
-            };
-            // A publisher of a key expression with wildcards has no single topic.
-            if !topic.contains('*') {
-                let sources =
-                    serde_json::from_slice(&sample.payload().to_bytes()).unwrap_or_default();
-                publishers.insert(topic.to_owned(), count(&sources));
-            }
-        }
-        publishers
-    }
-}
-
-/// Returns the number of programs that the admin space names as sources, at least 1.
-fn count(sources: &serde_json::Value) -> usize {
-    let of = |kind: &str| sources[kind].as_array().map_or(0, Vec::len);
-    (of("clients") + of("peers")).max(1)
 }
 
 fn log_failure(replied: zenoh::Result<()>) {
@@ -194,7 +144,6 @@ fn log_failure(replied: zenoh::Result<()>) {
 /// The parameters of a query.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct TopicQuery {
-    measure: bool,
     topic: Option<String>,
 }
 
@@ -207,7 +156,6 @@ impl TopicQuery {
         let mut question = Self::default();
         for (key, value) in parameters {
             match key {
-                MEASURE => question.measure = true,
                 TOPIC if !value.is_empty() => question.topic = Some(value.to_owned()),
                 TOPIC => {
                     return Err(format!(
@@ -215,11 +163,7 @@ impl TopicQuery {
                     ))
                 }
                 _ if key.is_empty() || key.starts_with('_') => {}
-                _ => {
-                    return Err(format!(
-                        "`{key}` is unknown; known are {MEASURE} and {TOPIC}"
-                    ))
-                }
+                _ => return Err(format!("`{key}` is unknown; the only parameter is {TOPIC}")),
             }
         }
         Ok(question)
@@ -235,9 +179,8 @@ mod tests {
         let of = |parameters: &[(&'static str, &'static str)]| {
             TopicQuery::of(parameters.iter().copied())
         };
-        let question = of(&[("measure", ""), ("topic", "arm/angle"), ("_time", "x")]);
+        let question = of(&[("topic", "arm/angle"), ("_time", "x")]);
         let expected = TopicQuery {
-            measure: true,
             topic: Some("arm/angle".to_owned()),
         };
         assert_eq!(question, Ok(expected));

@@ -21,15 +21,13 @@ const MAX_TOPIC_BYTES: usize = 220;
 
 /// The part of RECT's internal keys under which a router answers questions about its robot's topics.
 pub const TOPICS: &str = "topics";
-/// The parameter of a question that makes the router count messages.
-pub const MEASURE: &str = "measure";
 /// The parameter that selects a single topic.
 pub const TOPIC: &str = "topic";
 
 /// A router's answer about the topics of its robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Topics {
-    /// The time over which messages have been counted, in seconds, at most [`WINDOW`]. 0 if messages are not counted.
+    /// The time over which messages have been counted, in seconds, at most [`WINDOW`]. 0 in the answer that starts the count.
     pub window_s: f64,
     /// The topics.
     pub topics: Vec<TopicReport>,
@@ -48,8 +46,6 @@ fn is_zero(count: &usize) -> bool {
 pub struct TopicReport {
     /// The topic: the key below the robot's name.
     pub topic: String,
-    /// The number of declared publishers.
-    pub publishers: usize,
     /// The encoding of the last message, at most its first 64 bytes. Empty if no message was counted.
     pub encoding: String,
     /// Messages per second.
@@ -67,23 +63,20 @@ pub struct TopicReport {
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 enum Row {
-    Long(String, usize, String, f64, u64, u64, (f64, f64)),
-    Short(String, usize, String, f64, u64, u64),
+    Long(String, String, f64, u64, u64, (f64, f64)),
+    Short(String, String, f64, u64, u64),
 }
 
 impl From<Row> for TopicReport {
     fn from(row: Row) -> Self {
-        let (topic, publishers, encoding, hz, bytes_per_s, last_bytes, interval_ms) = match row {
-            Row::Long(topic, publishers, encoding, hz, rate, last, intervals) => {
-                (topic, publishers, encoding, hz, rate, last, Some(intervals))
+        let (topic, encoding, hz, bytes_per_s, last_bytes, interval_ms) = match row {
+            Row::Long(topic, encoding, hz, rate, last, intervals) => {
+                (topic, encoding, hz, rate, last, Some(intervals))
             }
-            Row::Short(topic, publishers, encoding, hz, rate, last) => {
-                (topic, publishers, encoding, hz, rate, last, None)
-            }
+            Row::Short(topic, encoding, hz, rate, last) => (topic, encoding, hz, rate, last, None),
         };
         Self {
             topic,
-            publishers,
             encoding,
             hz,
             bytes_per_s,
@@ -97,7 +90,6 @@ impl From<TopicReport> for Row {
     fn from(report: TopicReport) -> Self {
         let TopicReport {
             topic,
-            publishers,
             encoding,
             hz,
             bytes_per_s: rate,
@@ -105,8 +97,8 @@ impl From<TopicReport> for Row {
             interval_ms,
         } = report;
         match interval_ms {
-            Some(intervals) => Self::Long(topic, publishers, encoding, hz, rate, last, intervals),
-            None => Self::Short(topic, publishers, encoding, hz, rate, last),
+            Some(intervals) => Self::Long(topic, encoding, hz, rate, last, intervals),
+            None => Self::Short(topic, encoding, hz, rate, last),
         }
     }
 }
@@ -166,78 +158,30 @@ impl Counter {
         }
     }
 
-    /// Returns the answer at `now`. `publishers` holds the number of declared publishers by topic. `topic` selects a
-    /// single topic; only then does the answer include the intervals.
-    pub fn report(
-        &self,
-        now: Instant,
-        publishers: &BTreeMap<String, usize>,
-        topic: Option<&str>,
-    ) -> Topics {
+    /// Returns the answer at `now`. `topic` selects a single topic; only then does the answer include the intervals.
+    pub fn report(&self, now: Instant, topic: Option<&str>) -> Topics {
         let window = now.saturating_duration_since(self.start).min(WINDOW);
         let oldest = self.bucket(now).saturating_sub(u128::from(BUCKETS));
-        let counted = self.topics.iter().map(|(topic, counted)| {
-            let publishers = publishers.get(topic).copied().unwrap_or_default();
-            counted.report(topic, publishers, now, window, oldest)
+        let selected = self
+            .topics
+            .iter()
+            .filter(|(name, _)| topic.is_none_or(|topic| *name == topic));
+        let topics = selected.map(|(name, counted)| {
+            let report = counted.report(name, now, window, oldest);
+            TopicReport {
+                interval_ms: report.interval_ms.filter(|_| topic.is_some()),
+                ..report
+            }
         });
-        let mut topics: BTreeMap<_, _> = counted
-            .map(|report| (report.topic.clone(), report))
-            .collect();
-        for (name, &count) in publishers {
-            topics
-                .entry(name.clone())
-                .or_insert_with(|| declared(name, count));
+        Topics {
+            window_s: tenths(window.as_secs_f64()),
+            topics: topics.collect(),
+            more: usize::from(self.uncounted > 0),
         }
-        listed(
-            topics.into_values(),
-            topic,
-            window.as_secs_f64(),
-            usize::from(self.uncounted > 0),
-        )
     }
 
     fn bucket(&self, now: Instant) -> u128 {
         now.saturating_duration_since(self.start).as_millis() / BUCKET.as_millis()
-    }
-}
-
-/// Returns the answer while no messages are counted.
-pub fn report_declared(publishers: &BTreeMap<String, usize>, topic: Option<&str>) -> Topics {
-    let topics = publishers
-        .iter()
-        .map(|(name, &count)| declared(name, count));
-    listed(topics, topic, 0.0, 0)
-}
-
-fn declared(topic: &str, publishers: usize) -> TopicReport {
-    TopicReport {
-        topic: topic.to_owned(),
-        publishers,
-        ..TopicReport::default()
-    }
-}
-
-fn listed(
-    topics: impl Iterator<Item = TopicReport>,
-    selected: Option<&str>,
-    window_s: f64,
-    more: usize,
-) -> Topics {
-    let mut topics: Vec<_> = topics
-        .filter(|report| selected.is_none_or(|topic| report.topic == topic))
-        .collect();
-    if selected.is_none() {
-        topics
-            .iter_mut()
-            .for_each(|report| report.interval_ms = None);
-    }
-    let more = more + topics.len().saturating_sub(MAX_TOPICS);
-    topics.truncate(MAX_TOPICS);
-    let window_s = tenths(window_s);
-    Topics {
-        window_s,
-        topics,
-        more,
     }
 }
 
@@ -277,14 +221,7 @@ impl Counted {
         }
     }
 
-    fn report(
-        &self,
-        topic: &str,
-        publishers: usize,
-        now: Instant,
-        window: Duration,
-        oldest: u128,
-    ) -> TopicReport {
+    fn report(&self, topic: &str, now: Instant, window: Duration, oldest: u128) -> TopicReport {
         let buckets = || self.buckets.iter().filter(|bucket| bucket.number >= oldest);
         let messages: u64 = buckets().map(|bucket| bucket.messages).sum();
         let bytes: u64 = buckets().map(|bucket| bucket.bytes).sum();
@@ -307,7 +244,6 @@ impl Counted {
         };
         TopicReport {
             topic: topic.to_owned(),
-            publishers,
             encoding: self.encoding.clone(),
             hz: tenths(hz),
             bytes_per_s: (bytes as f64 / seconds).round() as u64,
@@ -331,10 +267,6 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    fn none() -> BTreeMap<String, usize> {
-        BTreeMap::new()
-    }
-
     /// Returns a counter that has counted a message of 24 bytes every 100 ms for `ms`, and the time after that.
     fn counted(ms: u32) -> (Counter, Instant) {
         let start = Instant::now();
@@ -349,7 +281,7 @@ mod tests {
     fn reports_the_rate_of_the_last_seconds() {
         for ms in [2_000, 5_000, 60_000] {
             let (counter, now) = counted(ms);
-            let report = counter.report(now, &none(), None);
+            let report = counter.report(now, None);
             let one = &report.topics[0];
             assert_eq!(one.hz, 10.0, "{ms}: {one:?}");
             assert!((220..=280).contains(&one.bytes_per_s), "{ms}: {one:?}");
@@ -363,7 +295,7 @@ mod tests {
     #[test]
     fn a_topic_that_stopped_publishing_has_no_rate() {
         let (counter, now) = counted(3_000);
-        let report = counter.report(now + 2 * WINDOW, &none(), None);
+        let report = counter.report(now + 2 * WINDOW, None);
         assert_eq!(
             (report.topics[0].hz, report.topics[0].last_bytes),
             (0.0, 24)
@@ -377,7 +309,7 @@ mod tests {
         for second in 1..=4 {
             counter.on_message(start + second * 1000 * MS, "slow", 1, "");
         }
-        let hz = |ms: u32| counter.report(start + ms * MS, &none(), None).topics[0].hz;
+        let hz = |ms: u32| counter.report(start + ms * MS, None).topics[0].hz;
         assert_eq!(hz(4_400), 1.0);
         assert!(hz(8_500) < 0.5, "stopped publishing");
     }
@@ -386,29 +318,11 @@ mod tests {
     fn reports_intervals_only_for_a_selected_topic() {
         let (mut counter, now) = counted(2_000);
         counter.on_message(now + 250 * MS, "arm/angle", 24, "application/json");
-        let report = counter.report(now + 300 * MS, &none(), Some("arm/angle"));
+        let report = counter.report(now + 300 * MS, Some("arm/angle"));
         assert_eq!(report.topics[0].interval_ms, Some((100.0, 250.0)));
-        let all = counter.report(now + 300 * MS, &none(), None);
+        let all = counter.report(now + 300 * MS, None);
         assert_eq!(all.topics[0].interval_ms, None);
-        assert!(counter
-            .report(now, &none(), Some("other"))
-            .topics
-            .is_empty());
-    }
-
-    #[test]
-    fn declared_publishers_are_listed_whether_or_not_they_publish() {
-        let (counter, now) = counted(1_000);
-        let publishers = BTreeMap::from([("arm/angle".to_owned(), 2), ("idle".to_owned(), 1)]);
-        let report = counter.report(now, &publishers, None);
-        let of: Vec<_> = report
-            .topics
-            .iter()
-            .map(|one| (one.topic.as_str(), one.publishers))
-            .collect();
-        assert_eq!(of, [("arm/angle", 2), ("idle", 1)]);
-        let unmeasured = report_declared(&publishers, None);
-        assert_eq!((unmeasured.window_s, unmeasured.topics.len()), (0.0, 2));
+        assert!(counter.report(now, Some("other")).topics.is_empty());
     }
 
     #[test]
@@ -422,7 +336,7 @@ mod tests {
         for second in 0..1000 {
             counter.on_message(start + 1000 * second * MS, "t0", 1, &"\u{e4}".repeat(1000));
         }
-        let report = counter.report(start + 2 * MS, &none(), None);
+        let report = counter.report(start + 2 * MS, None);
         assert_eq!(report.topics.len(), MAX_TOPICS);
         assert_eq!(report.more, 1, "there are more than that");
         assert!(counter
@@ -442,7 +356,7 @@ mod tests {
         for n in 0..10 {
             counter.on_message(start + MS, &format!("sensor/{n}"), 24, "application/json");
         }
-        let report = counter.report(start + 2000 * MS, &none(), None);
+        let report = counter.report(start + 2000 * MS, None);
         let json = serde_json::to_string(&report).expect("JSON");
         assert!(json.len() < 500, "{} bytes: {json}", json.len());
         let back = |report: &Topics| {
@@ -451,7 +365,7 @@ mod tests {
         };
         assert_eq!(back(&report), report);
         counter.on_message(start + 1000 * MS, "sensor/1", 24, "application/json");
-        let one = counter.report(start + 2000 * MS, &none(), Some("sensor/1"));
+        let one = counter.report(start + 2000 * MS, Some("sensor/1"));
         assert!(one.topics[0].interval_ms.is_some());
         assert_eq!(back(&one), one);
     }

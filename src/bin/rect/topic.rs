@@ -7,7 +7,7 @@ use rect::{
     core::{
         display::line,
         humanize::bytes,
-        topics::{TopicReport, Topics, MEASURE, TOPIC, TOPICS, WINDOW},
+        topics::{TopicReport, Topics, TOPIC, TOPICS, WINDOW},
     },
     terminal::{self, Cell, Style, Table},
     Name, Robot,
@@ -74,7 +74,7 @@ enum TopicCommand {
 
 #[derive(Args)]
 struct MeasuredArguments {
-    /// How long to count messages, at most 5s; 0s: only list the topics that programs have declared
+    /// How long to count messages, at most 5s. A topic without a message in this time is not listed
     #[arg(long, default_value = "2s")]
     duration: DurationArgument,
     /// Print JSON
@@ -164,7 +164,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
 fn not_published(topic: &RobotTopic) -> Failure {
     let RobotTopic { robot, topic } = topic;
     let topic = line(topic);
-    format!("{robot} has no publisher of {topic}, and published no message on it during the measurement; `rect topic list {robot}` lists its topics")
+    format!("{robot} published no message on {topic} while its messages were counted; count for longer with --duration 5s, or list its topics with `rect topic list {robot}`")
         .into()
 }
 
@@ -175,14 +175,10 @@ async fn measure(
     topic: Option<&str>,
     duration: DurationArgument,
 ) -> Result<Vec<(String, Topics)>, Failure> {
-    let duration = duration.0.min(WINDOW);
-    if duration.is_zero() {
-        return query(robot, publisher, topic, false).await;
-    }
-    // The first query starts the measurement.
-    query(robot, publisher, topic, true).await?;
-    tokio::time::sleep(duration).await;
-    query(robot, publisher, topic, true).await
+    // The first query starts the count.
+    query(robot, publisher, topic).await?;
+    tokio::time::sleep(duration.0.min(WINDOW)).await;
+    query(robot, publisher, topic).await
 }
 
 /// Queries the routers and returns their replies, ordered by the robot's name.
@@ -190,17 +186,11 @@ async fn query(
     robot: &Robot,
     publisher: Option<&Name>,
     topic: Option<&str>,
-    measure: bool,
 ) -> Result<Vec<(String, Topics)>, Failure> {
     let fleet = robot.fleet();
     let publisher_name = publisher.map_or("*", Name::as_str);
-    let mut parameters = Vec::new();
-    parameters.extend(measure.then(|| MEASURE.to_owned()));
-    parameters.extend(topic.map(|topic| format!("{TOPIC}={topic}")));
-    let selector = format!(
-        "{fleet}/{publisher_name}/@rect/{TOPICS}?{}",
-        parameters.join(";")
-    );
+    let parameters = topic.map_or_else(String::new, |topic| format!("?{TOPIC}={topic}"));
+    let selector = format!("{fleet}/{publisher_name}/@rect/{TOPICS}{parameters}");
     let replies = robot.zenoh().get(selector).timeout(TIMEOUT).await?;
     let mut answers = Vec::new();
     while let Ok(reply) = replies.recv_async().await {
@@ -227,27 +217,16 @@ async fn query(
 }
 
 fn list(answers: &[(String, Topics)]) {
-    let mut table = Table::new(&[
-        "TOPIC",
-        "RATE",
-        "?BYTES/S",
-        "?LAST",
-        "?PUBLISHERS",
-        "?ENCODING",
-    ]);
+    let mut table = Table::new(&["TOPIC", "RATE", "?BYTES/S", "?LAST", "?ENCODING"]);
     let mut more = 0;
     for (robot, topics) in answers {
         more += topics.more;
-        let measured = topics.window_s > 0.0;
         for report in &topics.topics {
-            // Without a counted message, the encoding is not known.
-            let is_counted = !report.encoding.is_empty();
             table.row(vec![
                 Cell::styled(Style::Name, format!("{robot}/{}", report.topic)),
-                measured.then(|| format!("{:.1} Hz", report.hz)).into(),
-                is_counted.then(|| bytes(report.bytes_per_s)).into(),
-                is_counted.then(|| bytes(report.last_bytes)).into(),
-                report.publishers.to_string().into(),
+                format!("{:.1} Hz", report.hz).into(),
+                bytes(report.bytes_per_s).into(),
+                bytes(report.last_bytes).into(),
                 report.encoding.as_str().into(),
             ]);
         }
@@ -264,14 +243,14 @@ async fn hz(
     count: Option<u64>,
     json: bool,
 ) -> Result<(), Failure> {
-    // The first query starts the measurement.
-    query(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
+    // The first query starts the count.
+    query(robot, Some(&topic.robot), Some(&topic.topic)).await?;
     let mut ticks = tokio::time::interval(EVERY);
     ticks.tick().await;
     tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
     for _ in 0..count.unwrap_or(u64::MAX) {
         ticks.tick().await;
-        let answers = query(robot, Some(&topic.robot), Some(&topic.topic), true).await?;
+        let answers = query(robot, Some(&topic.robot), Some(&topic.topic)).await?;
         let topics = answers.into_iter().next().map(|(_, topics)| topics);
         let topics = topics.unwrap_or_default();
         let report = topics.topics.first().cloned().unwrap_or_default();
@@ -302,16 +281,10 @@ fn rate(report: &TopicReport, window_s: f64) -> String {
 
 fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
     let RobotTopic { robot, topic } = topic;
-    rect::outln!("topic:      {robot}/{}", line(topic));
-    rect::outln!("publishers: {}", report.publishers);
-    if topics.window_s == 0.0 {
-        return;
-    }
-    rect::outln!("rate:       {}", rate(report, topics.window_s));
-    if !report.encoding.is_empty() {
-        rect::outln!("encoding:   {}", line(&report.encoding));
-        rect::outln!("last:       {}", bytes(report.last_bytes));
-    }
+    rect::outln!("topic:    {robot}/{}", line(topic));
+    rect::outln!("rate:     {}", rate(report, topics.window_s));
+    rect::outln!("encoding: {}", line(&report.encoding));
+    rect::outln!("last:     {}", bytes(report.last_bytes));
 }
 
 fn as_json(topics: &Topics) -> serde_json::Value {
@@ -326,7 +299,6 @@ fn as_json(topics: &Topics) -> serde_json::Value {
 fn report_as_json(report: &TopicReport) -> serde_json::Value {
     json!({
         "topic": report.topic,
-        "publishers": report.publishers,
         "encoding": report.encoding,
         "hz": report.hz,
         "bytes_per_s": report.bytes_per_s,
