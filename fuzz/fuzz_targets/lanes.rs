@@ -2,14 +2,20 @@
 //! rogue peer sends anything. An honest pair must deliver each lane in order; the memory in use must be bounded in any
 //! case.
 #![no_main]
-use std::time::{Duration, Instant};
+use std::{
+    convert::Infallible,
+    time::{Duration, Instant},
+};
 
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::protocol::lanes::{
-    receiver::HIGH_WATERMARK,
-    scheduler::{Bounds, RESERVED_BYTES_PER_LANE},
-    sdu::{seal, Content},
-    Lane, Lanes, LANES,
+use zenoh_link_ble::protocol::{
+    lanes::{
+        receiver::HIGH_WATERMARK,
+        scheduler::{Bounds, RESERVED_BYTES_PER_LANE},
+        sdu::{Content, Protection, Sealer},
+        Lane, Lanes, LANES,
+    },
+    seal::LinkKeys,
 };
 
 /// Largest batch, in bytes.
@@ -23,8 +29,8 @@ struct Ends {
     out: Lanes,
     into: Lanes,
     now: Instant,
-    /// Number of SDUs sent from `out` to `into`.
-    number: u32,
+    /// Seals what a rogue sends from `out` to `into` of a link without a secret.
+    sealer: Option<Sealer>,
     is_rogue: bool,
     is_finished: bool,
     pushed: [u32; LANES],
@@ -34,18 +40,25 @@ struct Ends {
 }
 
 impl Ends {
-    fn new() -> Self {
+    /// Creates both ends of a link, with a secret or without.
+    fn new(is_encrypted: bool) -> Self {
         let bounds = Bounds {
             bytes: QUEUE,
             backlog: Duration::from_millis(200),
             droppable: Duration::from_millis(150),
         };
-        let lanes = || Lanes::new(bounds, MTU, WINDOW, WINDOW);
+        let lanes = |own: u8, of_peer: u8| {
+            let protection = match is_encrypted {
+                true => Protection::keys(LinkKeys::new([own; 32], [of_peer; 32])),
+                false => Protection::checks(),
+            };
+            Lanes::new(bounds, MTU, WINDOW, WINDOW, protection)
+        };
         Self {
-            out: lanes(),
-            into: lanes(),
+            out: lanes(1, 2),
+            into: lanes(2, 1),
             now: Instant::now(),
-            number: 0,
+            sealer: (!is_encrypted).then(|| Protection::checks().out),
             is_rogue: false,
             is_finished: false,
             pushed: [0; LANES],
@@ -65,8 +78,7 @@ impl Ends {
         assert!(waiting <= (QUEUE + RESERVED_BYTES_PER_LANE) as u64);
     }
 
-    fn deliver(&mut self, sdu: &[u8]) {
-        self.number += 1;
+    fn deliver(&mut self, sdu: &mut [u8]) {
         if let Err(violation) = self.into.on_sdu(sdu, self.now) {
             assert!(self.is_rogue, "{violation}");
             self.is_finished = true;
@@ -74,18 +86,17 @@ impl Ends {
     }
 
     fn send_forward(&mut self) {
-        if let Some((next, sdu)) = self.out.peek() {
-            let sdu = sdu.to_vec();
-            self.out.on_sent(next, self.now);
-            self.deliver(&sdu);
+        if let Some(mut sdu) = sent(&mut self.out, self.now) {
+            if let Some(Sealer::Check { number }) = &mut self.sealer {
+                *number += 1;
+            }
+            self.deliver(&mut sdu);
         }
     }
 
     fn send_back(&mut self) {
-        if let Some((next, sdu)) = self.into.peek() {
-            let sdu = sdu.to_vec();
-            self.into.on_sent(next, self.now);
-            let done = self.out.on_sdu(&sdu, self.now);
+        if let Some(mut sdu) = sent(&mut self.into, self.now) {
+            let done = self.out.on_sdu(&mut sdu, self.now);
             assert!(done.is_ok() || self.is_rogue, "{done:?}");
         }
     }
@@ -108,17 +119,41 @@ impl Ends {
         assert!(self.out.push(lane, b"", self.now));
     }
 
-    /// Delivers a correctly sealed SDU that no honest peer would send now.
+    /// Delivers an SDU that no honest peer would send now. Without a secret it has a correct check; with one it is forged,
+    /// and must end the link.
     fn send_as_rogue(&mut self, content: Content<'_>) {
         self.is_rogue = true;
         let mut sdu = content.encode();
-        seal(self.number, &mut sdu);
-        self.deliver(&sdu);
+        match &mut self.sealer {
+            Some(sealer) => {
+                let Ok(_) = sealer.seal(&mut sdu, |_| Ok::<_, Infallible>(true));
+                self.deliver(&mut sdu);
+            }
+            None => {
+                sdu.extend_from_slice(&[0; 8]);
+                self.deliver(&mut sdu);
+                assert!(self.is_finished, "a forged SDU was accepted");
+            }
+        }
     }
 }
 
+/// Takes the next SDU.
+fn sent(lanes: &mut Lanes, now: Instant) -> Option<Vec<u8>> {
+    let mut taken = None;
+    let Ok(_) = lanes.send(now, |sdu| {
+        taken = Some(sdu.to_vec());
+        Ok::<_, Infallible>(true)
+    });
+    taken
+}
+
 fuzz_target!(|events: &[u8]| {
-    let mut ends = Ends::new();
+    let (is_encrypted, events) = match events.split_first() {
+        Some((first, events)) => (first & 1 == 1, events),
+        None => return,
+    };
+    let mut ends = Ends::new(is_encrypted);
     for event in events.chunks_exact(3) {
         let Some(lane) = Lane::new(event[0] & 7) else {
             continue;

@@ -1,20 +1,27 @@
 //! Decodes untrusted SDUs of an open link. With a correct check value, an SDU must be rejected or encode to the same
-//! bytes.
+//! bytes. Without the keys, nothing opens.
 #![no_main]
+use std::convert::Infallible;
+
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::protocol::lanes::{
-    batch_kind::BatchKind,
-    sdu::{open, seal},
+use zenoh_link_ble::protocol::{
+    lanes::{batch_kind::BatchKind, sdu::Protection},
+    seal::LinkKeys,
 };
 
 fuzz_target!(|sdu: &[u8]| {
-    let _ = open(0, sdu);
+    let _ = Protection::checks().into.open(&mut sdu.to_vec());
     let _ = BatchKind::of(sdu);
-    let mut sdu = sdu.to_vec();
-    seal(7, &mut sdu);
-    if let Ok(content) = open(7, &sdu) {
-        let mut written = content.encode();
-        seal(7, &mut written);
-        assert_eq!(written, sdu);
+    let keys = |own, of_peer| Protection::keys(LinkKeys::new([own; 32], [of_peer; 32]));
+    assert!(keys(1, 2).into.open(&mut sdu.to_vec()).is_err());
+    for (mut one, mut other) in [
+        (Protection::checks(), Protection::checks()),
+        (keys(1, 2), keys(2, 1)),
+    ] {
+        let mut sealed = sdu.to_vec();
+        let Ok(_) = one.out.seal(&mut sealed, |_| Ok::<_, Infallible>(true));
+        if let Ok(content) = other.into.open(&mut sealed) {
+            assert_eq!(content.encode(), sdu);
+        }
     }
 });

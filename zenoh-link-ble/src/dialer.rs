@@ -10,7 +10,7 @@ use crate::{
     address::{DeviceAddress, Psm},
     advertisement::Advertisement,
     error::{BleError, DialStep},
-    handshake::{agreed_mtu, channel_options, dialler_handshake, own_window},
+    handshake::{agreed_mtu, channel_options, own_window, HandshakeChannel},
     link::{
         intervals::NewLink,
         node::{set_if_changed, Node},
@@ -19,6 +19,7 @@ use crate::{
     },
     locator::{ConnectLocator, Target},
     protocol::hello::{Hello, Intervals, NodeId, Refusal, VERSION},
+    protocol::lanes::sdu::Protection,
     protocol::secret::Secret,
     radio::{AdvertisingReport, Channel, ChannelOptions, RadioError, Security},
 };
@@ -133,8 +134,13 @@ async fn dial_once(
     if is_rejected {
         node.on_rejected(candidate.device);
     }
-    let (channel, peer, offered) = opened?;
-    let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref())?;
+    let Dialled {
+        channel,
+        peer,
+        protection,
+        offered,
+    } = opened?;
+    let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref(), protection.overhead())?;
     let replaced = CancellationToken::new();
     let device = channel.peer();
     dialling
@@ -150,7 +156,7 @@ async fn dial_once(
     let own = offered.clone();
     let interval = (node.intervals()).on_accepted(dialling.number, new_link, offered, answered);
     let opened = Opened {
-        framing: Framing::with(&channel, peer.as_ref(), None),
+        framing: Framing::with(&channel, peer.as_ref(), protection, None),
         channel,
         radio: Arc::clone(&adapter.radio),
         mtu,
@@ -176,6 +182,16 @@ async fn dial_once(
     link.check().map(|()| link)
 }
 
+/// A channel to a peer after the handshake.
+struct Dialled {
+    channel: Arc<dyn Channel>,
+    /// The hello of the peer, or `None` for a plain peer.
+    peer: Option<Hello>,
+    protection: Protection,
+    /// The connection intervals that this side has offered.
+    offered: Option<Intervals>,
+}
+
 /// Connects a channel and performs the handshake, unless the peer is a plain peer.
 async fn open(
     node: &Arc<Node>,
@@ -184,7 +200,7 @@ async fn open(
     locator: &ConnectLocator,
     candidate: &Candidate,
     step: &mut DialStep,
-) -> Result<(Arc<dyn Channel>, Option<Hello>, Option<Intervals>), BleError> {
+) -> Result<Dialled, BleError> {
     let mut limit = connect_timeout(node.id, dial);
     if locator.security != Security::Low {
         limit += PAIRING;
@@ -210,7 +226,12 @@ async fn open(
         offered = Some(node.intervals().for_peripheral());
     }
     if is_plain {
-        return Ok((channel, None, offered));
+        return Ok(Dialled {
+            channel,
+            peer: None,
+            protection: Protection::checks(),
+            offered,
+        });
     }
     *step = DialStep::Handshake;
     let own = Hello {
@@ -219,14 +240,19 @@ async fn open(
         mtu: locator.mtu,
         window: own_window(&channel),
         name: node.name(),
-        nonce: None,
         intervals: offered.clone(),
     };
     if !node.link_table().on_sending_hello(dial) {
         return Err(already_linked(locator));
     }
-    let peer = dialler_handshake(&channel, own, secret.as_ref()).await?;
-    Ok((channel, Some(peer), offered))
+    let mut handshake = HandshakeChannel::new(&channel);
+    let peer = handshake.dial(own, secret.as_ref()).await?;
+    Ok(Dialled {
+        channel,
+        peer: Some(peer),
+        protection: handshake.into_protection(),
+        offered,
+    })
 }
 
 /// Connects a channel within `limit`. An adapter has one pending connect at a time.

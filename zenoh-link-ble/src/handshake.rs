@@ -1,13 +1,19 @@
 //! Performs the handshake on a new channel, for the dialler and the listener. Each step has a timeout.
 //!
-//! The messages are defined in [`hello`](crate::protocol::hello), and the proofs in [`secret`](crate::protocol::secret).
-use std::{sync::Arc, time::Duration};
+//! The messages are defined in [`hello`](crate::protocol::hello), and the agreement on keys in
+//! [`key_agreement`](crate::protocol::key_agreement).
+use std::{convert::Infallible, sync::Arc, time::Duration};
 
 use crate::{
     error::BleError,
-    protocol::hello::{Challenge, HandshakeMessage, Hello, NodeId, Refusal, MIN_MTU, VERSION},
-    protocol::lanes::{credits, HEADER},
-    protocol::secret::{nonce, ProofTranscript, Secret, Side},
+    protocol::hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
+    protocol::key_agreement::{respond, Initiator},
+    protocol::lanes::{
+        check, credits,
+        sdu::{Protection, HEAD_BYTES},
+    },
+    protocol::seal::{LinkKeys, TAG_BYTES},
+    protocol::secret::Secret,
     radio::{Channel, ChannelOptions, RadioError, Security},
 };
 
@@ -40,6 +46,15 @@ pub(crate) fn channel_options(
     })
 }
 
+/// The head of a sealed message of the handshake. No SDU of an open link has it.
+pub(crate) const SEALED_MESSAGE: u8 = 0xf0;
+
+/// A channel during the handshake. After the two sides have agreed on keys, its messages are sealed.
+pub(crate) struct HandshakeChannel {
+    channel: Arc<dyn Channel>,
+    keys: Option<LinkKeys>,
+}
+
 /// The first SDU of a peer that dialled this node.
 pub(crate) enum FirstSdu {
     Hello(Hello),
@@ -47,181 +62,254 @@ pub(crate) enum FirstSdu {
     Plain(Vec<u8>),
 }
 
-/// Sends a hello, waits for the peer's acceptance and returns it. With a secret, both sides first prove that they have
-/// it.
-///
-/// # Errors
-/// Fails if the peer refuses, does not prove the secret, violates the protocol or does not answer in time.
-pub(crate) async fn dialler_handshake(
-    channel: &Arc<dyn Channel>,
-    mut own: Hello,
-    secret: Option<&Secret>,
-) -> Result<Hello, BleError> {
-    let (peer, node) = (channel.peer(), own.node);
-    own.nonce = secret.map(|_| nonce()).transpose()?;
-    let hello = HandshakeMessage::Hello(own).encode();
-    channel.send(&hello).await?;
-    let answer = match secret {
-        Some(secret) => authenticate_listener(channel, node, &hello, secret).await?,
-        None => receive_message(channel).await?,
-    };
-    match answer {
-        HandshakeMessage::Accept(hello) if hello.version <= VERSION => Ok(hello),
-        HandshakeMessage::Accept(hello) => {
-            let chosen = format!(
-                "it chose version {}, and this side offered at most {VERSION}",
+impl HandshakeChannel {
+    pub(crate) fn new(channel: &Arc<dyn Channel>) -> Self {
+        Self {
+            channel: Arc::clone(channel),
+            keys: None,
+        }
+    }
+
+    /// Returns the protection of the SDUs that follow the handshake.
+    pub(crate) fn into_protection(self) -> Protection {
+        self.keys.map_or_else(Protection::checks, Protection::keys)
+    }
+
+    /// Returns the number of bytes that an SDU of the open link has in addition to its batch.
+    pub(crate) fn overhead(&self) -> usize {
+        match self.keys {
+            Some(_) => HEAD_BYTES + TAG_BYTES,
+            None => HEAD_BYTES + check::SIZE,
+        }
+    }
+
+    /// Agrees on keys if there is a secret, sends a hello, waits for the peer's acceptance and returns it.
+    ///
+    /// # Errors
+    /// Fails if the peer refuses, does not have the secret, violates the protocol or does not answer in time.
+    pub(crate) async fn dial(
+        &mut self,
+        own: Hello,
+        secret: Option<&Secret>,
+    ) -> Result<Hello, BleError> {
+        if let Some(secret) = secret {
+            self.agree_as_dialler(secret).await?;
+        }
+        self.send(&HandshakeMessage::Hello(own)).await?;
+        match self.receive_message().await? {
+            HandshakeMessage::Accept(hello) if hello.version == VERSION => Ok(hello),
+            HandshakeMessage::Accept(hello) => Err(self.protocol(&format!(
+                "it chose version {}, and this side offered version {VERSION}",
                 hello.version
-            );
-            Err(protocol(channel, &chosen))
-        }
-        HandshakeMessage::Refuse(refusal) => Err(BleError::Refused { peer, refusal }),
-        HandshakeMessage::Hello(_) => Err(protocol(channel, "it answered a hello with a hello")),
-        HandshakeMessage::Challenge(_) | HandshakeMessage::Proof(_) => {
-            Err(protocol(channel, "it sent a proof that was not requested"))
+            ))),
+            other => Err(self.unexpected(&other)),
         }
     }
-}
 
-/// Verifies the listener's proof and sends the dialler's. Returns the listener's answer.
-async fn authenticate_listener(
-    channel: &Arc<dyn Channel>,
-    own: NodeId,
-    hello: &[u8],
-    secret: &Secret,
-) -> Result<HandshakeMessage, BleError> {
-    let challenge = match receive_message(channel).await? {
-        HandshakeMessage::Challenge(challenge) => challenge,
-        // The peer accepts every dialler, and therefore has no secret.
-        HandshakeMessage::Accept(_) => return Err(no_shared_secret(channel)),
-        other => return Ok(other),
-    };
-    let transcript = ProofTranscript {
-        hello,
-        listener: challenge.node,
-        nonce: &challenge.nonce,
-    };
-    // A peer that reflects this node's own challenge proves nothing.
-    let is_own = challenge.node == own;
-    if is_own || !secret.verify(Side::Listener, transcript, &challenge.proof) {
-        // The refusal lets the peer log the reason as well.
-        refuse(channel, Refusal::Secret).await?;
-        return Err(no_shared_secret(channel));
-    }
-    let proof = HandshakeMessage::Proof(secret.proof(Side::Dialler, transcript));
-    channel.send(&proof.encode()).await?;
-    match receive_message(channel).await? {
-        HandshakeMessage::Accept(accept) if accept.node != challenge.node => {
-            Err(protocol(channel, "it used two node ids in one handshake"))
+    /// Sends the first message of the key agreement and handles the answer.
+    async fn agree_as_dialler(&mut self, secret: &Secret) -> Result<(), BleError> {
+        let header = Key::header(VERSION);
+        let started = Initiator::start(secret, &header);
+        let (initiator, message) = started.map_err(|error| self.protocol(&error.to_string()))?;
+        let version = VERSION;
+        self.send(&HandshakeMessage::Key(Key { version, message }))
+            .await?;
+        let answer = match self.receive_message().await? {
+            HandshakeMessage::KeyAnswer(answer) => answer,
+            // The peer accepts every dialler, and therefore has no secret.
+            HandshakeMessage::Accept(_) => return Err(self.no_shared_secret()),
+            other => return Err(self.unexpected(&other)),
+        };
+        match initiator.finish(&answer.message) {
+            Ok(agreed) => {
+                self.keys = Some(agreed.keys);
+                Ok(())
+            }
+            Err(_) => {
+                // The refusal lets the peer log the reason as well.
+                self.refuse(Refusal::Secret).await?;
+                Err(self.no_shared_secret())
+            }
         }
-        answer => Ok(answer),
     }
-}
 
-/// Waits for the first SDU of a peer that has dialled this node. With a secret, the hello is returned only after the peer
-/// has proved that it has the secret, too.
-///
-/// # Errors
-/// Fails if the peer does not prove the secret, violates the protocol or sends nothing in time.
-pub(crate) async fn receive_hello(
-    channel: &Arc<dyn Channel>,
-    own: NodeId,
-    secret: Option<&Secret>,
-) -> Result<FirstSdu, BleError> {
-    let sdu = receive(channel).await?;
-    if is_zenoh_init(&sdu) {
-        return match secret {
-            // A plain peer cannot prove anything.
-            Some(_) => Err(no_shared_secret(channel)),
-            None => Ok(FirstSdu::Plain(sdu)),
-        };
-    }
-    let message = match HandshakeMessage::decode(&sdu) {
-        Ok(message) => message,
-        Err(error) => {
-            if let Some(refusal) = error.refusal(&sdu) {
-                refuse(channel, refusal).await?;
-            }
-            return Err(protocol(channel, &error.to_string()));
+    /// Waits for the hello of a peer that has dialled this node, and agrees on keys first if there is a secret. The hello is
+    /// then returned only if it was sealed with these keys.
+    ///
+    /// # Errors
+    /// Fails if the peer does not have the secret, violates the protocol or sends nothing in time.
+    pub(crate) async fn receive_hello(
+        &mut self,
+        secret: Option<&Secret>,
+    ) -> Result<FirstSdu, BleError> {
+        let sdu = self.receive().await?;
+        if is_zenoh_init(&sdu) {
+            return match secret {
+                // A plain peer has no secret.
+                Some(_) => Err(self.no_shared_secret()),
+                None => Ok(FirstSdu::Plain(sdu)),
+            };
         }
-    };
-    let hello = match message {
-        HandshakeMessage::Hello(hello) => hello,
-        // This answers this node's own hello, but on the channel that the peer has opened.
-        HandshakeMessage::Accept(_) | HandshakeMessage::Challenge(_) => {
-            return Err(BleError::Misdirected {
-                peer: channel.peer(),
-            })
-        }
-        _ => return Err(protocol(channel, "it sent an answer instead of a hello")),
-    };
-    if let Some(secret) = secret {
-        let is_authentic = match hello.nonce {
-            Some(_) => authenticate_dialler(channel, own, &sdu, secret).await,
-            None => Ok(false),
-        };
-        match is_authentic {
-            Ok(true) => {}
-            Ok(false) => {
-                refuse(channel, Refusal::Secret).await?;
-                return Err(no_shared_secret(channel));
-            }
+        let message = match HandshakeMessage::decode(&sdu) {
+            Ok(message) => message,
             Err(error) => {
-                if let BleError::Protocol { .. } = error {
-                    refuse(channel, Refusal::Malformed).await?;
+                if let Some(refusal) = error.refusal(&sdu) {
+                    self.refuse(refusal).await?;
                 }
-                return Err(error);
+                return Err(self.protocol(&error.to_string()));
+            }
+        };
+        match (message, secret) {
+            (HandshakeMessage::Hello(hello), None) => Ok(FirstSdu::Hello(hello)),
+            (HandshakeMessage::Key(key), Some(secret)) => {
+                let hello = self.agree_as_listener(&key, secret).await?;
+                Ok(FirstSdu::Hello(hello))
+            }
+            // One of the two has no secret.
+            (HandshakeMessage::Hello(_) | HandshakeMessage::Key(_), _) => {
+                self.refuse(Refusal::Secret).await?;
+                Err(self.no_shared_secret())
+            }
+            // This answers this node's own first message, but on the channel that the peer has opened.
+            (HandshakeMessage::Accept(_) | HandshakeMessage::KeyAnswer(_), _) => {
+                Err(BleError::Misdirected {
+                    peer: self.channel.peer(),
+                })
+            }
+            (HandshakeMessage::Refuse(_), _) => {
+                Err(self.protocol("it sent an answer instead of a hello"))
             }
         }
     }
-    Ok(FirstSdu::Hello(hello))
-}
 
-/// Sends the listener's proof and verifies the dialler's. Returns whether that is valid.
-async fn authenticate_dialler(
-    channel: &Arc<dyn Channel>,
-    own: NodeId,
-    hello: &[u8],
-    secret: &Secret,
-) -> Result<bool, BleError> {
-    let nonce = nonce()?;
-    let transcript = ProofTranscript {
-        hello,
-        listener: own,
-        nonce: &nonce,
-    };
-    let challenge = HandshakeMessage::Challenge(Challenge {
-        node: own,
-        nonce,
-        proof: secret.proof(Side::Listener, transcript),
-    });
-    answer(channel, challenge).await?;
-    match receive_message(channel).await? {
-        HandshakeMessage::Proof(proof) => Ok(secret.verify(Side::Dialler, transcript, &proof)),
-        HandshakeMessage::Refuse(Refusal::Secret) => Ok(false),
-        _ => Err(protocol(
-            channel,
-            "it sent something else instead of its proof",
-        )),
+    /// Answers the dialler's message of the key agreement, and receives its sealed hello.
+    async fn agree_as_listener(&mut self, key: &Key, secret: &Secret) -> Result<Hello, BleError> {
+        let answered = respond(secret, &Key::header(key.version), &key.message);
+        let (message, agreed) = match answered {
+            Ok(answered) => answered,
+            Err(error) => {
+                self.refuse(Refusal::Malformed).await?;
+                return Err(self.protocol(&error.to_string()));
+            }
+        };
+        let answer = Key {
+            version: VERSION,
+            message,
+        };
+        self.answer(&HandshakeMessage::KeyAnswer(answer)).await?;
+        let mut sdu = self.receive().await?;
+        // A dialler with another secret refuses, without keys to seal its refusal.
+        if is_refusal_of_secret(&sdu) {
+            return Err(self.no_shared_secret());
+        }
+        let mut keys = agreed.keys;
+        let message = match open(&mut keys, &mut sdu) {
+            Ok(message) => message,
+            Err(error) => {
+                self.refuse(Refusal::Secret).await?;
+                return Err(self.protocol(&error));
+            }
+        };
+        self.keys = Some(keys);
+        match message {
+            HandshakeMessage::Hello(hello) => Ok(hello),
+            other => {
+                self.refuse(Refusal::Malformed).await?;
+                Err(self.unexpected(&other))
+            }
+        }
+    }
+
+    /// Sends a refusal and waits until the peer closes the channel, which it does when it has read the refusal.
+    pub(crate) async fn refuse(&mut self, refusal: Refusal) -> Result<(), BleError> {
+        self.answer(&HandshakeMessage::Refuse(refusal)).await?;
+        let _ = tokio::time::timeout(REFUSAL_TIMEOUT, drain_until_closed(&self.channel)).await;
+        Ok(())
+    }
+
+    /// Sends a message of the handshake in answer to the peer.
+    pub(crate) async fn answer(&mut self, message: &HandshakeMessage) -> Result<(), BleError> {
+        tokio::time::timeout(MESSAGE_TIMEOUT, self.send(message))
+            .await
+            .map_err(|_| timed_out())?
+    }
+
+    /// Sends a message, sealed if there are keys.
+    async fn send(&mut self, message: &HandshakeMessage) -> Result<(), BleError> {
+        let mut sdu = message.encode();
+        if let Some(keys) = &mut self.keys {
+            sdu.insert(0, SEALED_MESSAGE);
+            let mut sealed = Vec::new();
+            // The number counts as used, whether or not the channel accepts the SDU.
+            let Ok(_) = keys.sealing.seal(&mut sdu, |bytes| {
+                sealed = bytes.to_vec();
+                Ok::<_, Infallible>(true)
+            });
+            sdu = sealed;
+        }
+        Ok(self.channel.send(&sdu).await?)
+    }
+
+    /// Receives the next message of the handshake, sealed if there are keys.
+    async fn receive_message(&mut self) -> Result<HandshakeMessage, BleError> {
+        let mut sdu = self.receive().await?;
+        let message = match &mut self.keys {
+            Some(keys) => open(keys, &mut sdu),
+            None => HandshakeMessage::decode(&sdu).map_err(|error| error.to_string()),
+        };
+        message.map_err(|error| self.protocol(&error))
+    }
+
+    async fn receive(&self) -> Result<Vec<u8>, BleError> {
+        // The first batch of a plain peer may be longer than any hello, and the kernel truncates an SDU to the buffer.
+        let mut sdu = vec![0; usize::from(RECV_MTU)];
+        let size = tokio::time::timeout(MESSAGE_TIMEOUT, self.channel.recv(&mut sdu))
+            .await
+            .map_err(|_| timed_out())??;
+        sdu.truncate(size);
+        Ok(sdu)
+    }
+
+    /// Returns the error for a message that is not the expected answer.
+    fn unexpected(&self, message: &HandshakeMessage) -> BleError {
+        let what = match message {
+            HandshakeMessage::Refuse(refusal) => {
+                return BleError::Refused {
+                    peer: self.channel.peer(),
+                    refusal: *refusal,
+                }
+            }
+            HandshakeMessage::Hello(_) | HandshakeMessage::Key(_) => {
+                "it answered a hello with a hello"
+            }
+            HandshakeMessage::Accept(_) => "it accepted a link that was not requested yet",
+            HandshakeMessage::KeyAnswer(_) => "it sent a key that was not requested",
+        };
+        self.protocol(what)
+    }
+
+    fn no_shared_secret(&self) -> BleError {
+        BleError::NoSharedSecret {
+            peer: self.channel.peer(),
+        }
+    }
+
+    fn protocol(&self, what: &str) -> BleError {
+        protocol(&self.channel, what)
     }
 }
 
-/// Sends a refusal and waits until the peer closes the channel, which it does when it has read the refusal.
-pub(crate) async fn refuse(channel: &Arc<dyn Channel>, refusal: Refusal) -> Result<(), BleError> {
-    answer(channel, HandshakeMessage::Refuse(refusal)).await?;
-    let _ = tokio::time::timeout(REFUSAL_TIMEOUT, drain_until_closed(channel)).await;
-    Ok(())
+/// Opens and decodes a sealed message of the handshake.
+fn open(keys: &mut LinkKeys, sdu: &mut [u8]) -> Result<HandshakeMessage, String> {
+    let opened = keys.opening.open(sdu).map_err(|error| error.to_string())?;
+    let message = opened.strip_prefix(&[SEALED_MESSAGE]);
+    let message = message.ok_or_else(|| "it sent data before its hello".to_owned())?;
+    HandshakeMessage::decode(message).map_err(|error| error.to_string())
 }
 
-/// Sends a message of the handshake in answer to the peer.
-pub(crate) async fn answer(
-    channel: &Arc<dyn Channel>,
-    message: HandshakeMessage,
-) -> Result<(), BleError> {
-    let sdu = message.encode();
-    tokio::time::timeout(MESSAGE_TIMEOUT, channel.send(&sdu))
-        .await
-        .map_err(|_| timed_out())??;
-    Ok(())
+/// Returns whether the SDU is the refusal of a peer with another secret.
+fn is_refusal_of_secret(sdu: &[u8]) -> bool {
+    HandshakeMessage::decode(sdu) == Ok(HandshakeMessage::Refuse(Refusal::Secret))
 }
 
 /// Discards received SDUs of any size until the peer has closed the channel. If this side closed first, the end of the
@@ -237,7 +325,7 @@ pub(crate) fn own_window(channel: &Arc<dyn Channel>) -> u16 {
 }
 
 /// Returns the MTU of the link: the smallest of what both sides accept, what the channel carries, and what both windows
-/// allow. `peer` is `None` for a plain peer.
+/// allow. `peer` is `None` for a plain peer; for others, `overhead` is what an SDU has in addition to its batch.
 ///
 /// # Errors
 /// Fails if the MTU would be under [`MIN_MTU`].
@@ -245,9 +333,10 @@ pub(crate) fn agreed_mtu(
     channel: &Arc<dyn Channel>,
     own: u16,
     peer: Option<&Hello>,
+    overhead: usize,
 ) -> Result<u16, BleError> {
-    let header = peer.map_or(0, |_| HEADER);
-    let carried = channel.send_mtu().saturating_sub(header);
+    let overhead = peer.map_or(0, |_| overhead);
+    let carried = channel.send_mtu().saturating_sub(overhead);
     let carried = u16::try_from(carried).unwrap_or(u16::MAX);
     let accepted = peer.map_or(own, |peer| {
         let window = peer.window.min(own_window(channel));
@@ -268,36 +357,11 @@ fn is_zenoh_init(sdu: &[u8]) -> bool {
     sdu.len() > 1 && sdu.first().is_some_and(|byte| byte & 0x1f == 0x01)
 }
 
-/// Receives the next message of the handshake.
-async fn receive_message(channel: &Arc<dyn Channel>) -> Result<HandshakeMessage, BleError> {
-    decoded(channel, &receive(channel).await?)
-}
-
-fn decoded(channel: &Arc<dyn Channel>, sdu: &[u8]) -> Result<HandshakeMessage, BleError> {
-    HandshakeMessage::decode(sdu).map_err(|error| protocol(channel, &error.to_string()))
-}
-
-async fn receive(channel: &Arc<dyn Channel>) -> Result<Vec<u8>, BleError> {
-    // The first batch of a plain peer may be longer than any hello, and the kernel truncates an SDU to the buffer.
-    let mut sdu = vec![0; usize::from(RECV_MTU)];
-    let size = tokio::time::timeout(MESSAGE_TIMEOUT, channel.recv(&mut sdu))
-        .await
-        .map_err(|_| timed_out())??;
-    sdu.truncate(size);
-    Ok(sdu)
-}
-
 fn timed_out() -> BleError {
     BleError::Radio(RadioError::TimedOut {
         action: "waiting for the peer in the handshake",
         limit: MESSAGE_TIMEOUT,
     })
-}
-
-fn no_shared_secret(channel: &Arc<dyn Channel>) -> BleError {
-    BleError::NoSharedSecret {
-        peer: channel.peer(),
-    }
 }
 
 fn protocol(channel: &Arc<dyn Channel>, what: &str) -> BleError {

@@ -48,14 +48,18 @@ use crate::{
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
     protocol::hello::Hello,
-    protocol::lanes::Lane,
+    protocol::lanes::{sdu::Protection, Lane},
     radio::{Channel, Radio},
 };
 
 /// The framing of the batches of a link.
 pub(crate) enum Framing {
     /// On lanes: see section 4 of `PROTOCOL.md`. The windows are the numbers of bytes that each side accepts unacknowledged.
-    Lanes { own_window: u16, peer_window: u16 },
+    Lanes {
+        own_window: u16,
+        peer_window: u16,
+        protection: Protection,
+    },
     /// Bare batches, for peers without a hello. `first` is a batch that was received already.
     Plain { first: Option<Vec<u8>> },
 }
@@ -65,12 +69,14 @@ impl Framing {
     pub(crate) fn with(
         channel: &Arc<dyn Channel>,
         peer: Option<&Hello>,
+        protection: Protection,
         first: Option<Vec<u8>>,
     ) -> Self {
         match peer {
             Some(peer) => Self::Lanes {
                 own_window: own_window(channel),
                 peer_window: peer.window,
+                protection,
             },
             None => Self::Plain { first },
         }
@@ -140,12 +146,14 @@ impl LinkBle {
             Framing::Lanes {
                 own_window,
                 peer_window,
+                protection,
             } => {
                 let options = TrafficOptions {
                     bounds: queueing.bounds,
                     mtu,
                     own_window,
                     peer_window,
+                    protection,
                     intervals: IntervalEvents::new(Arc::clone(&node), number),
                 };
                 let (channel, close_once) = (Arc::clone(&channel), Arc::clone(&close_once));
@@ -208,6 +216,10 @@ impl LinkBle {
             address: self.channel.peer().address.to_string(),
             adapter: self.channel.adapter().to_owned(),
             mtu: self.mtu,
+            encrypted: match &self.batches {
+                Batches::Lanes { traffic, .. } => traffic.is_encrypted(),
+                Batches::Plain(_) => false,
+            },
             up_s: self.since.elapsed().as_secs_f64(),
             sent,
             received,

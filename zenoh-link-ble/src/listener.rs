@@ -12,7 +12,7 @@ use crate::{
     address::DeviceAddress,
     advertisement::Advertisement,
     error::{describe, BleError},
-    handshake::{agreed_mtu, answer, channel_options, own_window, receive_hello, refuse, FirstSdu},
+    handshake::{agreed_mtu, channel_options, own_window, FirstSdu, HandshakeChannel},
     link::{
         intervals::NewLink,
         node::{set_if_changed, ListenerIdentity, Node},
@@ -278,7 +278,8 @@ impl Listener {
         device: DeviceAddress,
         permit: HandshakePermit,
     ) -> Result<Option<Arc<LinkBle>>, BleError> {
-        let received = receive_hello(&channel, self.node.id, self.secret.as_ref());
+        let mut handshake = HandshakeChannel::new(&channel);
+        let received = handshake.receive_hello(self.secret.as_ref());
         let Some(received) = permit.unless_evicted(received).await else {
             return Ok(None);
         };
@@ -286,7 +287,12 @@ impl Listener {
             FirstSdu::Hello(hello) => (Some(hello), None),
             FirstSdu::Plain(batch) => (None, Some(batch)),
         };
-        let mtu = agreed_mtu(&channel, self.locator.mtu, peer.as_ref())?;
+        let mtu = agreed_mtu(
+            &channel,
+            self.locator.mtu,
+            peer.as_ref(),
+            handshake.overhead(),
+        )?;
         let replaced = CancellationToken::new();
         let (verdict, number) = self.node.link_table().on_hello(
             &self.name,
@@ -302,7 +308,7 @@ impl Listener {
                 let reason = refusal.own_reason();
                 tracing::info!("ble: refused a link with {device}: {reason}");
                 if peer.is_some() {
-                    if let Some(refused) = permit.unless_evicted(refuse(&channel, refusal)).await {
+                    if let Some(refused) = permit.unless_evicted(handshake.refuse(refusal)).await {
                         // The peer completed a correct handshake, although it was refused.
                         permit.succeed();
                         refused?;
@@ -329,10 +335,26 @@ impl Listener {
         let offered = peer.as_ref().and_then(|peer| peer.intervals.clone());
         let intervals = (self.node.intervals()).on_dialled(number, new_link, own.clone(), offered);
         set_if_changed(radio.as_ref(), device, own, intervals.requested).await;
+        if let Some(peer) = &peer {
+            let own = Hello {
+                version: VERSION.min(peer.version),
+                node: self.node.id,
+                mtu: self.locator.mtu,
+                window: own_window(&channel),
+                name: self.name.clone(),
+                intervals: Some(intervals),
+            };
+            let accepted = handshake.answer(&HandshakeMessage::Accept(own)).await;
+            if let Err(error) = accepted {
+                self.node.on_link_closed(number);
+                return Err(error);
+            }
+        }
+        let protection = handshake.into_protection();
         let opened = Opened {
             channel: Arc::clone(&channel),
             radio: Arc::clone(&self.adapter.radio),
-            framing: Framing::with(&channel, peer.as_ref(), first),
+            framing: Framing::with(&channel, peer.as_ref(), protection, first),
             mtu,
             queueing: self.locator.queueing,
             peer_name: peer.as_ref().map_or_else(String::new, |p| p.name.clone()),
@@ -345,18 +367,6 @@ impl Listener {
                 what: error.to_string(),
             }
         })?;
-        if let Some(peer) = peer {
-            let own = Hello {
-                version: VERSION.min(peer.version),
-                node: self.node.id,
-                mtu: self.locator.mtu,
-                window: own_window(&channel),
-                name: self.name.clone(),
-                nonce: None,
-                intervals: Some(intervals),
-            };
-            answer(&channel, HandshakeMessage::Accept(own)).await?;
-        }
         let action = self.node.intervals().next_action();
         self.node.perform(action);
         tokio::select! {

@@ -4,5 +4,7 @@
 //! repository: it may change in any release.
 pub mod goodbye;
 pub mod hello;
+pub mod key_agreement;
 pub mod lanes;
+pub mod seal;
 pub mod secret;

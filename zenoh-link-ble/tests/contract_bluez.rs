@@ -7,6 +7,7 @@ mod shared {
     pub mod listener;
     pub mod peer;
     pub mod raw;
+    pub mod sealed;
 }
 
 use std::{process::Command, time::Duration};

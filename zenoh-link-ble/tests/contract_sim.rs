@@ -4,6 +4,7 @@ mod shared {
     pub mod listener;
     pub mod peer;
     pub mod raw;
+    pub mod sealed;
 }
 
 use contract::World;

@@ -37,6 +37,8 @@ pub struct LinkStatus {
     pub adapter: String,
     /// Largest batch, in bytes.
     pub mtu: u16,
+    /// Whether the link is encrypted and authenticated with the secret of both sides.
+    pub encrypted: bool,
     /// Time since the link was opened, in seconds.
     pub up_s: f64,
     /// Batches that were sent.

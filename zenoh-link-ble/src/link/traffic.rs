@@ -16,9 +16,9 @@ use crate::{
         ack_timer::ACK_TIMEOUT,
         receiver::Violation,
         report::Count,
-        scheduler::{Bounds, Next},
-        sdu::SduError,
-        Change, Lane, Lanes, HEADER, LANES,
+        scheduler::{Bounds, Next, Sent},
+        sdu::Protection,
+        Change, Lane, Lanes, LANES,
     },
     radio::{Channel, RadioError},
 };
@@ -41,6 +41,7 @@ pub(crate) struct TrafficOptions {
     pub(crate) own_window: u16,
     /// Number of bytes that the peer accepts unacknowledged.
     pub(crate) peer_window: u16,
+    pub(crate) protection: Protection,
     pub(crate) intervals: IntervalEvents,
 }
 
@@ -49,6 +50,10 @@ pub(crate) struct Traffic {
     channel: Arc<dyn Channel>,
     peer: String,
     mtu: usize,
+    /// Number of bytes that an SDU has in addition to its batch.
+    overhead: usize,
+    /// Whether SDUs are encrypted.
+    is_encrypted: bool,
     state: Mutex<State>,
     to_send: Notify,
     room: Notify,
@@ -80,17 +85,6 @@ impl State {
     }
 }
 
-/// The result of an attempt to send an SDU.
-enum SendOutcome {
-    Sdu(Next),
-    /// There is nothing to send, or nothing may be sent now.
-    Nothing,
-    /// The channel has no room.
-    NoRoom,
-    /// The peer has acknowledged nothing for too long.
-    Unacknowledged,
-}
-
 /// The tasks of a link, which end when this is dropped.
 pub(crate) struct Tasks {
     _sending: AbortOnDropHandle<()>,
@@ -111,14 +105,18 @@ impl Traffic {
             mtu,
             own_window,
             peer_window,
+            protection,
             intervals,
         } = options;
         let mtu = usize::from(mtu);
-        let lanes = Lanes::new(bounds, mtu, own_window, peer_window);
+        let (overhead, is_encrypted) = (protection.overhead(), protection.is_encrypted());
+        let lanes = Lanes::new(bounds, mtu, own_window, peer_window, protection);
         let traffic = Arc::new(Self {
             channel,
             peer,
             mtu,
+            overhead,
+            is_encrypted,
             close_once,
             intervals,
             state: Mutex::new(State {
@@ -265,6 +263,11 @@ impl Traffic {
         self.to_send.notify_one();
     }
 
+    /// Returns whether the SDUs are encrypted.
+    pub(crate) fn is_encrypted(&self) -> bool {
+        self.is_encrypted
+    }
+
     /// Returns the state of the lanes, and the totals of what was sent and received.
     pub(crate) fn status(&self) -> (LanesStatus, Count, Count) {
         LanesStatus::of(&self.state.lock().lanes, Instant::now().into_std())
@@ -274,17 +277,17 @@ impl Traffic {
     async fn send(&self) {
         loop {
             match self.send_next() {
-                Ok(SendOutcome::Nothing) => {
+                Ok(Some(Sent::Nothing)) => {
                     let more = self.to_send.notified();
                     self.until_ack_deadline(more).await;
                 }
-                Ok(SendOutcome::Sdu(Next::Batch(_))) => {
+                Ok(Some(Sent::Sdu(Next::Batch(_)))) => {
                     // All lanes share one bound, so the writers of all lanes are notified.
                     self.room.notify_waiters();
                 }
-                Ok(SendOutcome::Sdu(Next::Signal)) => {}
-                Ok(SendOutcome::Sdu(Next::Goodbye)) => return,
-                Ok(SendOutcome::NoRoom) => {
+                Ok(Some(Sent::Sdu(Next::Signal))) => {}
+                Ok(Some(Sent::Sdu(Next::Goodbye))) => return,
+                Ok(Some(Sent::NoRoom)) => {
                     let since = Instant::now();
                     let room = tokio::time::timeout(SEND_TIMEOUT, self.channel.writable());
                     if let Some(Err(_)) = self.until_ack_deadline(room).await {
@@ -294,7 +297,7 @@ impl Traffic {
                         self.intervals.on_starved();
                     }
                 }
-                Ok(SendOutcome::Unacknowledged) => {
+                Ok(None) => {
                     let error = BleError::Unacknowledged {
                         peer: self.peer.clone(),
                         limit: ACK_TIMEOUT,
@@ -316,27 +319,21 @@ impl Traffic {
     }
 
     /// Tries to send the most urgent SDU. The SDU is selected again for each attempt, so that a queued batch can be
-    /// overtaken until the channel accepts it.
-    fn send_next(&self) -> Result<SendOutcome, RadioError> {
-        let mut state = self.state.lock();
+    /// overtaken until the channel accepts it. Returns `None` if the peer has acknowledged nothing for too long.
+    fn send_next(&self) -> Result<Option<Sent>, RadioError> {
+        let (mut state, now) = (self.state.lock(), Instant::now().into_std());
         let deadline = state.lanes.ack_deadline();
-        if deadline.is_some_and(|deadline| Instant::now().into_std() >= deadline) {
-            return Ok(SendOutcome::Unacknowledged);
+        if deadline.is_some_and(|deadline| now >= deadline) {
+            return Ok(None);
         }
-        let Some((next, sdu)) = state.lanes.peek() else {
-            return Ok(SendOutcome::Nothing);
-        };
-        if !self.channel.try_send(sdu)? {
-            return Ok(SendOutcome::NoRoom);
-        }
-        state.lanes.on_sent(next, Instant::now().into_std());
-        Ok(SendOutcome::Sdu(next))
+        let send = |sdu: &[u8]| self.channel.try_send(sdu);
+        state.lanes.send(now, send).map(Some)
     }
 
     /// Receives SDUs until the link ends, and then ends it for all waiting tasks.
     async fn receive(&self, replaced: CancellationToken) {
         // One byte more than is allowed, so that a larger SDU is detected instead of being truncated.
-        let mut sdu = vec![0; self.mtu + HEADER + 1];
+        let mut sdu = vec![0; self.mtu + self.overhead + 1];
         let error: Arc<BleError> = loop {
             let received = tokio::select! {
                 size = self.channel.recv(&mut sdu) => size,
@@ -348,7 +345,7 @@ impl Traffic {
                 error = self.failure() => break error,
             };
             let change = match received {
-                Ok(size) => self.on_sdu(sdu.get(..size).unwrap_or_default()),
+                Ok(size) => self.on_sdu(sdu.get_mut(..size).unwrap_or_default()),
                 // The simulated radio reports an SDU that is too large; a kernel truncates it to the buffer, which is
                 // one byte larger than allowed. Both end the link in the same way.
                 Err(RadioError::SduTooLarge { size, .. }) => Err(self.too_large(size)),
@@ -385,7 +382,7 @@ impl Traffic {
     }
 
     /// Hands a received SDU to the lanes.
-    fn on_sdu(&self, sdu: &[u8]) -> Result<Change, Violation> {
+    fn on_sdu(&self, sdu: &mut [u8]) -> Result<Change, Violation> {
         let mut state = self.state.lock();
         let change = state.lanes.on_sdu(sdu, Instant::now().into_std())?;
         if state.lanes.has_signal() {
@@ -396,7 +393,7 @@ impl Traffic {
 
     fn too_large(&self, sdu_bytes: usize) -> Violation {
         Violation::TooLarge {
-            size: sdu_bytes.saturating_sub(HEADER),
+            size: sdu_bytes.saturating_sub(self.overhead),
             mtu: self.mtu,
         }
     }
@@ -404,7 +401,7 @@ impl Traffic {
     /// Ends the link because of a violation by the peer.
     fn fail_for(&self, violation: Violation) {
         let goodbye = match violation {
-            Violation::Sdu(SduError::Fault(_)) => Goodbye::LostOrDamaged,
+            Violation::Sdu(error) if error.is_of_path() => Goodbye::LostOrDamaged,
             _ => Goodbye::ProtocolError,
         };
         let error = BleError::Protocol {

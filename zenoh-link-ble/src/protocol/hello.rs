@@ -1,13 +1,13 @@
 //! Encodes and decodes the messages of the handshake. Each side sends a [`Hello`], the dialler as HELLO and the
-//! listener as ACCEPT. The two determine the version, the MTU and the identities of the nodes.
+//! listener as ACCEPT. The two determine the version, the MTU and the identities of the nodes. With a secret, the messages
+//! KEY and KEY ANSWER precede them, after which all SDUs are sealed.
 //!
 //! For the layout and the rules see section 3 of `PROTOCOL.md`.
 use std::fmt;
 
 use crate::{
-    interval::ConnectionInterval,
+    interval::ConnectionInterval, protocol::key_agreement::KeyMessage,
     protocol::lanes::credits::MIN_WINDOW,
-    protocol::secret::{Nonce, Proof, NONCE_BYTES, PROOF_BYTES},
 };
 
 pub use crate::node_id::NodeId;
@@ -16,7 +16,7 @@ pub use crate::node_id::NodeId;
 /// its first byte and `R` (0x52) does not, so the first byte identifies a plain peer.
 pub const MAGIC: [u8; 4] = *b"RECT";
 /// The version of the wire format that this crate implements.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// The largest message of the handshake, in bytes. Later versions may append fields up to this size.
 pub const MAX_SIZE: usize = 128;
 /// The longest name, in bytes: what fits into a scan response.
@@ -29,12 +29,10 @@ pub const MIN_MTU: u16 = 128;
 const KIND_HELLO: u8 = 1;
 const KIND_ACCEPT: u8 = 2;
 const KIND_REFUSE: u8 = 3;
-const KIND_CHALLENGE: u8 = 4;
-const KIND_PROOF: u8 = 5;
+const KIND_KEY: u8 = 4;
+const KIND_KEY_ANSWER: u8 = 5;
 
-/// The byte that precedes the nonce of a hello, after the name.
-const NONCE_FOLLOWS: u8 = b'S';
-/// The byte that precedes the connection intervals of a hello, after the name and the nonce.
+/// The byte that precedes the connection intervals of a hello, after the name.
 const INTERVALS_FOLLOW: u8 = b'I';
 
 /// The content of HELLO and ACCEPT: the properties of the side that sends it.
@@ -51,8 +49,6 @@ pub struct Hello {
     pub window: u16,
     /// Name of the sender, at most [`MAX_NAME`] bytes; may be empty.
     pub name: String,
-    /// Nonce for the listener's proof (`secret`). Present only in the hello of a dialler that has a secret.
-    pub nonce: Option<Nonce>,
     /// Connection intervals, at most [`MAX_INTERVALS`]: the one that the dialler requests, and then those that the link must
     /// avoid for the sender's sake. `None` if the sender cannot choose intervals.
     pub intervals: Option<Intervals>,
@@ -82,7 +78,7 @@ pub enum Refusal {
     NameTaken,
     /// The two do not have the same secret.
     Secret,
-    /// The hello or the proof violates the protocol.
+    /// A message of the handshake violates the protocol.
     Malformed,
     /// A reason that this version does not know, with its code.
     Other(u8),
@@ -168,22 +164,27 @@ pub enum HandshakeMessage {
     Accept(Hello),
     /// REFUSE: the answer that refuses the link.
     Refuse(Refusal),
-    /// CHALLENGE: the first answer of a listener that has a secret. It proves the secret and requests the dialler's
-    /// proof.
-    Challenge(Challenge),
-    /// PROOF: the dialler's answer to the challenge.
-    Proof(Proof),
+    /// KEY: the first message of a dialler that has a secret.
+    Key(Key),
+    /// KEY ANSWER: the answer of a listener that has a secret.
+    KeyAnswer(Key),
 }
 
-/// The first answer of a listener that has a secret.
+/// One side's part of the key agreement.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Challenge {
-    /// Node id of the listener.
-    pub node: NodeId,
-    /// Nonce for the dialler's proof.
-    pub nonce: Nonce,
-    /// Proof that the listener has the secret.
-    pub proof: Proof,
+pub struct Key {
+    /// The highest version of the wire format that the sender supports.
+    pub version: u8,
+    /// The message of the key agreement.
+    pub message: KeyMessage,
+}
+
+impl Key {
+    /// Returns what is sent before the message in KEY, which the key agreement authenticates.
+    pub fn header(version: u8) -> [u8; 6] {
+        let [a, b, c, d] = MAGIC;
+        [a, b, c, d, KIND_KEY, version]
+    }
 }
 
 /// Why an SDU is not a valid message of the handshake.
@@ -198,9 +199,9 @@ pub enum HandshakeMessageError {
     /// The kind of the message is unknown.
     #[error("a handshake message has the unknown kind {0}")]
     Kind(u8),
-    /// The version is 0, which does not exist.
-    #[error("version 0 does not exist")]
-    Version,
+    /// The version is older than [`VERSION`].
+    #[error("it supports at most version {0} of the link, and this side needs version {VERSION}: update the older side")]
+    Version(u8),
     /// The offered MTU is under [`MIN_MTU`].
     #[error("an mtu of {0} bytes is under the {MIN_MTU} that the handshake needs")]
     Mtu(u16),
@@ -214,13 +215,13 @@ pub enum HandshakeMessageError {
 
 impl HandshakeMessageError {
     /// Returns the refusal with which a listener answers a first SDU that it cannot decode. Returns `None` if the
-    /// listener does not answer: if the SDU is not of this protocol, or is an answer (ACCEPT, REFUSE, CHALLENGE,
-    /// PROOF), which belongs to another channel.
+    /// listener does not answer: if the SDU is not of this protocol, or is an answer (ACCEPT, REFUSE,
+    /// KEY ANSWER), which belongs to another channel.
     pub fn refusal(&self, sdu: &[u8]) -> Option<Refusal> {
         let kind = sdu.strip_prefix(&MAGIC)?.first();
         match (kind, self) {
-            (Some(KIND_ACCEPT..=KIND_PROOF), _) => None,
-            (_, Self::Version) => Some(Refusal::Version),
+            (Some(&(KIND_ACCEPT | KIND_REFUSE | KIND_KEY_ANSWER)), _) => None,
+            (_, Self::Version(_)) => Some(Refusal::Version),
             _ => Some(Refusal::Malformed),
         }
     }
@@ -235,16 +236,8 @@ impl HandshakeMessage {
             Self::Hello(hello) => encode_hello(&mut sdu, KIND_HELLO, hello),
             Self::Accept(hello) => encode_hello(&mut sdu, KIND_ACCEPT, hello),
             Self::Refuse(refusal) => sdu.extend_from_slice(&[KIND_REFUSE, VERSION, refusal.code()]),
-            Self::Challenge(challenge) => {
-                sdu.extend_from_slice(&[KIND_CHALLENGE, VERSION]);
-                sdu.extend_from_slice(&challenge.node.0.to_le_bytes());
-                sdu.extend_from_slice(&challenge.nonce);
-                sdu.extend_from_slice(&challenge.proof);
-            }
-            Self::Proof(proof) => {
-                sdu.extend_from_slice(&[KIND_PROOF, VERSION]);
-                sdu.extend_from_slice(proof);
-            }
+            Self::Key(key) => encode_key(&mut sdu, KIND_KEY, key),
+            Self::KeyAnswer(key) => encode_key(&mut sdu, KIND_KEY_ANSWER, key),
         }
         sdu
     }
@@ -269,11 +262,8 @@ impl HandshakeMessage {
                 [_version, code, ..] => Ok(Self::Refuse(Refusal::from_code(*code))),
                 _ => Err(length),
             },
-            KIND_CHALLENGE => decode_challenge(body, length).map(Self::Challenge),
-            KIND_PROOF => match body.get(1..).and_then(|body| body.first_chunk()) {
-                Some(&proof) => Ok(Self::Proof(proof)),
-                None => Err(length),
-            },
+            KIND_KEY => decode_key(body, length).map(Self::Key),
+            KIND_KEY_ANSWER => decode_key(body, length).map(Self::KeyAnswer),
             other => Err(HandshakeMessageError::Kind(other)),
         }
     }
@@ -287,10 +277,6 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
     sdu.extend_from_slice(&hello.window.to_le_bytes());
     sdu.push(name.len() as u8);
     sdu.extend_from_slice(name);
-    if let Some(nonce) = &hello.nonce {
-        sdu.push(NONCE_FOLLOWS);
-        sdu.extend_from_slice(nonce);
-    }
     if let Some(intervals) = &hello.intervals {
         encode_intervals(sdu, intervals);
     }
@@ -306,7 +292,7 @@ fn encode_intervals(sdu: &mut Vec<u8>, intervals: &Intervals) {
     }
 }
 
-/// Decodes the intervals after the name and the nonce. Returns `None` if there are none, or if they are not valid: the link
+/// Decodes the intervals after the name. Returns `None` if there are none, or if they are not valid: the link
 /// works without them.
 fn decode_intervals(rest: &[u8]) -> Option<Intervals> {
     let (&INTERVALS_FOLLOW, rest) = rest.split_first()? else {
@@ -335,31 +321,33 @@ fn decode_intervals(rest: &[u8]) -> Option<Intervals> {
     })
 }
 
-fn decode_challenge(
+fn encode_key(sdu: &mut Vec<u8>, kind: u8, key: &Key) {
+    sdu.extend_from_slice(&[kind, key.version]);
+    sdu.extend_from_slice(&key.message);
+}
+
+fn decode_key(body: &[u8], length: HandshakeMessageError) -> Result<Key, HandshakeMessageError> {
+    let (version, body) = decode_version(body, length.clone())?;
+    let (&message, _) = body.split_first_chunk().ok_or(length)?;
+    Ok(Key { version, message })
+}
+
+fn decode_version(
     body: &[u8],
     length: HandshakeMessageError,
-) -> Result<Challenge, HandshakeMessageError> {
-    let (_version, body) = body.split_first().ok_or(length.clone())?;
-    let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
-    let (&nonce, body) = body
-        .split_first_chunk::<NONCE_BYTES>()
-        .ok_or(length.clone())?;
-    let (&proof, _) = body.split_first_chunk::<PROOF_BYTES>().ok_or(length)?;
-    Ok(Challenge {
-        node: NodeId(u64::from_le_bytes(node)),
-        nonce,
-        proof,
-    })
+) -> Result<(u8, &[u8]), HandshakeMessageError> {
+    let (&version, body) = body.split_first().ok_or(length)?;
+    match version {
+        0..VERSION => Err(HandshakeMessageError::Version(version)),
+        version => Ok((version, body)),
+    }
 }
 
 fn decode_hello(
     body: &[u8],
     length: HandshakeMessageError,
 ) -> Result<Hello, HandshakeMessageError> {
-    let (&version, body) = body.split_first().ok_or(length.clone())?;
-    if version == 0 {
-        return Err(HandshakeMessageError::Version);
-    }
+    let (version, body) = decode_version(body, length.clone())?;
     let (&node, body) = body.split_first_chunk::<8>().ok_or(length.clone())?;
     let (&mtu, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
     let (&window, body) = body.split_first_chunk::<2>().ok_or(length.clone())?;
@@ -370,13 +358,6 @@ fn decode_hello(
     }
     let (name, rest) = body.split_at_checked(name_length).ok_or(length)?;
     let name = std::str::from_utf8(name).map_err(|_| HandshakeMessageError::Name)?;
-    let (nonce, rest) = match rest.split_first() {
-        Some((&NONCE_FOLLOWS, rest)) => match rest.split_first_chunk() {
-            Some((nonce, rest)) => (Some(*nonce), rest),
-            None => (None, &[][..]),
-        },
-        _ => (None, rest),
-    };
     let mtu = u16::from_le_bytes(mtu);
     if mtu < MIN_MTU {
         return Err(HandshakeMessageError::Mtu(mtu));
@@ -391,7 +372,6 @@ fn decode_hello(
         mtu,
         window,
         name: name.to_owned(),
-        nonce,
         intervals: decode_intervals(rest),
     })
 }

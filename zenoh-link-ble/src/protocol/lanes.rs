@@ -1,11 +1,12 @@
 //! Handles batches between Zenoh and the channel. In each direction, a link has one lane for each of Zenoh's priorities,
 //! and the lanes have strict precedence. This module bounds what the lanes hold, applies the receiver's credits, and
-//! verifies the check of each SDU, which detects loss and damage.
+//! protects each SDU against loss and damage, and with a
+//! secret against everybody.
 //!
 //! The module is plain logic without I/O and is given the time; `link/traffic.rs` moves the SDUs.
 //!
 //! ```text
-//! write_all(priority) -> Lanes::push -> Scheduler: lanes by priority -> Lanes::peek -> SDU -> channel
+//! write_all(priority) -> Lanes::push -> Scheduler: lanes by priority -> Lanes::send -> SDU -> channel
 //! read(priority)      <- Lanes::take <- Receiver: lanes by priority  <- Lanes::on_sdu <- SDU <- channel
 //!                                       Receiver's signals -> Scheduler (acknowledgements, full lanes)
 //! ```
@@ -31,14 +32,12 @@ use self::{
     path::Path,
     receiver::{Received, Receiver, Violation},
     report::{InLaneReport, OutLaneReport},
-    scheduler::{Bounds, Next, Scheduler},
-    sdu::Content,
+    scheduler::{Bounds, Scheduler, Sent},
+    sdu::{Content, Protection},
 };
 
 /// Number of lanes of a link in each direction: one for each of Zenoh's priorities.
 pub const LANES: usize = Priority::NUM;
-/// Size of the header in front of a batch, in bytes: one byte for kind and lane, two for the check.
-pub const HEADER: usize = 3;
 
 /// One of the [`LANES`] lanes. Its number is the value of Zenoh's priority; 0 (`Control`) is the most urgent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -103,10 +102,16 @@ pub enum Change {
 impl Lanes {
     /// Creates the lanes of a new link. `mtu` is the largest batch, in bytes. `own_window` and `peer_window` are the numbers
     /// of bytes that this side and the peer accept unacknowledged.
-    pub fn new(bounds: Bounds, mtu: usize, own_window: u16, peer_window: u16) -> Self {
+    pub fn new(
+        bounds: Bounds,
+        mtu: usize,
+        own_window: u16,
+        peer_window: u16,
+        protection: Protection,
+    ) -> Self {
         Self {
-            out: Scheduler::new(bounds, mtu, peer_window),
-            into: Receiver::new(mtu, own_window),
+            out: Scheduler::new(bounds, mtu, peer_window, protection.out),
+            into: Receiver::new(mtu, own_window, protection.into),
         }
     }
 
@@ -121,13 +126,19 @@ impl Lanes {
         self.out.retry_at(lane, batch, now)
     }
 
-    /// Returns the SDU to send now. It is returned again until [`Lanes::on_sent`] confirms that it was sent, unless
-    /// something more urgent is queued before.
-    pub fn peek(&mut self) -> Option<(Next, &[u8])> {
+    /// Gives the next SDU to `send`, if there is one: see [`Scheduler::send`].
+    ///
+    /// # Errors
+    /// Those of `send`.
+    pub fn send<E>(
+        &mut self,
+        now: Instant,
+        send: impl FnOnce(&[u8]) -> Result<bool, E>,
+    ) -> Result<Sent, E> {
         while let Some(signal) = self.into.signal() {
             self.out.signal(signal);
         }
-        self.out.peek()
+        self.out.send(now, send)
     }
 
     /// Queues a connection interval for the peer, in units of 1.25 ms.
@@ -135,22 +146,17 @@ impl Lanes {
         self.out.signal(Content::Interval(units));
     }
 
-    /// Records that the SDU that [`Lanes::peek`] returned last was sent. Nothing may have been queued in between.
-    pub fn on_sent(&mut self, sent: Next, now: Instant) {
-        self.out.on_sent(sent, now);
-    }
-
     /// Returns when the link ends unless the peer acknowledges something, or `None` if no acknowledgement is due.
     pub fn ack_deadline(&self) -> Option<Instant> {
         self.out.ack_deadline()
     }
 
-    /// Handles a received SDU.
+    /// Handles a received SDU, and decrypts it in place.
     ///
     /// # Errors
     /// Fails if an earlier SDU was lost, or if this one is damaged, repeated or breaks the protocol. The link has to
     /// end then.
-    pub fn on_sdu(&mut self, sdu: &[u8], now: Instant) -> Result<Change, Violation> {
+    pub fn on_sdu(&mut self, sdu: &mut [u8], now: Instant) -> Result<Change, Violation> {
         match self.into.on_sdu(sdu)? {
             Received::Batch(lane) => Ok(Change::Batch(lane)),
             Received::Ack(total) => {

@@ -1,30 +1,18 @@
-//! Handles the secret that the nodes of a team share. A node proves to another that it has the secret, without revealing it,
-//! by a keyed hash over the messages of the handshake, which contain a nonce of each side.
+//! Handles the secret that the nodes of a team share, and derives from it what the handshake requires.
 //!
-//! The order of the messages is in `handshake`, and their layout in section 3 of `PROTOCOL.md`.
+//! `key_agreement` uses it. Section 3 of `PROTOCOL.md` specifies both.
 use std::{fmt, fs, io, io::Read, path::Path};
 
 use hmac::{Hmac, Mac};
 use sha3::Sha3_256;
 
-use crate::node_id::NodeId;
-
-/// Size of a nonce, in bytes. It is large enough that a node never uses the same nonce twice.
-pub const NONCE_BYTES: usize = 16;
-/// Size of a proof, in bytes: the part of the keyed hash that is sent.
-pub const PROOF_BYTES: usize = 16;
-/// The shortest secret, in bytes. An eavesdropper who has recorded a proof can try out secrets offline, so the secret has to
-/// be hard to guess.
+/// The shortest secret, in bytes. A stranger who has dialled a robot once can try out secrets offline, so the secret has to be
+/// hard to guess.
 pub const MIN_SECRET: usize = 16;
 /// The largest accepted `secret=` file, in bytes.
 const MAX_FILE: u64 = 65_536;
 
-/// The random bytes of one handshake.
-pub type Nonce = [u8; NONCE_BYTES];
-/// The first bytes of a keyed hash, which prove possession of the secret.
-pub type Proof = [u8; PROOF_BYTES];
-
-/// Why no secret or nonce could be obtained.
+/// Why no secret could be obtained.
 #[derive(Debug, thiserror::Error)]
 pub enum SecretError {
     /// The file cannot be read. Check that it exists and that the router's user may read it.
@@ -50,29 +38,6 @@ pub enum SecretError {
         /// Size of the secret, in bytes.
         length: usize,
     },
-    /// The operating system provides no random numbers, with its reason.
-    #[error("the system provides no random numbers: {0}")]
-    NoRandomness(String),
-}
-
-/// The side of a handshake that proves possession of the secret.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// The side that opened the channel.
-    Dialler,
-    /// The side that accepted the channel.
-    Listener,
-}
-
-/// The data that a proof authenticates.
-#[derive(Clone, Copy, Debug)]
-pub struct ProofTranscript<'a> {
-    /// The dialler's HELLO as it was sent, including its nonce.
-    pub hello: &'a [u8],
-    /// Node id of the listener.
-    pub listener: NodeId,
-    /// Nonce of the listener.
-    pub nonce: &'a Nonce,
 }
 
 /// A secret that a team shares. It is kept as the key of a hash and never printed.
@@ -121,17 +86,10 @@ impl Secret {
         Hmac::new_from_slice(key).ok().map(Self)
     }
 
-    /// Computes the proof of `side` for a handshake.
-    pub fn proof(&self, side: Side, transcript: ProofTranscript<'_>) -> Proof {
-        let hash = self.hash(side, transcript).finalize().into_bytes();
-        std::array::from_fn(|at| hash[at])
-    }
-
-    /// Returns whether `proof` is the proof of `side` for a handshake. The comparison takes constant time.
-    pub fn verify(&self, side: Side, transcript: ProofTranscript<'_>, proof: &Proof) -> bool {
-        self.hash(side, transcript)
-            .verify_truncated_left(proof)
-            .is_ok()
+    /// Derives the key that the handshake of two nodes with this secret requires.
+    pub fn pre_shared_key(&self) -> [u8; 32] {
+        let hash = self.0.clone().chain_update(b"RECT link 2 psk");
+        hash.finalize().into_bytes().into()
     }
 
     /// Derives the passkey of six digits with which Bluetooth pairs the two sides if `sec=high`.
@@ -139,41 +97,11 @@ impl Secret {
         let hash = (self.0.clone().chain_update(b"passkey").finalize()).into_bytes();
         u32::from_le_bytes(std::array::from_fn(|at| hash[at])) % 1_000_000
     }
-
-    fn hash(&self, side: Side, transcript: ProofTranscript<'_>) -> Hmac<Sha3_256> {
-        let side = match side {
-            Side::Dialler => b'D',
-            Side::Listener => b'L',
-        };
-        // The hello is last because it is the only part of variable length.
-        (self.0.clone())
-            .chain_update([side])
-            .chain_update(transcript.listener.0.to_le_bytes())
-            .chain_update(transcript.nonce)
-            .chain_update(transcript.hello)
-    }
-}
-
-/// Generates a nonce.
-///
-/// # Errors
-/// Fails if the operating system provides no random numbers.
-pub fn nonce() -> Result<Nonce, SecretError> {
-    let mut nonce = [0; NONCE_BYTES];
-    getrandom::fill(&mut nonce).map_err(|error| SecretError::NoRandomness(error.to_string()))?;
-    Ok(nonce)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const HELLO: &[u8] = b"RECT and so on";
-    const TRANSCRIPT: ProofTranscript<'static> = ProofTranscript {
-        hello: HELLO,
-        listener: NodeId(7),
-        nonce: &[3; NONCE_BYTES],
-    };
 
     fn secret(text: &str) -> Secret {
         Secret::new(text.as_bytes()).expect("long enough")
@@ -184,40 +112,6 @@ mod tests {
         let path = folder.path().join("users");
         fs::write(&path, text).expect("writes");
         Secret::read(&path)
-    }
-
-    #[test]
-    fn proof_is_valid_for_one_side_one_handshake_and_one_secret() {
-        let own = secret("a secret of 16 bytes");
-        let proof = own.proof(Side::Dialler, TRANSCRIPT);
-        assert!(own.verify(Side::Dialler, TRANSCRIPT, &proof));
-        assert!(!own.verify(Side::Listener, TRANSCRIPT, &proof), "reflected");
-        for other in [
-            ProofTranscript {
-                hello: b"RECT and so om",
-                ..TRANSCRIPT
-            },
-            ProofTranscript {
-                listener: NodeId(8),
-                ..TRANSCRIPT
-            },
-            ProofTranscript {
-                nonce: &[4; NONCE_BYTES],
-                ..TRANSCRIPT
-            },
-        ] {
-            assert!(!own.verify(Side::Dialler, other, &proof), "{other:?}");
-        }
-        let wrong = secret("a secret of 17 bytes");
-        assert!(!wrong.verify(Side::Dialler, TRANSCRIPT, &proof));
-        for bit in 0..PROOF_BYTES * 8 {
-            let mut damaged = proof;
-            damaged[bit / 8] ^= 1 << (bit % 8);
-            assert!(
-                !own.verify(Side::Dialler, TRANSCRIPT, &damaged),
-                "bit {bit}"
-            );
-        }
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! Contract of the handshake: the response of a listener to the first SDU of a channel, and the negotiated values.
+use std::convert::Infallible;
+
 use zenoh_link_ble::{
-    protocol::hello::{HandshakeMessage, Hello, Refusal, MIN_MTU},
+    protocol::hello::{HandshakeMessage, Hello, Refusal, MIN_MTU, VERSION},
     protocol::lanes::{
         credits::MIN_WINDOW,
-        sdu::{self, Content},
+        sdu::{Content, Protection},
         Lane,
     },
     radio::ChannelOptions,
@@ -46,6 +48,11 @@ pub async fn refuses_an_invalid_hello_with_the_reason(world: World) {
             with(|hello| hello.version = 0),
             Refusal::Version,
         ),
+        (
+            "an older version",
+            with(|hello| hello.version = VERSION - 1),
+            Refusal::Version,
+        ),
         ("too short", good[..20].to_vec(), Refusal::Malformed),
         ("too long", longer, Refusal::Malformed),
         (
@@ -61,7 +68,7 @@ pub async fn refuses_an_invalid_hello_with_the_reason(world: World) {
         ("its name", not_utf8, Refusal::Malformed),
         (
             "its kind",
-            b"RECT\x09\x01 and so on".to_vec(),
+            b"RECT\x09\x02 and so on".to_vec(),
             Refusal::Malformed,
         ),
         ("no kind", b"RECT".to_vec(), Refusal::Malformed),
@@ -97,7 +104,10 @@ pub async fn answers_a_later_version_with_its_own_version(world: World) {
     assert!(
         matches!(
             answer,
-            Some(HandshakeMessage::Accept(Hello { version: 1, .. }))
+            Some(HandshakeMessage::Accept(Hello {
+                version: VERSION,
+                ..
+            }))
         ),
         "{answer:?}"
     );
@@ -111,7 +121,7 @@ pub async fn delivers_a_batch_sent_before_the_accept(world: World) {
     channel.send(&hello).await.expect("sends");
     let first = Lane::first();
     let mut early = Content::Batch(first, &[7; 20]).encode();
-    sdu::seal(0, &mut early);
+    let Ok(_) = (Protection::checks().out).seal(&mut early, |_| Ok::<_, Infallible>(true));
     channel.send(&early).await.expect("sends");
     let far = b.incoming().await;
     let mut buffer = [0; 100];

@@ -123,8 +123,9 @@ macro_rules! for_each_scenario {
             refuses_links_without_the_secret_in_both_directions: secret,
             rejects_an_impostor_with_the_name_of_a_robot: secret,
             refuses_a_replayed_handshake: secret,
-            proof_covers_the_whole_hello: secret,
-            refuses_messages_before_the_proof: secret,
+            refuses_anything_but_a_sealed_hello: secret,
+            refuses_a_hello_without_keys: secret,
+            forged_sdu_ends_an_encrypted_link: secret,
             does_not_dial_a_plain_listener_with_a_secret: secret,
             sec_high_requires_a_secret: secret,
         }

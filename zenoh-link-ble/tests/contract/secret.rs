@@ -1,20 +1,24 @@
 //! Contract of the shared secret: peers with the secret are linked; peers without it, and replayed handshakes, are
-//! rejected.
+//! rejected. A link with a secret is encrypted, and an SDU that the peer has not sealed ends it.
 use std::sync::Arc;
 
 use tempfile::TempDir;
 use zenoh_link_ble::{
     advertisement::Advertisement,
-    protocol::hello::{Challenge, HandshakeMessage, Hello, NodeId, Refusal},
-    protocol::secret::{ProofTranscript, Secret, Side, NONCE_BYTES, PROOF_BYTES},
+    protocol::goodbye::Goodbye,
+    protocol::hello::{HandshakeMessage, Key, Refusal, VERSION},
+    protocol::key_agreement::{Initiator, KEY_MESSAGE_BYTES},
+    protocol::lanes::{sdu::Content, Lane},
+    protocol::secret::Secret,
     radio::Channel,
 };
 
-use super::{advertisement, World};
+use super::{advertisement, misbehaving::assert_link_ends, World};
 use crate::shared::{
     listener::OPTIONS,
     peer::{assert_delivers, within, Peer},
     raw::{hello, raw_channel},
+    sealed::{agree, dial_with_secret, receive_sealed, seal_message},
 };
 
 pub const OURS: &str = "fleet:what only we know";
@@ -42,14 +46,6 @@ fn ours() -> Secret {
     Secret::new(OURS.as_bytes()).expect("long enough")
 }
 
-fn hello_with_nonce(name: &str) -> Hello {
-    Hello {
-        nonce: Some([5; NONCE_BYTES]),
-        intervals: None,
-        ..hello(6, name)
-    }
-}
-
 async fn receive_message(channel: &Arc<dyn Channel>) -> HandshakeMessage {
     let mut buffer = [0; 2000];
     let size = within("the answer", channel.recv(&mut buffer)).await;
@@ -59,27 +55,6 @@ async fn receive_message(channel: &Arc<dyn Channel>) -> HandshakeMessage {
 async fn send_message(channel: &Arc<dyn Channel>, message: &HandshakeMessage) {
     let sent = within("sending", channel.send(&message.encode())).await;
     sent.expect("sends");
-}
-
-/// Runs the dialler's side of the handshake with our secret. Returns the proof that was sent, and the listener's last
-/// message.
-async fn authenticate(
-    channel: &Arc<dyn Channel>,
-    hello: &HandshakeMessage,
-) -> (HandshakeMessage, HandshakeMessage) {
-    send_message(channel, hello).await;
-    let HandshakeMessage::Challenge(challenge) = receive_message(channel).await else {
-        panic!("a listener with a secret sends a challenge");
-    };
-    let transcript = ProofTranscript {
-        hello: &hello.encode(),
-        listener: challenge.node,
-        nonce: &challenge.nonce,
-    };
-    assert!(ours().verify(Side::Listener, transcript, &challenge.proof));
-    let proof = HandshakeMessage::Proof(ours().proof(Side::Dialler, transcript));
-    send_message(channel, &proof).await;
-    (proof, receive_message(channel).await)
 }
 
 pub async fn links_two_nodes_with_the_same_secret(world: World) {
@@ -144,17 +119,16 @@ pub async fn rejects_an_impostor_with_the_name_of_a_robot(world: World) {
     let file = File::with(OURS);
     let a = Peer::on(&world.a);
     let accept = HandshakeMessage::Accept(hello(6, "wombat-2"));
-    let guess = HandshakeMessage::Challenge(Challenge {
-        node: NodeId(6),
-        nonce: [1; NONCE_BYTES],
-        proof: [1; PROOF_BYTES],
+    let guess = HandshakeMessage::KeyAnswer(Key {
+        version: VERSION,
+        message: [1; KEY_MESSAGE_BYTES],
     });
     for (answer, reason) in [
         (accept, NOT_SHARED),
         (guess, NOT_SHARED),
         (
-            HandshakeMessage::Proof([1; PROOF_BYTES]),
-            "was not requested",
+            HandshakeMessage::Hello(hello(6, "wombat-2")),
+            "answered a hello with a hello",
         ),
     ] {
         let listener = world.b.listen(None, OPTIONS).await.expect("listens");
@@ -164,7 +138,7 @@ pub async fn rejects_an_impostor_with_the_name_of_a_robot(world: World) {
             let channel = listener.accept().await.expect("accepts");
             assert!(matches!(
                 receive_message(&channel).await,
-                HandshakeMessage::Hello(_)
+                HandshakeMessage::Key(_)
             ));
             send_message(&channel, &answer).await;
             let mut received = Vec::new();
@@ -189,19 +163,30 @@ pub async fn refuses_a_replayed_handshake(world: World) {
     let file = File::with(OURS);
     let listener = format!("name=wombat-2;{}", file.option());
     let b = Peer::on(&world.b).listen_as(&listener).await;
-    let opening = HandshakeMessage::Hello(hello_with_nonce("wombat-3"));
     let channel = raw_channel(&world.a, &world.b).await;
-    let (proof, answer) = authenticate(&channel, &opening).await;
-    assert!(matches!(answer, HandshakeMessage::Accept(_)), "{answer:?}");
+    let started = Initiator::start(&ours(), &Key::header(VERSION));
+    let (initiator, message) = started.expect("starts");
+    let version = VERSION;
+    let key = HandshakeMessage::Key(Key { version, message });
+    send_message(&channel, &key).await;
+    let HandshakeMessage::KeyAnswer(answer) = receive_message(&channel).await else {
+        panic!("a listener with a secret answers with its key");
+    };
+    let agreed = initiator.finish(&answer.message).expect("our secret");
+    let mut keys = agreed.keys;
+    let sealed = seal_message(&mut keys, &HandshakeMessage::Hello(hello(6, "wombat-3")));
+    channel.send(&sealed).await.expect("sends");
+    let accepted = receive_sealed(&channel, &mut keys).await;
+    assert!(matches!(accepted, HandshakeMessage::Accept(_)));
     let link = b.incoming().await;
     // A replay of the same bytes by an eavesdropper.
     let again = raw_channel(&world.a, &world.b).await;
-    send_message(&again, &opening).await;
+    send_message(&again, &key).await;
     assert!(matches!(
         receive_message(&again).await,
-        HandshakeMessage::Challenge(_)
+        HandshakeMessage::KeyAnswer(_)
     ));
-    send_message(&again, &proof).await;
+    again.send(&sealed).await.expect("sends");
     assert_eq!(
         receive_message(&again).await,
         HandshakeMessage::Refuse(Refusal::Secret)
@@ -215,59 +200,84 @@ pub async fn refuses_a_replayed_handshake(world: World) {
     assert!(size.expect("receives") > b"still there".len());
 }
 
-/// A later version may append fields, which must be protected against changes too.
-pub async fn proof_covers_the_whole_hello(world: World) {
+pub async fn refuses_anything_but_a_sealed_hello(world: World) {
     let file = File::with(OURS);
     let listener = format!("name=wombat-2;{}", file.option());
     let b = Peer::on(&world.b).listen_as(&listener).await;
-    let known = HandshakeMessage::Hello(hello_with_nonce("wombat-3")).encode();
-    let sent = [&known[..], b"a field of a later version"].concat();
-    for (covered, is_accepted) in [(&known, false), (&sent, true)] {
+    let hello = HandshakeMessage::Hello(hello(6, "wombat-3"));
+    let early = Content::Batch(Lane::first(), b"an early batch").encode();
+    for what in [
+        "an early batch",
+        "a hello that is not sealed",
+        "half a hello",
+        "a changed hello",
+    ] {
         let channel = raw_channel(&world.a, &world.b).await;
-        channel.send(&sent).await.expect("sends");
-        let HandshakeMessage::Challenge(challenge) = receive_message(&channel).await else {
-            panic!("a listener with a secret sends a challenge");
-        };
-        let transcript = ProofTranscript {
-            hello: covered,
-            listener: challenge.node,
-            nonce: &challenge.nonce,
-        };
-        let is_proved = ours().verify(Side::Listener, transcript, &challenge.proof);
-        assert_eq!(is_proved, is_accepted, "the listener's own proof");
-        let proof = ours().proof(Side::Dialler, transcript);
-        send_message(&channel, &HandshakeMessage::Proof(proof)).await;
-        match receive_message(&channel).await {
-            HandshakeMessage::Accept(_) => assert!(is_accepted),
-            HandshakeMessage::Refuse(Refusal::Secret) => assert!(!is_accepted),
-            other => panic!("{other:?}"),
+        let mut keys = agree(&channel, &ours()).await;
+        let mut sealed = seal_message(&mut keys, &hello);
+        match what {
+            "an early batch" => sealed = early.clone(),
+            "a hello that is not sealed" => sealed = hello.encode(),
+            "half a hello" => sealed.truncate(20),
+            _ => sealed[10] ^= 1,
         }
-    }
-    drop(b.incoming().await);
-}
-
-pub async fn refuses_messages_before_the_proof(world: World) {
-    let file = File::with(OURS);
-    let listener = format!("name=wombat-2;{}", file.option());
-    let b = Peer::on(&world.b).listen_as(&listener).await;
-    let half_a_proof = HandshakeMessage::Proof([1; PROOF_BYTES]).encode()[..10].to_vec();
-    let again = HandshakeMessage::Hello(hello_with_nonce("wombat-3")).encode();
-    for instead in [b"\x00\x00\x00an early batch".to_vec(), half_a_proof, again] {
-        let channel = raw_channel(&world.a, &world.b).await;
-        send_message(
-            &channel,
-            &HandshakeMessage::Hello(hello_with_nonce("wombat-3")),
-        )
-        .await;
-        assert!(matches!(
-            receive_message(&channel).await,
-            HandshakeMessage::Challenge(_)
-        ));
-        channel.send(&instead).await.expect("sends");
-        let answer = receive_message(&channel).await;
-        assert_eq!(answer, HandshakeMessage::Refuse(Refusal::Malformed));
+        channel.send(&sealed).await.expect("sends");
+        let refusal = receive_message(&channel).await;
+        assert_eq!(refusal, HandshakeMessage::Refuse(Refusal::Secret), "{what}");
     }
     assert!(b.no_more_incoming());
+}
+
+/// Neither side falls back to a link without encryption, whatever it is offered.
+pub async fn refuses_a_hello_without_keys(world: World) {
+    let file = File::with(OURS);
+    let listener = format!("name=wombat-2;{}", file.option());
+    let b = Peer::on(&world.b).listen_as(&listener).await;
+    let channel = raw_channel(&world.a, &world.b).await;
+    send_message(&channel, &HandshakeMessage::Hello(hello(6, "wombat-3"))).await;
+    let refused = HandshakeMessage::Refuse(Refusal::Secret);
+    assert_eq!(receive_message(&channel).await, refused);
+    // An older version is none, either.
+    let channel = raw_channel(&world.a, &world.b).await;
+    let key = Key {
+        version: VERSION,
+        message: [1; KEY_MESSAGE_BYTES],
+    };
+    let mut older = HandshakeMessage::Key(key).encode();
+    older[5] = VERSION - 1;
+    channel.send(&older).await.expect("sends");
+    let refused = HandshakeMessage::Refuse(Refusal::Version);
+    assert_eq!(receive_message(&channel).await, refused);
+    assert!(b.no_more_incoming());
+}
+
+pub async fn forged_sdu_ends_an_encrypted_link(world: World) {
+    let file = File::with(OURS);
+    let listener = format!("name=wombat-2;{}", file.option());
+    let b = Peer::on(&world.b).listen_as(&listener).await;
+    let batch = |text: &[u8]| Content::Batch(Lane::first(), text).encode();
+    for attack in ["injected", "not sealed", "changed", "repeated"] {
+        let mut raw = dial_with_secret(&world.a, &world.b, "raw", &ours()).await;
+        let far = b.incoming().await;
+        raw.send_sdu(batch(b"honest")).await;
+        let mut buffer = [0; 100];
+        let size = within("the batch", far.read(&mut buffer, None)).await;
+        assert_eq!(&buffer[..size.expect("reads")], b"honest");
+        let mut sdu = raw.seal(batch(b"sealed"));
+        match attack {
+            "injected" => sdu = vec![0; 20],
+            "not sealed" => sdu = batch(b"not sealed"),
+            "changed" => sdu[3] ^= 1,
+            _ => raw.send_raw(&sdu).await,
+        }
+        raw.send_raw(&sdu).await;
+        let reason = "could not be authenticated";
+        if attack == "repeated" {
+            let size = within("the batch", far.read(&mut buffer, None)).await;
+            assert_eq!(&buffer[..size.expect("reads")], b"sealed");
+        }
+        assert_link_ends(&mut raw, &far, reason, Goodbye::LostOrDamaged).await;
+    }
 }
 
 /// A plain listener cannot prove anything, and anyone can send an advertisement.

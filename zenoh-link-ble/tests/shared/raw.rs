@@ -1,12 +1,12 @@
 //! Provides a peer that works directly on a channel and can violate the link protocol.
-use std::sync::Arc;
+use std::{convert::Infallible, sync::Arc};
 
 use zenoh_link_ble::{
     locator::DEFAULT_MTU,
-    protocol::hello::{HandshakeMessage, Hello, NodeId},
+    protocol::hello::{HandshakeMessage, Hello, NodeId, VERSION},
     protocol::lanes::{
         credits::{cost, Allowance},
-        sdu::{self, Content},
+        sdu::{Content, Protection},
         Lane,
     },
     radio::{Channel, ChannelOptions, Radio},
@@ -41,12 +41,11 @@ pub async fn raw_channel_with(
 /// Returns a valid hello.
 pub fn hello(node: u64, name: &str) -> Hello {
     Hello {
-        version: 1,
+        version: VERSION,
         node: NodeId(node),
         mtu: DEFAULT_MTU,
         window: WINDOW,
         name: name.to_owned(),
-        nonce: None,
         intervals: None,
     }
 }
@@ -75,9 +74,8 @@ pub struct RawPeer {
     channel: Arc<dyn Channel>,
     /// Receive window of the link, in bytes.
     window: u16,
-    /// Sequence number of the next SDU.
-    pub sent: u32,
-    received: u32,
+    /// Seals and opens the SDUs.
+    pub protection: Protection,
     buffer: Vec<u8>,
 }
 
@@ -90,13 +88,26 @@ impl RawPeer {
         let Some(HandshakeMessage::Accept(Hello { window, .. })) = answer else {
             panic!("{answer:?}");
         };
+        Self::on(channel, window, Protection::checks())
+    }
+
+    /// Takes over a channel after the handshake, in which the listener announced `window`.
+    pub fn on(channel: Arc<dyn Channel>, window: u16, protection: Protection) -> Self {
         Self {
             channel,
             window,
-            sent: 0,
-            received: 0,
+            protection,
             buffer: vec![0; 20_000],
         }
+    }
+
+    /// Seals any bytes as the next SDU, and does not send them.
+    pub fn seal(&mut self, mut sdu: Vec<u8>) -> Vec<u8> {
+        let Ok(_) = self
+            .protection
+            .out
+            .seal(&mut sdu, |_| Ok::<_, Infallible>(true));
+        sdu
     }
 
     /// Returns the credits for sending.
@@ -110,9 +121,8 @@ impl RawPeer {
     }
 
     /// Seals any bytes as the next SDU and sends them.
-    pub async fn send_sdu(&mut self, mut sdu: Vec<u8>) {
-        sdu::seal(self.sent, &mut sdu);
-        self.sent += 1;
+    pub async fn send_sdu(&mut self, sdu: Vec<u8>) {
+        let sdu = self.seal(sdu);
         self.send_raw(&sdu).await;
     }
 
@@ -125,9 +135,8 @@ impl RawPeer {
     pub async fn receive(&mut self) -> Option<Content<'_>> {
         let received = within("receiving", self.channel.recv(&mut self.buffer)).await;
         let size = received.ok()?;
-        let content = sdu::open(self.received, &self.buffer[..size]).expect("follows the protocol");
-        self.received += 1;
-        Some(content)
+        let content = self.protection.into.open(&mut self.buffer[..size]);
+        Some(content.expect("follows the protocol"))
     }
 
     /// Returns the code of the goodbye, if one arrives before the channel is down.

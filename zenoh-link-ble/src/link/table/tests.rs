@@ -19,7 +19,6 @@ fn hello(node: NodeId, name: &str) -> Hello {
         mtu: 1000,
         window: 12_000,
         name: name.to_owned(),
-        nonce: None,
         intervals: None,
     }
 }

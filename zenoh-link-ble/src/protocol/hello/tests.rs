@@ -1,22 +1,15 @@
 //! Tests the messages of the handshake: `cargo test -p zenoh-link-ble --lib hello`
 use super::*;
+use crate::protocol::key_agreement::KEY_MESSAGE_BYTES;
 
 fn hello(name: &str) -> Hello {
     Hello {
-        version: 1,
+        version: VERSION,
         node: NodeId(0x0123_4567_89ab_cdef),
         mtu: 1000,
         window: 12_000,
         name: name.to_owned(),
-        nonce: None,
         intervals: None,
-    }
-}
-
-fn hello_with_nonce() -> Hello {
-    Hello {
-        nonce: Some([5; NONCE_BYTES]),
-        ..hello("ab")
     }
 }
 
@@ -31,16 +24,15 @@ fn hello_with_intervals(requested: Option<u16>, avoid: &[u16]) -> Hello {
     };
     Hello {
         intervals: Some(intervals),
-        ..hello_with_nonce()
+        ..hello("ab")
     }
 }
 
-fn challenge() -> HandshakeMessage {
-    HandshakeMessage::Challenge(Challenge {
-        node: NodeId(0x0123_4567_89ab_cdef),
-        nonce: [7; NONCE_BYTES],
-        proof: [8; PROOF_BYTES],
-    })
+fn key() -> Key {
+    Key {
+        version: VERSION,
+        message: [7; KEY_MESSAGE_BYTES],
+    }
 }
 
 #[test]
@@ -53,11 +45,10 @@ fn every_message_decodes_to_what_was_encoded() {
         HandshakeMessage::Refuse(Refusal::Crossing),
         HandshakeMessage::Refuse(Refusal::Secret),
         HandshakeMessage::Refuse(Refusal::Other(200)),
-        HandshakeMessage::Hello(hello_with_nonce()),
         HandshakeMessage::Hello(hello_with_intervals(Some(24), &[25, 3200])),
         HandshakeMessage::Accept(hello_with_intervals(None, &[])),
-        challenge(),
-        HandshakeMessage::Proof([9; PROOF_BYTES]),
+        HandshakeMessage::Key(key()),
+        HandshakeMessage::KeyAnswer(key()),
     ] {
         assert_eq!(HandshakeMessage::decode(&message.encode()), Ok(message));
     }
@@ -68,26 +59,24 @@ fn layout_is_as_documented() {
     let sdu = HandshakeMessage::Hello(hello("ab")).encode();
     assert_eq!(
         sdu,
-        b"RECT\x01\x01\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\xe0\x2e\x02ab"
+        b"RECT\x01\x02\xef\xcd\xab\x89\x67\x45\x23\x01\xe8\x03\xe0\x2e\x02ab"
     );
-    let with_nonce = HandshakeMessage::Hello(hello_with_nonce()).encode();
-    assert_eq!(with_nonce, [&sdu[..], b"S", &[5; 16]].concat());
     let with_intervals = HandshakeMessage::Hello(hello_with_intervals(Some(24), &[25, 300]));
-    let expected = [&with_nonce[..], b"I\x03\x18\x00\x19\x00\x2c\x01"].concat();
+    let expected = [&sdu[..], b"I\x03\x18\x00\x19\x00\x2c\x01"].concat();
     assert_eq!(with_intervals.encode(), expected);
-    let node = b"\xef\xcd\xab\x89\x67\x45\x23\x01";
-    let expected = [&b"RECT\x04\x01"[..], node, &[7; 16], &[8; 16]].concat();
-    assert_eq!(challenge().encode(), expected);
-    let proof = HandshakeMessage::Proof([9; PROOF_BYTES]).encode();
-    assert_eq!(proof, [&b"RECT\x05\x01"[..], &[9; 16]].concat());
+    let sdu = HandshakeMessage::Key(key()).encode();
+    assert_eq!(sdu, [&b"RECT\x04\x02"[..], &[7; 48]].concat());
+    assert_eq!(sdu[..6], Key::header(VERSION));
+    let answer = HandshakeMessage::KeyAnswer(key()).encode();
+    assert_eq!(answer, [&b"RECT\x05\x02"[..], &[7; 48]].concat());
 }
 
 #[test]
 fn truncated_message_is_rejected_at_every_length() {
     for message in [
         HandshakeMessage::Hello(hello("wombat-1")),
-        challenge(),
-        HandshakeMessage::Proof([9; PROOF_BYTES]),
+        HandshakeMessage::Key(key()),
+        HandshakeMessage::KeyAnswer(key()),
     ] {
         let sdu = message.encode();
         for length in 0..sdu.len() {
@@ -124,7 +113,8 @@ fn invalid_fields_are_reported() {
     };
     assert_eq!(with(0, b'X'), Err(HandshakeMessageError::NotAHello));
     assert_eq!(with(4, 9), Err(HandshakeMessageError::Kind(9)));
-    assert_eq!(with(5, 0), Err(HandshakeMessageError::Version));
+    assert_eq!(with(5, 0), Err(HandshakeMessageError::Version(0)));
+    assert_eq!(with(5, 1), Err(HandshakeMessageError::Version(1)));
     let mut small = good.clone();
     small[14..16].copy_from_slice(&127u16.to_le_bytes());
     assert_eq!(
@@ -150,7 +140,7 @@ fn zenoh_init_never_begins_like_a_hello() {
 
 #[test]
 fn invalid_intervals_are_ignored() {
-    let valid = HandshakeMessage::Hello(hello_with_nonce());
+    let valid = HandshakeMessage::Hello(hello("ab"));
     let sdu = valid.encode();
     for intervals in [
         &b"I"[..],

@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use super::{
     credits::{cost, Acks, CreditError},
     report::{Count, InLaneReport},
-    sdu::{self, Content, SduError},
-    Lane, HEADER, LANES,
+    sdu::{Content, Opener, SduError, HEAD_BYTES},
+    Lane, LANES,
 };
 
 /// Number of unread bytes above which a lane is stopped. Up to it, a fast radio can continue for a short time while
@@ -78,43 +78,41 @@ pub struct Receiver {
     signals: VecDeque<Content<'static>>,
     mtu: usize,
     window: usize,
-    /// Number of SDUs that were received.
-    number: u32,
+    opener: Opener,
     is_finished: bool,
 }
 
 impl Receiver {
     /// Creates the receiving side of a new link. `mtu` is the largest batch, and `window` what this side accepts
-    /// unacknowledged, both in bytes.
-    pub fn new(mtu: usize, window: u16) -> Self {
+    /// unacknowledged, both in bytes. `opener` verifies the SDUs of the peer.
+    pub fn new(mtu: usize, window: u16, opener: Opener) -> Self {
         Self {
             lanes: Default::default(),
             acks: Acks::new(window),
             signals: VecDeque::new(),
             mtu,
             window: usize::from(window),
-            number: 0,
+            opener,
             is_finished: false,
         }
     }
 
-    /// Handles a received SDU.
+    /// Handles a received SDU, and decrypts it in place.
     ///
     /// # Errors
     /// Fails if an earlier SDU was lost, or if this one is damaged, repeated or breaks the protocol. The link has to
     /// end then.
-    pub fn on_sdu(&mut self, sdu: &[u8]) -> Result<Received, Violation> {
+    pub fn on_sdu(&mut self, sdu: &mut [u8]) -> Result<Received, Violation> {
         if self.is_finished {
             return Err(Violation::AfterGoodbye);
         }
-        let size = sdu.len().saturating_sub(HEADER);
+        let overhead = HEAD_BYTES + self.opener.trailer_bytes();
+        let size = sdu.len().saturating_sub(overhead);
         if size > self.mtu {
             let mtu = self.mtu;
             return Err(Violation::TooLarge { size, mtu });
         }
-        let content = sdu::open(self.number, sdu)?;
-        self.number = self.number.wrapping_add(1);
-        match content {
+        match self.opener.open(sdu)? {
             Content::Batch(lane, batch) => {
                 self.on_batch(lane, batch)?;
                 Ok(Received::Batch(lane))

@@ -13,8 +13,8 @@ use super::{
     flight::Flight,
     path::Path,
     report::{Count, OutLaneReport},
-    sdu::{self, Content},
-    Lane, HEADER, LANES,
+    sdu::{Content, Sealer, HEAD_BYTES},
+    Lane, LANES,
 };
 
 /// The limits of what may wait on a link.
@@ -39,7 +39,7 @@ pub const RESERVED_BYTES_PER_LANE: usize = 65_536;
 /// Number of bytes that may wait before a droppable message while the rate of the link is not known.
 const INITIAL_DROPPABLE_BYTES: f64 = 4000.0;
 
-/// A batch that waits to be sent, encoded as an SDU.
+/// A batch that waits to be sent, encoded as an SDU without its trailer.
 struct Waiting {
     sdu: Vec<u8>,
     kind: BatchKind,
@@ -148,7 +148,7 @@ impl Waiting {
     }
 
     fn cost(&self) -> u16 {
-        cost(self.sdu.len() - HEADER)
+        cost(self.sdu.len() - HEAD_BYTES)
     }
 }
 
@@ -161,6 +161,17 @@ pub enum Next {
     Batch(Lane),
     /// The goodbye, after which nothing is sent.
     Goodbye,
+}
+
+/// The result of an attempt to send an SDU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// The SDU was sent.
+    Sdu(Next),
+    /// There is nothing to send, or nothing may be sent now.
+    Nothing,
+    /// The channel has no room for the SDU.
+    NoRoom,
 }
 
 /// How far the closing of a link has progressed.
@@ -188,14 +199,15 @@ pub struct Scheduler {
     flight: Flight,
     ack_timer: AckTimer,
     path: Path,
-    /// Number of SDUs that were sent.
-    number: u32,
+    sealer: Sealer,
+    /// The SDU that is being sealed, kept for its memory.
+    sealed: Vec<u8>,
 }
 
 impl Scheduler {
     /// Creates the sending side of a new link. `mtu` is the largest batch, and `window` what the peer accepts
-    /// unacknowledged, both in bytes.
-    pub fn new(bounds: Bounds, mtu: usize, window: u16) -> Self {
+    /// unacknowledged, both in bytes. `sealer` seals the SDUs.
+    pub fn new(bounds: Bounds, mtu: usize, window: u16, sealer: Sealer) -> Self {
         let allowance = Allowance::new(window);
         // Each lane leaves a part of the window to the more urgent ones. Otherwise they would wait until bulk is
         // acknowledged.
@@ -217,7 +229,8 @@ impl Scheduler {
             ack_timer: AckTimer::new(allowance.window()),
             allowance,
             path: Path::default(),
-            number: 0,
+            sealer,
+            sealed: Vec::new(),
         }
     }
 
@@ -236,7 +249,7 @@ impl Scheduler {
         let total: usize = self.lanes.iter().map(|out| out.bytes).sum();
         let max_bytes = self.bounds.bytes;
         let is_closing = !matches!(self.end, End::NotYet);
-        let (out, size) = (self.lane(lane), Waiting::bytes_of(HEADER + batch.len()));
+        let (out, size) = (self.lane(lane), Waiting::bytes_of(HEAD_BYTES + batch.len()));
         let fits = out.bytes + size <= RESERVED_BYTES_PER_LANE || total + size <= max_bytes;
         let is_accepted = !is_closing && fits && out.accepts(kind, limits, now);
         if is_accepted {
@@ -291,14 +304,29 @@ impl Scheduler {
         }
     }
 
-    /// Returns the SDU to send now. It is returned again until [`Scheduler::on_sent`] confirms that it was sent, unless
-    /// something more urgent is queued before.
-    pub fn peek(&mut self) -> Option<(Next, &[u8])> {
-        let next = self.choose()?;
-        let number = self.number;
-        let sdu = self.sdu_of(next)?;
-        sdu::seal(number, sdu);
-        Some((next, sdu))
+    /// Gives the next SDU to `send`, if there is one. `send` returns whether it was sent. If not, the SDU stays queued, and
+    /// something more urgent may be sent before it.
+    ///
+    /// # Errors
+    /// Those of `send`.
+    pub fn send<E>(
+        &mut self,
+        now: Instant,
+        send: impl FnOnce(&[u8]) -> Result<bool, E>,
+    ) -> Result<Sent, E> {
+        let Some(next) = self.choose() else {
+            return Ok(Sent::Nothing);
+        };
+        let mut sealed = std::mem::take(&mut self.sealed);
+        sealed.clear();
+        sealed.extend_from_slice(self.sdu_of(next));
+        let sent = self.sealer.seal(&mut sealed, send);
+        self.sealed = sealed;
+        if !sent? {
+            return Ok(Sent::NoRoom);
+        }
+        self.on_sent(next, now);
+        Ok(Sent::Sdu(next))
     }
 
     /// Returns when the link ends unless the peer acknowledges something, or `None` if no acknowledgement is due.
@@ -306,16 +334,14 @@ impl Scheduler {
         self.ack_timer.deadline()
     }
 
-    /// Records that the SDU that [`Scheduler::peek`] returned last was sent. Nothing may have been queued in between.
-    pub fn on_sent(&mut self, sent: Next, now: Instant) {
-        self.number = self.number.wrapping_add(1);
+    fn on_sent(&mut self, sent: Next, now: Instant) {
         match sent {
             Next::Signal => drop(self.signals.pop_front()),
             Next::Goodbye => self.end = End::Finished,
             Next::Batch(lane) => {
                 let out = self.lane(lane);
                 if let Some(batch) = out.queue.pop_front() {
-                    out.sent.count(batch.sdu.len() - HEADER);
+                    out.sent.count(batch.sdu.len() - HEAD_BYTES);
                     out.bytes -= batch.bytes();
                     if batch.counts {
                         out.backlog.on_sent(usize::from(batch.cost()), now);
@@ -403,18 +429,20 @@ impl Scheduler {
         batch.or_else(|| may_end().then_some(Next::Goodbye))
     }
 
-    fn sdu_of(&mut self, next: Next) -> Option<&mut [u8]> {
-        match next {
-            Next::Signal => self.signals.front_mut().map(Vec::as_mut_slice),
-            Next::Goodbye => match &mut self.end {
+    /// Returns the SDU that [`Scheduler::choose`] has chosen.
+    fn sdu_of(&self, next: Next) -> &[u8] {
+        let sdu = match next {
+            Next::Signal => self.signals.front(),
+            Next::Goodbye => match &self.end {
                 End::Closing(goodbye) => Some(goodbye),
                 End::NotYet | End::Finished => None,
             },
+            // A `Lane` is always less than LANES.
             Next::Batch(lane) => {
-                let waiting = self.lane(lane).queue.front_mut()?;
-                Some(&mut waiting.sdu)
+                (self.lanes[lane.index()].queue.front()).map(|waiting| &waiting.sdu)
             }
-        }
+        };
+        sdu.map_or(&[], Vec::as_slice)
     }
 
     fn is_empty(&self) -> bool {

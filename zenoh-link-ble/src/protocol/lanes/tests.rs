@@ -1,5 +1,8 @@
 //! Tests both sides of a link together, over paths with and without faults: `cargo test -p zenoh-link-ble lanes`
-use std::time::{Duration, Instant};
+use std::{
+    convert::Infallible,
+    time::{Duration, Instant},
+};
 
 use rand_pcg::{
     rand_core::{RngCore, SeedableRng},
@@ -12,11 +15,14 @@ use super::{
     check::Fault,
     credits::{cost, largest_batch, CreditError, MIN_WINDOW},
     receiver::{Violation, HIGH_WATERMARK},
-    scheduler::{Bounds, Next, RESERVED_BYTES_PER_LANE},
-    sdu::{self, Content, SduError},
+    scheduler::{Bounds, Sent, RESERVED_BYTES_PER_LANE},
+    sdu::{Content, Protection, SduError, Sealer},
     Change, Lane, Lanes, LANES,
 };
-use crate::protocol::hello::MIN_MTU;
+use crate::protocol::{
+    hello::MIN_MTU,
+    seal::{LinkKeys, NotAuthentic},
+};
 
 const MTU: usize = 1000;
 const WINDOW: u16 = 12_000;
@@ -31,12 +37,14 @@ fn lane(number: u8) -> Lane {
     Lane::new(number).expect("valid")
 }
 
-/// Takes the next SDU and marks it as sent.
+/// Takes the next SDU.
 fn sent(lanes: &mut Lanes, now: Instant) -> Option<Vec<u8>> {
-    let (next, sdu) = lanes.peek()?;
-    let sdu = sdu.to_vec();
-    lanes.on_sent(next, now);
-    Some(sdu)
+    let mut taken = None;
+    let Ok(_) = lanes.send(now, |sdu| {
+        taken = Some(sdu.to_vec());
+        Ok::<_, Infallible>(true)
+    });
+    taken
 }
 
 /// A sender and a receiver, without anything in flight between them.
@@ -52,9 +60,23 @@ impl Pair {
     }
 
     fn with(bounds: Bounds, mtu: usize, window: u16) -> Self {
+        let lanes = || Lanes::new(bounds, mtu, window, window, Protection::checks());
         Self {
-            sender: Lanes::new(bounds, mtu, window, window),
-            receiver: Lanes::new(bounds, mtu, window, window),
+            sender: lanes(),
+            receiver: lanes(),
+            now: Instant::now(),
+        }
+    }
+
+    /// Returns a pair with keys.
+    fn encrypted() -> Self {
+        let lanes = |own, of_peer| {
+            let keys = LinkKeys::new([own; 32], [of_peer; 32]);
+            Lanes::new(BOUNDS, MTU, WINDOW, WINDOW, Protection::keys(keys))
+        };
+        Self {
+            sender: lanes(1, 2),
+            receiver: lanes(2, 1),
             now: Instant::now(),
         }
     }
@@ -65,14 +87,18 @@ impl Pair {
 
     /// Moves one SDU from the sender to the receiver, and returns its effect.
     fn step(&mut self) -> Option<Change> {
-        let sdu = sent(&mut self.sender, self.now)?;
-        Some(self.receiver.on_sdu(&sdu, self.now).expect("a valid SDU"))
+        let mut sdu = sent(&mut self.sender, self.now)?;
+        Some(
+            self.receiver
+                .on_sdu(&mut sdu, self.now)
+                .expect("a valid SDU"),
+        )
     }
 
     /// Moves one SDU from the receiver to the sender, and returns its effect.
     fn step_back(&mut self) -> Option<Change> {
-        let sdu = sent(&mut self.receiver, self.now)?;
-        Some(self.sender.on_sdu(&sdu, self.now).expect("a valid SDU"))
+        let mut sdu = sent(&mut self.receiver, self.now)?;
+        Some(self.sender.on_sdu(&mut sdu, self.now).expect("a valid SDU"))
     }
 
     /// Moves SDUs in both directions until none is left.
@@ -114,7 +140,11 @@ fn most_urgent_batch_is_sent_first_whatever_was_queued_before() {
 fn batch_that_was_not_sent_yet_is_overtaken() {
     let mut pair = Pair::new();
     pair.push(5, b"bulk");
-    assert!(matches!(pair.sender.peek(), Some((Next::Batch(l), _)) if l == lane(5)));
+    let refused = pair.sender.send(pair.now, |sdu| {
+        assert!(sdu.windows(4).any(|part| part == b"bulk"));
+        Ok::<_, Infallible>(false)
+    });
+    assert_eq!(refused, Ok(Sent::NoRoom));
     pair.push(1, b"stop");
     assert_eq!(pair.step(), Some(Change::Batch(lane(1))));
     assert_eq!(pair.step(), Some(Change::Batch(lane(5))));
@@ -194,7 +224,7 @@ fn goodbye_is_sent_after_all_batches() {
     assert_eq!(pair.step(), Some(Change::Goodbye(0)));
     assert_eq!(pair.step(), None);
     assert_eq!(pair.take(5), Some(b"first".to_vec()));
-    let more = pair.receiver.on_sdu(&[0; 10], pair.now);
+    let more = pair.receiver.on_sdu(&mut [0; 10], pair.now);
     assert_eq!(more, Err(Violation::AfterGoodbye));
     assert!(!pair.push(1, b"too late"));
     assert_eq!(
@@ -246,7 +276,7 @@ fn lost_changed_or_repeated_sdus_end_the_link() {
     let end = |sdus: &[Vec<u8>]| {
         let mut pair = Pair::new();
         sdus.iter()
-            .find_map(|sdu| pair.receiver.on_sdu(sdu, pair.now).err())
+            .find_map(|sdu| pair.receiver.on_sdu(&mut sdu.clone(), pair.now).err())
     };
     let fault = |fault| Some(Violation::Sdu(SduError::Fault(fault)));
     assert_eq!(end(&sdus()), None);
@@ -524,20 +554,21 @@ fn waiting_fragments_of_an_abandoned_message_are_withdrawn() {
 /// A peer that sends any content, with correct checks.
 struct MisbehavingPeer {
     pair: Pair,
-    number: u32,
+    sealer: Sealer,
 }
 
 impl MisbehavingPeer {
     fn new() -> Self {
-        let (pair, number) = (Pair::new(), 0);
-        Self { pair, number }
+        Self {
+            pair: Pair::new(),
+            sealer: Protection::checks().out,
+        }
     }
 
     fn sends(&mut self, content: Content<'_>) -> Result<Change, Violation> {
         let mut sdu = content.encode();
-        sdu::seal(self.number, &mut sdu);
-        self.number += 1;
-        self.pair.receiver.on_sdu(&sdu, self.pair.now)
+        let Ok(_) = self.sealer.seal(&mut sdu, |_| Ok::<_, Infallible>(true));
+        self.pair.receiver.on_sdu(&mut sdu, self.pair.now)
     }
 }
 
@@ -634,4 +665,82 @@ fn every_lane_delivers_everything_in_order_for_any_order_of_events() {
         }
         assert_eq!(pushed, taken, "seed {seed}");
     }
+}
+
+/// Returns SDUs from a sender with keys, six of them with batches, and SDUs of the other direction.
+fn encrypted_run(seed: u64) -> (Vec<Vec<u8>>, Vec<Vec<u8>>) {
+    let (mut rng, mut pair) = (Pcg32::seed_from_u64(seed), Pair::encrypted());
+    let mut sdus = Vec::new();
+    for n in 0..6_u8 {
+        let size = 1 + rng.next_u32() as usize % 40;
+        assert!(pair.push(n, &vec![n; size]));
+        sdus.extend(sent(&mut pair.sender, pair.now));
+    }
+    pair.sender.send_interval(24);
+    pair.sender.close(0);
+    sdus.extend(std::iter::from_fn(|| sent(&mut pair.sender, pair.now)));
+    // What the other side sends at the same time.
+    let mut reverse = Vec::new();
+    for n in 0..sdus.len() as u8 {
+        assert!(pair.receiver.push(lane(5), &[n; 20], pair.now));
+        reverse.extend(sent(&mut pair.receiver, pair.now));
+    }
+    (sdus, reverse)
+}
+
+/// At every position of a run, an attacker changes what arrives. Only what was sent before that position is delivered, and the
+/// link ends there.
+#[test]
+fn every_attack_at_every_position_ends_an_encrypted_link() {
+    for seed in 0..10 {
+        let (sdus, reverse) = encrypted_run(seed);
+        let count = sdus.len();
+        assert_eq!(count, 8);
+        for at in 0..count {
+            let original = &sdus[at];
+            let mut forged: Vec<(String, Vec<u8>)> = vec![
+                ("injected".to_owned(), vec![0; original.len()]),
+                (
+                    "without a seal".to_owned(),
+                    Content::Batch(lane(1), b"stop").encode(),
+                ),
+                ("direction swapped".to_owned(), reverse[at].clone()),
+                ("extended".to_owned(), [&original[..], &[0]].concat()),
+            ];
+            forged.extend(
+                (0..original.len()).map(|n| (format!("cut to {n}"), original[..n].to_vec())),
+            );
+            forged.extend((0..8 * original.len()).map(|bit| {
+                let mut changed = original.clone();
+                changed[bit / 8] ^= 1 << (bit % 8);
+                (format!("bit {bit}"), changed)
+            }));
+            forged.extend(
+                (0..count)
+                    .filter(|other| *other != at)
+                    .map(|other| (format!("replaced by {other}"), sdus[other].clone())),
+            );
+            for (attack, mut sdu) in forged {
+                let mut receiver = Pair::encrypted().receiver;
+                for honest in &sdus[..at] {
+                    let received = receiver.on_sdu(&mut honest.clone(), Instant::now());
+                    assert!(received.is_ok(), "seed {seed}");
+                }
+                let taken_before: Vec<_> = delivered(&mut receiver);
+                let attacked = receiver.on_sdu(&mut sdu, Instant::now());
+                let expected = Err(Violation::Sdu(SduError::NotAuthentic(NotAuthentic)));
+                assert_eq!(attacked, expected, "seed {seed}, SDU {at}: {attack}");
+                assert_eq!(delivered(&mut receiver), Vec::<Vec<u8>>::new());
+                let sent_before = at.min(6);
+                assert_eq!(taken_before.len(), sent_before);
+            }
+        }
+    }
+}
+
+/// Takes all received batches.
+fn delivered(receiver: &mut Lanes) -> Vec<Vec<u8>> {
+    Lane::all()
+        .flat_map(|lane| std::iter::from_fn(|| receiver.take(lane)).collect::<Vec<_>>())
+        .collect()
 }

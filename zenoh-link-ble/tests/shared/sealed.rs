@@ -1,0 +1,72 @@
+//! Provides the handshake of a raw peer with a secret.
+use std::{convert::Infallible, sync::Arc};
+
+use zenoh_link_ble::{
+    protocol::hello::{HandshakeMessage, Hello, Key, VERSION},
+    protocol::key_agreement::Initiator,
+    protocol::lanes::sdu::Protection,
+    protocol::seal::LinkKeys,
+    protocol::secret::Secret,
+    radio::{Channel, Radio},
+};
+
+use super::{
+    peer::within,
+    raw::{answer_to, hello, raw_channel, RawPeer},
+};
+
+/// The head of a sealed message of the handshake.
+const SEALED_MESSAGE: u8 = 0xf0;
+
+/// Dials a listener with the same secret and completes the handshake.
+pub async fn dial_with_secret(
+    from: &Arc<dyn Radio>,
+    to: &Arc<dyn Radio>,
+    name: &str,
+    secret: &Secret,
+) -> RawPeer {
+    let channel = raw_channel(from, to).await;
+    let mut keys = agree(&channel, secret).await;
+    let sealed = seal_message(&mut keys, &HandshakeMessage::Hello(hello(5, name)));
+    within("sending", channel.send(&sealed))
+        .await
+        .expect("sends");
+    let answer = receive_sealed(&channel, &mut keys).await;
+    let HandshakeMessage::Accept(Hello { window, .. }) = answer else {
+        panic!("{answer:?}");
+    };
+    RawPeer::on(channel, window, Protection::keys(keys))
+}
+
+/// Agrees on keys with a listener.
+pub async fn agree(channel: &Arc<dyn Channel>, secret: &Secret) -> LinkKeys {
+    let started = Initiator::start(secret, &Key::header(VERSION));
+    let (initiator, message) = started.expect("starts");
+    let version = VERSION;
+    let key = HandshakeMessage::Key(Key { version, message });
+    match answer_to(channel, &key.encode()).await {
+        Some(HandshakeMessage::KeyAnswer(answer)) => {
+            initiator
+                .finish(&answer.message)
+                .expect("the same secret")
+                .keys
+        }
+        other => panic!("a listener with a secret answers with its key, and not {other:?}"),
+    }
+}
+
+/// Seals a message of the handshake.
+pub fn seal_message(keys: &mut LinkKeys, message: &HandshakeMessage) -> Vec<u8> {
+    let mut sdu = [&[SEALED_MESSAGE], &message.encode()[..]].concat();
+    let Ok(_) = keys.sealing.seal(&mut sdu, |_| Ok::<_, Infallible>(true));
+    sdu
+}
+
+/// Receives a sealed message of the handshake.
+pub async fn receive_sealed(channel: &Arc<dyn Channel>, keys: &mut LinkKeys) -> HandshakeMessage {
+    let mut buffer = [0; 2000];
+    let size = within("the answer", channel.recv(&mut buffer)).await;
+    let opened = keys.opening.open(&mut buffer[..size.expect("receives")]);
+    let message = opened.expect("sealed").strip_prefix(&[SEALED_MESSAGE]);
+    HandshakeMessage::decode(message.expect("of the handshake")).expect("valid")
+}
