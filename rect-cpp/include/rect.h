@@ -292,6 +292,8 @@ typedef struct rect_connection {
     double round_trip_ms;
     // Received signal strength, in dBm.
     double rssi_dbm;
+    // 1 if the link is encrypted, 0 if it is not, -1 if that is not known.
+    int32_t encrypted;
     // Number of bytes sent.
     int64_t sent_bytes;
     // Number of bytes received.

@@ -47,6 +47,8 @@ pub struct Connection {
     pub round_trip_ms: f64,
     /// Received signal strength, in dBm.
     pub rssi_dbm: f64,
+    /// 1 if the link is encrypted, 0 if it is not, -1 if that is not known.
+    pub encrypted: i32,
     /// Number of bytes sent.
     pub sent_bytes: i64,
     /// Number of bytes received.
@@ -125,6 +127,7 @@ fn view(connection: &rect::Connection) -> Connection {
         up_s: connection.up_s.unwrap_or(f64::NAN),
         round_trip_ms: connection.round_trip_ms.unwrap_or(f64::NAN),
         rssi_dbm: connection.rssi_dbm.map_or(f64::NAN, f64::from),
+        encrypted: connection.encrypted.map_or(-1, i32::from),
         sent_bytes: number_or_unknown(connection.sent.map(|sent| sent.bytes)),
         received_bytes: number_or_unknown(connection.received.map(|received| received.bytes)),
         linked: number_or_unknown(connection.linked),

@@ -12,6 +12,7 @@ mod uptime;
 
 use std::{
     collections::HashMap,
+    net::SocketAddr,
     sync::{mpsc, Arc},
     thread,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
@@ -294,6 +295,7 @@ impl Sources {
             name: Some(snapshot.spec.name),
             method: snapshot.spec.method,
             rssi_dbm,
+            encrypted: link.and_then(|link| is_encrypted(link, ble)),
             address,
             state: link.map_or(State::Connecting, |_| State::Connected),
             peer: link.map(|link| self.peer(link)),
@@ -317,6 +319,7 @@ impl Sources {
         let (method, address) = (link.dst().protocol(), link.dst().address());
         Connection {
             rssi_dbm: radio.and_then(|radio| ble.rssi_dbm(&radio.address)),
+            encrypted: is_encrypted(link, ble),
             peer: Some(self.peer(link)),
             up_s: self.up_s(link),
             sent: carried.map(|carried| carried.sent),
@@ -337,6 +340,22 @@ impl Sources {
         let id = link.zid().to_string();
         let robot = self.presence.robot_of(&id);
         PeerId { id, robot }
+    }
+}
+
+/// Returns whether a link is encrypted, or `None` if it does not leave the computer or its method is not known.
+fn is_encrypted(link: &Link, ble: &Ble) -> Option<bool> {
+    if let Some(radio) = ble.link(link) {
+        return Some(radio.encrypted);
+    }
+    let address = link.dst().address().as_str().parse::<SocketAddr>();
+    if address.is_ok_and(|address| address.ip().is_loopback()) {
+        return None;
+    }
+    match link.dst().protocol().as_str() {
+        "tls" | "quic" | "wss" => Some(true),
+        "tcp" | "udp" | "ws" => Some(false),
+        _ => None,
     }
 }
 

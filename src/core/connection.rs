@@ -52,6 +52,8 @@ pub struct Connection {
     pub round_trip_ms: Option<f64>,
     /// Signal strength in dBm, if an advertisement was received within the last minute.
     pub rssi_dbm: Option<i16>,
+    /// Whether the link is encrypted, if that is known.
+    pub encrypted: Option<bool>,
     /// How often the connection was established.
     pub linked: Option<u64>,
     /// Attempts that have failed since it was last established.
@@ -74,6 +76,7 @@ impl Connection {
             received: None,
             round_trip_ms: None,
             rssi_dbm: None,
+            encrypted: None,
             linked: None,
             failed: None,
             last_error: None,

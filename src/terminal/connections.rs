@@ -30,7 +30,7 @@ pub fn connections_of_robot(connections: &[Connection]) -> Table {
     table
 }
 
-const COLUMNS: [&str; 10] = [
+const COLUMNS: [&str; 11] = [
     "NAME",
     "METHOD",
     "ADDRESS",
@@ -41,6 +41,7 @@ const COLUMNS: [&str; 10] = [
     "?UP",
     "?SENT",
     "?RECEIVED",
+    "?ENCRYPTED",
 ];
 
 /// Adds the row of a connection, and its last error as a note.
@@ -55,7 +56,7 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
     }
 }
 
-fn row(connection: &Connection) -> [Cell; 10] {
+fn row(connection: &Connection) -> [Cell; 11] {
     let state = match connection.state {
         State::Connected => Cell::styled(Style::Good, "connected"),
         State::Connecting => Cell::styled(Style::Poor, "connecting"),
@@ -79,6 +80,10 @@ fn row(connection: &Connection) -> [Cell; 10] {
         connection
             .received
             .map(|received| bytes(received.bytes))
+            .into(),
+        (connection.encrypted)
+            .map(|is_encrypted| if is_encrypted { "yes" } else { "no" })
+            .map(str::to_owned)
             .into(),
     ]
 }

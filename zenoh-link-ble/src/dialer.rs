@@ -162,6 +162,7 @@ async fn dial_once(
         mtu,
         queueing: locator.queueing,
         peer_name: peer.map_or_else(|| locator.target.to_string(), |p| p.name),
+        is_paired: locator.security != Security::Low,
         replaced,
     };
     let link = LinkBle::new(Arc::clone(node), dialling.number, opened).map_err(|error| {

@@ -81,6 +81,13 @@ impl Framing {
             None => Self::Plain { first },
         }
     }
+
+    fn is_encrypted(&self) -> bool {
+        match self {
+            Self::Lanes { protection, .. } => protection.is_encrypted(),
+            Self::Plain { .. } => false,
+        }
+    }
 }
 
 /// The parts of a link after its handshake.
@@ -91,6 +98,8 @@ pub(crate) struct Opened {
     pub mtu: u16,
     pub queueing: Queueing,
     pub peer_name: String,
+    /// Whether Bluetooth itself encrypts the channel, because the two are paired.
+    pub is_paired: bool,
     /// Cancelled when a newer link replaces this one.
     pub replaced: CancellationToken,
 }
@@ -101,6 +110,7 @@ pub(crate) struct LinkBle {
     radio: Arc<dyn Radio>,
     batches: Batches,
     mtu: u16,
+    is_encrypted: bool,
     src: Locator,
     dst: Locator,
     number: LinkNumber,
@@ -128,6 +138,7 @@ impl LinkBle {
             mtu,
             queueing,
             peer_name,
+            is_paired,
             replaced,
         } = opened;
         let adapter = channel.adapter().to_owned();
@@ -140,7 +151,9 @@ impl LinkBle {
         // peer.
         let src = Locator::new(BLE_LOCATOR_PREFIX, &adapter, format!("link={}", number.0))?;
         let dst = Locator::new(BLE_LOCATOR_PREFIX, &peer, "")?;
-        tracing::info!("ble: linked with {peer} on {adapter}");
+        let is_encrypted = is_paired || framing.is_encrypted();
+        let how = if is_encrypted { "" } else { ", not encrypted" };
+        tracing::info!("ble: linked with {peer} on {adapter}{how}");
         let close_once = CloseOnce::new(Arc::clone(&node), number, peer.clone());
         let batches = match framing {
             Framing::Lanes {
@@ -170,6 +183,7 @@ impl LinkBle {
             radio,
             batches,
             mtu,
+            is_encrypted,
             src,
             dst,
             number,
@@ -216,10 +230,7 @@ impl LinkBle {
             address: self.channel.peer().address.to_string(),
             adapter: self.channel.adapter().to_owned(),
             mtu: self.mtu,
-            encrypted: match &self.batches {
-                Batches::Lanes { traffic, .. } => traffic.is_encrypted(),
-                Batches::Plain(_) => false,
-            },
+            encrypted: self.is_encrypted,
             up_s: self.since.elapsed().as_secs_f64(),
             sent,
             received,

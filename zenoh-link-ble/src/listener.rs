@@ -24,7 +24,10 @@ use crate::{
     pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
     protocol::hello::{HandshakeMessage, Hello, VERSION},
     protocol::secret::Secret,
-    radio::{AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError},
+    radio::{
+        AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
+        Security,
+    },
 };
 
 /// How often the state of the adapter is checked in addition to the radio's notifications.
@@ -358,6 +361,7 @@ impl Listener {
             mtu,
             queueing: self.locator.queueing,
             peer_name: peer.as_ref().map_or_else(String::new, |p| p.name.clone()),
+            is_paired: self.locator.security != Security::Low,
             replaced,
         };
         let link = LinkBle::new(Arc::clone(&self.node), number, opened).map_err(|error| {

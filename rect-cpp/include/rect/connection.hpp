@@ -58,6 +58,8 @@ struct Connection {
     std::optional<double> round_trip_ms;
     /// Received signal strength, in dBm.
     std::optional<double> rssi_dbm;
+    /// Whether the link is encrypted.
+    std::optional<bool> encrypted;
     /// Number of bytes sent.
     std::optional<std::uint64_t> sent_bytes;
     /// Number of bytes received.
@@ -82,6 +84,7 @@ struct Connection {
           up_s(detail::value_if_known(raw.up_s)),
           round_trip_ms(detail::value_if_known(raw.round_trip_ms)),
           rssi_dbm(detail::value_if_known(raw.rssi_dbm)),
+          encrypted(raw.encrypted < 0 ? std::nullopt : std::optional<bool>(raw.encrypted != 0)),
           sent_bytes(detail::value_if_known(raw.sent_bytes)),
           received_bytes(detail::value_if_known(raw.received_bytes)),
           linked(detail::value_if_known(raw.linked)),

@@ -52,6 +52,8 @@ class Connection:
     round_trip_ms: float | None = None
     #: Received signal strength, in dBm. `None` if no signal was received within the last minute.
     rssi_dbm: int | None = None
+    #: Whether the link is encrypted. `None` if that is not known.
+    encrypted: bool | None = None
     #: Number of times that the link was opened. `None` if it is not counted.
     linked: int | None = None
     #: Number of failed attempts since the link was last opened. `None` if they are not counted.

@@ -1,5 +1,9 @@
 //! Implements `rect air`, which serves the simulated air to the programs of this computer, and controls a running one.
-use std::{io, path::PathBuf};
+use std::{
+    fs::File,
+    io::{self, Write},
+    path::PathBuf,
+};
 
 use crate::duration::DurationArgument;
 use clap::{Args, Subcommand, ValueEnum};
@@ -89,6 +93,9 @@ struct ServeArguments {
     /// The seed of the random losses; the same seed gives the same losses
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Write what a sniffer would receive to this file: a line for each SDU, with the seconds and the bytes in hexadecimal
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     #[command(flatten)]
     socket: SocketArgument,
 }
@@ -163,10 +170,18 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
         ..AirOptions::default()
     };
     let condition = options.condition;
+    let record = arguments.record.map(File::create).transpose()?;
     // Signals are handled before the socket exists, so that no signal can leave it behind.
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let server = AirServer::bind(&arguments.socket.path(), options)?;
+    if let Some(mut file) = record {
+        server.air().sniff(move |at, sdu| {
+            let hex: String = sdu.iter().map(|byte| format!("{byte:02x}")).collect();
+            // A full disk ends the record and not the air.
+            let _ = writeln!(file, "{:.6} {hex}", at.as_secs_f64());
+        });
+    }
     // The air is served even if the standard output is closed.
     let _ = rect::terminal::try_write(format_args!(
         "simulated air ({condition}) at {}: listen on ble/sim-1, or see `rect air --help`",

@@ -37,7 +37,7 @@ pub struct LinkStatus {
     pub adapter: String,
     /// Largest batch, in bytes.
     pub mtu: u16,
-    /// Whether the link is encrypted and authenticated with the secret of both sides.
+    /// Whether the link is encrypted: with the secret of both sides, or by Bluetooth because they are paired.
     pub encrypted: bool,
     /// Time since the link was opened, in seconds.
     pub up_s: f64,

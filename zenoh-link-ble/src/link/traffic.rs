@@ -52,8 +52,6 @@ pub(crate) struct Traffic {
     mtu: usize,
     /// Number of bytes that an SDU has in addition to its batch.
     overhead: usize,
-    /// Whether SDUs are encrypted.
-    is_encrypted: bool,
     state: Mutex<State>,
     to_send: Notify,
     room: Notify,
@@ -109,14 +107,13 @@ impl Traffic {
             intervals,
         } = options;
         let mtu = usize::from(mtu);
-        let (overhead, is_encrypted) = (protection.overhead(), protection.is_encrypted());
+        let overhead = protection.overhead();
         let lanes = Lanes::new(bounds, mtu, own_window, peer_window, protection);
         let traffic = Arc::new(Self {
             channel,
             peer,
             mtu,
             overhead,
-            is_encrypted,
             close_once,
             intervals,
             state: Mutex::new(State {
@@ -261,11 +258,6 @@ impl Traffic {
     pub(crate) fn send_interval(&self, interval: ConnectionInterval) {
         self.state.lock().lanes.send_interval(interval.units());
         self.to_send.notify_one();
-    }
-
-    /// Returns whether the SDUs are encrypted.
-    pub(crate) fn is_encrypted(&self) -> bool {
-        self.is_encrypted
     }
 
     /// Returns the state of the lanes, and the totals of what was sent and received.

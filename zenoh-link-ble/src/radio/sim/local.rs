@@ -54,7 +54,11 @@ struct Inner {
     driver_wakes_at: Option<Duration>,
     outboxes: HashMap<AdapterId, mpsc::UnboundedSender<Event>>,
     radios: HashMap<String, Weak<Attachment>>,
+    sniffer: Option<Box<Sniffer>>,
 }
+
+/// Is given the time since the start of the air and each SDU, as a receiver that follows all connections.
+type Sniffer = dyn FnMut(Duration, &[u8]) + Send;
 
 /// An attached adapter, and the events that the air sends to it. Dropping it detaches the adapter.
 pub(super) struct Attached {
@@ -80,6 +84,7 @@ impl SimAir {
                 driver_wakes_at: None,
                 outboxes: HashMap::new(),
                 radios: HashMap::new(),
+                sniffer: None,
             }),
             reschedule: Arc::clone(&reschedule),
         });
@@ -190,6 +195,11 @@ impl SimAir {
         self.shared.inner.lock().air.default_interval()
     }
 
+    /// Gives each SDU that is sent from now on to `sniffer`, which must not block. A former sniffer is replaced.
+    pub fn sniff(&self, sniffer: impl FnMut(Duration, &[u8]) + Send + 'static) {
+        self.shared.inner.lock().sniffer = Some(Box::new(sniffer));
+    }
+
     /// Returns the age of the air by tokio's clock.
     pub fn elapsed(&self) -> Duration {
         self.shared.start.elapsed()
@@ -218,6 +228,12 @@ impl AirHandle {
     /// # Errors
     /// Returns a violation if no correct adapter would send the command.
     pub(super) fn try_command(&self, command: Command) -> Result<(), Violation> {
+        if let Command::Send { sdu, .. } = &command {
+            let at = self.shared.start.elapsed();
+            if let Some(sniffer) = &mut self.shared.inner.lock().sniffer {
+                sniffer(at, sdu);
+            }
+        }
         self.shared
             .with_air(|air, now| air.command(self.id, command, now))
     }
