@@ -66,7 +66,7 @@ fn robots_of_one_team_connect_and_a_robot_of_another_team_is_rejected() {
     );
 
     // Access control lets the robots of the fleet query topics.
-    let topics = "rect/wombat-1/@rect/topics?measure";
+    let topics = "rect/wombat-1/@rect/topics";
     answers(&program(&two, &remote), topics, |answer| {
         answer["topics"].is_array()
     });

@@ -9,7 +9,7 @@ use std::{
 use support::{answers, arrives, ble, client, file, init, program, simulated, start, Air, Wombat};
 use zenoh::{Session, Wait};
 
-/// What the two robots exchange, and nobody else may read.
+/// Parts of what the two robots exchange, which nobody else may read.
 const PRIVATE: [&[u8]; 4] = [
     b"arm/secret-plan",
     b"what-we-will-do",

@@ -6,8 +6,8 @@ use std::{fmt, fs, io, io::Read, path::Path};
 use hmac::{Hmac, Mac};
 use sha3::Sha3_256;
 
-/// The shortest secret, in bytes. A stranger who has dialled a robot once can try out secrets offline, so the secret has to be
-/// hard to guess.
+/// The shortest secret, in bytes. A peer that has dialled a robot once can try out secrets offline, so the secret has to be hard
+/// to guess.
 pub const MIN_SECRET: usize = 16;
 /// The largest accepted `secret=` file, in bytes.
 const MAX_FILE: u64 = 65_536;

@@ -42,7 +42,7 @@ fn another_secret_header_or_message_is_detected() {
     let (ours, theirs) = (header(), Key::header(VERSION + 1));
     for (listener, seen) in [
         (secret("a secret of 17 bytes"), ours),
-        // A change of the version on the way is no downgrade, but the end.
+        // A version that was changed on the way ends the handshake.
         (own.clone(), theirs),
     ] {
         let (initiator, message) = Initiator::start(&own, &ours).expect("starts");
@@ -77,7 +77,7 @@ fn replayed_first_message_yields_new_keys() {
     assert!(replayed.keys.opening.open(&mut recorded).is_err());
 }
 
-/// What an independent implementation (`tests/protocol/link_keys.py`) has computed.
+/// The values that an independent implementation (`tests/protocol/link_keys.py`) has computed.
 #[derive(Deserialize)]
 struct Vectors {
     secret: String,

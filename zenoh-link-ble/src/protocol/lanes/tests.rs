@@ -679,7 +679,7 @@ fn encrypted_run(seed: u64) -> (Vec<Vec<u8>>, Vec<Vec<u8>>) {
     pair.sender.send_interval(24);
     pair.sender.close(0);
     sdus.extend(std::iter::from_fn(|| sent(&mut pair.sender, pair.now)));
-    // What the other side sends at the same time.
+    // The other side sends at the same time.
     let mut reverse = Vec::new();
     for n in 0..sdus.len() as u8 {
         assert!(pair.receiver.push(lane(5), &[n; 20], pair.now));
