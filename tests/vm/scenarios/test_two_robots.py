@@ -68,6 +68,29 @@ def test_pairs_once_and_reconnects_encrypted_after_a_restart(robots):
     assert keys() == paired, "they were paired again"
 
 
+@pytest.mark.parametrize("has_secret", [True, False])
+def test_monitor_shows_nothing_of_a_link_with_a_secret(robots, tmp_path, has_secret):
+    """btmon records everything between the kernel and the controllers. Without a secret, the same search finds the texts."""
+    secret = tmp_path / "secret"
+    secret.write_text("fleet:what only the team knows\n")
+    options = f";secret={secret}" if has_secret else ""
+    recorded = tmp_path / "monitor.btsnoop"
+    one, two = robots(2)
+    monitor = subprocess.Popen(["btmon", "-w", str(recorded)], stdout=subprocess.DEVNULL)
+    try:
+        wait_until("the monitor records", 10, lambda: recorded.exists() and recorded.stat().st_size > 0)
+        one.start([], ble_options=options)
+        two.start([f"ble/{one.name}"], ble_options=options)
+        wait_until("the two are linked", 30, lambda: linked(one, two))
+        with one.session() as here, two.session() as there:
+            exchange(here, there)
+    finally:
+        monitor.terminate()
+        monitor.wait()
+    found = [text for text in (b"rect/both/ways", b"message 49") if text in recorded.read_bytes()]
+    assert found == ([] if has_secret else [b"rect/both/ways", b"message 49"])
+
+
 def keys() -> dict[str, list[str]]:
     """Returns the keys of all paired devices, by the file in which bluetoothd keeps them."""
     infos = {str(file): file.read_text().splitlines() for file in Path("/var/lib/bluetooth").glob("*/*/info")}
