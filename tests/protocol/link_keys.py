@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""An independent implementation of the keys and seals of a `ble` link, written from section 3 of `PROTOCOL.md`: Noise, the
-derivation of the keys, and the first SDUs in both directions, with the primitives of the package `cryptography`.
+"""An independent implementation of the keys and seals of a `ble` link, written from section 3.1 of `PROTOCOL.md`:
+Noise, the derivation of the keys, and the first SDUs in both directions, with the primitives of the package `cryptography`.
 
 usage: link_keys.py [--write]
 Compares its result with the test vectors in zenoh-link-ble/tests/vectors/version-2.json, or writes them.
@@ -121,7 +121,7 @@ def vectors() -> dict[str, object]:
     )
     dialled, listened = (
         [{"content": content.hex(), "sealed": seal.seal(content).hex()} for content in of_side]
-        for seal, of_side in zip(seals, contents)
+        for seal, of_side in zip(seals, contents, strict=True)
     )
     return {
         "secret": secret,

@@ -1,10 +1,10 @@
-"""Reproduces a fault of Zenoh 1.10.2 with stock parts only: queries of the admin space about publishers, beside declarations
-of other programs, stop a router for good. usage: ZENOHD=<stock zenohd> python admin_space_freeze.py
+"""Reproduces a fault of Zenoh 1.10.2 with stock parts only: queries of the admin space about publishers, beside
+declarations of other programs, stop a router for good. usage: ZENOHD=<stock zenohd> python admin_space_freeze.py
 
 The admin space replies while it holds the routing tables for reading, and the reply locks them for reading again
-(`resources_data` in `net/runtime/adminspace.rs`). If a declaration waits to write in between, both wait forever. The keys
-`subscriber`, `queryable`, `querier` and `token` are answered by the same function. RECT's routers do not query them, and
-`rect-router/src/topics.rs` counts messages instead. Exit status: 0 if the fault exists, otherwise 1."""
+(`resources_data` in `net/runtime/adminspace.rs`). If a declaration waits to write in between, both wait forever. The
+keys `subscriber`, `queryable`, `querier` and `token` are answered by the same function. RECT's routers do not query
+them, and `rect-router/src/topics.rs` counts messages instead. Exit status: 0 if the fault exists, otherwise 1."""
 
 import os
 import socket

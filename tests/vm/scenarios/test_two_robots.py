@@ -70,7 +70,7 @@ def test_pairs_once_and_reconnects_encrypted_after_a_restart(robots):
 
 @pytest.mark.parametrize("has_secret", [True, False])
 def test_monitor_shows_nothing_of_a_link_with_a_secret(robots, tmp_path, has_secret):
-    """btmon records everything between the kernel and the controllers. Without a secret, the same search finds the texts."""
+    """btmon records everything between the kernel and the controllers. Without a secret, the search finds the texts."""
     secret = tmp_path / "secret"
     secret.write_text("fleet:what only the team knows\n")
     options = f";secret={secret}" if has_secret else ""

@@ -40,7 +40,7 @@ pub fn derive(from: &[u8], label: &[u8]) -> Derived {
 struct Key {
     /// The value from which this key and the next one are derived.
     chain: Derived,
-    cipher: Cipher,
+    cipher: Box<Cipher>,
     number: u64,
 }
 
@@ -63,18 +63,18 @@ impl Key {
     /// Advances to the next SDU, and to the next key if it is due.
     fn advance(&mut self) {
         self.number += 1;
-        if self.number.is_multiple_of(SDUS_PER_KEY) {
+        if self.number % SDUS_PER_KEY == 0 {
             self.chain = derive(&self.chain, b"next");
             self.cipher = cipher(&self.chain);
         }
     }
 }
 
-fn cipher(chain: &Derived) -> Cipher {
+fn cipher(chain: &Derived) -> Box<Cipher> {
     let key = derive(chain, b"key");
     let mut half = GenericArray::default();
     half.copy_from_slice(&key[..16]);
-    Cipher::new(&half)
+    Box::new(Cipher::new(&half))
 }
 
 /// The key with which this side seals.
