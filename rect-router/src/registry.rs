@@ -349,12 +349,10 @@ fn is_encrypted(link: &Link, ble: &Ble) -> Option<bool> {
         return Some(radio.encrypted);
     }
     let address = link.dst().address().as_str().parse::<SocketAddr>();
-    if address.is_ok_and(|address| address.ip().is_loopback()) {
-        return None;
-    }
+    let is_local = address.is_ok_and(|address| address.ip().is_loopback());
     match link.dst().protocol().as_str() {
         "tls" | "quic" | "wss" => Some(true),
-        "tcp" | "udp" | "ws" => Some(false),
+        "tcp" | "udp" | "ws" if !is_local => Some(false),
         _ => None,
     }
 }
