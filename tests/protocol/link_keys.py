@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """An independent implementation of the keys and seals of a `ble` link, written from section 3.1 of `PROTOCOL.md`:
-Noise, the derivation of the keys, and the first SDUs in both directions, with the primitives of the package `cryptography`.
+Noise, the derivation of the keys, and the first SDUs in both directions. It uses the package `cryptography`.
 
 usage: link_keys.py [--write]
 Compares its result with the test vectors in zenoh-link-ble/tests/vectors/version-2.json, or writes them.
