@@ -7,32 +7,17 @@ keys `subscriber`, `queryable`, `querier` and `token` are answered by the same f
 them, and `rect-router/src/topics.rs` counts messages instead. Exit status: 0 if the fault exists, otherwise 1."""
 
 import os
-import socket
 import subprocess
 import sys
 import threading
 import time
 
 import zenoh
+from stock import free_port, open_client
 
 SECONDS = 60
 # A router that does not answer for this long, of a query that takes a millisecond, has stopped.
 TIMEOUT_S = 10
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def open_client(port: int) -> zenoh.Session:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    config.insert_json5("connect/timeout_ms", "10000")
-    return zenoh.open(config)
 
 
 def declare_until(over: threading.Event, session: zenoh.Session) -> None:

@@ -5,26 +5,11 @@ The same query is answered if it comes first, or a moment later. `PeersQuery` in
 twice. Exit status: 0 if the fault exists, otherwise 1."""
 
 import os
-import socket
 import subprocess
 import sys
 
 import zenoh
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def open_client(port: int) -> zenoh.Session:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    config.insert_json5("connect/timeout_ms", "10000")
-    return zenoh.open(config)
+from stock import free_port, open_client
 
 
 def count(session: zenoh.Session) -> int:
