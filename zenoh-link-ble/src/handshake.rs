@@ -239,13 +239,8 @@ impl HandshakeChannel {
         let mut sdu = message.encode();
         if let Some(keys) = &mut self.keys {
             sdu.insert(0, SEALED_MESSAGE);
-            let mut sealed = Vec::new();
             // The number counts as used, whether or not the channel accepts the SDU.
-            let Ok(_) = keys.sealing.seal(&mut sdu, |bytes| {
-                sealed = bytes.to_vec();
-                Ok::<_, Infallible>(true)
-            });
-            sdu = sealed;
+            let Ok(_) = (keys.sealing).seal(&mut sdu, |_| Ok::<_, Infallible>(true));
         }
         Ok(self.channel.send(&sdu).await?)
     }
