@@ -26,6 +26,7 @@ BENCHES = {
     "declarations": "the effect of very many declarations of one program on two routers and their slow link",
     "urgent_vm": "two cases of `urgent` on a real kernel's Bluetooth stack in the VM, paced",
     "lanes_cost": "throughput and round trip of lanes compared with a plain link, unpaced, in the VM",
+    "encryption": "a link with a secret compared with one without, on a real kernel's Bluetooth stack in the VM",
     "plugin": "RECT in a stock zenohd compared with rect-router: urgent messages, throughput, memory, threads",
     "registry": "time to an answer with 5 and 500 connections, and until another router's registry shows a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",

@@ -38,11 +38,17 @@ class Room:
             print(f"The routers' logs are in {self._folder}")
 
     def add_robot(
-        self, name: str, dial_options: str = "", arguments: tuple[str, ...] = (), kind: type[Robot] = Robot
+        self,
+        name: str,
+        dial_options: str = "",
+        arguments: tuple[str, ...] = (),
+        kind: type[Robot] = Robot,
+        ble_options: str = "",
     ) -> Robot:
-        """Starts a robot's router, which dials all earlier robots with `dial_options` in the locator."""
+        """Starts a robot's router, which dials all earlier robots with `dial_options` in the locator. `ble_options` are
+        those of its listener."""
         robot = kind(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
-        robot.start([f"ble/{other.name}{dial_options}" for other in self._robots])
+        robot.start([f"ble/{other.name}{dial_options}" for other in self._robots], ble_options)
         self._robots.append(robot)
         return robot
 

@@ -2,17 +2,18 @@
 //!
 //! The messages are defined in [`hello`](crate::protocol::hello), and the agreement on keys in
 //! [`key_agreement`](crate::protocol::key_agreement).
-use std::{convert::Infallible, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use crate::{
     error::BleError,
     protocol::hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
     protocol::key_agreement::{respond, Initiator},
     protocol::lanes::{
-        check, credits,
-        sdu::{Protection, HEAD_BYTES},
+        credits,
+        sdu::{self, Protection},
     },
-    protocol::seal::{LinkKeys, TAG_BYTES},
+    protocol::seal::LinkKeys,
+    protocol::sealed_message,
     protocol::secret::Secret,
     radio::{Channel, ChannelOptions, RadioError, Security},
 };
@@ -46,9 +47,6 @@ pub(crate) fn channel_options(
     })
 }
 
-/// The head of a sealed message of the handshake. No SDU of an open link has it.
-pub(crate) const SEALED_MESSAGE: u8 = 0xf0;
-
 /// A channel during the handshake. After the two sides have agreed on keys, its messages are sealed.
 pub(crate) struct HandshakeChannel {
     channel: Arc<dyn Channel>,
@@ -77,10 +75,7 @@ impl HandshakeChannel {
 
     /// Returns the number of bytes that an SDU of the open link has in addition to its batch.
     pub(crate) fn overhead(&self) -> usize {
-        match self.keys {
-            Some(_) => HEAD_BYTES + TAG_BYTES,
-            None => HEAD_BYTES + check::SIZE,
-        }
+        sdu::overhead(self.keys.is_some())
     }
 
     /// Agrees on keys if there is a secret, sends a hello, waits for the peer's acceptance and returns it.
@@ -203,11 +198,11 @@ impl HandshakeChannel {
             return Err(self.no_shared_secret());
         }
         let mut keys = agreed.keys;
-        let message = match open(&mut keys, &mut sdu) {
+        let message = match sealed_message::open(&mut keys, &mut sdu) {
             Ok(message) => message,
             Err(error) => {
                 self.refuse(Refusal::Secret).await?;
-                return Err(self.protocol(&error));
+                return Err(self.protocol(&error.to_string()));
             }
         };
         self.keys = Some(keys);
@@ -236,12 +231,10 @@ impl HandshakeChannel {
 
     /// Sends a message, sealed if there are keys.
     async fn send(&mut self, message: &HandshakeMessage) -> Result<(), BleError> {
-        let mut sdu = message.encode();
-        if let Some(keys) = &mut self.keys {
-            sdu.insert(0, SEALED_MESSAGE);
-            // The number counts as used, whether or not the channel accepts the SDU.
-            let Ok(_) = (keys.sealing).seal(&mut sdu, |_| Ok::<_, Infallible>(true));
-        }
+        let sdu = match &mut self.keys {
+            Some(keys) => sealed_message::seal(keys, message),
+            None => message.encode(),
+        };
         Ok(self.channel.send(&sdu).await?)
     }
 
@@ -249,7 +242,7 @@ impl HandshakeChannel {
     async fn receive_message(&mut self) -> Result<HandshakeMessage, BleError> {
         let mut sdu = self.receive().await?;
         let message = match &mut self.keys {
-            Some(keys) => open(keys, &mut sdu),
+            Some(keys) => sealed_message::open(keys, &mut sdu).map_err(|error| error.to_string()),
             None => HandshakeMessage::decode(&sdu).map_err(|error| error.to_string()),
         };
         message.map_err(|error| self.protocol(&error))
@@ -292,14 +285,6 @@ impl HandshakeChannel {
     fn protocol(&self, what: &str) -> BleError {
         protocol(&self.channel, what)
     }
-}
-
-/// Opens and decodes a sealed message of the handshake.
-fn open(keys: &mut LinkKeys, sdu: &mut [u8]) -> Result<HandshakeMessage, String> {
-    let opened = keys.opening.open(sdu).map_err(|error| error.to_string())?;
-    let message = opened.strip_prefix(&[SEALED_MESSAGE]);
-    let message = message.ok_or_else(|| "it sent data before its hello".to_owned())?;
-    HandshakeMessage::decode(message).map_err(|error| error.to_string())
 }
 
 /// Returns whether the SDU is the refusal of a peer with another secret.

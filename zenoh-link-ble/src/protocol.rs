@@ -7,4 +7,5 @@ pub mod hello;
 pub mod key_agreement;
 pub mod lanes;
 pub mod seal;
+pub mod sealed_message;
 pub mod secret;

@@ -1,5 +1,6 @@
 //! Implements `rect-router doctor`: finds problems that keep this computer from reaching other robots, and gives advice on
 //! each.
+mod encryption;
 mod login;
 mod names;
 mod network;
@@ -13,6 +14,7 @@ use rect::{
     terminal::{self, paint, Style},
 };
 use serde::Serialize;
+use serde_json::Value;
 
 use super::Failure;
 use crate::args::DoctorArgs;
@@ -88,6 +90,13 @@ fn show(mark: &str, text: &str) {
             rect::outln!("{:indent$}{text}", "");
         }
     }
+}
+
+/// Returns the name of the robot or program at the other end of a connection, or else its address.
+fn peer(connection: &Value) -> &str {
+    let mut paths = ["/peer/robot", "/address"].iter();
+    let peer = paths.find_map(|path| connection.pointer(path)?.as_str());
+    peer.unwrap_or("a robot")
 }
 
 /// Runs all checks and prints their findings. The exit status is 1 if something does not work.

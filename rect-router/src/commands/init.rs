@@ -119,6 +119,11 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
             users.display()
         );
     }
+    if args.base_station {
+        rect::outln!(
+            "to link robots over Wi-Fi, too, add a listener with TLS: docs/how-to/security.md"
+        );
+    }
     Ok(())
 }
 

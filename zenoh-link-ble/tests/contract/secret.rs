@@ -9,6 +9,7 @@ use zenoh_link_ble::{
     protocol::hello::{HandshakeMessage, Key, Refusal, VERSION},
     protocol::key_agreement::{Initiator, KEY_MESSAGE_BYTES},
     protocol::lanes::{sdu::Content, Lane},
+    protocol::sealed_message,
     protocol::secret::Secret,
     radio::Channel,
 };
@@ -18,7 +19,7 @@ use crate::shared::{
     listener::OPTIONS,
     peer::{assert_delivers, within, Peer},
     raw::{hello, raw_channel},
-    sealed::{agree, dial_with_secret, receive_sealed, seal_message},
+    sealed::{agree, dial_with_secret, receive_sealed},
 };
 
 pub const OURS: &str = "fleet:what only we know";
@@ -174,7 +175,7 @@ pub async fn refuses_a_replayed_handshake(world: World) {
     };
     let agreed = initiator.finish(&answer.message).expect("our secret");
     let mut keys = agreed.keys;
-    let sealed = seal_message(&mut keys, &HandshakeMessage::Hello(hello(6, "wombat-3")));
+    let sealed = sealed_message::seal(&mut keys, &HandshakeMessage::Hello(hello(6, "wombat-3")));
     channel.send(&sealed).await.expect("sends");
     let accepted = receive_sealed(&channel, &mut keys).await;
     assert!(matches!(accepted, HandshakeMessage::Accept(_)));
@@ -214,7 +215,7 @@ pub async fn refuses_anything_but_a_sealed_hello(world: World) {
     ] {
         let channel = raw_channel(&world.a, &world.b).await;
         let mut keys = agree(&channel, &ours()).await;
-        let mut sealed = seal_message(&mut keys, &hello);
+        let mut sealed = sealed_message::seal(&mut keys, &hello);
         match what {
             "an early batch" => sealed = early.clone(),
             "a hello that is not sealed" => sealed = hello.encode(),

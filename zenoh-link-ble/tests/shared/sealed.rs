@@ -1,11 +1,12 @@
 //! Provides the handshake of a raw peer with a secret.
-use std::{convert::Infallible, sync::Arc};
+use std::sync::Arc;
 
 use zenoh_link_ble::{
     protocol::hello::{HandshakeMessage, Hello, Key, VERSION},
     protocol::key_agreement::Initiator,
     protocol::lanes::sdu::Protection,
     protocol::seal::LinkKeys,
+    protocol::sealed_message,
     protocol::secret::Secret,
     radio::{Channel, Radio},
 };
@@ -14,9 +15,6 @@ use super::{
     peer::within,
     raw::{answer_to, hello, raw_channel, RawPeer},
 };
-
-/// The head of a sealed message of the handshake.
-const SEALED_MESSAGE: u8 = 0xf0;
 
 /// Dials a listener with the same secret and completes the handshake.
 pub async fn dial_with_secret(
@@ -27,7 +25,7 @@ pub async fn dial_with_secret(
 ) -> RawPeer {
     let channel = raw_channel(from, to).await;
     let mut keys = agree(&channel, secret).await;
-    let sealed = seal_message(&mut keys, &HandshakeMessage::Hello(hello(5, name)));
+    let sealed = sealed_message::seal(&mut keys, &HandshakeMessage::Hello(hello(5, name)));
     within("sending", channel.send(&sealed))
         .await
         .expect("sends");
@@ -55,18 +53,9 @@ pub async fn agree(channel: &Arc<dyn Channel>, secret: &Secret) -> LinkKeys {
     }
 }
 
-/// Seals a message of the handshake.
-pub fn seal_message(keys: &mut LinkKeys, message: &HandshakeMessage) -> Vec<u8> {
-    let mut sdu = [&[SEALED_MESSAGE], &message.encode()[..]].concat();
-    let Ok(_) = keys.sealing.seal(&mut sdu, |_| Ok::<_, Infallible>(true));
-    sdu
-}
-
 /// Receives a sealed message of the handshake.
 pub async fn receive_sealed(channel: &Arc<dyn Channel>, keys: &mut LinkKeys) -> HandshakeMessage {
     let mut buffer = [0; 2000];
     let size = within("the answer", channel.recv(&mut buffer)).await;
-    let opened = keys.opening.open(&mut buffer[..size.expect("receives")]);
-    let message = opened.expect("sealed").strip_prefix(&[SEALED_MESSAGE]);
-    HandshakeMessage::decode(message.expect("of the handshake")).expect("valid")
+    sealed_message::open(keys, &mut buffer[..size.expect("receives")]).expect("sealed and valid")
 }

@@ -5,7 +5,7 @@ use serde_json::Value;
 use std::{collections::BTreeSet, time::Duration};
 use zenoh::{Session, Wait};
 
-use super::{login, names, radio, Finding};
+use super::{encryption, login, names, radio, Finding};
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
@@ -45,6 +45,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
             .find_map(|(_, status)| status["chooses_intervals"].as_bool());
         for (_, connections) in replies(&session, &format!("{own}/connections")) {
             findings.extend(radio::findings(&connections, may_choose));
+            findings.extend(encryption::findings(&connections));
         }
     }
     findings.extend(peers(&session));

@@ -2,7 +2,7 @@
 //! and whether its router may choose connection intervals. docs/concepts/radio.md explains the limits.
 use serde_json::Value;
 
-use super::Finding;
+use super::{peer, Finding};
 
 const ABOUT: &str = "radio";
 /// Most controllers hold about this number of links.
@@ -41,7 +41,6 @@ pub fn findings(connections: &Value, may_choose: Option<bool>) -> Vec<Finding> {
         ));
     }
     findings.extend(ble().filter_map(weak));
-    findings.extend(ble().filter_map(unencrypted));
     findings
 }
 
@@ -62,26 +61,6 @@ fn crowd(links: usize, robots: usize) -> Finding {
         );
     }
     Finding::good(ABOUT, what)
-}
-
-fn peer(connection: &Value) -> &str {
-    let mut paths = ["/peer/robot", "/address"].iter();
-    let peer = paths.find_map(|path| connection.pointer(path)?.as_str());
-    peer.unwrap_or("a robot")
-}
-
-fn unencrypted(connection: &Value) -> Option<Finding> {
-    if connection["encrypted"] != false {
-        return None;
-    }
-    Some(Finding::poor(
-        ABOUT,
-        format!(
-            "the Bluetooth link with {} is not encrypted: everybody in range can read and change messages",
-            peer(connection)
-        ),
-        "give both robots the secret of the team: `rect init` on the first, and its login file on the other (docs/how-to/security.md)",
-    ))
 }
 
 fn weak(connection: &Value) -> Option<Finding> {
@@ -140,15 +119,6 @@ mod tests {
         assert!(not_good(mixed(), None).is_empty());
         let star = json!([link(Some("a"), -60), link(Some("b"), -60)]);
         assert!(not_good(star, Some(false)).is_empty());
-    }
-
-    #[test]
-    fn warns_of_links_without_encryption() {
-        let mut open = link(None, -60);
-        open["encrypted"] = json!(false);
-        assert!(not_good(json!([open]), None)[0].contains("with wombat-2 is not encrypted"));
-        open["encrypted"] = json!(true);
-        assert!(not_good(json!([open]), None).is_empty());
     }
 
     #[test]

@@ -38,9 +38,9 @@ impl Path {
 
     /// Handles an acknowledgement of `new` more bytes. `round_trip` is the time from sending the last of their SDUs until
     /// now, if it is known.
-    pub fn on_ack(&mut self, new: u16, round_trip: Option<Duration>, now: Instant) {
+    pub fn on_ack(&mut self, new: u32, round_trip: Option<Duration>, now: Instant) {
         if let Some(busy) = self.busy.as_mut() {
-            busy.bytes += u32::from(new);
+            busy.bytes = busy.bytes.saturating_add(new);
             let span = now.saturating_duration_since(busy.since);
             if span >= MIN_SPAN {
                 let measured = f64::from(busy.bytes) / span.as_secs_f64();

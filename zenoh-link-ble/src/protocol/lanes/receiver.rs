@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::{
     credits::{cost, Acks, CreditError},
     report::{Count, InLaneReport},
-    sdu::{Content, Opener, SduError, HEAD_BYTES},
+    sdu::{Content, Opener, SduError},
     Lane, LANES,
 };
 
@@ -106,8 +106,7 @@ impl Receiver {
         if self.is_finished {
             return Err(Violation::AfterGoodbye);
         }
-        let overhead = HEAD_BYTES + self.opener.trailer_bytes();
-        let size = sdu.len().saturating_sub(overhead);
+        let size = sdu.len().saturating_sub(self.opener.overhead());
         if size > self.mtu {
             let mtu = self.mtu;
             return Err(Violation::TooLarge { size, mtu });

@@ -288,7 +288,7 @@ impl Scheduler {
         let unacknowledged = self.allowance.unacknowledged();
         self.ack_timer.on_ack(new, unacknowledged, now);
         let round_trip = self.flight.on_ack(total, now);
-        self.path.on_ack(new, round_trip, now);
+        self.path.on_ack(u32::from(new), round_trip, now);
         Ok(())
     }
 

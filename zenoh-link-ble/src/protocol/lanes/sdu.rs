@@ -136,8 +136,17 @@ impl Protection {
 
     /// Returns the number of bytes that an SDU has in addition to its batch.
     pub fn overhead(&self) -> usize {
-        HEAD_BYTES + self.into.trailer_bytes()
+        overhead(self.is_encrypted())
     }
+}
+
+/// Returns the number of bytes that an SDU of a link has in addition to its batch.
+pub fn overhead(is_encrypted: bool) -> usize {
+    HEAD_BYTES
+        + match is_encrypted {
+            true => TAG_BYTES,
+            false => check::SIZE,
+        }
 }
 
 /// Appends the trailers to the SDUs of this side.
@@ -213,12 +222,9 @@ impl Opener {
         }
     }
 
-    /// Returns the size of a trailer, in bytes.
-    pub fn trailer_bytes(&self) -> usize {
-        match self {
-            Self::Check { .. } => check::SIZE,
-            Self::Key(_) => TAG_BYTES,
-        }
+    /// Returns the number of bytes that an SDU has in addition to its batch.
+    pub fn overhead(&self) -> usize {
+        overhead(matches!(self, Self::Key(_)))
     }
 }
 

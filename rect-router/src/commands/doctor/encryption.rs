@@ -1,0 +1,67 @@
+//! Checks that what leaves this computer is encrypted.
+use serde_json::Value;
+
+use super::{peer, Finding};
+
+const ABOUT: &str = "encryption";
+
+/// Returns a finding for each link of a robot that is not encrypted. `connections` is the answer of its registry.
+pub fn findings(connections: &Value) -> Vec<Finding> {
+    let all = connections.as_array().into_iter().flatten();
+    all.filter(|connection| connection["encrypted"] == false)
+        .map(unencrypted)
+        .collect()
+}
+
+fn unencrypted(connection: &Value) -> Finding {
+    let (link, who, advice) = match connection["method"].as_str() {
+        Some("ble") => (
+            "Bluetooth",
+            "everybody in range",
+            "give both robots the secret of the team: `rect init` on the first, and its login file on the other (docs/how-to/security.md)",
+        ),
+        _ => (
+            "network",
+            "everybody on the network",
+            "use TLS where others share the network (docs/how-to/security.md, \"Connect over Wi-Fi with TLS\")",
+        ),
+    };
+    Finding::poor(
+        ABOUT,
+        format!(
+            "the {link} link with {} is not encrypted: {who} can read and change messages",
+            peer(connection)
+        ),
+        advice,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn found(method: &str, encrypted: Value) -> Vec<String> {
+        let peer = json!({ "robot": "wombat-2" });
+        let connection = json!({ "method": method, "peer": peer, "encrypted": encrypted });
+        let findings = findings(&json!([connection])).into_iter();
+        findings.map(|finding| finding.what).collect()
+    }
+
+    #[test]
+    fn warns_of_links_that_are_not_encrypted() {
+        assert!(found("ble", json!(false))[0]
+            .contains("the Bluetooth link with wombat-2 is not encrypted: everybody in range"));
+        assert!(found("tcp", json!(false))[0].contains("everybody on the network"));
+    }
+
+    #[test]
+    fn is_silent_about_encrypted_links_and_links_within_the_computer() {
+        for encrypted in [json!(true), json!(null)] {
+            for method in ["ble", "tcp"] {
+                assert!(found(method, encrypted.clone()).is_empty());
+            }
+        }
+    }
+}
