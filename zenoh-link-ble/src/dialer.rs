@@ -18,7 +18,8 @@ use crate::{
         Framing, LinkBle, Opened,
     },
     locator::{ConnectLocator, Target},
-    protocol::hello::{Hello, Intervals, NodeId, Refusal, VERSION},
+    protocol::hello::{Hello, Intervals, NodeId, PathOf, Refusal, VERSION},
+    protocol::key_agreement::Exporter,
     protocol::lanes::sdu::Protection,
     protocol::secret::Secret,
     radio::{AdvertisingReport, Channel, ChannelOptions, RadioError, Security},
@@ -49,11 +50,12 @@ const PAIRING: Duration = Duration::from_secs(4);
 pub(crate) async fn dial(
     node: &Arc<Node>,
     locator: &ConnectLocator,
+    path: Option<PathOf>,
 ) -> Result<Arc<LinkBle>, BleError> {
     let adapter = node.adapter(locator.adapter.as_deref())?;
     let start = Instant::now();
     let mut step = DialStep::OtherDial;
-    let dialling = dial_when_free(node, &adapter, locator, &mut step);
+    let dialling = dial_when_free(node, &adapter, locator, path, &mut step);
     if let Ok(dialled) = tokio::time::timeout(locator.timeout, dialling).await {
         return dialled;
     }
@@ -81,6 +83,7 @@ async fn dial_when_free(
     node: &Arc<Node>,
     adapter: &Adapter,
     locator: &ConnectLocator,
+    path: Option<PathOf>,
     step: &mut DialStep,
 ) -> Result<Arc<LinkBle>, BleError> {
     let cancel = CancellationToken::new();
@@ -93,7 +96,7 @@ async fn dial_when_free(
         link_ended.await;
     };
     tokio::select! {
-        linked = dial_once(node, adapter, locator, &mut dialling, step) => linked,
+        linked = dial_once(node, adapter, locator, path, &mut dialling, step) => linked,
         () = cancel.cancelled() => Err(already_linked(locator)),
     }
 }
@@ -103,6 +106,7 @@ async fn dial_once(
     node: &Arc<Node>,
     adapter: &Adapter,
     locator: &ConnectLocator,
+    path: Option<PathOf>,
     dialling: &mut DialEntry,
     step: &mut DialStep,
 ) -> Result<Arc<LinkBle>, BleError> {
@@ -117,7 +121,11 @@ async fn dial_once(
     if yields_to(node, &candidate) {
         tokio::time::sleep(YIELD_TIME).await;
     }
-    let opened = open(node, dialling.number, adapter, locator, &candidate, step).await;
+    let dial = DialOf {
+        number: dialling.number,
+        path,
+    };
+    let opened = open(node, dial, adapter, locator, &candidate, step).await;
     // After a refusal, the BLE connection may carry the link that the peer has dialled.
     let is_in_use = matches!(
         opened,
@@ -138,6 +146,7 @@ async fn dial_once(
         channel,
         peer,
         protection,
+        exporter,
         offered,
     } = opened?;
     let mtu = agreed_mtu(&channel, locator.mtu, peer.as_ref(), protection.overhead())?;
@@ -155,7 +164,10 @@ async fn dial_once(
     let answered = peer.as_ref().and_then(|peer| peer.intervals.clone());
     let own = offered.clone();
     let interval = (node.intervals()).on_accepted(dialling.number, new_link, offered, answered);
+    let agreed_path = peer.as_ref().and_then(|peer| peer.path);
     let opened = Opened {
+        path: agreed_path.filter(|_| path.is_some()),
+        exporter,
         framing: Framing::with(&channel, peer.as_ref(), protection, None),
         channel,
         radio: Arc::clone(&adapter.radio),
@@ -189,20 +201,28 @@ struct Dialled {
     /// The hello of the peer, or `None` for a plain peer.
     peer: Option<Hello>,
     protection: Protection,
+    exporter: Option<Exporter>,
     /// The connection intervals that this side has offered.
     offered: Option<Intervals>,
+}
+
+/// The number of a dial, and the link of which its channel becomes a path.
+#[derive(Clone, Copy)]
+struct DialOf {
+    number: LinkNumber,
+    path: Option<PathOf>,
 }
 
 /// Connects a channel and performs the handshake, unless the peer is a plain peer.
 async fn open(
     node: &Arc<Node>,
-    dial: LinkNumber,
+    dial: DialOf,
     adapter: &Adapter,
     locator: &ConnectLocator,
     candidate: &Candidate,
     step: &mut DialStep,
 ) -> Result<Dialled, BleError> {
-    let mut limit = connect_timeout(node.id, dial);
+    let mut limit = connect_timeout(node.id, dial.number);
     if locator.security != Security::Low {
         limit += PAIRING;
     }
@@ -231,6 +251,7 @@ async fn open(
             channel,
             peer: None,
             protection: Protection::checks(),
+            exporter: None,
             offered,
         });
     }
@@ -242,16 +263,19 @@ async fn open(
         window: own_window(&channel),
         name: node.name(),
         intervals: offered.clone(),
+        path: dial.path,
     };
-    if !node.link_table().on_sending_hello(dial) {
+    if !node.link_table().on_sending_hello(dial.number) {
         return Err(already_linked(locator));
     }
     let mut handshake = HandshakeChannel::new(&channel);
     let peer = handshake.dial(own, secret.as_ref()).await?;
+    let (protection, exporter) = handshake.finish();
     Ok(Dialled {
         channel,
         peer: Some(peer),
-        protection: handshake.into_protection(),
+        protection,
+        exporter,
         offered,
     })
 }
@@ -429,7 +453,7 @@ mod tests {
     async fn failed_dial(node: &Arc<Node>) -> BleError {
         let endpoint = "ble/raw#timeout=2500".parse().expect("an endpoint");
         let locator = ConnectLocator::parse(&endpoint).expect("a locator");
-        match dial(node, &locator).await {
+        match dial(node, &locator, None).await {
             Ok(_) => panic!("dialled"),
             Err(error) => error,
         }

@@ -7,7 +7,7 @@ use std::{sync::Arc, time::Duration};
 use crate::{
     error::BleError,
     protocol::hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
-    protocol::key_agreement::{respond, Initiator},
+    protocol::key_agreement::{respond, Exporter, Initiator},
     protocol::lanes::{
         credits,
         sdu::{self, Protection},
@@ -51,6 +51,7 @@ pub(crate) fn channel_options(
 pub(crate) struct HandshakeChannel {
     channel: Arc<dyn Channel>,
     keys: Option<LinkKeys>,
+    exporter: Option<Exporter>,
 }
 
 /// The first SDU of a peer that dialled this node.
@@ -65,12 +66,14 @@ impl HandshakeChannel {
         Self {
             channel: Arc::clone(channel),
             keys: None,
+            exporter: None,
         }
     }
 
-    /// Returns the protection of the SDUs that follow the handshake.
-    pub(crate) fn into_protection(self) -> Protection {
-        self.keys.map_or_else(Protection::checks, Protection::keys)
+    /// Returns the protection of the SDUs that follow the handshake, and what derives keys for other uses.
+    pub(crate) fn finish(self) -> (Protection, Option<Exporter>) {
+        let protection = self.keys.map_or_else(Protection::checks, Protection::keys);
+        (protection, self.exporter)
     }
 
     /// Returns the number of bytes that an SDU of the open link has in addition to its batch.
@@ -118,6 +121,7 @@ impl HandshakeChannel {
         match initiator.finish(&answer.message) {
             Ok(agreed) => {
                 self.keys = Some(agreed.keys);
+                self.exporter = Some(agreed.exporter);
                 Ok(())
             }
             Err(_) => {
@@ -206,6 +210,7 @@ impl HandshakeChannel {
             }
         };
         self.keys = Some(keys);
+        self.exporter = Some(agreed.exporter);
         match message {
             HandshakeMessage::Hello(hello) => Ok(hello),
             other => {

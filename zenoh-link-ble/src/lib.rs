@@ -19,6 +19,7 @@ pub mod locator;
 mod manager;
 mod name_conflict;
 mod node_id;
+pub mod path;
 mod pending_handshakes;
 #[doc(hidden)]
 pub mod protocol;

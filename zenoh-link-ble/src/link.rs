@@ -47,7 +47,8 @@ use crate::{
         traffic::{Tasks, Traffic, TrafficOptions},
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
-    protocol::hello::Hello,
+    protocol::hello::{Hello, PathOf},
+    protocol::key_agreement::Exporter,
     protocol::lanes::{sdu::Protection, Lane},
     radio::{Channel, Radio},
 };
@@ -102,6 +103,10 @@ pub(crate) struct Opened {
     pub is_paired: bool,
     /// Cancelled when a newer link replaces this one.
     pub replaced: CancellationToken,
+    /// The link of which the two have agreed that the channel becomes a path.
+    pub path: Option<PathOf>,
+    /// Derives keys for other uses, if the two have a secret.
+    pub exporter: Option<Exporter>,
 }
 
 /// An open link, as Zenoh uses it.
@@ -118,6 +123,8 @@ pub(crate) struct LinkBle {
     close_once: Arc<CloseOnce>,
     linger: Duration,
     is_closed: AtomicBool,
+    path: Option<PathOf>,
+    exporter: Option<Exporter>,
 }
 
 enum Batches {
@@ -140,6 +147,8 @@ impl LinkBle {
             peer_name,
             is_paired,
             replaced,
+            path,
+            exporter,
         } = opened;
         let adapter = channel.adapter().to_owned();
         let peer = if peer_name.is_empty() {
@@ -191,9 +200,44 @@ impl LinkBle {
             close_once,
             linger: queueing.linger,
             is_closed: AtomicBool::new(false),
+            path,
+            exporter,
         });
         node.on_link_open(number, link.dst.address().as_str(), &link);
         Ok(link)
+    }
+
+    /// Returns what derives keys for other uses, if the two have a secret.
+    pub(crate) fn exporter(&self) -> Option<&Exporter> {
+        self.exporter.as_ref()
+    }
+
+    /// Returns the next batch of any lane.
+    pub(crate) async fn receive_any(&self) -> Result<Vec<u8>, BleError> {
+        match &self.batches {
+            Batches::Lanes { traffic, .. } => traffic.read_any().await,
+            Batches::Plain(plain) => plain.read().await,
+        }
+    }
+
+    /// Returns the number of batches that wait to be sent.
+    pub(crate) fn waiting(&self) -> u64 {
+        match &self.batches {
+            Batches::Lanes { traffic, .. } => traffic.waiting(),
+            Batches::Plain(_) => 0,
+        }
+    }
+
+    /// Waits until a batch is sent, or until the link has ended.
+    pub(crate) async fn sent(&self) {
+        if let Batches::Lanes { traffic, .. } = &self.batches {
+            traffic.sent().await;
+        }
+    }
+
+    /// Returns the link of which this one is a path, if any.
+    pub(crate) fn path(&self) -> Option<PathOf> {
+        self.path
     }
 
     /// Returns an error if the link is known to have ended.
@@ -252,7 +296,7 @@ impl LinkBle {
         }
     }
 
-    async fn send_batch(&self, lane: Lane, batch: &[u8]) -> Result<(), BleError> {
+    pub(crate) async fn send_batch(&self, lane: Lane, batch: &[u8]) -> Result<(), BleError> {
         match &self.batches {
             Batches::Lanes { traffic, .. } => traffic.write(lane, batch).await,
             Batches::Plain(plain) => plain.write(batch).await,

@@ -21,8 +21,9 @@ use crate::{
     },
     locator::ListenLocator,
     name_conflict::{NameConflictCheck, NameSearch},
+    path::BlePath,
     pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
-    protocol::hello::{HandshakeMessage, Hello, VERSION},
+    protocol::hello::{HandshakeMessage, Hello, Refusal, VERSION},
     protocol::secret::Secret,
     radio::{
         AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
@@ -252,6 +253,10 @@ impl Listener {
         let opened = self.open(channel, peer, permit).await;
         drop(handshake);
         match opened {
+            Ok(Some(link)) if link.path().is_some() => match self.node.path_acceptor() {
+                Some(acceptor) => acceptor.on_path(BlePath::new(link)),
+                None => tracing::debug!("ble: dropped a path from {peer}: the router is stopping"),
+            },
             Ok(Some(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
                 if self
@@ -296,6 +301,16 @@ impl Listener {
             peer.as_ref(),
             handshake.overhead(),
         )?;
+        let path = peer.as_ref().and_then(|peer| peer.path);
+        let acceptor = self.node.path_acceptor();
+        let path = path.filter(|_| acceptor.is_some());
+        if let (Some(path), Some(acceptor)) = (path, &acceptor) {
+            if path.joins && !acceptor.has_link(path.link) {
+                permit.succeed();
+                handshake.refuse(Refusal::NoSuchLink).await?;
+                return Ok(None);
+            }
+        }
         let replaced = CancellationToken::new();
         let (verdict, number) = self.node.link_table().on_hello(
             &self.name,
@@ -346,6 +361,7 @@ impl Listener {
                 window: own_window(&channel),
                 name: self.name.clone(),
                 intervals: Some(intervals),
+                path,
             };
             let accepted = handshake.answer(&HandshakeMessage::Accept(own)).await;
             if let Err(error) = accepted {
@@ -353,8 +369,10 @@ impl Listener {
                 return Err(error);
             }
         }
-        let protection = handshake.into_protection();
+        let (protection, exporter) = handshake.finish();
         let opened = Opened {
+            path,
+            exporter,
             channel: Arc::clone(&channel),
             radio: Arc::clone(&self.adapter.radio),
             framing: Framing::with(&channel, peer.as_ref(), protection, first),

@@ -13,10 +13,11 @@ use zenoh_result::ZResult;
 use crate::{
     dialer::dial,
     error::{describe, into_zenoh, BleError, DialStep},
-    link::{node::Node, table::LinkCounts},
+    link::{node::Node, table::LinkCounts, LinkBle},
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
-    protocol::hello::NodeId,
+    path::{AcceptPaths, BlePath, DialledPath},
+    protocol::hello::{NodeId, PathOf},
     radio::{bluez, sim, Radio, RadioError},
     status,
 };
@@ -92,52 +93,86 @@ impl LinkManagerUnicastBle {
         self.node.link_table().link_counts()
     }
 
+    /// Sets the part of the program that takes channels which become paths of other links. Without it, or after it was
+    /// dropped, such channels carry Zenoh's batches themselves.
+    pub fn accept_paths(&self, acceptor: &Arc<dyn AcceptPaths>) {
+        self.node.set_path_acceptor(acceptor);
+    }
+
+    /// Dials a peer for a path of another link. A peer that knows no such links gets a `ble` link.
+    ///
+    /// # Errors
+    /// Fails as [`LinkManagerUnicastTrait::new_link`] does.
+    pub async fn dial_path(
+        &self,
+        endpoint: EndPoint,
+        path: PathOf,
+    ) -> Result<DialledPath, BleError> {
+        let link = self.dial(endpoint, Some(path)).await?;
+        if link.path().is_some() {
+            return Ok(DialledPath::Path(BlePath::new(link)));
+        }
+        let link: Arc<dyn LinkUnicastTrait> = link;
+        Ok(DialledPath::Link(LinkUnicast::from(link)))
+    }
+
+    /// Returns the name of this node's listener, or an empty one.
+    pub fn name(&self) -> String {
+        self.node.name()
+    }
+
+    /// Dials a peer. With `path`, the channel becomes a path of that link if the peer knows such links.
+    async fn dial(
+        &self,
+        endpoint: EndPoint,
+        path: Option<PathOf>,
+    ) -> Result<Arc<LinkBle>, BleError> {
+        let node = Arc::clone(&self.node);
+        self.on_runtime(async move {
+            let locator = ConnectLocator::parse(&endpoint)?;
+            let dialling = node
+                .stop_dialling
+                .run_until_cancelled(dial(&node, &locator, path));
+            let dialled = dialling.await.unwrap_or(Err(BleError::ShuttingDown));
+            if let Err(error) = &dialled {
+                // Zenoh dials again and logs the reason only at debug level. The status shows it to the user.
+                let reason = describe(error);
+                tracing::debug!("ble: no link with {}: {reason}", locator.target);
+                let is_failure = match error {
+                    BleError::AlreadyLinked { .. } | BleError::ShuttingDown => false,
+                    // A fleet need not have any more robots.
+                    BleError::NotFound { .. }
+                    | BleError::DialTimedOut {
+                        step: DialStep::OtherDial,
+                        ..
+                    } => !matches!(locator.target, Target::Fleet(_)),
+                    _ => true,
+                };
+                if is_failure {
+                    node.on_failed_dial(&locator.target.to_string(), &reason);
+                }
+            }
+            dialled
+        })
+        .await
+    }
+
     /// Runs `work` on the manager's runtime. Sockets and tasks of the radio need a runtime that lives as long as Zenoh,
     /// regardless of the caller's.
     async fn on_runtime<T: Send + 'static>(
         &self,
         work: impl std::future::Future<Output = Result<T, BleError>> + Send + 'static,
-    ) -> ZResult<T> {
-        match AbortOnDropHandle::new(self.runtime.spawn(work)).await {
-            Ok(done) => done.map_err(into_zenoh),
-            Err(_) => Err(into_zenoh(BleError::ShuttingDown)),
-        }
+    ) -> Result<T, BleError> {
+        let done = AbortOnDropHandle::new(self.runtime.spawn(work)).await;
+        done.unwrap_or(Err(BleError::ShuttingDown))
     }
 }
 
 #[async_trait]
 impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
     async fn new_link(&self, endpoint: EndPoint) -> ZResult<LinkUnicast> {
-        let node = Arc::clone(&self.node);
-        let link = self
-            .on_runtime(async move {
-                let locator = ConnectLocator::parse(&endpoint)?;
-                let dialling = node
-                    .stop_dialling
-                    .run_until_cancelled(dial(&node, &locator));
-                let dialled = dialling.await.unwrap_or(Err(BleError::ShuttingDown));
-                if let Err(error) = &dialled {
-                    // Zenoh dials again and logs the reason only at debug level. The status shows it to the user.
-                    let reason = describe(error);
-                    tracing::debug!("ble: no link with {}: {reason}", locator.target);
-                    let is_failure = match error {
-                        BleError::AlreadyLinked { .. } | BleError::ShuttingDown => false,
-                        // A fleet need not have any more robots.
-                        BleError::NotFound { .. }
-                        | BleError::DialTimedOut {
-                            step: DialStep::OtherDial,
-                            ..
-                        } => !matches!(locator.target, Target::Fleet(_)),
-                        _ => true,
-                    };
-                    if is_failure {
-                        node.on_failed_dial(&locator.target.to_string(), &reason);
-                    }
-                }
-                dialled
-            })
-            .await?;
-        let link: Arc<dyn LinkUnicastTrait> = link;
+        let link: Arc<dyn LinkUnicastTrait> =
+            self.dial(endpoint, None).await.map_err(into_zenoh)?;
         Ok(LinkUnicast::from(link))
     }
 
@@ -152,14 +187,16 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
         let node = Arc::clone(&self.node);
         let (listener, bound) = self
             .on_runtime(async move { Listener::start(node, locator).await })
-            .await?;
+            .await
+            .map_err(into_zenoh)?;
         let (bound, search) = bound.unzip();
         let serve = Arc::clone(&listener).serve(bound);
         let serving = AbortOnDropHandle::new(self.runtime.spawn(serve));
         if let Some(search) = search {
             let checked = Arc::clone(&listener);
             self.on_runtime(async move { checked.check_name(search).await })
-                .await?;
+                .await
+                .map_err(into_zenoh)?;
         }
         let watch = self
             .runtime

@@ -1,5 +1,9 @@
 //! Keeps what all listeners and dials of one Zenoh runtime share: the identity of the node, its links and its adapters.
-use std::{collections::HashMap, sync::Arc, time::Duration};
+use std::{
+    collections::HashMap,
+    sync::{Arc, Weak},
+    time::Duration,
+};
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::{sync::Notify, time::Instant};
@@ -20,6 +24,7 @@ use crate::{
         table::LinkTable,
         LinkBle,
     },
+    path::AcceptPaths,
     protocol::hello::{Intervals, NodeId},
     protocol::secret::Secret,
     radio::{Radio, RadioError},
@@ -57,6 +62,7 @@ pub(crate) struct Node {
     handshake_ended: Notify,
     open_links: Mutex<OpenLinks>,
     open_radio: Box<OpenRadio>,
+    path_acceptor: Mutex<Option<Weak<dyn AcceptPaths>>>,
 }
 
 /// The properties of this node's listener that a dial uses: its adapter, its name and its secret.
@@ -89,7 +95,18 @@ impl Node {
             handshake_ended: Notify::new(),
             open_links: Mutex::default(),
             open_radio,
+            path_acceptor: Mutex::new(None),
         })
+    }
+
+    /// Sets the part of the program that takes channels which become paths of other links.
+    pub(crate) fn set_path_acceptor(&self, acceptor: &Arc<dyn AcceptPaths>) {
+        *self.path_acceptor.lock() = Some(Arc::downgrade(acceptor));
+    }
+
+    /// Returns what takes channels which become paths of other links, if there is any.
+    pub(crate) fn path_acceptor(&self) -> Option<Arc<dyn AcceptPaths>> {
+        self.path_acceptor.lock().as_ref()?.upgrade()
     }
 
     /// Locks the table of links and dials.

@@ -219,6 +219,47 @@ impl Traffic {
         }
     }
 
+    /// Returns the next batch of any lane, the most urgent one first. Waits until there is one.
+    ///
+    /// # Errors
+    /// Fails if the link has ended and all batches that arrived before its end were read.
+    pub(crate) async fn read_any(&self) -> Result<Vec<u8>, BleError> {
+        let on_first = &self.arrived[Lane::first().index()];
+        loop {
+            let elsewhere = self.arrived_elsewhere.notified();
+            {
+                let mut state = self.state.lock();
+                let taken = Lane::all().find_map(|lane| state.lanes.take(lane));
+                if let Some(batch) = taken {
+                    if state.lanes.has_signal() {
+                        self.to_send.notify_one();
+                    }
+                    return Ok(batch);
+                }
+                state.check()?;
+            }
+            let arrived = async {
+                tokio::select! {
+                    () = on_first.notified() => {}
+                    () = elsewhere => {}
+                }
+            };
+            self.unless_ended(arrived).await;
+        }
+    }
+
+    /// Returns the number of batches that wait to be sent.
+    pub(crate) fn waiting(&self) -> u64 {
+        let (state, now) = (self.state.lock(), Instant::now().into_std());
+        let reports = Lane::all().map(|lane| state.lanes.lane_report(lane, now).0);
+        reports.map(|report| report.waiting.sdus).sum()
+    }
+
+    /// Waits until a batch is sent, or until the link has ended.
+    pub(crate) async fn sent(&self) {
+        self.unless_ended(self.room.notified()).await;
+    }
+
     /// Waits for a future or for the end of the link, whichever is first. Any number of tasks may wait.
     async fn unless_ended(&self, waiting: impl Future<Output = ()>) {
         tokio::select! {

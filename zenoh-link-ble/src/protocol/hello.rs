@@ -34,6 +34,8 @@ const KIND_KEY_ANSWER: u8 = 5;
 
 /// The byte that precedes the connection intervals of a hello, after the name.
 const INTERVALS_FOLLOW: u8 = b'I';
+/// The byte that precedes the fields of a path, after the intervals.
+const PATH_FOLLOWS: u8 = b'M';
 
 /// The content of HELLO and ACCEPT: the properties of the side that sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,6 +54,17 @@ pub struct Hello {
     /// Connection intervals, at most [`MAX_INTERVALS`]: the one that the dialler requests, and then those that the link must
     /// avoid for the sender's sake. `None` if the sender cannot choose intervals.
     pub intervals: Option<Intervals>,
+    /// The link of which this channel becomes a path. `None` if the channel carries Zenoh's batches itself.
+    pub path: Option<PathOf>,
+}
+
+/// The link of which a channel becomes a path (crate `zenoh-link-multi`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathOf {
+    /// Random number of the link, chosen by the node that opens it.
+    pub link: u64,
+    /// Whether the link exists already.
+    pub joins: bool,
 }
 
 /// The connection intervals in a hello (`link::intervals`).
@@ -80,6 +93,8 @@ pub enum Refusal {
     Secret,
     /// A message of the handshake violates the protocol.
     Malformed,
+    /// The refusing side does not have the link of which the channel should become a path.
+    NoSuchLink,
     /// A reason that this version does not know, with its code.
     Other(u8),
 }
@@ -94,6 +109,7 @@ impl Refusal {
             Self::NameTaken => 5,
             Self::Secret => 6,
             Self::Malformed => 7,
+            Self::NoSuchLink => 8,
             Self::Other(code) => code,
         }
     }
@@ -107,6 +123,7 @@ impl Refusal {
             5 => Self::NameTaken,
             6 => Self::Secret,
             7 => Self::Malformed,
+            8 => Self::NoSuchLink,
             other => Self::Other(other),
         }
     }
@@ -125,6 +142,7 @@ impl Refusal {
             }
             Self::Secret => "the two do not have the same secret",
             Self::Malformed => "it does not follow the link protocol",
+            Self::NoSuchLink => "this side has no such link any more",
             Self::Other(_) => "for another reason",
         }
     }
@@ -150,6 +168,7 @@ impl fmt::Display for Refusal {
             Self::Malformed => f.write_str(
                 "it cannot decode this side's message: one of the two does not follow the link protocol",
             ),
+            Self::NoSuchLink => f.write_str("it has no such link any more"),
             Self::Other(code) => write!(f, "reason {code}, which is unknown to this version"),
         }
     }
@@ -280,6 +299,10 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
     if let Some(intervals) = &hello.intervals {
         encode_intervals(sdu, intervals);
     }
+    if let Some(path) = &hello.path {
+        sdu.extend_from_slice(&[PATH_FOLLOWS, u8::from(path.joins)]);
+        sdu.extend_from_slice(&path.link.to_le_bytes());
+    }
 }
 
 /// Encodes the intervals. Zero stands for no requested interval.
@@ -292,24 +315,38 @@ fn encode_intervals(sdu: &mut Vec<u8>, intervals: &Intervals) {
     }
 }
 
-/// Decodes the intervals after the name. Returns `None` if there are none, or if they are not valid: the link
-/// works without them.
-fn decode_intervals(rest: &[u8]) -> Option<Intervals> {
-    let (&INTERVALS_FOLLOW, rest) = rest.split_first()? else {
+/// Decodes the fields of a path, if they come next.
+fn decode_path(rest: &[u8]) -> Option<PathOf> {
+    let [PATH_FOLLOWS, joins, rest @ ..] = rest else {
         return None;
     };
-    let (&count, rest) = rest.split_first()?;
-    let count = usize::from(count);
-    if !(1..=MAX_INTERVALS).contains(&count) {
+    let (&link, _) = rest.split_first_chunk()?;
+    Some(PathOf {
+        link: u64::from_le_bytes(link),
+        joins: joins & 1 == 1,
+    })
+}
+
+/// Splits off the connection intervals, if they come next.
+fn split_intervals(rest: &[u8]) -> (Option<&[u8]>, &[u8]) {
+    let [INTERVALS_FOLLOW, count, body @ ..] = rest else {
+        return (None, rest);
+    };
+    match body.split_at_checked(2 * usize::from(*count)) {
+        Some((units, rest)) => (Some(units), rest),
+        None => (None, &[]),
+    }
+}
+
+/// Decodes the intervals. Returns `None` if they are not valid: the link works without them.
+fn decode_intervals(units: &[u8]) -> Option<Intervals> {
+    if units.len() > 2 * MAX_INTERVALS {
         return None;
     }
-    let mut units = rest
-        .get(..2 * count)?
-        .chunks_exact(2)
-        .map(|bytes| match bytes {
-            [low, high] => u16::from_le_bytes([*low, *high]),
-            _ => 0,
-        });
+    let mut units = units.chunks_exact(2).map(|bytes| match bytes {
+        [low, high] => u16::from_le_bytes([*low, *high]),
+        _ => 0,
+    });
     let requested = match units.next()? {
         0 => None,
         units => Some(ConnectionInterval::from_units(units)?),
@@ -358,6 +395,7 @@ fn decode_hello(
     }
     let (name, rest) = body.split_at_checked(name_length).ok_or(length)?;
     let name = std::str::from_utf8(name).map_err(|_| HandshakeMessageError::Name)?;
+    let (intervals, rest) = split_intervals(rest);
     let mtu = u16::from_le_bytes(mtu);
     if mtu < MIN_MTU {
         return Err(HandshakeMessageError::Mtu(mtu));
@@ -372,7 +410,8 @@ fn decode_hello(
         mtu,
         window,
         name: name.to_owned(),
-        intervals: decode_intervals(rest),
+        intervals: intervals.and_then(decode_intervals),
+        path: decode_path(rest),
     })
 }
 

@@ -47,6 +47,7 @@ pub fn hello(node: u64, name: &str) -> Hello {
         window: WINDOW,
         name: name.to_owned(),
         intervals: None,
+        path: None,
     }
 }
 

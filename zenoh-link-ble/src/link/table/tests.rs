@@ -20,6 +20,7 @@ fn hello(node: NodeId, name: &str) -> Hello {
         window: 12_000,
         name: name.to_owned(),
         intervals: None,
+        path: None,
     }
 }
 

@@ -10,6 +10,7 @@ fn hello(name: &str) -> Hello {
         window: 12_000,
         name: name.to_owned(),
         intervals: None,
+        path: None,
     }
 }
 
@@ -24,6 +25,7 @@ fn hello_with_intervals(requested: Option<u16>, avoid: &[u16]) -> Hello {
     };
     Hello {
         intervals: Some(intervals),
+        path: None,
         ..hello("ab")
     }
 }

@@ -1,0 +1,395 @@
+//! Keeps what all `multi` links of one Zenoh runtime share: its Bluetooth node, its TCP listener and its links.
+use std::{
+    collections::HashMap,
+    future::Future,
+    net::SocketAddr,
+    sync::{Arc, Weak},
+    time::Duration,
+};
+
+use parking_lot::Mutex;
+use tokio::{
+    net::{TcpListener, TcpStream},
+    runtime::Handle,
+    sync::Semaphore,
+};
+use tokio_util::task::AbortOnDropHandle;
+use zenoh_link_ble::{
+    path::{AcceptPaths, BlePath, DialledPath},
+    protocol::hello::{PathOf, Refusal},
+    BleError, LinkManagerUnicastBle,
+};
+use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait, NewLinkChannelSender};
+use zenoh_protocol::core::EndPoint;
+
+use crate::{
+    connect,
+    error::MultiError,
+    link::LinkMulti,
+    locator::ConnectLocator,
+    multipath::{Bounds, Options},
+    networks, offer,
+    path::Medium,
+    proof::{Proof, Role, Tag, KEY_LABEL, TAG_LABEL},
+    run,
+    shared::Shared,
+};
+
+/// The settings of all links. Both sides use the same largest batch.
+const OPTIONS: Options = Options {
+    max_batch: 8_192,
+    bounds: Bounds {
+        bytes: 16 << 20,
+        backlog: Duration::from_millis(2500),
+        droppable: Duration::from_millis(100),
+    },
+    lease: Duration::from_secs(10),
+};
+/// Number of accepted connections that may be unproven at the same time.
+const MAX_UNPROVEN: usize = 8;
+/// How long the side that has accepted the link leaves dialling to the other one.
+const ACCEPTOR_DELAY: Duration = Duration::from_millis(1500);
+/// The shortest and the longest time between attempts to open a path.
+const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+
+/// The shared parts of all links of one runtime.
+pub(crate) struct Hub {
+    pub(crate) ble: LinkManagerUnicastBle,
+    new_links: NewLinkChannelSender,
+    runtime: Handle,
+    links: Mutex<HashMap<u64, Weak<Shared>>>,
+    tcp: Mutex<Option<Tcp>>,
+}
+
+/// The TCP listener.
+struct Tcp {
+    port: u16,
+    interfaces: Option<Vec<String>>,
+    _accepting: AbortOnDropHandle<()>,
+}
+
+static HUBS: Mutex<Vec<Weak<Hub>>> = Mutex::new(Vec::new());
+
+impl Hub {
+    /// Returns the hub of the runtime that takes accepted links from this channel.
+    pub(crate) fn of(new_links: NewLinkChannelSender) -> Arc<Self> {
+        let mut hubs = HUBS.lock();
+        hubs.retain(|hub| hub.strong_count() > 0);
+        let is_of_runtime = |hub: &Arc<Self>| hub.new_links.same_channel(&new_links);
+        let existing = hubs.iter().filter_map(Weak::upgrade).find(is_of_runtime);
+        if let Some(hub) = existing {
+            return hub;
+        }
+        let runtime: &Handle = &zenoh_runtime::ZRuntime::Acceptor;
+        let hub = Arc::new(Self {
+            ble: LinkManagerUnicastBle::new(new_links.clone()),
+            new_links,
+            runtime: runtime.clone(),
+            links: Mutex::default(),
+            tcp: Mutex::new(None),
+        });
+        let acceptor: Arc<dyn AcceptPaths> = Arc::<Self>::clone(&hub);
+        hub.ble.accept_paths(&acceptor);
+        hubs.push(Arc::downgrade(&hub));
+        hub
+    }
+
+    /// Returns all links of this process.
+    pub(crate) fn all_links() -> Vec<Arc<Shared>> {
+        let hubs: Vec<_> = HUBS.lock().iter().filter_map(Weak::upgrade).collect();
+        hubs.iter().flat_map(|hub| hub.links()).collect()
+    }
+
+    fn links(&self) -> Vec<Arc<Shared>> {
+        let mut links = self.links.lock();
+        links.retain(|_, link| link.upgrade().is_some_and(|link| !link.has_ended()));
+        links.values().filter_map(Weak::upgrade).collect()
+    }
+
+    fn link_with(&self, peer: &str) -> Option<Arc<Shared>> {
+        self.links().into_iter().find(|link| link.peer == peer)
+    }
+
+    /// Opens a link with a peer. One that knows no such links gets a `ble` link.
+    pub(crate) async fn open(
+        self: &Arc<Self>,
+        locator: ConnectLocator,
+    ) -> Result<LinkUnicast, MultiError> {
+        if self.link_with(&locator.peer).is_some() {
+            return Err(MultiError::AlreadyLinked(locator.peer));
+        }
+        let path_of = PathOf {
+            link: random_number(),
+            joins: false,
+        };
+        let path = match self.ble.dial_path(locator.ble.clone(), path_of).await? {
+            DialledPath::Path(path) => path,
+            DialledPath::Link(link) => return Ok(link),
+        };
+        let shared = self.add_link(path_of.link, &path, Role::Opener);
+        let link = self.start(&shared, path)?;
+        self.spawn(Arc::clone(self).keep_bluetooth(Arc::clone(&shared), locator.ble));
+        let link: Arc<dyn LinkUnicastTrait> = link;
+        Ok(LinkUnicast::from(link))
+    }
+
+    /// Creates the state of a link that begins with a Bluetooth path.
+    fn add_link(&self, id: u64, path: &BlePath, role: Role) -> Arc<Shared> {
+        let keys = path
+            .exported_key(KEY_LABEL)
+            .zip(path.exported_key(TAG_LABEL));
+        let proof = keys.map(|(key, tag)| Proof::new(key, tag, role));
+        let shared = Shared::new(id, path.peer().to_owned(), role, proof, OPTIONS);
+        self.links.lock().insert(id, Arc::downgrade(&shared));
+        shared
+    }
+
+    /// Starts the tasks of a new link, and returns it for Zenoh.
+    fn start(
+        self: &Arc<Self>,
+        shared: &Arc<Shared>,
+        path: BlePath,
+    ) -> Result<Arc<LinkMulti>, MultiError> {
+        let link = LinkMulti::new(Arc::clone(shared), path.adapter())?;
+        self.run_ble(Arc::clone(shared), path, true);
+        if shared.proof.is_some() {
+            self.spawn(Arc::clone(self).keep_network(Arc::clone(shared)));
+        }
+        Ok(link)
+    }
+
+    fn run_ble(&self, shared: Arc<Shared>, path: BlePath, is_proven: bool) {
+        self.spawn(run::run_ble(shared, path, is_proven, self.offer()));
+    }
+
+    /// Returns the addresses to offer.
+    fn offer(&self) -> Vec<u8> {
+        match &*self.tcp.lock() {
+            Some(tcp) => {
+                let addresses = networks::own_addresses(tcp.interfaces.as_deref());
+                offer::encode(tcp.port, &addresses)
+            }
+            None => offer::encode(0, &[]),
+        }
+    }
+
+    fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
+        self.runtime.spawn(task);
+    }
+
+    /// Opens the Bluetooth path of a link again whenever it is lost.
+    async fn keep_bluetooth(self: Arc<Self>, shared: Arc<Shared>, endpoint: EndPoint) {
+        let mut retry = RETRY.0;
+        while !shared.has_ended() {
+            let changed = shared.paths_changed.notified();
+            if shared.has_path(Medium::Bluetooth) {
+                retry = RETRY.0;
+                shared.unless_ended(changed).await;
+                continue;
+            }
+            let path_of = PathOf {
+                link: shared.id,
+                joins: true,
+            };
+            let dialled = tokio::select! {
+                dialled = self.ble.dial_path(endpoint.clone(), path_of) => dialled,
+                () = shared.ended() => return,
+            };
+            match dialled {
+                Ok(DialledPath::Path(path)) => {
+                    run::run_ble(Arc::clone(&shared), path, false, self.offer()).await;
+                }
+                Ok(DialledPath::Link(_))
+                | Err(BleError::Refused {
+                    refusal: Refusal::NoSuchLink,
+                    ..
+                }) => return shared.fail(MultiError::Replaced(shared.peer.clone())),
+                Err(error) => {
+                    tracing::debug!("multi: no Bluetooth path to {}: {error}", shared.peer);
+                    shared.unless_ended(tokio::time::sleep(retry)).await;
+                    retry = (retry * 2).min(RETRY.1);
+                }
+            }
+        }
+    }
+
+    /// Opens a network path to the addresses that the peer has offered, whenever there is none.
+    async fn keep_network(self: Arc<Self>, shared: Arc<Shared>) {
+        let mut offered = shared.offered();
+        let mut retry = RETRY.0;
+        if shared.role == Role::Acceptor {
+            shared
+                .unless_ended(tokio::time::sleep(ACCEPTOR_DELAY))
+                .await;
+        }
+        while !shared.has_ended() {
+            let changed = shared.paths_changed.notified();
+            let addresses = self.reachable(&offered.borrow_and_update());
+            if addresses.is_empty() || shared.has_path(Medium::Network) {
+                retry = RETRY.0;
+                let offered = async { drop(offered.changed().await) };
+                tokio::select! {
+                    () = changed => {}
+                    () = offered => {}
+                    () = shared.ended() => return,
+                }
+                continue;
+            }
+            if let Some(connection) = self.connect(&shared, &addresses).await {
+                run::run_tcp(Arc::clone(&shared), connection).await;
+            }
+            let waited = tokio::time::timeout(retry, offered.changed());
+            shared.unless_ended(async { drop(waited.await) }).await;
+            retry = (retry * 2).min(RETRY.1);
+        }
+    }
+
+    fn reachable(&self, offered: &[SocketAddr]) -> Vec<SocketAddr> {
+        let tcp = self.tcp.lock();
+        let interfaces = tcp.as_ref().and_then(|tcp| tcp.interfaces.as_deref());
+        networks::reachable(offered, interfaces)
+    }
+
+    async fn connect(&self, shared: &Shared, addresses: &[SocketAddr]) -> Option<run::Connection> {
+        for address in addresses {
+            let connected = tokio::select! {
+                connected = connect::connect(shared, *address) => connected,
+                () = shared.ended() => return None,
+            };
+            match connected {
+                Ok(connection) => return Some(connection),
+                Err(error) => {
+                    tracing::debug!("multi: no path to {} at {address}: {error}", shared.peer);
+                }
+            }
+        }
+        None
+    }
+
+    /// Accepts further paths on a TCP port.
+    pub(crate) async fn listen(
+        self: &Arc<Self>,
+        port: u16,
+        interfaces: Option<Vec<String>>,
+    ) -> Result<(), MultiError> {
+        let bind = async {
+            let _runtime = self.runtime.enter();
+            bind(port)
+        };
+        let listener = bind
+            .await
+            .map_err(|error| MultiError::Listen { port, error })?;
+        let accepting = self.runtime.spawn(Arc::clone(self).accept(listener));
+        *self.tcp.lock() = Some(Tcp {
+            port,
+            interfaces,
+            _accepting: AbortOnDropHandle::new(accepting),
+        });
+        Ok(())
+    }
+
+    async fn accept(self: Arc<Self>, listener: TcpListener) {
+        let unproven = Arc::new(Semaphore::new(MAX_UNPROVEN));
+        loop {
+            let Ok(permit) = Arc::clone(&unproven).acquire_owned().await else {
+                return;
+            };
+            let (stream, address) = match listener.accept().await {
+                Ok(accepted) => accepted,
+                Err(error) => {
+                    tracing::warn!("multi: cannot accept a connection: {error}");
+                    tokio::time::sleep(RETRY.0).await;
+                    continue;
+                }
+            };
+            let hub = Arc::clone(&self);
+            self.spawn(async move {
+                let accepted = hub.prove(stream).await;
+                drop(permit);
+                match accepted {
+                    Ok((shared, connection)) => run::run_tcp(shared, connection).await,
+                    Err(error) => {
+                        tracing::debug!("multi: closed a connection from {address}: {error}");
+                    }
+                }
+            });
+        }
+    }
+
+    async fn prove(&self, stream: TcpStream) -> std::io::Result<(Arc<Shared>, run::Connection)> {
+        let find = |tag: Tag| {
+            let mut links = self.links().into_iter();
+            links.find(|link| link.proof.as_ref().is_some_and(|proof| proof.tag == tag))
+        };
+        connect::accept(stream, find).await
+    }
+
+    /// Closes the TCP listener.
+    pub(crate) fn stop_listening(&self) {
+        *self.tcp.lock() = None;
+    }
+}
+
+impl AcceptPaths for Hub {
+    fn has_link(&self, link: u64) -> bool {
+        self.links().iter().any(|existing| existing.id == link)
+    }
+
+    fn on_path(self: Arc<Self>, path: BlePath) {
+        let Some(PathOf { link: id, joins }) = path.path_of() else {
+            return;
+        };
+        let existing = self.links().into_iter().find(|link| link.id == id);
+        match existing {
+            Some(shared) if joins && shared.peer == path.peer() => {
+                self.run_ble(shared, path, false);
+            }
+            // Its tasks end, and the peer opens a new link.
+            _ if joins => {}
+            _ => {
+                if let Some(old) = self.link_with(path.peer()) {
+                    old.fail(MultiError::Replaced(old.peer.clone()));
+                }
+                let shared = self.add_link(id, &path, Role::Acceptor);
+                let link: Arc<dyn LinkUnicastTrait> = match self.start(&shared, path) {
+                    Ok(link) => link,
+                    Err(error) => return tracing::warn!("multi: {error}"),
+                };
+                let new_links = self.new_links.clone();
+                self.spawn(async move {
+                    let _ = new_links.send_async(LinkUnicast::from(link)).await;
+                });
+            }
+        }
+    }
+}
+
+/// Opens a listener for IPv4 and IPv6 on all addresses. A connection is used only after it has proved its link.
+fn bind(port: u16) -> std::io::Result<TcpListener> {
+    use socket2::{Domain, Socket, Type};
+    let listen = |domain: Domain, address: SocketAddr| {
+        let socket = Socket::new(domain, Type::STREAM, None)?;
+        socket.set_reuse_address(true)?;
+        socket.set_nonblocking(true)?;
+        if domain == Domain::IPV6 {
+            socket.set_only_v6(false)?;
+        }
+        socket.bind(&address.into())?;
+        socket.listen(MAX_UNPROVEN as i32)?;
+        TcpListener::from_std(socket.into())
+    };
+    let any_v6 = SocketAddr::from((std::net::Ipv6Addr::UNSPECIFIED, port));
+    let any_v4 = SocketAddr::from((std::net::Ipv4Addr::UNSPECIFIED, port));
+    // A kernel without IPv6 has only the second.
+    listen(Domain::IPV6, any_v6).or_else(|_| listen(Domain::IPV4, any_v4))
+}
+
+fn random_number() -> u64 {
+    let mut bytes = [0; 8];
+    if getrandom::fill(&mut bytes).is_err() {
+        // The number need only differ from those of earlier links.
+        let time = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        bytes = time.map_or([1; 8], |time| (time.as_nanos() as u64).to_le_bytes());
+    }
+    u64::from_le_bytes(bytes)
+}

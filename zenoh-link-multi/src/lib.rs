@@ -1,0 +1,30 @@
+//! A Zenoh link over several paths at once, Bluetooth and TCP: `multi/<robot>#<options>`. It survives the loss of each.
+//!
+//! [`multipath::Multipath`] makes all decisions, without I/O, and is given the time. `PROTOCOL.md` in this crate specifies
+//! what travels on the paths.
+#![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used))]
+pub mod batch_length;
+mod connect;
+mod error;
+pub mod frame;
+mod hub;
+pub mod in_lane;
+mod link;
+pub mod locator;
+mod manager;
+pub mod multipath;
+mod networks;
+pub mod offer;
+mod out_lane;
+pub mod path;
+mod proof;
+mod ranges;
+pub mod rtt;
+mod run;
+mod shared;
+pub mod status;
+
+pub use error::MultiError;
+pub use link::INTERFACE;
+pub use locator::MULTI_LOCATOR_PREFIX;
+pub use manager::{LinkManagerUnicastMulti, MultiLocatorInspector};

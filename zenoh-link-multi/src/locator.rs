@@ -1,0 +1,136 @@
+//! Parses locators: `multi/<robot>#...` to dial, and `multi/<adapter>#...` to listen. All options but those of this crate are
+//! those of `ble/`.
+use zenoh_link_ble::BLE_LOCATOR_PREFIX;
+use zenoh_protocol::core::EndPoint;
+
+/// The name of the protocol in a locator.
+pub const MULTI_LOCATOR_PREFIX: &str = "multi";
+
+/// Why a locator is invalid.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LocatorError {
+    /// The port is not a number from 1 to 65535.
+    #[error("port={0}: a TCP port from 1 to 65535 is expected")]
+    Port(String),
+    /// The option has no meaning for this kind of locator.
+    #[error("{0}= has no effect on a locator to dial: give it to the listener")]
+    NotForDial(&'static str),
+    /// The rest is not a valid endpoint.
+    #[error("{0}")]
+    Endpoint(String),
+}
+
+/// A locator to dial.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConnectLocator {
+    /// The robot.
+    pub peer: String,
+    /// The endpoint of its Bluetooth path.
+    pub ble: EndPoint,
+}
+
+/// A locator to listen on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ListenLocator {
+    /// The endpoint of the Bluetooth listener.
+    pub ble: EndPoint,
+    /// `port=`: the TCP port on which this side accepts further paths. Default: it accepts none, and only dials.
+    pub port: Option<u16>,
+    /// `interfaces=`: the network interfaces that are offered, separated by commas. Default: all except the loopback
+    /// interface.
+    pub interfaces: Option<Vec<String>>,
+}
+
+impl ConnectLocator {
+    /// Parses an endpoint to dial.
+    ///
+    /// # Errors
+    /// Fails if the endpoint has an option that belongs to a listener.
+    pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
+        for option in ["port", "interfaces"] {
+            if endpoint.config().get(option).is_some() {
+                return Err(LocatorError::NotForDial(option));
+            }
+        }
+        Ok(Self {
+            peer: endpoint.address().as_str().to_owned(),
+            ble: ble(endpoint)?,
+        })
+    }
+}
+
+impl ListenLocator {
+    /// Parses an endpoint to listen on.
+    ///
+    /// # Errors
+    /// Fails if an option of this crate is invalid.
+    pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
+        let config = endpoint.config();
+        let port = config.get("port").map(|text| {
+            let port = text.parse().ok().filter(|port| *port > 0);
+            port.ok_or_else(|| LocatorError::Port(text.to_owned()))
+        });
+        let names = |text: &str| text.split(',').map(str::to_owned).collect();
+        Ok(Self {
+            ble: ble(endpoint)?,
+            port: port.transpose()?,
+            interfaces: config.get("interfaces").map(names),
+        })
+    }
+}
+
+/// Returns the `ble/` endpoint with the same address and the options that are not of this crate.
+fn ble(endpoint: &EndPoint) -> Result<EndPoint, LocatorError> {
+    let config = endpoint.config();
+    let options = config.iter();
+    let options: Vec<String> = options
+        .filter(|(name, _)| !["port", "interfaces"].contains(name))
+        .map(|(name, value)| format!("{name}={value}"))
+        .collect();
+    EndPoint::new(
+        BLE_LOCATOR_PREFIX,
+        endpoint.address().as_str(),
+        endpoint.metadata().as_str(),
+        options.join(";"),
+    )
+    .map_err(|error| LocatorError::Endpoint(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn endpoint(text: &str) -> EndPoint {
+        text.parse().expect("an endpoint")
+    }
+
+    #[test]
+    fn options_of_bluetooth_are_passed_on() {
+        let text =
+            "multi/hci0#name=wombat-1;secret=/etc/rect/users;port=7460;interfaces=wlan0,eth0";
+        let parsed = ListenLocator::parse(&endpoint(text)).expect("valid");
+        assert_eq!(parsed.port, Some(7460));
+        let interfaces = ["wlan0", "eth0"].map(str::to_owned).to_vec();
+        assert_eq!(parsed.interfaces, Some(interfaces));
+        assert_eq!(
+            parsed.ble,
+            endpoint("ble/hci0#name=wombat-1;secret=/etc/rect/users")
+        );
+        let parsed = ConnectLocator::parse(&endpoint("multi/wombat-2#timeout=3000"));
+        let parsed = parsed.expect("valid");
+        assert_eq!(parsed.peer, "wombat-2");
+        assert_eq!(parsed.ble, endpoint("ble/wombat-2#timeout=3000"));
+    }
+
+    #[test]
+    fn invalid_options_are_rejected() {
+        for port in ["0", "65536", "x", "-1"] {
+            let parsed = ListenLocator::parse(&endpoint(&format!("multi/hci0#port={port}")));
+            assert_eq!(parsed, Err(LocatorError::Port(port.to_owned())));
+        }
+        assert_eq!(
+            ConnectLocator::parse(&endpoint("multi/wombat-2#port=1")),
+            Err(LocatorError::NotForDial("port"))
+        );
+    }
+}

@@ -1,0 +1,100 @@
+//! Implements Zenoh's link manager of the `multi` protocol.
+use std::{collections::HashMap, sync::Arc};
+
+use async_trait::async_trait;
+use tokio::sync::Mutex;
+use zenoh_link_commons::{
+    LinkManagerUnicastTrait, LinkUnicast, LocatorInspector, NewLinkChannelSender,
+};
+use zenoh_protocol::core::{EndPoint, Locator};
+use zenoh_result::ZResult;
+
+use crate::{
+    error::MultiError,
+    hub::Hub,
+    locator::{ConnectLocator, ListenLocator, MULTI_LOCATOR_PREFIX},
+};
+
+/// Describes `multi` links to Zenoh: they are unicast and reliable.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MultiLocatorInspector;
+
+#[async_trait]
+impl LocatorInspector for MultiLocatorInspector {
+    fn protocol(&self) -> &str {
+        MULTI_LOCATOR_PREFIX
+    }
+
+    async fn is_multicast(&self, _locator: &Locator) -> ZResult<bool> {
+        Ok(false)
+    }
+
+    fn is_reliable(&self, _locator: &Locator) -> ZResult<bool> {
+        Ok(true)
+    }
+}
+
+/// Dials and accepts `multi` links for one Zenoh runtime.
+pub struct LinkManagerUnicastMulti {
+    hub: Arc<Hub>,
+    /// The listeners by their endpoint, with the locator that a peer can dial and the endpoint of their Bluetooth listener.
+    listeners: Mutex<HashMap<EndPoint, (Locator, EndPoint)>>,
+}
+
+impl LinkManagerUnicastMulti {
+    /// Creates a manager. Accepted links are sent on `links`. Managers with the same channel belong to one Zenoh runtime.
+    pub fn new(links: NewLinkChannelSender) -> Self {
+        Self {
+            hub: Hub::of(links),
+            listeners: Mutex::default(),
+        }
+    }
+}
+
+#[async_trait]
+impl LinkManagerUnicastTrait for LinkManagerUnicastMulti {
+    async fn new_link(&self, endpoint: EndPoint) -> ZResult<LinkUnicast> {
+        let locator = ConnectLocator::parse(&endpoint).map_err(MultiError::from)?;
+        Ok(self.hub.open(locator).await?)
+    }
+
+    async fn new_listener(&self, endpoint: EndPoint) -> ZResult<Locator> {
+        let locator = ListenLocator::parse(&endpoint).map_err(MultiError::from)?;
+        let mut listeners = self.listeners.lock().await;
+        if let Some(port) = locator.port {
+            self.hub.listen(port, locator.interfaces).await?;
+        }
+        let bluetooth = self.hub.ble.new_listener(locator.ble.clone()).await?;
+        let name = bluetooth.address().as_str().to_owned();
+        let dialable = Locator::new(MULTI_LOCATOR_PREFIX, name, "")?;
+        listeners.insert(endpoint, (dialable.clone(), locator.ble));
+        Ok(dialable)
+    }
+
+    async fn del_listener(&self, endpoint: &EndPoint) -> ZResult<()> {
+        let mut listeners = self.listeners.lock().await;
+        if let Some((_, bluetooth)) = listeners.remove(endpoint) {
+            if listeners.is_empty() {
+                self.hub.stop_listening();
+            }
+            return self.hub.ble.del_listener(&bluetooth).await;
+        }
+        Ok(())
+    }
+
+    async fn get_listeners(&self) -> Vec<EndPoint> {
+        self.listeners.lock().await.keys().cloned().collect()
+    }
+
+    async fn get_locators(&self) -> Vec<Locator> {
+        let listeners = self.listeners.lock().await;
+        listeners
+            .values()
+            .map(|(locator, _)| locator.clone())
+            .collect()
+    }
+
+    async fn get_locators_noloopback(&self) -> Vec<Locator> {
+        self.get_locators().await
+    }
+}

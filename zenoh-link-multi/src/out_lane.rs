@@ -1,0 +1,260 @@
+//! The sending side of a lane: a stream of batches, kept until the peer has acknowledged them.
+use std::{collections::VecDeque, ops::Range, time::Instant};
+
+use zenoh_link_ble::protocol::lanes::{
+    backlog::{Backlog, Counting},
+    batch_kind::BatchKind,
+};
+
+use crate::{batch_length, ranges::Ranges};
+
+/// A batch whose bytes are not all acknowledged.
+#[derive(Debug)]
+struct Batch {
+    /// The position of its length in the stream.
+    start: u64,
+    /// Its length and its bytes.
+    bytes: Vec<u8>,
+    kind: BatchKind,
+    /// Whether the batch counts towards the lane's backlog.
+    counts: bool,
+    /// Whether every live path carries it.
+    is_copied: bool,
+}
+
+impl Batch {
+    fn end(&self) -> u64 {
+        self.start + self.bytes.len() as u64
+    }
+
+    /// Returns the approximate memory that the batch occupies.
+    fn memory(&self) -> usize {
+        self.bytes.len() + size_of::<Self>()
+    }
+}
+
+/// How many bytes may wait on a lane before it accepts another message.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    pub(crate) droppable_bytes: usize,
+    pub(crate) backlog_bytes: usize,
+}
+
+/// The sending side of a lane.
+#[derive(Debug, Default)]
+pub(crate) struct OutLane {
+    batches: VecDeque<Batch>,
+    memory: usize,
+    backlog: Backlog,
+    /// The position after the last batch.
+    end: u64,
+    /// The position of the first byte that no path has carried yet.
+    next: u64,
+    /// The bytes that the peer has acknowledged, of the batches that are kept.
+    acked: Ranges,
+    /// The bytes that have to be sent again.
+    lost: Ranges,
+    /// Whether the peer has stopped the lane.
+    pub(crate) is_stopped: bool,
+}
+
+impl OutLane {
+    /// Returns whether the lane accepts a batch of that kind, given what waits before it.
+    pub(crate) fn accepts(&self, kind: BatchKind, limits: Limits, now: Instant) -> bool {
+        let has_room = match kind {
+            BatchKind::NextFragment => true,
+            BatchKind::Whole { is_droppable: true }
+            | BatchKind::FirstFragment { is_droppable: true } => {
+                self.unsent_bytes() <= limits.droppable_bytes
+            }
+            BatchKind::Whole { .. } | BatchKind::FirstFragment { .. } => {
+                self.backlog.has_room(kind, limits.backlog_bytes)
+            }
+        };
+        let is_overdue = || self.backlog.overdue_at(kind).is_some_and(|at| at <= now);
+        has_room || is_overdue()
+    }
+
+    /// Returns when the lane accepts a batch of that kind even without room.
+    pub(crate) fn overdue_at(&self, kind: BatchKind) -> Option<Instant> {
+        self.backlog.overdue_at(kind)
+    }
+
+    /// Appends a batch.
+    pub(crate) fn push(&mut self, batch: &[u8], kind: BatchKind, is_copied: bool, now: Instant) {
+        let mut bytes = Vec::with_capacity(batch.len() + 2);
+        batch_length::encode(batch.len(), &mut bytes);
+        bytes.extend_from_slice(batch);
+        let counting = self.backlog.on_accepted(kind, bytes.len(), now);
+        if counting == Counting::ExemptsMessage {
+            self.exempt_last_message();
+        }
+        let batch = Batch {
+            start: self.end,
+            kind,
+            counts: counting == Counting::Counts,
+            is_copied,
+            bytes,
+        };
+        self.end = batch.end();
+        self.memory += batch.memory();
+        self.batches.push_back(batch);
+    }
+
+    /// Exempts the fragments of the last message from the backlog.
+    fn exempt_last_message(&mut self) {
+        for batch in self.batches.iter_mut().rev() {
+            if matches!(batch.kind, BatchKind::Whole { .. }) {
+                break;
+            }
+            if batch.counts {
+                batch.counts = false;
+                self.backlog.on_exempted(batch.bytes.len());
+            }
+            if matches!(batch.kind, BatchKind::FirstFragment { .. }) {
+                break;
+            }
+        }
+    }
+
+    /// Withdraws the fragments of the last message that no path has carried yet.
+    pub(crate) fn abandon_message(&mut self) {
+        while let Some(last) = self.batches.back() {
+            if matches!(last.kind, BatchKind::Whole { .. }) || last.start < self.next {
+                break;
+            }
+            let is_first = matches!(last.kind, BatchKind::FirstFragment { .. });
+            self.end = last.start;
+            self.memory -= last.memory();
+            if last.counts {
+                self.backlog.on_exempted(last.bytes.len());
+            }
+            self.batches.pop_back();
+            if is_first {
+                break;
+            }
+        }
+    }
+
+    /// Returns the approximate memory that the lane occupies, in bytes.
+    pub(crate) fn memory(&self) -> usize {
+        self.memory
+    }
+
+    /// Returns the number of bytes that no path has carried yet.
+    pub(crate) fn unsent_bytes(&self) -> usize {
+        (self.end - self.next) as usize
+    }
+
+    /// Returns the number of bytes of small messages that are not acknowledged yet.
+    pub(crate) fn backlog_bytes(&self) -> usize {
+        self.backlog.bytes()
+    }
+
+    /// Returns whether all was acknowledged.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.batches.is_empty()
+    }
+
+    /// Returns the next bytes to send again, at most `max`.
+    pub(crate) fn next_lost(&self, max: usize) -> Option<Range<u64>> {
+        let first = self.lost.first()?;
+        Some(first.start..first.end.min(first.start + max as u64))
+    }
+
+    /// Returns the next bytes that no path has carried, at most `max`. With `only_copied`, only of batches that every live path
+    /// carries.
+    pub(crate) fn next_new(&self, max: usize, only_copied: bool) -> Option<Range<u64>> {
+        if self.next == self.end || self.is_stopped {
+            return None;
+        }
+        let mut end = self.end.min(self.next + max as u64);
+        if only_copied {
+            let mut copied_end = self.next;
+            for batch in self.batches.range(self.index_at(self.next)..) {
+                if !batch.is_copied {
+                    break;
+                }
+                copied_end = batch.end();
+            }
+            end = end.min(copied_end);
+        }
+        (end > self.next).then_some(self.next..end)
+    }
+
+    /// Records that a path carries these bytes.
+    pub(crate) fn on_sent(&mut self, range: &Range<u64>) {
+        self.lost.remove(range);
+        self.next = self.next.max(range.end);
+    }
+
+    /// Records that a path may have lost these bytes. Those that were acknowledged meanwhile are not sent again.
+    pub(crate) fn on_lost(&mut self, range: Range<u64>) {
+        for missing in self
+            .acked
+            .missing_from(range.start.max(self.start())..range.end)
+        {
+            self.lost.insert(missing);
+        }
+    }
+
+    /// Records that the peer has these bytes, and forgets the batches that it has completely.
+    pub(crate) fn on_acked(&mut self, range: &Range<u64>, now: Instant) {
+        self.lost.remove(range);
+        self.acked.insert(range.start.max(self.start())..range.end);
+        while let Some(first) = self.batches.front() {
+            if !self.acked.contains(&(first.start..first.end())) {
+                break;
+            }
+            self.memory -= first.memory();
+            if first.counts {
+                self.backlog.on_sent(first.bytes.len(), now);
+            }
+            self.batches.pop_front();
+        }
+        let start = self.start();
+        self.acked.remove(&(0..start));
+    }
+
+    /// Returns whether the peer has all these bytes.
+    pub(crate) fn is_acked(&self, range: &Range<u64>) -> bool {
+        self.acked
+            .contains(&(range.start.max(self.start())..range.end.max(self.start())))
+    }
+
+    /// Returns the parts of the range, by batches, that every live path carries.
+    pub(crate) fn copied_in(&self, range: &Range<u64>) -> Vec<Range<u64>> {
+        let first = self.index_at(range.start);
+        let batches = self.batches.range(first..);
+        batches
+            .take_while(|batch| batch.start < range.end)
+            .filter(|batch| batch.is_copied)
+            .map(|batch| batch.start.max(range.start)..batch.end().min(range.end))
+            .collect()
+    }
+
+    /// Appends these bytes of the stream, which must be kept.
+    pub(crate) fn append_to(&self, range: &Range<u64>, to: &mut Vec<u8>) {
+        let mut at = range.start;
+        for batch in self.batches.range(self.index_at(range.start)..) {
+            if at >= range.end {
+                break;
+            }
+            let begin = (at - batch.start) as usize;
+            let end = (range.end.min(batch.end()) - batch.start) as usize;
+            to.extend_from_slice(&batch.bytes[begin..end]);
+            at = batch.end();
+        }
+    }
+
+    /// Returns the position of the first byte that is kept.
+    fn start(&self) -> u64 {
+        self.batches.front().map_or(self.end, |batch| batch.start)
+    }
+
+    /// Returns the index of the batch that contains the position.
+    fn index_at(&self, position: u64) -> usize {
+        self.batches
+            .partition_point(|batch| batch.end() <= position)
+    }
+}

@@ -1,0 +1,338 @@
+//! The state of one link, which Zenoh and the tasks of its paths share.
+use std::{collections::HashMap, future::Future, net::SocketAddr, sync::Arc, time::Duration};
+
+use parking_lot::Mutex;
+use tokio::{
+    sync::{watch, Notify},
+    time::Instant,
+};
+use tokio_util::sync::CancellationToken;
+use zenoh_link_ble::protocol::lanes::{Lane, LANES};
+
+use crate::{
+    error::MultiError,
+    frame::{self, Frame},
+    multipath::{Change, Multipath, Options, PathId, PathReport, Violation},
+    offer,
+    path::Medium,
+    proof::{Proof, Role},
+};
+
+/// A link over several paths.
+pub(crate) struct Shared {
+    /// The number of the link, which both sides know.
+    pub(crate) id: u64,
+    pub(crate) peer: String,
+    pub(crate) role: Role,
+    /// The keys that prove that a connection belongs to the link; `None` without a secret.
+    pub(crate) proof: Option<Proof>,
+    pub(crate) since: Instant,
+    options: Options,
+    state: Mutex<State>,
+    /// Notified when a writer may try again.
+    room: Notify,
+    arrived: [Notify; LANES],
+    /// The addresses that the peer has offered.
+    offered: watch::Sender<Vec<SocketAddr>>,
+    /// Notified whenever a path is added or removed.
+    pub(crate) paths_changed: Notify,
+    ended: CancellationToken,
+}
+
+struct State {
+    multipath: Multipath,
+    /// Wakes the task that sends on each path.
+    wakers: HashMap<PathId, Arc<Notify>>,
+    end: Option<Arc<MultiError>>,
+}
+
+/// One path of a link. Dropping it removes the path.
+pub(crate) struct PathGuard {
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) id: PathId,
+    pub(crate) waker: Arc<Notify>,
+}
+
+/// The next step of a task that sends on a path.
+pub(crate) enum Next {
+    /// Send the frame, on that lane.
+    Frame(Lane),
+    /// Wait until the path is woken or, if given, until that time.
+    Wait(Option<Instant>),
+}
+
+impl Shared {
+    pub(crate) fn new(
+        id: u64,
+        peer: String,
+        role: Role,
+        proof: Option<Proof>,
+        options: Options,
+    ) -> Arc<Self> {
+        let now = Instant::now();
+        Arc::new(Self {
+            id,
+            peer,
+            role,
+            proof,
+            since: now,
+            options,
+            state: Mutex::new(State {
+                multipath: Multipath::new(options, now.into_std()),
+                wakers: HashMap::new(),
+                end: None,
+            }),
+            room: Notify::new(),
+            arrived: Default::default(),
+            offered: watch::Sender::new(Vec::new()),
+            paths_changed: Notify::new(),
+            ended: CancellationToken::new(),
+        })
+    }
+
+    /// Adds a path.
+    pub(crate) fn add_path(
+        self: &Arc<Self>,
+        medium: Medium,
+        max_frame: usize,
+        is_proven: bool,
+    ) -> PathGuard {
+        let waker = Arc::new(Notify::new());
+        let mut state = self.state.lock();
+        let now = Instant::now().into_std();
+        let id = (state.multipath).add_path(medium, max_frame, is_proven, now);
+        state.wakers.insert(id, Arc::clone(&waker));
+        drop(state);
+        tracing::info!("multi: {} has a path over {medium}", self.peer);
+        self.paths_changed.notify_waiters();
+        PathGuard {
+            shared: Arc::clone(self),
+            id,
+            waker,
+        }
+    }
+
+    /// Returns whether the link has a path over that medium.
+    pub(crate) fn has_path(&self, medium: Medium) -> bool {
+        self.paths().iter().any(|path| path.medium == medium)
+    }
+
+    /// Returns the paths of the link.
+    pub(crate) fn paths(&self) -> Vec<PathReport> {
+        let state = self.state.lock();
+        let paths = state.multipath.paths();
+        paths.map(|(_, report)| report).collect()
+    }
+
+    /// Returns the number of changes of the path that carries the bulk.
+    pub(crate) fn switches(&self) -> u64 {
+        self.state.lock().multipath.switches().0
+    }
+
+    /// Queues a batch on its lane. Waits while there is no room.
+    pub(crate) async fn write(&self, lane: Lane, batch: &[u8]) -> Result<(), MultiError> {
+        let max = self.options.max_batch;
+        if batch.len() > max {
+            return Err(MultiError::BatchTooLarge {
+                size: batch.len(),
+                max,
+            });
+        }
+        loop {
+            let room = self.room.notified();
+            let retry_at = {
+                let (mut state, now) = (self.state.lock(), Instant::now().into_std());
+                state.check()?;
+                if state.multipath.push(lane, batch, now) {
+                    state.wake_all();
+                    return Ok(());
+                }
+                state.multipath.retry_at(lane, batch, now)
+            };
+            let until_room = async {
+                match retry_at {
+                    Some(at) => drop(tokio::time::timeout_at(at.into(), room).await),
+                    None => room.await,
+                }
+            };
+            self.unless_ended(until_room).await;
+        }
+    }
+
+    /// Returns the next batch of a lane. Waits until there is one.
+    pub(crate) async fn read(&self, lane: Lane) -> Result<Vec<u8>, MultiError> {
+        loop {
+            {
+                let (mut state, now) = (self.state.lock(), Instant::now().into_std());
+                if let Some(batch) = state.take(lane, now) {
+                    return Ok(batch);
+                }
+                state.check()?;
+            }
+            let arrived = self.arrived[lane.index()].notified();
+            self.unless_ended(arrived).await;
+        }
+    }
+
+    /// Writes the next frame for a path into `frame`.
+    pub(crate) fn next_frame(&self, id: PathId, least_urgent: Lane, frame: &mut Vec<u8>) -> Next {
+        let (mut state, now) = (self.state.lock(), Instant::now().into_std());
+        let before = state.multipath.wakeups();
+        let lane = (state.multipath).next_frame(id, least_urgent, frame, now);
+        if state.multipath.wakeups() != before {
+            state.wake_all();
+        }
+        if let Some(end) = state.multipath.end() {
+            let peer = self.peer.clone();
+            self.end(&mut state, MultiError::Ended { peer, end });
+        }
+        match lane {
+            Some(lane) => Next::Frame(lane),
+            None => Next::Wait(state.multipath.next_time(id).map(Instant::from_std)),
+        }
+    }
+
+    /// Handles a frame that has arrived on a path.
+    ///
+    /// # Errors
+    /// Fails if the path has to end.
+    pub(crate) fn on_frame(&self, id: PathId, bytes: &[u8]) -> Result<(), MultiError> {
+        if let Ok(Frame::Offer(body)) = frame::decode(bytes) {
+            let offered = offer::decode(body).map_err(|error| self.protocol(&error))?;
+            self.offered.send_if_modified(|before| {
+                let is_new = *before != offered;
+                *before = offered;
+                is_new
+            });
+            return Ok(());
+        }
+        let (mut state, now) = (self.state.lock(), Instant::now().into_std());
+        let before = state.multipath.wakeups();
+        match state.multipath.on_frame(id, bytes, now) {
+            Ok(Change::Batch(lane)) => self.arrived[lane.index()].notify_one(),
+            Ok(Change::Credits) => self.room.notify_waiters(),
+            Ok(Change::Nothing) => {}
+            Err(violation @ Violation::Lane { .. }) => {
+                let error = self.protocol(&violation);
+                self.end(&mut state, error);
+            }
+            Err(violation) => return Err(self.protocol(&violation)),
+        }
+        if let Some(end) = state.multipath.end() {
+            let peer = self.peer.clone();
+            self.end(&mut state, MultiError::Ended { peer, end });
+        }
+        // The frame has to be acknowledged, and may have freed room on this path.
+        match state.multipath.wakeups() != before {
+            true => state.wake_all(),
+            false => state.wake(id),
+        }
+        Ok(())
+    }
+
+    /// Returns the size of the largest batch, in bytes.
+    pub(crate) fn max_batch(&self) -> u16 {
+        u16::try_from(self.options.max_batch).unwrap_or(u16::MAX)
+    }
+
+    /// Returns the addresses that the peer has offered.
+    pub(crate) fn offered(&self) -> watch::Receiver<Vec<SocketAddr>> {
+        self.offered.subscribe()
+    }
+
+    /// Sends what is queued and then the goodbye, within `limit`.
+    pub(crate) async fn finish(&self, limit: Duration) {
+        {
+            let mut state = self.state.lock();
+            state.multipath.close(0);
+            state.wake_all();
+        }
+        let finished = self.ended.cancelled();
+        if tokio::time::timeout(limit, finished).await.is_err() {
+            tracing::warn!(
+                "multi: {} did not read the waiting messages within {limit:?}",
+                self.peer
+            );
+        }
+    }
+
+    /// Ends the link at once.
+    pub(crate) fn fail(&self, error: MultiError) {
+        self.end(&mut self.state.lock(), error);
+    }
+
+    /// Waits until the link has ended.
+    pub(crate) async fn ended(&self) {
+        self.ended.cancelled().await;
+    }
+
+    pub(crate) fn has_ended(&self) -> bool {
+        self.ended.is_cancelled()
+    }
+
+    /// Waits for a future, or for the end of the link.
+    pub(crate) async fn unless_ended(&self, waiting: impl Future<Output = ()>) {
+        tokio::select! {
+            () = waiting => {}
+            () = self.ended.cancelled() => {}
+        }
+    }
+
+    fn end(&self, state: &mut State, error: MultiError) {
+        if state.end.is_none() {
+            tracing::info!("multi: {error}");
+            state.end = Some(Arc::new(error));
+            self.ended.cancel();
+        }
+    }
+
+    fn protocol(&self, what: &dyn std::fmt::Display) -> MultiError {
+        MultiError::Protocol {
+            peer: self.peer.clone(),
+            what: what.to_string(),
+        }
+    }
+}
+
+impl State {
+    fn check(&self) -> Result<(), MultiError> {
+        match &self.end {
+            Some(end) => Err(Arc::clone(end).into()),
+            None => Ok(()),
+        }
+    }
+
+    fn take(&mut self, lane: Lane, now: std::time::Instant) -> Option<Vec<u8>> {
+        let before = self.multipath.wakeups();
+        let batch = self.multipath.take(lane, now);
+        if self.multipath.wakeups() != before {
+            self.wake_all();
+        }
+        batch
+    }
+
+    fn wake(&self, id: PathId) {
+        if let Some(waker) = self.wakers.get(&id) {
+            waker.notify_one();
+        }
+    }
+
+    fn wake_all(&self) {
+        for waker in self.wakers.values() {
+            waker.notify_one();
+        }
+    }
+}
+
+impl Drop for PathGuard {
+    fn drop(&mut self) {
+        let mut state = self.shared.state.lock();
+        state.wakers.remove(&self.id);
+        let now = Instant::now().into_std();
+        state.multipath.remove_path(self.id, now);
+        state.wake_all();
+        drop(state);
+        self.shared.room.notify_waiters();
+        self.shared.paths_changed.notify_waiters();
+    }
+}
