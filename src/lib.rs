@@ -32,7 +32,7 @@ pub use error::Error;
 pub use session::*;
 
 pub use crate::core::{
-    connection::{Connection, ConnectionState, Event, Link},
+    connection::{Connection, ConnectionState, Event, Link, LinkPath, LinkPathState},
     counters::Counters,
     encoding::Encoding,
     message::Message,

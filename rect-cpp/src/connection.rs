@@ -31,7 +31,7 @@ pub enum ConnectionState {
 pub struct Connection {
     /// The name of a named connection; otherwise empty.
     pub name: Text,
-    /// The method of the link: `ble`, `tcp`, `udp` and so on.
+    /// The method of the link: `any`, `ble`, `tcp`, `udp` and so on.
     pub method: Text,
     /// The address of the other end.
     pub address: Text,
@@ -49,6 +49,10 @@ pub struct Connection {
     pub rssi_dbm: f64,
     /// 1 if the link is encrypted, 0 if it is not, -1 if that is not known.
     pub encrypted: i32,
+    /// For the method `any`, the method of the path that carries the bulk: `ble` or `tcp`.
+    pub path: Text,
+    /// For the method `any`, how often that path has changed.
+    pub switches: i64,
     /// Number of bytes sent.
     pub sent_bytes: i64,
     /// Number of bytes received.
@@ -80,9 +84,9 @@ pub struct Connections {
 pub struct NamedConnection {
     /// The name of the connection.
     pub name: *const c_char,
-    /// The method: `ble`, `tcp`, `udp` or another protocol of Zenoh.
+    /// The method: `any`, `ble`, `tcp`, `udp` or another protocol of Zenoh.
     pub method: *const c_char,
-    /// For `ble`, the name or Bluetooth address of a robot; for other methods, a host.
+    /// For `any` and `ble`, the name or Bluetooth address of a robot; for other methods, a host.
     pub address: *const c_char,
     /// The port, for methods that have ports.
     pub port: u16,
@@ -113,6 +117,8 @@ fn number_or_unknown(number: Option<u64>) -> i64 {
 fn view(connection: &rect::Connection) -> Connection {
     let peer = connection.peer.as_ref();
     let last_error = connection.last_error.as_ref();
+    let mut paths = connection.paths.iter().flatten();
+    let primary = paths.find(|path| path.is_primary);
     Connection {
         name: Text::of_some(connection.name.as_deref()),
         method: Text::of(&connection.method),
@@ -128,6 +134,8 @@ fn view(connection: &rect::Connection) -> Connection {
         round_trip_ms: connection.round_trip_ms.unwrap_or(f64::NAN),
         rssi_dbm: connection.rssi_dbm.map_or(f64::NAN, f64::from),
         encrypted: connection.encrypted.map_or(-1, i32::from),
+        path: Text::of_some(primary.map(|path| path.method.as_str())),
+        switches: number_or_unknown(connection.switches),
         sent_bytes: number_or_unknown(connection.sent.map(|sent| sent.bytes)),
         received_bytes: number_or_unknown(connection.received.map(|received| received.bytes)),
         linked: number_or_unknown(connection.linked),

@@ -5,7 +5,7 @@ use clap::{builder::PossibleValuesParser, Parser};
 
 pub use self::command::{
     CheckArgs, Command, CompletionArgs, ConnectionsArgs, DoctorArgs, InitArgs, ManArgs, QueryArgs,
-    RouterArgs, ScanArgs, SimArgs,
+    RouterArgs, ScanArgs, SimArgs, WifiArgs,
 };
 use crate::version;
 

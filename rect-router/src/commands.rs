@@ -10,6 +10,7 @@ mod scan;
 mod service;
 mod sim;
 mod status;
+mod wifi;
 
 use std::{env, process::ExitCode};
 
@@ -33,6 +34,7 @@ pub fn run(command: &Command) -> ExitCode {
         Command::Scan(args) => scan::run(args).map(|()| ExitCode::SUCCESS),
         Command::Doctor(args) => doctor::run(args),
         Command::Sim(args) => sim::run(args),
+        Command::Wifi(args) => wifi::run(args).map(|()| ExitCode::SUCCESS),
         Command::Completion(args) => {
             manual::complete(args);
             Ok(ExitCode::SUCCESS)

@@ -33,7 +33,7 @@ use self::{
     document::{peers, Clock, Counts, Status},
     presence::Presence,
     publisher::{publish, Change},
-    radio::Ble,
+    radio::{has_radio, Radio},
     selector::Selector,
     sockets::Sockets,
     uptime::Uptime,
@@ -216,8 +216,8 @@ impl Sources {
             .iter()
             .map(|link| (LinkEnds::of(link.src(), link.dst()), link))
             .collect();
-        let ble = Ble::now();
-        let carried = |link: &Link| ble.carried(link).or_else(|| sockets.carried(link));
+        let radio = Radio::now();
+        let carried = |link: &Link| radio.carried(link).or_else(|| sockets.carried(link));
         let mut connections = Vec::new();
         let named = self.connections.as_ref();
         for snapshot in named.map_or_else(Vec::new, |named| named.snapshots()) {
@@ -227,38 +227,38 @@ impl Sources {
             }
             // Two robots have one Bluetooth link at most, which may have been dialled by the other one.
             let by_peer =
-                |(_, link): &(&LinkEnds, &&Link)| ble.leads_to(link, &snapshot.spec.endpoint);
+                |(_, link): &(&LinkEnds, &&Link)| radio.leads_to(link, &snapshot.spec.endpoint);
             if let (None, Some(ends)) = (link, by_ends.iter().find(by_peer).map(|(e, _)| e.clone()))
             {
                 link = by_ends.remove(&ends);
             }
             let carried = link.and_then(carried);
-            connections.push(self.named(snapshot, link, carried, &ble));
+            connections.push(self.named(snapshot, link, carried, &radio));
         }
         let mut others: Vec<_> = by_ends
             .into_values()
-            .map(|link| self.other(link, carried(link), &ble))
+            .map(|link| self.other(link, carried(link), &radio))
             .collect();
         others.sort_by(|a, b| (&a.method, &a.address).cmp(&(&b.method, &b.address)));
         connections.extend(others);
-        let discovered = self.discovered(&ble, &connections);
+        let discovered = self.discovered(&radio, &connections);
         connections.extend(discovered);
         connections
     }
 
     /// Returns the discovered robots of the fleet to which there is neither a connection nor a link.
-    fn discovered(&self, ble: &Ble, connections: &[Connection]) -> Vec<Connection> {
+    fn discovered(&self, radio: &Radio, connections: &[Connection]) -> Vec<Connection> {
         let has_connection = |robot: &DiscoveredStatus| {
             let leads_to_robot = |connection: &Connection| {
                 let address = &connection.address;
                 let is_same = *address == robot.address || Some(address) == robot.name.as_ref();
-                connection.method == BLE && is_same
+                has_radio(&connection.method) && is_same
             };
             connections.iter().any(leads_to_robot)
         };
         let is_linked =
-            |robot: &DiscoveredStatus| ble.links.iter().any(|link| link.address == robot.address);
-        let of_fleet = (ble.discovered.iter()).filter(|r| r.fleet_hash == self.fleet_hash);
+            |robot: &DiscoveredStatus| radio.links.iter().any(|link| link.address == robot.address);
+        let of_fleet = (radio.discovered.iter()).filter(|r| r.fleet_hash == self.fleet_hash);
         let free = of_fleet.filter(|robot| !is_linked(robot) && !has_connection(robot));
         let discovered = free.map(|robot| {
             let address = robot.name.as_ref().unwrap_or(&robot.address);
@@ -276,7 +276,7 @@ impl Sources {
         snapshot: Snapshot,
         link: Option<&Link>,
         carried: Option<LinkTraffic>,
-        ble: &Ble,
+        radio: &Radio,
     ) -> Connection {
         let failure = |error: connections::LastError| Failure {
             what: humanize::short_reason(&error.reason),
@@ -284,18 +284,18 @@ impl Sources {
                 .duration_since(error.at)
                 .map_or(0.0, |ago| ago.as_secs_f64()),
         };
-        let radio = link.and_then(|link| ble.link(link));
+        let ble = link.and_then(|link| radio.link(link));
         let address = snapshot.spec.endpoint.address().as_str().to_owned();
         // The traffic of a link that the peer dialled is counted by the radio only.
         let of_peer = carried.filter(|_| snapshot.ends.is_empty());
-        let advertiser = radio.map_or(&address, |radio| &radio.address);
-        let is_ble = snapshot.spec.method == BLE;
-        let rssi_dbm = is_ble.then(|| ble.rssi_dbm(advertiser)).flatten();
+        let advertiser = ble.map_or(&address, |ble| &ble.address);
+        let has_radio = has_radio(&snapshot.spec.method);
+        let rssi_dbm = has_radio.then(|| radio.rssi_dbm(advertiser)).flatten();
         Connection {
             name: Some(snapshot.spec.name),
             method: snapshot.spec.method,
             rssi_dbm,
-            encrypted: link.and_then(|link| is_encrypted(link, ble)),
+            encrypted: link.and_then(|link| is_encrypted(link, radio)),
             address,
             state: link.map_or(State::Connecting, |_| State::Connected),
             peer: link.map(|link| self.peer(link)),
@@ -307,6 +307,10 @@ impl Sources {
             sent: Some(of_peer.map_or(snapshot.sent, |carried| snapshot.sent + carried.sent)),
             received: Some(of_peer.map_or(snapshot.received, |c| snapshot.received + c.received)),
             round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
+            paths: link.and_then(|link| radio.paths(link)),
+            switches: link
+                .and_then(|link| radio.any(link))
+                .map(|any| any.switches),
             linked: Some(snapshot.linked),
             failed: Some(snapshot.failed),
             last_error: snapshot.last_error.map(failure),
@@ -314,17 +318,19 @@ impl Sources {
     }
 
     /// Returns the document of a link that belongs to no named connection.
-    fn other(&self, link: &Link, carried: Option<LinkTraffic>, ble: &Ble) -> Connection {
-        let radio = ble.link(link);
+    fn other(&self, link: &Link, carried: Option<LinkTraffic>, radio: &Radio) -> Connection {
+        let ble = radio.link(link);
         let (method, address) = (link.dst().protocol(), link.dst().address());
         Connection {
-            rssi_dbm: radio.and_then(|radio| ble.rssi_dbm(&radio.address)),
-            encrypted: is_encrypted(link, ble),
+            rssi_dbm: ble.and_then(|ble| radio.rssi_dbm(&ble.address)),
+            encrypted: is_encrypted(link, radio),
             peer: Some(self.peer(link)),
             up_s: self.up_s(link),
             sent: carried.map(|carried| carried.sent),
             received: carried.map(|carried| carried.received),
             round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
+            paths: radio.paths(link),
+            switches: radio.any(link).map(|any| any.switches),
             ..Connection::of(method.as_str(), address.as_str(), State::Connected)
         }
     }
@@ -344,9 +350,9 @@ impl Sources {
 }
 
 /// Returns whether a link is encrypted, or `None` if it does not leave the computer or its method is not known.
-fn is_encrypted(link: &Link, ble: &Ble) -> Option<bool> {
-    if let Some(radio) = ble.link(link) {
-        return Some(radio.encrypted);
+fn is_encrypted(link: &Link, radio: &Radio) -> Option<bool> {
+    if let Some(is_encrypted) = radio.is_encrypted(link) {
+        return Some(is_encrypted);
     }
     let address = link.dst().address().as_str().parse::<SocketAddr>();
     let is_local = address.is_ok_and(|address| address.ip().is_loopback());

@@ -34,7 +34,7 @@ impl ConnectionState {
 pub struct Connection {
     /// Name in the connections file, if it has one.
     pub name: Option<String>,
-    /// Method of the link: `ble`, `tcp`, `udp` and so on.
+    /// Method of the link: `any`, `ble`, `tcp`, `udp` and so on.
     pub method: String,
     /// Address of the peer, without the method.
     pub address: String,
@@ -54,6 +54,12 @@ pub struct Connection {
     pub rssi_dbm: Option<i16>,
     /// Whether the link is encrypted, if that is known.
     pub encrypted: Option<bool>,
+    /// The paths of the link, if its method is `any`.
+    #[serde(default)]
+    pub paths: Option<Vec<LinkPath>>,
+    /// How often the path that carries the bulk has changed, if the method is `any`.
+    #[serde(default)]
+    pub switches: Option<u64>,
     /// How often the connection was established.
     pub linked: Option<u64>,
     /// Attempts that have failed since it was last established.
@@ -77,11 +83,44 @@ impl Connection {
             round_trip_ms: None,
             rssi_dbm: None,
             encrypted: None,
+            paths: None,
+            switches: None,
             linked: None,
             failed: None,
             last_error: None,
         }
     }
+}
+
+/// A path of a link whose method is `any`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkPath {
+    /// Method of the path: `ble` or `tcp`.
+    pub method: String,
+    /// Whether the path is used.
+    pub state: LinkPathState,
+    /// Whether it carries the bulk. Urgent messages travel on every live path.
+    pub is_primary: bool,
+    /// Mean round trip in milliseconds, if it was measured.
+    pub round_trip_ms: Option<f64>,
+    /// Rate in bytes per second: measured, or assumed until then.
+    pub bytes_per_s: f64,
+    /// Bytes sent over this path.
+    pub sent_bytes: u64,
+    /// Those of them that another path had carried before, because it was suspected, or because they are urgent.
+    pub resent_bytes: u64,
+}
+
+/// Whether a path is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LinkPathState {
+    /// It has not answered yet.
+    Untried,
+    /// It is used.
+    Live,
+    /// Its acknowledgements are missing.
+    Suspected,
 }
 
 /// The router or program at the other end of a connection.

@@ -137,7 +137,11 @@ impl SessionLinks<'_> {
         let all = self.endpoints.iter().map(of("endpoints"));
         let all = all.chain(self.listen.iter().map(of("listen")));
         let all = all.chain(router.map(|(option, endpoint)| (option, endpoint.to_owned())));
-        let mut bluetooth = all.filter(|(_, endpoint)| endpoint.starts_with("ble/"));
+        let mut bluetooth = all.filter(|(_, endpoint)| {
+            ["any/", "ble/"]
+                .iter()
+                .any(|prefix| endpoint.starts_with(prefix))
+        });
         match bluetooth.next() {
             None => Ok(()),
             Some((option, given)) => Err(SettingError {

@@ -1,7 +1,7 @@
 //! Renders the connections of the registry as a table.
 use super::{Cell, Style, Table};
 use crate::core::{
-    connection::{Connection, ConnectionState as State},
+    connection::{Connection, ConnectionState as State, LinkPath, LinkPathState},
     humanize::{bytes, duration_of_s, milliseconds, short_reason},
 };
 
@@ -47,6 +47,16 @@ const COLUMNS: [&str; 11] = [
 /// Adds the row of a connection, and its last error as a note.
 fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
     table.row(cells);
+    if let Some(paths) = &connection.paths {
+        let paths: Vec<_> = paths.iter().map(path).collect();
+        let switches = match connection.switches {
+            // The first path counts, too.
+            None | Some(0 | 1) => String::new(),
+            Some(2) => "; switched once".to_owned(),
+            Some(switches) => format!("; switched {} times", switches - 1),
+        };
+        table.note(&format!("paths: {}{switches}", paths.join(", ")));
+    }
     if let Some(failure) = &connection.last_error {
         let ago = duration_of_s(failure.ago_s);
         table.note(&format!(
@@ -54,6 +64,21 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
             short_reason(&failure.what)
         ));
     }
+}
+
+/// Describes a path, such as `tcp (bulk, 3.1 MB/s, 4 ms)`.
+fn path(path: &LinkPath) -> String {
+    let state = match path.state {
+        LinkPathState::Live if path.is_primary => "bulk",
+        LinkPathState::Live => "ready",
+        LinkPathState::Suspected => "silent",
+        LinkPathState::Untried => "new",
+    };
+    let rate = format!("{}/s", bytes(path.bytes_per_s as u64));
+    let round_trip = path.round_trip_ms.map(milliseconds);
+    let details = [Some(state.to_owned()), Some(rate), round_trip];
+    let details: Vec<_> = details.into_iter().flatten().collect();
+    format!("{} ({})", path.method, details.join(", "))
 }
 
 fn row(connection: &Connection) -> [Cell; 11] {

@@ -14,6 +14,7 @@ use crate::{
     link::{
         intervals::NewLink,
         node::{set_if_changed, Node},
+        path::AgreedPath,
         table::LinkNumber,
         Framing, LinkBle, Opened,
     },
@@ -164,9 +165,12 @@ async fn dial_once(
     let answered = peer.as_ref().and_then(|peer| peer.intervals.clone());
     let own = offered.clone();
     let interval = (node.intervals()).on_accepted(dialling.number, new_link, offered, answered);
-    let agreed_path = peer.as_ref().and_then(|peer| peer.path);
+    let agreed = |peer: &Hello| {
+        let (of, node) = (peer.path.filter(|_| path.is_some())?, peer.node);
+        Some(AgreedPath { of, node })
+    };
     let opened = Opened {
-        path: agreed_path.filter(|_| path.is_some()),
+        path: peer.as_ref().and_then(agreed),
         exporter,
         framing: Framing::with(&channel, peer.as_ref(), protection, None),
         channel,

@@ -19,7 +19,6 @@ pub mod locator;
 mod manager;
 mod name_conflict;
 mod node_id;
-pub mod path;
 mod pending_handshakes;
 #[doc(hidden)]
 pub mod protocol;
@@ -29,6 +28,7 @@ mod scanner;
 pub mod status;
 
 pub use error::{BleError, DialStep};
+pub use link::path;
 pub use link::table::LinkCounts;
 pub use locator::BLE_LOCATOR_PREFIX;
 pub use manager::{BleLocatorInspector, LinkManagerUnicastBle};

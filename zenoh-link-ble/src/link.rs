@@ -10,6 +10,7 @@ pub mod intervals;
 pub(crate) mod node;
 mod number;
 mod open_links;
+pub mod path;
 mod plain;
 pub(crate) mod reroute_holdoff;
 pub(crate) mod status;
@@ -42,12 +43,13 @@ use crate::{
         interval_events::IntervalEvents,
         node::Node,
         number::LinkNumber,
+        path::AgreedPath,
         plain::Plain,
         status::LinkStatus,
         traffic::{Tasks, Traffic, TrafficOptions},
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
-    protocol::hello::{Hello, PathOf},
+    protocol::hello::Hello,
     protocol::key_agreement::Exporter,
     protocol::lanes::{sdu::Protection, Lane},
     radio::{Channel, Radio},
@@ -104,7 +106,7 @@ pub(crate) struct Opened {
     /// Cancelled when a newer link replaces this one.
     pub replaced: CancellationToken,
     /// The link of which the two have agreed that the channel becomes a path.
-    pub path: Option<PathOf>,
+    pub path: Option<AgreedPath>,
     /// Derives keys for other uses, if the two have a secret.
     pub exporter: Option<Exporter>,
 }
@@ -123,7 +125,7 @@ pub(crate) struct LinkBle {
     close_once: Arc<CloseOnce>,
     linger: Duration,
     is_closed: AtomicBool,
-    path: Option<PathOf>,
+    path: Option<AgreedPath>,
     exporter: Option<Exporter>,
 }
 
@@ -236,7 +238,7 @@ impl LinkBle {
     }
 
     /// Returns the link of which this one is a path, if any.
-    pub(crate) fn path(&self) -> Option<PathOf> {
+    pub(crate) fn path(&self) -> Option<AgreedPath> {
         self.path
     }
 

@@ -16,14 +16,14 @@ use crate::{
     link::{
         intervals::NewLink,
         node::{set_if_changed, ListenerIdentity, Node},
+        path::{AgreedPath, BlePath},
         table::Verdict,
         Framing, LinkBle, Opened,
     },
     locator::ListenLocator,
     name_conflict::{NameConflictCheck, NameSearch},
-    path::BlePath,
     pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
-    protocol::hello::{HandshakeMessage, Hello, Refusal, VERSION},
+    protocol::hello::{HandshakeMessage, Hello, VERSION},
     protocol::secret::Secret,
     radio::{
         AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
@@ -304,10 +304,10 @@ impl Listener {
         let path = peer.as_ref().and_then(|peer| peer.path);
         let acceptor = self.node.path_acceptor();
         let path = path.filter(|_| acceptor.is_some());
-        if let (Some(path), Some(acceptor)) = (path, &acceptor) {
-            if path.joins && !acceptor.has_link(path.link) {
+        if let (Some(peer), Some(acceptor)) = (&peer, &acceptor) {
+            if let Some(refusal) = acceptor.refusal(&peer.name, peer.node, path) {
                 permit.succeed();
-                handshake.refuse(Refusal::NoSuchLink).await?;
+                handshake.refuse(refusal).await?;
                 return Ok(None);
             }
         }
@@ -371,7 +371,10 @@ impl Listener {
         }
         let (protection, exporter) = handshake.finish();
         let opened = Opened {
-            path,
+            path: peer.as_ref().and_then(|peer| {
+                let (of, node) = (path?, peer.node);
+                Some(AgreedPath { of, node })
+            }),
             exporter,
             channel: Arc::clone(&channel),
             radio: Arc::clone(&self.adapter.radio),

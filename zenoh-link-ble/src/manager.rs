@@ -13,10 +13,14 @@ use zenoh_result::ZResult;
 use crate::{
     dialer::dial,
     error::{describe, into_zenoh, BleError, DialStep},
-    link::{node::Node, table::LinkCounts, LinkBle},
+    link::{
+        node::Node,
+        path::{AcceptPaths, BlePath, DialledPath},
+        table::LinkCounts,
+        LinkBle,
+    },
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
-    path::{AcceptPaths, BlePath, DialledPath},
     protocol::hello::{NodeId, PathOf},
     radio::{bluez, sim, Radio, RadioError},
     status,

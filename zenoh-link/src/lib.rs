@@ -59,7 +59,7 @@ link_table! {
 
     Ble: zenoh_link_ble as ble, BLE_LOCATOR_PREFIX, BleLocatorInspector, LinkManagerUnicastBle;
 
-    Multi: zenoh_link_multi as multi, MULTI_LOCATOR_PREFIX, MultiLocatorInspector, LinkManagerUnicastMulti;
+    Any: zenoh_link_any as any, ANY_LOCATOR_PREFIX, AnyLocatorInspector, LinkManagerUnicastAny;
 
     Placeholder: zenoh_link_placeholder as placeholder, PLACEHOLDER_LOCATOR_PREFIX, PlaceholderLocatorInspector, LinkManagerUnicastPlaceholder;
 }
@@ -69,8 +69,8 @@ link_table! {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LinkKind {
     Ble,
-    /// `multi/`: Bluetooth and TCP at once.
-    Multi,
+    /// `any/`: Bluetooth and TCP at once.
+    Any,
     Quic,
     QuicDatagram,
     Serial,

@@ -107,7 +107,7 @@ macro_rules! link_table {
                 let kind = LinkKind::try_from(endpoint)?;
                 let new_links = match kind {
                     // The radio limits its links itself; they must be accepted even if all other sessions are in use.
-                    LinkKind::Ble | LinkKind::Multi | LinkKind::Placeholder => new_links,
+                    LinkKind::Ble | LinkKind::Any | LinkKind::Placeholder => new_links,
                     _ => crate::admission::gated(new_links),
                 };
                 match kind {

@@ -42,7 +42,7 @@ enum class ConnectionState {
 struct Connection {
     /// The name of a named connection; otherwise empty.
     std::string name;
-    /// The method of the link: `ble`, `tcp`, `udp` and so on.
+    /// The method of the link: `any`, `ble`, `tcp`, `udp` and so on.
     std::string method;
     /// The address of the other end.
     std::string address;
@@ -60,6 +60,10 @@ struct Connection {
     std::optional<double> rssi_dbm;
     /// Whether the link is encrypted.
     std::optional<bool> encrypted;
+    /// For the method `any`, the method of the path that carries the bulk: `ble` or `tcp`. Otherwise empty.
+    std::string path;
+    /// For the method `any`, how often that path has changed.
+    std::optional<std::uint64_t> switches;
     /// Number of bytes sent.
     std::optional<std::uint64_t> sent_bytes;
     /// Number of bytes received.
@@ -85,6 +89,8 @@ struct Connection {
           round_trip_ms(detail::value_if_known(raw.round_trip_ms)),
           rssi_dbm(detail::value_if_known(raw.rssi_dbm)),
           encrypted(raw.encrypted < 0 ? std::nullopt : std::optional<bool>(raw.encrypted != 0)),
+          path(detail::view(raw.path)),
+          switches(detail::value_if_known(raw.switches)),
           sent_bytes(detail::value_if_known(raw.sent_bytes)),
           received_bytes(detail::value_if_known(raw.received_bytes)),
           linked(detail::value_if_known(raw.linked)),
@@ -97,9 +103,9 @@ struct Connection {
 struct NamedConnection {
     /// The name of the connection.
     std::string name;
-    /// The method: `ble`, `tcp`, `udp` or another protocol of Zenoh.
+    /// The method: `any`, `ble`, `tcp`, `udp` or another protocol of Zenoh.
     std::string method;
-    /// For `ble`, the name or Bluetooth address of a robot; for other methods, a host.
+    /// For `any` and `ble`, the name or Bluetooth address of a robot; for other methods, a host.
     std::string address;
     /// The port, for methods that have ports. 0 means none.
     std::uint16_t port = 0;

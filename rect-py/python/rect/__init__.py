@@ -38,7 +38,7 @@ from rect.errors import (
 from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.publisher import Publisher
-from rect.registry import Connection, Connections, Peer
+from rect.registry import Connection, Connections, LinkPath, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
@@ -65,6 +65,7 @@ __all__ = [
     "Frame",
     "InvalidNameError",
     "InvalidTopicError",
+    "LinkPath",
     "LoginRefused",
     "LossyFormat",
     "Message",

@@ -28,10 +28,30 @@ class Peer:
 
 
 @dataclass(frozen=True)
+class LinkPath:
+    """A path of a link whose method is `any`."""
+
+    #: Method of the path: `ble` or `tcp`.
+    method: str
+    #: State: `untried` (it has not answered yet), `live`, or `suspected` (its acknowledgements are missing).
+    state: str
+    #: Whether it carries the bulk. Urgent messages travel on every live path.
+    is_primary: bool
+    #: Mean round trip, in milliseconds. `None` if it was not measured.
+    round_trip_ms: float | None
+    #: Rate, in bytes per second: measured, or assumed until then.
+    bytes_per_s: float
+    #: Bytes sent over this path.
+    sent_bytes: int
+    #: Those of them that another path had carried before.
+    resent_bytes: int
+
+
+@dataclass(frozen=True)
 class Connection:
     """A connection of a robot's router."""
 
-    #: Method of the link: `ble`, `tcp`, `udp` and so on.
+    #: Method of the link: `any`, `ble`, `tcp`, `udp` and so on.
     method: str
     #: Address of the peer, without the method.
     address: str
@@ -54,6 +74,10 @@ class Connection:
     rssi_dbm: int | None = None
     #: Whether the link is encrypted. `None` if that is not known.
     encrypted: bool | None = None
+    #: Paths of the link, if its method is `any`.
+    paths: list[LinkPath] | None = None
+    #: Number of changes of the path that carries the bulk, if the method is `any`.
+    switches: int | None = None
     #: Number of times that the link was opened. `None` if it is not counted.
     linked: int | None = None
     #: Number of failed attempts since the link was last opened. `None` if they are not counted.
@@ -126,11 +150,19 @@ def connections(session: Session, robot: str, filter: str) -> Connections:
 def _connection(row: Any) -> Connection:
     try:
         values = {field.name: row.get(field.name) for field in fields(Connection)}
-        peer = values.pop("peer")
-        return Connection(**values, peer=None if peer is None else Peer(peer["id"], peer.get("robot")))
+        peer, paths = values.pop("peer"), values.pop("paths")
+        return Connection(
+            **values,
+            peer=None if peer is None else Peer(peer["id"], peer.get("robot")),
+            paths=None if paths is None else [_path(path) for path in paths],
+        )
     except (AttributeError, KeyError, TypeError) as error:
         text = f"the payload is not a list of connections in JSON: {error!r}"
         raise PayloadError(text, "read") from None
+
+
+def _path(row: Any) -> LinkPath:
+    return LinkPath(**{field.name: row[field.name] for field in fields(LinkPath)})
 
 
 def _cell(value: object) -> str:

@@ -25,6 +25,8 @@ pub enum Command {
     Doctor(DoctorArgs),
     /// Run simulated robots on this computer, without Bluetooth, until Ctrl-C
     Sim(SimArgs),
+    /// Simulate a Wi-Fi beside the simulated air, or control a running one
+    Wifi(WifiArgs),
     /// Print a script for shell completion, e.g. rect-router completion bash
     Completion(CompletionArgs),
     /// Write the manual pages, one for each command
@@ -157,9 +159,41 @@ pub struct SimArgs {
     /// by a free one
     #[arg(long, default_value_t = 7447)]
     pub port: u16,
+    /// Simulate a Wi-Fi, too: the robots are linked by both, and `rect wifi` controls it
+    #[arg(long)]
+    pub wifi: bool,
     /// Start only the routers, without programs that publish messages and answer requests
     #[arg(long)]
     pub quiet: bool,
+}
+
+const WIFI_EXAMPLE: &str = "\
+Example: two robots with Bluetooth and Wi-Fi, in one terminal
+  rect sim --wifi
+and in another one
+  rect connections          # both paths of the link, and which one carries the bulk
+  rect wifi silent          # nothing arrives any more, as if the channel were jammed
+  rect wifi on";
+
+/// The arguments of `wifi`.
+#[derive(Debug, Parser)]
+#[command(after_help = WIFI_EXAMPLE)]
+pub struct WifiArgs {
+    /// `serve`: simulate it until Ctrl-C; `on`, `silent` (nothing arrives) or `off` (connections end): change a running one
+    #[arg(value_parser = ["serve", "on", "silent", "off"])]
+    pub action: String,
+    /// With `serve`: rate in kB/s, of all robots together
+    #[arg(long, value_name = "KB_PER_S", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
+    pub rate: u32,
+    /// With `serve`: latency in milliseconds
+    #[arg(long, value_name = "MS", default_value_t = 2)]
+    pub latency: u64,
+    /// With `serve`: how many of 1000 chunks of 4 kB are delayed by 200 ms, because a packet was lost
+    #[arg(long, value_name = "PER_1000", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=1000))]
+    pub losses: u32,
+    /// Socket of the simulated air [default: $RECT_AIR, else that of this user]
+    #[arg(long, value_name = "PATH")]
+    pub socket: Option<PathBuf>,
 }
 
 /// The arguments of `completion`.

@@ -211,7 +211,7 @@ fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<
         .replace(template_name, &args.robot)
         .replace(TEMPLATE_FLEET, &format!("\"{}/", args.fleet))
         .replace(TEMPLATE_LISTENER, &format!("tcp/127.0.0.1:{}", args.port))
-        .replace("ble/hci0", &format!("ble/{}", args.adapter))
+        .replace("any/hci0", &format!("any/{}", args.adapter))
         .replace(
             "/etc/rect/robot.json5",
             &folder.join("robot.json5").display().to_string(),

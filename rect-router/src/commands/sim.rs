@@ -19,7 +19,7 @@ use signal_hook::{
 use tempfile::TempDir;
 
 use self::{air::Air, program::Program, robot::SimulatedRobot};
-use super::Failure;
+use super::{wifi::Serving, Failure};
 use crate::args::SimArgs;
 
 /// Interval at which the routers are checked.
@@ -47,6 +47,8 @@ pub fn run(args: &SimArgs) -> Result<ExitCode, Failure> {
     let signals = signals()?;
     let folder = TempDir::with_prefix("rect-sim-")?;
     let air = Air::start(args.condition, folder.path())?;
+    let wifi = args.wifi.then(|| Serving::start(air.socket()));
+    let _wifi = wifi.transpose()?;
     let mut robots = Vec::new();
     for number in 1..=args.robots {
         robots.push(SimulatedRobot::start(number, args, &air, folder.path())?);
@@ -160,8 +162,13 @@ fn show(args: &SimArgs, air: &Air, robots: &[SimulatedRobot]) {
     table.print();
     let (first, second) = (&robots[0], &robots[1]);
     let condition = args.condition;
+    let wifi = if args.wifi {
+        " and a simulated Wi-Fi"
+    } else {
+        ""
+    };
     rect::outln!(
-        "\nlinked by Bluetooth LE over the simulated air ({condition}). In another terminal:\n"
+        "\nlinked by Bluetooth LE over the simulated air ({condition}){wifi}. In another terminal:\n"
     );
     if !first.has_default_endpoint() {
         rect::outln!("  export RECT_ENDPOINT={}", first.endpoint);
@@ -193,6 +200,12 @@ fn show(args: &SimArgs, air: &Air, robots: &[SimulatedRobot]) {
                 "send a request to a service",
             ),
         ]);
+    }
+    if args.wifi {
+        tries.push((
+            "rect wifi silent".to_owned(),
+            "jam the Wi-Fi; Bluetooth takes over; end: rect wifi on",
+        ));
     }
     tries.extend([
         (

@@ -39,7 +39,7 @@ impl FleetConnector {
         };
         Ok(Arc::new(Self {
             placeholders: Placeholders::new(max_links),
-            any_robot: Arc::new(AnyFleetRobot(format!("ble/*#fleet={name}").parse()?)),
+            any_robot: Arc::new(AnyFleetRobot(format!("any/*#fleet={name}").parse()?)),
             rule: Mutex::new(none),
         }))
     }

@@ -2,7 +2,11 @@
 use std::{collections::BTreeMap, fmt, net::IpAddr};
 
 use zenoh_config::EndPoint;
-use zenoh_link::{ble::locator::ConnectLocator, LinkKind};
+use zenoh_link::{
+    any::{locator::ConnectLocator as AnyConnectLocator, ANY_LOCATOR_PREFIX as ANY},
+    ble::locator::ConnectLocator,
+    LinkKind,
+};
 use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
 
 /// Maximum length of a name in bytes.
@@ -16,7 +20,7 @@ const BLE: &str = "ble";
 pub struct RawSpec {
     /// Name by which programs refer to the connection.
     pub name: String,
-    /// `ble`, `tcp`, `udp`, or any other protocol of Zenoh.
+    /// `any`, `ble`, `tcp`, `udp`, or another protocol of Zenoh.
     pub method: String,
     /// Name or Bluetooth address of a robot, a host, or any other address that the method accepts.
     pub address: String,
@@ -73,14 +77,18 @@ impl Spec {
         check_method(&raw.method)?;
         let method = raw.method.as_str();
         let has_port = WITH_PORT.contains(&method);
-        if raw.psm.is_some() && method != BLE {
+        if raw.psm.is_some() && !has_radio(method) {
             return Err(SpecError::field(
                 "psm",
-                format!("{method} has no psm; only ble has one"),
+                format!("{method} has no psm; only any and ble have one"),
             ));
         }
         if raw.port.is_some() && !has_port {
-            let advice = if method == BLE { "; ble has a psm" } else { "" };
+            let advice = match method {
+                ANY => "; the robots exchange it over Bluetooth",
+                BLE => "; ble has a psm",
+                _ => "",
+            };
             return Err(SpecError::field(
                 "port",
                 format!("{method} has no port{advice}"),
@@ -106,10 +114,13 @@ impl Spec {
             }
         }
         let endpoint = endpoint(method, &address, &options)?;
-        if method == BLE {
-            ConnectLocator::parse(&endpoint).map_err(|error| SpecError {
+        if has_radio(method) {
+            let any = AnyConnectLocator::parse(&endpoint).map_err(|error| error.to_string());
+            let radio = any
+                .and_then(|any| ConnectLocator::parse(&any.ble).map_err(|error| error.to_string()));
+            radio.map_err(|problem| SpecError {
                 field: None,
-                problem: error.to_string(),
+                problem,
             })?;
         }
         Ok(Self {
@@ -122,13 +133,18 @@ impl Spec {
     /// Returns whether the connection leads to `robot`, judging by its name. (Zenoh itself closes a link to itself by any
     /// other address.)
     pub fn is_to(&self, robot: &str) -> bool {
-        self.method == BLE && self.endpoint.address().as_str() == robot
+        has_radio(&self.method) && self.endpoint.address().as_str() == robot
     }
 
     /// Returns the locator of the peer without options. No two connections may have the same target.
     pub fn target(&self) -> String {
         self.endpoint.to_locator().to_string()
     }
+}
+
+/// Returns whether the address of a connection with that method is a robot's name or Bluetooth address.
+fn has_radio(method: &str) -> bool {
+    [ANY, BLE].contains(&method)
 }
 
 fn check_name(name: &str) -> Result<(), SpecError> {
@@ -145,7 +161,7 @@ fn check_method(method: &str) -> Result<(), SpecError> {
     if is_known && method != PLACEHOLDER_LOCATOR_PREFIX {
         return Ok(());
     }
-    let problem = "a method is ble, tcp, udp or another of Zenoh's protocols (tls, quic, ws, unixsock-stream)";
+    let problem = "a method is any, ble, tcp, udp or another of Zenoh's protocols (tls, quic, ws, unixsock-stream)";
     Err(SpecError::field("method", problem))
 }
 

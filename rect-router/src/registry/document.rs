@@ -51,7 +51,7 @@ pub struct Counts {
     /// Connections of all methods.
     #[serde(flatten)]
     pub all: Count,
-    /// Connections by method; always contains `ble`, `tcp` and `udp`.
+    /// Connections by method; always contains `any`, `ble`, `tcp` and `udp`.
     pub methods: BTreeMap<String, Count>,
 }
 
@@ -69,7 +69,8 @@ pub struct Count {
 impl Counts {
     /// Counts connections by method and state.
     pub fn of(connections: &[Connection]) -> Self {
-        let common = ["ble", "tcp", "udp"].map(|method| (method.to_owned(), Count::default()));
+        let common =
+            ["any", "ble", "tcp", "udp"].map(|method| (method.to_owned(), Count::default()));
         let mut counts = Self {
             all: Count::default(),
             methods: common.into(),

@@ -1,44 +1,110 @@
-//! Collects the Bluetooth links and the discovered robots for the registry.
-use rect::core::connection::Traffic;
+//! Collects the links over Bluetooth, those over several paths, and the discovered robots for the registry.
+use rect::core::connection::{LinkPath, LinkPathState, Traffic};
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
-use zenoh_link::ble::{
-    status::{nodes, Count, DiscoveredStatus, LinkStatus},
-    BLE_LOCATOR_PREFIX as BLE,
+use zenoh_link::{
+    any::{
+        path::{Medium, PathState as State},
+        status::{self as any, LinkStatus as AnyStatus},
+        ANY_LOCATOR_PREFIX as ANY,
+    },
+    ble::{
+        status::{nodes, Count, DiscoveredStatus, LinkStatus},
+        BLE_LOCATOR_PREFIX as BLE,
+    },
 };
 
 use super::LinkTraffic;
 
-/// The Bluetooth status of all adapters.
-pub struct Ble {
-    /// Open links.
+/// The status of all links of which Bluetooth is a part.
+pub struct Radio {
+    /// Open Bluetooth links, which may be paths of others.
     pub links: Vec<LinkStatus>,
+    /// Open links over several paths.
+    any: Vec<AnyStatus>,
     /// Robots whose advertisements were received within the last minute.
     pub discovered: Vec<DiscoveredStatus>,
 }
 
-impl Ble {
-    /// Returns the current status of all adapters.
+impl Radio {
+    /// Returns the current status.
     pub fn now() -> Self {
         let (mut links, mut discovered) = (Vec::new(), Vec::new());
         for node in nodes() {
             links.extend(node.links);
             discovered.extend(node.discovered);
         }
-        Self { links, discovered }
+        Self {
+            links,
+            any: any::links(),
+            discovered,
+        }
     }
 
-    /// Returns the Bluetooth status of a link; `None` if it is not a Bluetooth link.
+    /// Returns the Bluetooth status of a link; `None` if it has none.
     pub fn link(&self, link: &Link) -> Option<&LinkStatus> {
-        if link.dst().protocol().as_str() != BLE {
+        if !has_radio(link.dst().protocol().as_str()) {
             return None;
         }
         let peer = link.dst().address().as_str();
         self.links.iter().find(|radio| radio.peer == peer)
     }
 
-    /// Returns the traffic of a Bluetooth link, which counts batches and bytes.
+    /// Returns the status of a link over several paths; `None` if it is of another kind.
+    pub fn any(&self, link: &Link) -> Option<&AnyStatus> {
+        if link.dst().protocol().as_str() != ANY {
+            return None;
+        }
+        let peer = link.dst().address().as_str();
+        self.any.iter().find(|any| any.peer == peer)
+    }
+
+    /// Returns the paths of a link.
+    pub fn paths(&self, link: &Link) -> Option<Vec<LinkPath>> {
+        let paths = self.any(link)?.paths.iter();
+        let status = paths.map(|path| LinkPath {
+            method: match path.medium {
+                Medium::Bluetooth => "ble",
+                Medium::Network => "tcp",
+            }
+            .to_owned(),
+            state: match path.state {
+                State::Untried => LinkPathState::Untried,
+                State::Live => LinkPathState::Live,
+                State::Suspected => LinkPathState::Suspected,
+            },
+            is_primary: path.is_primary,
+            round_trip_ms: path.round_trip.map(|time| time.as_secs_f64() * 1000.0),
+            bytes_per_s: path.rate_bytes_per_s,
+            sent_bytes: path.sent_bytes,
+            resent_bytes: path.resent_bytes,
+        });
+        Some(status.collect())
+    }
+
+    /// Returns whether a link is encrypted; `None` if it is of another kind.
+    pub fn is_encrypted(&self, link: &Link) -> Option<bool> {
+        match self.any(link) {
+            Some(any) => Some(any.is_encrypted),
+            None => self.link(link).map(|radio| radio.encrypted),
+        }
+    }
+
+    /// Returns the traffic of a link, which counts batches and bytes.
     pub fn carried(&self, link: &Link) -> Option<LinkTraffic> {
+        if let Some(any) = self.any(link) {
+            let primary = any.paths.iter().find(|path| path.is_primary);
+            let round_trip = primary.and_then(|path| path.round_trip);
+            let traffic = |(batches, bytes)| Traffic {
+                batches: Some(batches),
+                bytes,
+            };
+            return Some(LinkTraffic {
+                sent: traffic(any.sent),
+                received: traffic(any.received),
+                round_trip_ms: round_trip.map(|time| time.as_secs_f64() * 1000.0),
+            });
+        }
         let radio = self.link(link)?;
         Some(LinkTraffic {
             sent: traffic(radio.sent),
@@ -47,11 +113,17 @@ impl Ble {
         })
     }
 
-    /// Returns whether the peer of a link is the one that a `ble/` endpoint names.
+    /// Returns whether the peer of a link is the one that an endpoint names. Two robots have one link over Bluetooth at most, of
+    /// either kind.
     pub fn leads_to(&self, link: &Link, endpoint: &EndPoint) -> bool {
         let address = endpoint.address().as_str();
-        endpoint.protocol().as_str() == BLE
-            && (self.link(link)).is_some_and(|l| l.peer == address || l.address == address)
+        let is_address = self
+            .link(link)
+            .is_some_and(|radio| radio.peer == address || radio.address == address);
+        let is_name = || {
+            has_radio(link.dst().protocol().as_str()) && link.dst().address().as_str() == address
+        };
+        has_radio(endpoint.protocol().as_str()) && (is_address || is_name())
     }
 
     /// Returns the signal strength of the discovered robot with the name or address `peer`.
@@ -61,6 +133,11 @@ impl Ble {
         };
         self.discovered.iter().find(is_peer)?.rssi_dbm
     }
+}
+
+/// Returns whether links of that method use Bluetooth.
+pub fn has_radio(method: &str) -> bool {
+    [ANY, BLE].contains(&method)
 }
 
 fn traffic(count: Count) -> Traffic {

@@ -69,6 +69,7 @@ enum When {
 #[derive(Subcommand)]
 enum Command {
     Sim(router::SimArguments),
+    Wifi(router::WifiArguments),
     Pub(publish::PubArguments),
     Send(publish::SendArguments),
     Sub(subscribe::SubArguments),
@@ -136,6 +137,7 @@ fn main() -> ExitCode {
         Command::Disconnect(arguments) => wait(configure::disconnect(arguments)),
         Command::Bench(arguments) => wait(bench::run(arguments)),
         Command::Sim(arguments) => router::sim(arguments),
+        Command::Wifi(arguments) => router::wifi(arguments),
         Command::Status(arguments) => router::status(arguments),
         Command::Scan(arguments) => router::scan(arguments),
         Command::Doctor(arguments) => router::doctor(arguments),

@@ -57,6 +57,19 @@ pub struct SimArguments {
     arguments: Vec<OsString>,
 }
 
+/// Simulate a Wi-Fi beside the simulated air, or control a running one; see `rect wifi --help`
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+pub struct WifiArguments {
+    /// `serve`, `on`, `silent` or `off`, and options
+    #[arg(
+        trailing_var_arg = true,
+        allow_hyphen_values = true,
+        value_name = "ACTION"
+    )]
+    arguments: Vec<OsString>,
+}
+
 /// The router to query.
 #[derive(Args)]
 struct AtArguments {
@@ -123,6 +136,11 @@ pub fn check(arguments: CheckArguments) -> Done {
 /// Runs `rect sim`.
 pub fn sim(arguments: SimArguments) -> Done {
     become_router("sim", arguments.arguments)
+}
+
+/// Runs `rect wifi`.
+pub fn wifi(arguments: WifiArguments) -> Done {
+    become_router("wifi", arguments.arguments)
 }
 
 /// Runs `rect status`.

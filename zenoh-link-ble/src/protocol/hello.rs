@@ -35,7 +35,7 @@ const KIND_KEY_ANSWER: u8 = 5;
 /// The byte that precedes the connection intervals of a hello, after the name.
 const INTERVALS_FOLLOW: u8 = b'I';
 /// The byte that precedes the fields of a path, after the intervals.
-const PATH_FOLLOWS: u8 = b'M';
+const PATH_FOLLOWS: u8 = b'P';
 
 /// The content of HELLO and ACCEPT: the properties of the side that sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,7 +58,7 @@ pub struct Hello {
     pub path: Option<PathOf>,
 }
 
-/// The link of which a channel becomes a path (crate `zenoh-link-multi`).
+/// The link of which a channel becomes a path (crate `zenoh-link-any`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathOf {
     /// Random number of the link, chosen by the node that opens it.

@@ -49,7 +49,17 @@ impl SimulatedRobot {
     pub fn start(number: u16, args: &SimArgs, air: &Air, folder: &Path) -> Result<Self, Failure> {
         let name = format!("wombat-{number}");
         let endpoint = format!("tcp/127.0.0.1:{}", free_port(args.port, number - 1)?);
-        let first = json!({ "name": "wombat-1", "method": "ble", "address": "wombat-1" });
+        let method = if args.wifi { "any" } else { "ble" };
+        let secret = folder.join("secret");
+        let protection = match args.wifi {
+            // A Wi-Fi path exists only for a link with a secret.
+            true => format!(";secret={}", secret.display()),
+            false => String::new(),
+        };
+        if args.wifi && number == 1 {
+            fs::write(&secret, "sim:the secret of simulated robots\n")?;
+        }
+        let first = json!({ "name": "wombat-1", "method": method, "address": "wombat-1" });
         let dialled: Vec<_> = (number > 1).then_some(first).into_iter().collect();
         let connections = folder.join(format!("{name}.connections.json"));
         let text = serde_json::to_string_pretty(&json!({ "connections": dialled }))?;
@@ -64,7 +74,10 @@ impl SimulatedRobot {
             .arg("--config")
             .arg(&configuration)
             .args(["--listen", &endpoint])
-            .args(["--listen", &format!("ble/sim-{name}#name={name}")])
+            .args([
+                "--listen",
+                &format!("{method}/sim-{name}#name={name}{protection}"),
+            ])
             .args(["--cfg", &format!("plugins/rect:{settings}")])
             .env(SOCKET_VARIABLE, air.socket())
             .stdin(Stdio::null())

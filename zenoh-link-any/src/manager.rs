@@ -1,8 +1,9 @@
-//! Implements Zenoh's link manager of the `multi` protocol.
+//! Implements Zenoh's link manager of the `any` protocol.
 use std::{collections::HashMap, sync::Arc};
 
 use async_trait::async_trait;
 use tokio::sync::Mutex;
+use zenoh_link_ble::locator::is_simulated;
 use zenoh_link_commons::{
     LinkManagerUnicastTrait, LinkUnicast, LocatorInspector, NewLinkChannelSender,
 };
@@ -10,19 +11,19 @@ use zenoh_protocol::core::{EndPoint, Locator};
 use zenoh_result::ZResult;
 
 use crate::{
-    error::MultiError,
+    error::AnyError,
     hub::Hub,
-    locator::{ConnectLocator, ListenLocator, MULTI_LOCATOR_PREFIX},
+    locator::{ConnectLocator, ListenLocator, ANY_LOCATOR_PREFIX},
 };
 
-/// Describes `multi` links to Zenoh: they are unicast and reliable.
+/// Describes `any` links to Zenoh: they are unicast and reliable.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct MultiLocatorInspector;
+pub struct AnyLocatorInspector;
 
 #[async_trait]
-impl LocatorInspector for MultiLocatorInspector {
+impl LocatorInspector for AnyLocatorInspector {
     fn protocol(&self) -> &str {
-        MULTI_LOCATOR_PREFIX
+        ANY_LOCATOR_PREFIX
     }
 
     async fn is_multicast(&self, _locator: &Locator) -> ZResult<bool> {
@@ -34,14 +35,14 @@ impl LocatorInspector for MultiLocatorInspector {
     }
 }
 
-/// Dials and accepts `multi` links for one Zenoh runtime.
-pub struct LinkManagerUnicastMulti {
+/// Dials and accepts `any` links for one Zenoh runtime.
+pub struct LinkManagerUnicastAny {
     hub: Arc<Hub>,
     /// The listeners by their endpoint, with the locator that a peer can dial and the endpoint of their Bluetooth listener.
     listeners: Mutex<HashMap<EndPoint, (Locator, EndPoint)>>,
 }
 
-impl LinkManagerUnicastMulti {
+impl LinkManagerUnicastAny {
     /// Creates a manager. Accepted links are sent on `links`. Managers with the same channel belong to one Zenoh runtime.
     pub fn new(links: NewLinkChannelSender) -> Self {
         Self {
@@ -52,21 +53,24 @@ impl LinkManagerUnicastMulti {
 }
 
 #[async_trait]
-impl LinkManagerUnicastTrait for LinkManagerUnicastMulti {
+impl LinkManagerUnicastTrait for LinkManagerUnicastAny {
     async fn new_link(&self, endpoint: EndPoint) -> ZResult<LinkUnicast> {
-        let locator = ConnectLocator::parse(&endpoint).map_err(MultiError::from)?;
+        let locator = ConnectLocator::parse(&endpoint).map_err(AnyError::from)?;
         Ok(self.hub.open(locator).await?)
     }
 
     async fn new_listener(&self, endpoint: EndPoint) -> ZResult<Locator> {
-        let locator = ListenLocator::parse(&endpoint).map_err(MultiError::from)?;
+        let locator = ListenLocator::parse(&endpoint).map_err(AnyError::from)?;
         let mut listeners = self.listeners.lock().await;
-        if let Some(port) = locator.port {
-            self.hub.listen(port, locator.interfaces).await?;
+        // Without a secret, nobody could prove that a connection belongs to a link.
+        let has_secret = locator.ble.config().get("secret").is_some();
+        if has_secret && !self.hub.is_listening() {
+            let is_simulated = is_simulated(locator.ble.address().as_str());
+            (self.hub).listen(locator.port, locator.interfaces, is_simulated)?;
         }
         let bluetooth = self.hub.ble.new_listener(locator.ble.clone()).await?;
         let name = bluetooth.address().as_str().to_owned();
-        let dialable = Locator::new(MULTI_LOCATOR_PREFIX, name, "")?;
+        let dialable = Locator::new(ANY_LOCATOR_PREFIX, name, "")?;
         listeners.insert(endpoint, (dialable.clone(), locator.ble));
         Ok(dialable)
     }

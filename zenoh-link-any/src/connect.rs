@@ -1,8 +1,9 @@
 //! Opens and accepts the TCP connections that become paths.
 use std::{future::Future, io, net::SocketAddr, sync::Arc, time::Duration};
 
+use snow::StatelessTransportState;
 use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
     net::TcpStream,
     time::timeout,
 };
@@ -11,16 +12,50 @@ use crate::{
     proof::{tag_of, Tag, MESSAGE_BYTES, OPENING_BYTES},
     run::{open_next, prepare, seal, Connection},
     shared::Shared,
+    wifi,
 };
 
 /// How long a connect, and then the proof, may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Connects to an address of the peer, and proves that the connection belongs to the link.
-pub(crate) async fn connect(shared: &Shared, address: SocketAddr) -> io::Result<Connection> {
-    let proof = shared.proof.as_ref().ok_or_else(no_secret)?;
+/// Connects to an address of the peer, and proves that the connection belongs to the link. A simulated robot connects through
+/// the simulated Wi-Fi.
+pub(crate) async fn connect(
+    shared: &Shared,
+    address: SocketAddr,
+    is_simulated: bool,
+) -> io::Result<Connection> {
+    if is_simulated {
+        let mut stream = within(wifi::connect(address)).await?;
+        let keys = prove(shared, &mut stream).await?;
+        let (read, write) = stream.into_split();
+        return Ok(Connection {
+            read: Box::new(read),
+            write: Box::new(write),
+            keys,
+            sent: 1,
+            received: 0,
+        });
+    }
     let mut stream = within(TcpStream::connect(address)).await?;
     prepare(&stream)?;
+    let keys = prove(shared, &mut stream).await?;
+    let (read, write) = stream.into_split();
+    Ok(Connection {
+        read: Box::new(read),
+        write: Box::new(write),
+        keys,
+        sent: 1,
+        received: 0,
+    })
+}
+
+/// Performs the handshake of a connection as its dialler.
+async fn prove(
+    shared: &Shared,
+    stream: &mut (impl AsyncRead + AsyncWrite + Unpin),
+) -> io::Result<StatelessTransportState> {
+    let proof = shared.proof.as_ref().ok_or_else(no_secret)?;
     let (opening, message) = proof.open().map_err(io::Error::other)?;
     let answered = async {
         stream.write_all(&message).await?;
@@ -33,13 +68,7 @@ pub(crate) async fn connect(shared: &Shared, address: SocketAddr) -> io::Result<
         stream.write_all(&confirmation).await?;
         Ok(keys)
     };
-    let keys = within(answered).await?;
-    Ok(Connection {
-        stream,
-        keys,
-        sent: 1,
-        received: 0,
-    })
+    within(answered).await
 }
 
 /// Verifies that an accepted connection belongs to a link, which `find` returns for its tag.
@@ -62,8 +91,10 @@ pub(crate) async fn accept(
         }
     };
     let (shared, keys) = within(proven).await?;
+    let (read, write) = stream.into_split();
     let connection = Connection {
-        stream,
+        read: Box::new(read),
+        write: Box::new(write),
         keys,
         sent: 0,
         received: 1,

@@ -7,14 +7,17 @@ use tokio::{
     time::Instant,
 };
 use tokio_util::sync::CancellationToken;
-use zenoh_link_ble::protocol::lanes::{Lane, LANES};
+use zenoh_link_ble::protocol::{
+    hello::NodeId,
+    lanes::{Lane, LANES},
+};
 
 use crate::{
-    error::MultiError,
+    error::AnyError,
     frame::{self, Frame},
     multipath::{Change, Multipath, Options, PathId, PathReport, Violation},
     offer,
-    path::Medium,
+    path::{Medium, PathState},
     proof::{Proof, Role},
 };
 
@@ -23,6 +26,8 @@ pub(crate) struct Shared {
     /// The number of the link, which both sides know.
     pub(crate) id: u64,
     pub(crate) peer: String,
+    /// The peer's Zenoh runtime.
+    pub(crate) node: NodeId,
     pub(crate) role: Role,
     /// The keys that prove that a connection belongs to the link; `None` without a secret.
     pub(crate) proof: Option<Proof>,
@@ -32,9 +37,11 @@ pub(crate) struct Shared {
     /// Notified when a writer may try again.
     room: Notify,
     arrived: [Notify; LANES],
+    /// The addresses that this side offers, encoded.
+    own_offer: watch::Sender<Vec<u8>>,
     /// The addresses that the peer has offered.
     offered: watch::Sender<Vec<SocketAddr>>,
-    /// Notified whenever a path is added or removed.
+    /// Notified whenever a path is added or removed, or may have become suspect.
     pub(crate) paths_changed: Notify,
     ended: CancellationToken,
 }
@@ -43,7 +50,7 @@ struct State {
     multipath: Multipath,
     /// Wakes the task that sends on each path.
     wakers: HashMap<PathId, Arc<Notify>>,
-    end: Option<Arc<MultiError>>,
+    end: Option<Arc<AnyError>>,
 }
 
 /// One path of a link. Dropping it removes the path.
@@ -65,6 +72,7 @@ impl Shared {
     pub(crate) fn new(
         id: u64,
         peer: String,
+        node: NodeId,
         role: Role,
         proof: Option<Proof>,
         options: Options,
@@ -73,6 +81,7 @@ impl Shared {
         Arc::new(Self {
             id,
             peer,
+            node,
             role,
             proof,
             since: now,
@@ -84,6 +93,7 @@ impl Shared {
             }),
             room: Notify::new(),
             arrived: Default::default(),
+            own_offer: watch::Sender::new(Vec::new()),
             offered: watch::Sender::new(Vec::new()),
             paths_changed: Notify::new(),
             ended: CancellationToken::new(),
@@ -103,7 +113,7 @@ impl Shared {
         let id = (state.multipath).add_path(medium, max_frame, is_proven, now);
         state.wakers.insert(id, Arc::clone(&waker));
         drop(state);
-        tracing::info!("multi: {} has a path over {medium}", self.peer);
+        tracing::info!("any: {} has a path over {medium}", self.peer);
         self.paths_changed.notify_waiters();
         PathGuard {
             shared: Arc::clone(self),
@@ -112,9 +122,22 @@ impl Shared {
         }
     }
 
-    /// Returns whether the link has a path over that medium.
-    pub(crate) fn has_path(&self, medium: Medium) -> bool {
-        self.paths().iter().any(|path| path.medium == medium)
+    /// Returns whether the link has a Bluetooth path.
+    pub(crate) fn has_bluetooth(&self) -> bool {
+        let is_bluetooth = |path: &PathReport| path.medium == Medium::Bluetooth;
+        self.paths().iter().any(is_bluetooth)
+    }
+
+    /// Returns whether the link needs a network path: it has none, or the only one is suspected. After a change of the
+    /// network, a new connection works long before the old one ends.
+    pub(crate) fn needs_network(&self) -> bool {
+        let paths = self.paths().into_iter();
+        let mut network = paths.filter(|path| path.medium == Medium::Network);
+        match (network.next(), network.next()) {
+            (None, _) => true,
+            (Some(only), None) => only.state == PathState::Suspected,
+            (Some(_), Some(_)) => false,
+        }
     }
 
     /// Returns the paths of the link.
@@ -124,16 +147,21 @@ impl Shared {
         paths.map(|(_, report)| report).collect()
     }
 
+    /// Returns the numbers of batches and bytes, sent and received.
+    pub(crate) fn traffic(&self) -> ((u64, u64), (u64, u64)) {
+        self.state.lock().multipath.traffic()
+    }
+
     /// Returns the number of changes of the path that carries the bulk.
     pub(crate) fn switches(&self) -> u64 {
         self.state.lock().multipath.switches().0
     }
 
     /// Queues a batch on its lane. Waits while there is no room.
-    pub(crate) async fn write(&self, lane: Lane, batch: &[u8]) -> Result<(), MultiError> {
+    pub(crate) async fn write(&self, lane: Lane, batch: &[u8]) -> Result<(), AnyError> {
         let max = self.options.max_batch;
         if batch.len() > max {
-            return Err(MultiError::BatchTooLarge {
+            return Err(AnyError::BatchTooLarge {
                 size: batch.len(),
                 max,
             });
@@ -160,7 +188,7 @@ impl Shared {
     }
 
     /// Returns the next batch of a lane. Waits until there is one.
-    pub(crate) async fn read(&self, lane: Lane) -> Result<Vec<u8>, MultiError> {
+    pub(crate) async fn read(&self, lane: Lane) -> Result<Vec<u8>, AnyError> {
         loop {
             {
                 let (mut state, now) = (self.state.lock(), Instant::now().into_std());
@@ -181,10 +209,11 @@ impl Shared {
         let lane = (state.multipath).next_frame(id, least_urgent, frame, now);
         if state.multipath.wakeups() != before {
             state.wake_all();
+            self.paths_changed.notify_waiters();
         }
         if let Some(end) = state.multipath.end() {
             let peer = self.peer.clone();
-            self.end(&mut state, MultiError::Ended { peer, end });
+            self.end(&mut state, AnyError::Ended { peer, end });
         }
         match lane {
             Some(lane) => Next::Frame(lane),
@@ -196,7 +225,7 @@ impl Shared {
     ///
     /// # Errors
     /// Fails if the path has to end.
-    pub(crate) fn on_frame(&self, id: PathId, bytes: &[u8]) -> Result<(), MultiError> {
+    pub(crate) fn on_frame(&self, id: PathId, bytes: &[u8]) -> Result<(), AnyError> {
         if let Ok(Frame::Offer(body)) = frame::decode(bytes) {
             let offered = offer::decode(body).map_err(|error| self.protocol(&error))?;
             self.offered.send_if_modified(|before| {
@@ -220,7 +249,7 @@ impl Shared {
         }
         if let Some(end) = state.multipath.end() {
             let peer = self.peer.clone();
-            self.end(&mut state, MultiError::Ended { peer, end });
+            self.end(&mut state, AnyError::Ended { peer, end });
         }
         // The frame has to be acknowledged, and may have freed room on this path.
         match state.multipath.wakeups() != before {
@@ -233,6 +262,20 @@ impl Shared {
     /// Returns the size of the largest batch, in bytes.
     pub(crate) fn max_batch(&self) -> u16 {
         u16::try_from(self.options.max_batch).unwrap_or(u16::MAX)
+    }
+
+    /// Offers these addresses to the peer, over Bluetooth.
+    pub(crate) fn offer(&self, offer: Vec<u8>) {
+        self.own_offer.send_if_modified(|before| {
+            let is_new = *before != offer;
+            *before = offer;
+            is_new
+        });
+    }
+
+    /// Returns the offer of this side.
+    pub(crate) fn own_offer(&self) -> watch::Receiver<Vec<u8>> {
+        self.own_offer.subscribe()
     }
 
     /// Returns the addresses that the peer has offered.
@@ -250,14 +293,14 @@ impl Shared {
         let finished = self.ended.cancelled();
         if tokio::time::timeout(limit, finished).await.is_err() {
             tracing::warn!(
-                "multi: {} did not read the waiting messages within {limit:?}",
+                "any: {} did not read the waiting messages within {limit:?}",
                 self.peer
             );
         }
     }
 
     /// Ends the link at once.
-    pub(crate) fn fail(&self, error: MultiError) {
+    pub(crate) fn fail(&self, error: AnyError) {
         self.end(&mut self.state.lock(), error);
     }
 
@@ -278,16 +321,16 @@ impl Shared {
         }
     }
 
-    fn end(&self, state: &mut State, error: MultiError) {
+    fn end(&self, state: &mut State, error: AnyError) {
         if state.end.is_none() {
-            tracing::info!("multi: {error}");
+            tracing::info!("any: {error}");
             state.end = Some(Arc::new(error));
             self.ended.cancel();
         }
     }
 
-    fn protocol(&self, what: &dyn std::fmt::Display) -> MultiError {
-        MultiError::Protocol {
+    fn protocol(&self, what: &dyn std::fmt::Display) -> AnyError {
+        AnyError::Protocol {
             peer: self.peer.clone(),
             what: what.to_string(),
         }
@@ -295,7 +338,7 @@ impl Shared {
 }
 
 impl State {
-    fn check(&self) -> Result<(), MultiError> {
+    fn check(&self) -> Result<(), AnyError> {
         match &self.end {
             Some(end) => Err(Arc::clone(end).into()),
             None => Ok(()),

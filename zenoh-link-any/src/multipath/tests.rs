@@ -1,4 +1,4 @@
-//! Tests both ends of a link together, over simulated paths: `cargo test -p zenoh-link-multi`
+//! Tests both ends of a link together, over simulated paths: `cargo test -p zenoh-link-any`
 use std::time::Duration;
 
 use rand_pcg::{
@@ -90,7 +90,7 @@ fn bulk_moves_to_the_network_and_returns_when_it_is_lost() {
 /// Faults of all kinds, while small messages travel on all lanes in both directions beside bulk.
 #[test]
 fn nothing_is_lost_repeated_or_reordered_at_any_switch() {
-    let switches = std::env::var("RECT_SWITCHES").map_or(500, |n| n.parse().expect("a number"));
+    let switches = std::env::var("RECT_SWITCHES").map_or(2000, |n| n.parse().expect("a number"));
     let (mut done, mut seed) = (0, 0);
     let mut urgent = Vec::new();
     while done < switches {

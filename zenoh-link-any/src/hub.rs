@@ -1,4 +1,4 @@
-//! Keeps what all `multi` links of one Zenoh runtime share: its Bluetooth node, its TCP listener and its links.
+//! Keeps what all `any` links of one Zenoh runtime share: its Bluetooth node, its TCP listener and its links.
 use std::{
     collections::HashMap,
     future::Future,
@@ -16,7 +16,7 @@ use tokio::{
 use tokio_util::task::AbortOnDropHandle;
 use zenoh_link_ble::{
     path::{AcceptPaths, BlePath, DialledPath},
-    protocol::hello::{PathOf, Refusal},
+    protocol::hello::{NodeId, PathOf, Refusal},
     BleError, LinkManagerUnicastBle,
 };
 use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait, NewLinkChannelSender};
@@ -24,15 +24,15 @@ use zenoh_protocol::core::EndPoint;
 
 use crate::{
     connect,
-    error::MultiError,
-    link::LinkMulti,
+    error::AnyError,
+    link::LinkAny,
     locator::ConnectLocator,
     multipath::{Bounds, Options},
     networks, offer,
-    path::Medium,
     proof::{Proof, Role, Tag, KEY_LABEL, TAG_LABEL},
     run,
     shared::Shared,
+    wifi,
 };
 
 /// The settings of all links. Both sides use the same largest batch.
@@ -65,6 +65,8 @@ pub(crate) struct Hub {
 struct Tcp {
     port: u16,
     interfaces: Option<Vec<String>>,
+    /// Whether connections run through the simulated Wi-Fi.
+    is_simulated: bool,
     _accepting: AbortOnDropHandle<()>,
 }
 
@@ -114,9 +116,9 @@ impl Hub {
     pub(crate) async fn open(
         self: &Arc<Self>,
         locator: ConnectLocator,
-    ) -> Result<LinkUnicast, MultiError> {
+    ) -> Result<LinkUnicast, AnyError> {
         if self.link_with(&locator.peer).is_some() {
-            return Err(MultiError::AlreadyLinked(locator.peer));
+            return Err(AnyError::AlreadyLinked(locator.peer));
         }
         let path_of = PathOf {
             link: random_number(),
@@ -126,9 +128,13 @@ impl Hub {
             DialledPath::Path(path) => path,
             DialledPath::Link(link) => return Ok(link),
         };
+        if self.link_with(path.peer()).is_some() {
+            return Err(AnyError::AlreadyLinked(path.peer().to_owned()));
+        }
+        let endpoint = locator.to(path.peer())?;
         let shared = self.add_link(path_of.link, &path, Role::Opener);
         let link = self.start(&shared, path)?;
-        self.spawn(Arc::clone(self).keep_bluetooth(Arc::clone(&shared), locator.ble));
+        self.spawn(Arc::clone(self).keep_bluetooth(Arc::clone(&shared), endpoint));
         let link: Arc<dyn LinkUnicastTrait> = link;
         Ok(LinkUnicast::from(link))
     }
@@ -139,7 +145,8 @@ impl Hub {
             .exported_key(KEY_LABEL)
             .zip(path.exported_key(TAG_LABEL));
         let proof = keys.map(|(key, tag)| Proof::new(key, tag, role));
-        let shared = Shared::new(id, path.peer().to_owned(), role, proof, OPTIONS);
+        let node = path.agreed().map_or(NodeId(0), |agreed| agreed.node);
+        let shared = Shared::new(id, path.peer().to_owned(), node, role, proof, OPTIONS);
         self.links.lock().insert(id, Arc::downgrade(&shared));
         shared
     }
@@ -149,8 +156,9 @@ impl Hub {
         self: &Arc<Self>,
         shared: &Arc<Shared>,
         path: BlePath,
-    ) -> Result<Arc<LinkMulti>, MultiError> {
-        let link = LinkMulti::new(Arc::clone(shared), path.adapter())?;
+    ) -> Result<Arc<LinkAny>, AnyError> {
+        let link = LinkAny::new(Arc::clone(shared), path.adapter())?;
+        shared.offer(self.offer());
         self.run_ble(Arc::clone(shared), path, true);
         if shared.proof.is_some() {
             self.spawn(Arc::clone(self).keep_network(Arc::clone(shared)));
@@ -159,7 +167,7 @@ impl Hub {
     }
 
     fn run_ble(&self, shared: Arc<Shared>, path: BlePath, is_proven: bool) {
-        self.spawn(run::run_ble(shared, path, is_proven, self.offer()));
+        self.spawn(run::run_ble(shared, path, is_proven));
     }
 
     /// Returns the addresses to offer.
@@ -182,7 +190,7 @@ impl Hub {
         let mut retry = RETRY.0;
         while !shared.has_ended() {
             let changed = shared.paths_changed.notified();
-            if shared.has_path(Medium::Bluetooth) {
+            if shared.has_bluetooth() {
                 retry = RETRY.0;
                 shared.unless_ended(changed).await;
                 continue;
@@ -197,15 +205,15 @@ impl Hub {
             };
             match dialled {
                 Ok(DialledPath::Path(path)) => {
-                    run::run_ble(Arc::clone(&shared), path, false, self.offer()).await;
+                    run::run_ble(Arc::clone(&shared), path, false).await;
                 }
                 Ok(DialledPath::Link(_))
                 | Err(BleError::Refused {
                     refusal: Refusal::NoSuchLink,
                     ..
-                }) => return shared.fail(MultiError::Replaced(shared.peer.clone())),
+                }) => return shared.fail(AnyError::Replaced(shared.peer.clone())),
                 Err(error) => {
-                    tracing::debug!("multi: no Bluetooth path to {}: {error}", shared.peer);
+                    tracing::debug!("any: no Bluetooth path to {}: {error}", shared.peer);
                     shared.unless_ended(tokio::time::sleep(retry)).await;
                     retry = (retry * 2).min(RETRY.1);
                 }
@@ -213,76 +221,101 @@ impl Hub {
         }
     }
 
-    /// Opens a network path to the addresses that the peer has offered, whenever there is none.
+    /// Opens a network path to the addresses that the peer has offered whenever the link needs one, and offers this side's
+    /// addresses whenever they have changed.
     async fn keep_network(self: Arc<Self>, shared: Arc<Shared>) {
         let mut offered = shared.offered();
         let mut retry = RETRY.0;
         if shared.role == Role::Acceptor {
-            shared
-                .unless_ended(tokio::time::sleep(ACCEPTOR_DELAY))
-                .await;
+            let delay = tokio::time::sleep(ACCEPTOR_DELAY);
+            shared.unless_ended(delay).await;
         }
         while !shared.has_ended() {
             let changed = shared.paths_changed.notified();
+            shared.offer(self.offer());
             let addresses = self.reachable(&offered.borrow_and_update());
-            if addresses.is_empty() || shared.has_path(Medium::Network) {
-                retry = RETRY.0;
-                let offered = async { drop(offered.changed().await) };
-                tokio::select! {
-                    () = changed => {}
-                    () = offered => {}
-                    () = shared.ended() => return,
+            let needs_network = shared.needs_network();
+            if needs_network {
+                if let Some(connection) = self.connect(&shared, &addresses).await {
+                    // The peer may have connected meanwhile.
+                    if shared.role == Role::Opener || shared.needs_network() {
+                        self.spawn(run::run_tcp(Arc::clone(&shared), connection));
+                    }
                 }
-                continue;
+            } else {
+                retry = RETRY.0;
             }
-            if let Some(connection) = self.connect(&shared, &addresses).await {
-                run::run_tcp(Arc::clone(&shared), connection).await;
+            let waits = async {
+                let new_offer = async { drop(offered.changed().await) };
+                // Without a network path, this side tries again; with one, it looks for other addresses now and then.
+                let pause = if needs_network { retry } else { RETRY.1 };
+                tokio::select! {
+                    () = new_offer => {}
+                    () = changed, if !needs_network => {}
+                    () = tokio::time::sleep(pause) => {}
+                }
+            };
+            shared.unless_ended(waits).await;
+            if needs_network {
+                retry = (retry * 2).min(RETRY.1);
             }
-            let waited = tokio::time::timeout(retry, offered.changed());
-            shared.unless_ended(async { drop(waited.await) }).await;
-            retry = (retry * 2).min(RETRY.1);
         }
     }
 
     fn reachable(&self, offered: &[SocketAddr]) -> Vec<SocketAddr> {
         let tcp = self.tcp.lock();
+        let has_network = |tcp: &Tcp| !tcp.is_simulated || wifi::socket_path().exists();
+        if !tcp.as_ref().is_some_and(has_network) {
+            return Vec::new();
+        }
         let interfaces = tcp.as_ref().and_then(|tcp| tcp.interfaces.as_deref());
         networks::reachable(offered, interfaces)
     }
 
     async fn connect(&self, shared: &Shared, addresses: &[SocketAddr]) -> Option<run::Connection> {
+        let is_simulated = self.tcp.lock().as_ref().is_some_and(|tcp| tcp.is_simulated);
         for address in addresses {
             let connected = tokio::select! {
-                connected = connect::connect(shared, *address) => connected,
+                connected = connect::connect(shared, *address, is_simulated) => connected,
                 () = shared.ended() => return None,
             };
             match connected {
                 Ok(connection) => return Some(connection),
                 Err(error) => {
-                    tracing::debug!("multi: no path to {} at {address}: {error}", shared.peer);
+                    tracing::debug!("any: no path to {} at {address}: {error}", shared.peer);
                 }
             }
         }
         None
     }
 
-    /// Accepts further paths on a TCP port.
-    pub(crate) async fn listen(
+    /// Accepts further paths on a TCP port, or on one that the system chooses. A simulated robot accepts them on the loopback
+    /// interface.
+    pub(crate) fn listen(
         self: &Arc<Self>,
-        port: u16,
+        port: Option<u16>,
         interfaces: Option<Vec<String>>,
-    ) -> Result<(), MultiError> {
-        let bind = async {
-            let _runtime = self.runtime.enter();
-            bind(port)
+        is_simulated: bool,
+    ) -> Result<(), AnyError> {
+        let interfaces = match is_simulated {
+            true => Some(vec!["lo".to_owned()]),
+            false => interfaces,
         };
-        let listener = bind
-            .await
-            .map_err(|error| MultiError::Listen { port, error })?;
+        let port = port.unwrap_or(0);
+        let bound = {
+            let _runtime = self.runtime.enter();
+            bind(port, is_simulated)
+        };
+        let with_port = bound.and_then(|listener| {
+            let port = listener.local_addr()?.port();
+            Ok((listener, port))
+        });
+        let (listener, port) = with_port.map_err(|error| AnyError::Listen { port, error })?;
         let accepting = self.runtime.spawn(Arc::clone(self).accept(listener));
         *self.tcp.lock() = Some(Tcp {
             port,
             interfaces,
+            is_simulated,
             _accepting: AbortOnDropHandle::new(accepting),
         });
         Ok(())
@@ -297,7 +330,7 @@ impl Hub {
             let (stream, address) = match listener.accept().await {
                 Ok(accepted) => accepted,
                 Err(error) => {
-                    tracing::warn!("multi: cannot accept a connection: {error}");
+                    tracing::warn!("any: cannot accept a connection: {error}");
                     tokio::time::sleep(RETRY.0).await;
                     continue;
                 }
@@ -307,9 +340,11 @@ impl Hub {
                 let accepted = hub.prove(stream).await;
                 drop(permit);
                 match accepted {
+                    // Both have dialled at the same time, and the opener's connection takes precedence.
+                    Ok((shared, _)) if shared.role == Role::Opener && !shared.needs_network() => {}
                     Ok((shared, connection)) => run::run_tcp(shared, connection).await,
                     Err(error) => {
-                        tracing::debug!("multi: closed a connection from {address}: {error}");
+                        tracing::debug!("any: closed a connection from {address}: {error}");
                     }
                 }
             });
@@ -324,6 +359,11 @@ impl Hub {
         connect::accept(stream, find).await
     }
 
+    /// Returns whether this side accepts further paths.
+    pub(crate) fn is_listening(&self) -> bool {
+        self.tcp.lock().is_some()
+    }
+
     /// Closes the TCP listener.
     pub(crate) fn stop_listening(&self) {
         *self.tcp.lock() = None;
@@ -331,14 +371,25 @@ impl Hub {
 }
 
 impl AcceptPaths for Hub {
-    fn has_link(&self, link: u64) -> bool {
-        self.links().iter().any(|existing| existing.id == link)
+    fn refusal(&self, peer: &str, node: NodeId, path: Option<PathOf>) -> Option<Refusal> {
+        let links = self.links();
+        if let Some(path) = path.filter(|path| path.joins) {
+            let has_link = links.iter().any(|link| link.id == path.link);
+            return (!has_link).then_some(Refusal::NoSuchLink);
+        }
+        // A peer that was restarted is another node: its link has ended.
+        let is_linked = |link: &Arc<Shared>| link.peer == peer && link.node == node;
+        links
+            .iter()
+            .any(is_linked)
+            .then_some(Refusal::AlreadyLinked)
     }
 
     fn on_path(self: Arc<Self>, path: BlePath) {
-        let Some(PathOf { link: id, joins }) = path.path_of() else {
+        let Some(agreed) = path.agreed() else {
             return;
         };
+        let PathOf { link: id, joins } = agreed.of;
         let existing = self.links().into_iter().find(|link| link.id == id);
         match existing {
             Some(shared) if joins && shared.peer == path.peer() => {
@@ -348,12 +399,12 @@ impl AcceptPaths for Hub {
             _ if joins => {}
             _ => {
                 if let Some(old) = self.link_with(path.peer()) {
-                    old.fail(MultiError::Replaced(old.peer.clone()));
+                    old.fail(AnyError::Replaced(old.peer.clone()));
                 }
                 let shared = self.add_link(id, &path, Role::Acceptor);
                 let link: Arc<dyn LinkUnicastTrait> = match self.start(&shared, path) {
                     Ok(link) => link,
-                    Err(error) => return tracing::warn!("multi: {error}"),
+                    Err(error) => return tracing::warn!("any: {error}"),
                 };
                 let new_links = self.new_links.clone();
                 self.spawn(async move {
@@ -364,8 +415,9 @@ impl AcceptPaths for Hub {
     }
 }
 
-/// Opens a listener for IPv4 and IPv6 on all addresses. A connection is used only after it has proved its link.
-fn bind(port: u16) -> std::io::Result<TcpListener> {
+/// Opens a listener for IPv4 and IPv6 on all addresses, or on the loopback interface. A connection is used only after it has
+/// proved its link.
+fn bind(port: u16, is_local: bool) -> std::io::Result<TcpListener> {
     use socket2::{Domain, Socket, Type};
     let listen = |domain: Domain, address: SocketAddr| {
         let socket = Socket::new(domain, Type::STREAM, None)?;
@@ -380,6 +432,10 @@ fn bind(port: u16) -> std::io::Result<TcpListener> {
     };
     let any_v6 = SocketAddr::from((std::net::Ipv6Addr::UNSPECIFIED, port));
     let any_v4 = SocketAddr::from((std::net::Ipv4Addr::UNSPECIFIED, port));
+    if is_local {
+        let local = SocketAddr::from((std::net::Ipv4Addr::LOCALHOST, port));
+        return listen(Domain::IPV4, local);
+    }
     // A kernel without IPv6 has only the second.
     listen(Domain::IPV6, any_v6).or_else(|_| listen(Domain::IPV4, any_v4))
 }

@@ -6,7 +6,7 @@ use snow::{params::NoiseParams, Builder, HandshakeState, StatelessTransportState
 
 const PROTOCOL: &str = "Noise_NNpsk0_25519_ChaChaPoly_SHA256";
 /// The first bytes of a connection, with the version.
-const MAGIC: [u8; 6] = *b"RECTM\x01";
+const MAGIC: [u8; 6] = *b"RECTA\x01";
 /// Size of a message of the handshake, in bytes: a public key of X25519 and a tag.
 pub(crate) const MESSAGE_BYTES: usize = 48;
 /// Size of the dialler's first message, in bytes.
@@ -15,8 +15,8 @@ const TAG_BYTES: usize = 8;
 /// Size of the tag that encryption adds to a frame, in bytes.
 pub(crate) const SEAL_BYTES: usize = 16;
 /// The labels of the keys that are derived from the handshake of the Bluetooth path.
-pub(crate) const KEY_LABEL: &str = "multi key";
-pub(crate) const TAG_LABEL: &str = "multi tag";
+pub(crate) const KEY_LABEL: &str = "any key";
+pub(crate) const TAG_LABEL: &str = "any tag";
 
 /// Identifies a link to a listener, without revealing anything about it.
 pub(crate) type Tag = [u8; TAG_BYTES];
@@ -120,8 +120,8 @@ pub(crate) fn tag_of(opening: &[u8; OPENING_BYTES]) -> Option<Tag> {
 fn builder(dialler: Role, key: &[u8; 32]) -> Option<Builder<'_>> {
     let params: NoiseParams = PROTOCOL.parse().ok()?;
     let prologue: &[u8] = match dialler {
-        Role::Opener => b"RECT multi 1 opener",
-        Role::Acceptor => b"RECT multi 1 acceptor",
+        Role::Opener => b"RECT any 1 opener",
+        Role::Acceptor => b"RECT any 1 acceptor",
     };
     let builder = Builder::new(params).prologue(prologue).ok()?;
     builder.psk(0, key).ok()

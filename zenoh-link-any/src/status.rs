@@ -1,4 +1,4 @@
-//! Reports the state of all `multi` links of the process.
+//! Reports the state of all `any` links of the process.
 use std::time::Duration;
 
 use crate::{hub::Hub, multipath::PathReport};
@@ -14,6 +14,10 @@ pub struct LinkStatus {
     pub is_encrypted: bool,
     /// Its paths.
     pub paths: Vec<PathReport>,
+    /// Number of sent batches and their bytes.
+    pub sent: (u64, u64),
+    /// Number of received batches and their bytes.
+    pub received: (u64, u64),
     /// Number of changes of the path that carries the bulk.
     pub switches: u64,
 }
@@ -27,6 +31,8 @@ pub fn links() -> Vec<LinkStatus> {
             up: link.since.elapsed(),
             is_encrypted: link.proof.is_some(),
             paths: link.paths(),
+            sent: link.traffic().0,
+            received: link.traffic().1,
             switches: link.switches(),
         })
         .collect()

@@ -1,10 +1,13 @@
-//! Parses locators: `multi/<robot>#...` to dial, and `multi/<adapter>#...` to listen. All options but those of this crate are
+//! Parses locators: `any/<robot>#...` to dial, and `any/<adapter>#...` to listen. All options but those of this crate are
 //! those of `ble/`.
 use zenoh_link_ble::BLE_LOCATOR_PREFIX;
 use zenoh_protocol::core::EndPoint;
 
 /// The name of the protocol in a locator.
-pub const MULTI_LOCATOR_PREFIX: &str = "multi";
+pub const ANY_LOCATOR_PREFIX: &str = "any";
+
+/// Stands for any robot of a fleet.
+const ANY_ROBOT: &str = "*";
 
 /// Why a locator is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -34,7 +37,8 @@ pub struct ConnectLocator {
 pub struct ListenLocator {
     /// The endpoint of the Bluetooth listener.
     pub ble: EndPoint,
-    /// `port=`: the TCP port on which this side accepts further paths. Default: it accepts none, and only dials.
+    /// `port=`: the TCP port on which this side accepts further paths. Default: the system chooses one. It has no
+    /// effect without `secret=`.
     pub port: Option<u16>,
     /// `interfaces=`: the network interfaces that are offered, separated by commas. Default: all except the loopback
     /// interface.
@@ -79,6 +83,26 @@ impl ListenLocator {
     }
 }
 
+impl ConnectLocator {
+    /// Returns the endpoint of the Bluetooth path to a peer that was dialled by this locator, which may stand for any robot of a
+    /// fleet.
+    ///
+    /// # Errors
+    /// Fails if the name is not valid in a locator.
+    pub fn to(&self, peer: &str) -> Result<EndPoint, LocatorError> {
+        if self.peer != ANY_ROBOT {
+            return Ok(self.ble.clone());
+        }
+        let config = self.ble.config();
+        let options = config.iter().filter(|(name, _)| *name != "fleet");
+        let options: Vec<_> = options
+            .map(|(name, value)| format!("{name}={value}"))
+            .collect();
+        EndPoint::new(BLE_LOCATOR_PREFIX, peer, "", options.join(";"))
+            .map_err(|error| LocatorError::Endpoint(error.to_string()))
+    }
+}
+
 /// Returns the `ble/` endpoint with the same address and the options that are not of this crate.
 fn ble(endpoint: &EndPoint) -> Result<EndPoint, LocatorError> {
     let config = endpoint.config();
@@ -106,8 +130,7 @@ mod tests {
 
     #[test]
     fn options_of_bluetooth_are_passed_on() {
-        let text =
-            "multi/hci0#name=wombat-1;secret=/etc/rect/users;port=7460;interfaces=wlan0,eth0";
+        let text = "any/hci0#name=wombat-1;secret=/etc/rect/users;port=7460;interfaces=wlan0,eth0";
         let parsed = ListenLocator::parse(&endpoint(text)).expect("valid");
         assert_eq!(parsed.port, Some(7460));
         let interfaces = ["wlan0", "eth0"].map(str::to_owned).to_vec();
@@ -116,20 +139,24 @@ mod tests {
             parsed.ble,
             endpoint("ble/hci0#name=wombat-1;secret=/etc/rect/users")
         );
-        let parsed = ConnectLocator::parse(&endpoint("multi/wombat-2#timeout=3000"));
+        let parsed = ConnectLocator::parse(&endpoint("any/wombat-2#timeout=3000"));
         let parsed = parsed.expect("valid");
         assert_eq!(parsed.peer, "wombat-2");
         assert_eq!(parsed.ble, endpoint("ble/wombat-2#timeout=3000"));
+        assert_eq!(parsed.to("wombat-2"), Ok(parsed.ble.clone()));
+        let fleet = endpoint("any/*#fleet=rect;mtu=500");
+        let parsed = ConnectLocator::parse(&fleet).expect("valid");
+        assert_eq!(parsed.to("wombat-3"), Ok(endpoint("ble/wombat-3#mtu=500")));
     }
 
     #[test]
     fn invalid_options_are_rejected() {
         for port in ["0", "65536", "x", "-1"] {
-            let parsed = ListenLocator::parse(&endpoint(&format!("multi/hci0#port={port}")));
+            let parsed = ListenLocator::parse(&endpoint(&format!("any/hci0#port={port}")));
             assert_eq!(parsed, Err(LocatorError::Port(port.to_owned())));
         }
         assert_eq!(
-            ConnectLocator::parse(&endpoint("multi/wombat-2#port=1")),
+            ConnectLocator::parse(&endpoint("any/wombat-2#port=1")),
             Err(LocatorError::NotForDial("port"))
         );
     }

@@ -1,4 +1,4 @@
-//! A Zenoh link over several paths at once, Bluetooth and TCP: `multi/<robot>#<options>`. It survives the loss of each.
+//! A Zenoh link over several paths at once, Bluetooth and TCP: `any/<robot>#<options>`. It survives the loss of each.
 //!
 //! [`multipath::Multipath`] makes all decisions, without I/O, and is given the time. `PROTOCOL.md` in this crate specifies
 //! what travels on the paths.
@@ -23,8 +23,9 @@ pub mod rtt;
 mod run;
 mod shared;
 pub mod status;
+pub mod wifi;
 
-pub use error::MultiError;
+pub use error::AnyError;
 pub use link::INTERFACE;
-pub use locator::MULTI_LOCATOR_PREFIX;
-pub use manager::{LinkManagerUnicastMulti, MultiLocatorInspector};
+pub use locator::ANY_LOCATOR_PREFIX;
+pub use manager::{AnyLocatorInspector, LinkManagerUnicastAny};

@@ -3,11 +3,8 @@ use std::{io, sync::Arc, time::Duration};
 
 use snow::StatelessTransportState;
 use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt, BufReader},
-    net::{
-        tcp::{OwnedReadHalf, OwnedWriteHalf},
-        TcpStream,
-    },
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
+    net::TcpStream,
     time::Instant,
 };
 use zenoh_link_ble::{path::BlePath, protocol::lanes::Lane};
@@ -29,30 +26,35 @@ const NOT_SENT_BYTES: libc::c_int = 32_768;
 /// How long a connection may be silent although data was sent, before the kernel ends it.
 const TCP_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Carries frames over a Bluetooth path until it has ended. `offer` is sent first.
-pub(crate) async fn run_ble(shared: Arc<Shared>, path: BlePath, is_proven: bool, offer: Vec<u8>) {
+/// Carries frames over a Bluetooth path until it has ended.
+pub(crate) async fn run_ble(shared: Arc<Shared>, path: BlePath, is_proven: bool) {
     let guard = shared.add_path(Medium::Bluetooth, path.max_frame(), is_proven);
     let reason = tokio::select! {
-        reason = send_ble(&guard, &path, offer) => reason,
+        reason = send_ble(&guard, &path) => reason,
         reason = receive_ble(&guard, &path) => reason,
         () = shared.ended() => "the link has ended".to_owned(),
     };
     drop(guard);
     tracing::info!(
-        "multi: the Bluetooth path to {} has ended: {reason}",
+        "any: the Bluetooth path to {} has ended: {reason}",
         shared.peer
     );
     path.close().await;
 }
 
-async fn send_ble(guard: &PathGuard, path: &BlePath, offer: Vec<u8>) -> String {
+async fn send_ble(guard: &PathGuard, path: &BlePath) -> String {
     let mut frame = Vec::new();
-    Frame::Offer(&offer).encode(&mut frame);
-    if let Err(error) = path.send(Lane::last(), &frame).await {
-        return error.to_string();
-    }
+    let mut offer = guard.shared.own_offer();
+    offer.mark_changed();
     let urgent = Lane::new(LAST_COPIED_LANE).unwrap_or(Lane::first());
     loop {
+        if offer.has_changed().unwrap_or(false) {
+            frame.clear();
+            Frame::Offer(&offer.borrow_and_update()).encode(&mut frame);
+            if let Err(error) = path.send(Lane::last(), &frame).await {
+                return error.to_string();
+            }
+        }
         // While a frame waits for the radio, only more urgent ones are added, which overtake it.
         let is_busy = path.is_busy();
         let least_urgent = if is_busy { urgent } else { Lane::last() };
@@ -64,10 +66,12 @@ async fn send_ble(guard: &PathGuard, path: &BlePath, offer: Vec<u8>) -> String {
                 }
             }
             Next::Wait(until) => {
+                let offered = async { drop(offer.changed().await) };
                 tokio::select! {
                     () = guard.waker.notified() => {}
                     () = sleep_until(until) => {}
                     () = path.sent(), if is_busy => {}
+                    () = offered => offer.mark_changed(),
                 }
             }
         }
@@ -128,7 +132,8 @@ fn set_not_sent(socket: &socket2::SockRef<'_>) -> io::Result<()> {
 
 /// A TCP connection that belongs to a link, with its keys and the number of the next frame in each direction.
 pub(crate) struct Connection {
-    pub(crate) stream: TcpStream,
+    pub(crate) read: Box<dyn AsyncRead + Send + Unpin>,
+    pub(crate) write: Box<dyn AsyncWrite + Send + Unpin>,
     pub(crate) keys: StatelessTransportState,
     pub(crate) sent: u64,
     pub(crate) received: u64,
@@ -137,27 +142,27 @@ pub(crate) struct Connection {
 /// Carries frames over a TCP connection until it has ended.
 pub(crate) async fn run_tcp(shared: Arc<Shared>, connection: Connection) {
     let Connection {
-        stream,
+        read,
+        write,
         keys,
         sent,
         received,
     } = connection;
     let guard = shared.add_path(Medium::Network, MAX_TCP_FRAME, false);
-    let (read, write) = stream.into_split();
     let reason = tokio::select! {
         error = send_tcp(&guard, write, &keys, sent) => error.to_string(),
         error = receive_tcp(&guard, read, &keys, received) => error.to_string(),
         () = shared.ended() => "the link has ended".to_owned(),
     };
     tracing::info!(
-        "multi: the network path to {} has ended: {reason}",
+        "any: the network path to {} has ended: {reason}",
         shared.peer
     );
 }
 
 async fn send_tcp(
     guard: &PathGuard,
-    mut stream: OwnedWriteHalf,
+    mut stream: impl AsyncWrite + Unpin,
     keys: &StatelessTransportState,
     mut number: u64,
 ) -> io::Error {
@@ -207,7 +212,7 @@ pub(crate) fn seal(
 
 async fn receive_tcp(
     guard: &PathGuard,
-    stream: OwnedReadHalf,
+    stream: impl AsyncRead + Unpin,
     keys: &StatelessTransportState,
     mut number: u64,
 ) -> io::Error {

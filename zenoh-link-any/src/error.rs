@@ -1,4 +1,4 @@
-//! The errors of `multi` links.
+//! The errors of `any` links.
 use std::sync::Arc;
 
 use zenoh_link_ble::BleError;
@@ -7,7 +7,7 @@ use crate::{locator::LocatorError, multipath::End};
 
 /// Why a link could not be opened, or has ended.
 #[derive(Debug, thiserror::Error)]
-pub enum MultiError {
+pub enum AnyError {
     /// The locator is invalid.
     #[error(transparent)]
     Locator(#[from] LocatorError),
@@ -58,5 +58,5 @@ pub enum MultiError {
     Ble(#[from] BleError),
     /// The end of a link, which several parts report.
     #[error(transparent)]
-    Shared(#[from] Arc<MultiError>),
+    Shared(#[from] Arc<AnyError>),
 }

@@ -17,32 +17,32 @@ use zenoh_protocol::{
 use zenoh_result::{zerror, ZResult};
 
 use crate::{
-    error::MultiError,
-    locator::{LocatorError, MULTI_LOCATOR_PREFIX},
+    error::AnyError,
+    locator::{LocatorError, ANY_LOCATOR_PREFIX},
     shared::Shared,
 };
 
 /// The name of the interface that a link reports, whichever paths it has: Zenoh applies access control by interface, once.
-pub const INTERFACE: &str = "multi";
+pub const INTERFACE: &str = "any";
 /// How long a closing side waits until the peer has read what was queued.
 const LINGER: Duration = Duration::from_secs(5);
 
 static NEXT_NUMBER: AtomicU64 = AtomicU64::new(1);
 
 /// An open link, as Zenoh uses it.
-pub(crate) struct LinkMulti {
+pub(crate) struct LinkAny {
     shared: Arc<Shared>,
     src: Locator,
     dst: Locator,
     is_closed: AtomicBool,
 }
 
-impl LinkMulti {
+impl LinkAny {
     pub(crate) fn new(shared: Arc<Shared>, adapter: &str) -> Result<Arc<Self>, LocatorError> {
         // Zenoh identifies links by their locators. The number distinguishes this link from an earlier one with the same peer.
         let number = NEXT_NUMBER.fetch_add(1, Ordering::Relaxed);
         let locator = |address: &str, metadata: String| {
-            Locator::new(MULTI_LOCATOR_PREFIX, address, metadata)
+            Locator::new(ANY_LOCATOR_PREFIX, address, metadata)
                 .map_err(|error| LocatorError::Endpoint(error.to_string()))
         };
         Ok(Arc::new(Self {
@@ -54,10 +54,10 @@ impl LinkMulti {
     }
 }
 
-impl Drop for LinkMulti {
+impl Drop for LinkAny {
     fn drop(&mut self) {
         self.shared
-            .fail(MultiError::Dropped(self.shared.peer.clone()));
+            .fail(AnyError::Dropped(self.shared.peer.clone()));
     }
 }
 
@@ -67,7 +67,7 @@ fn lane_of(priority: Option<Priority>) -> Lane {
 }
 
 #[async_trait]
-impl LinkUnicastTrait for LinkMulti {
+impl LinkUnicastTrait for LinkAny {
     fn get_mtu(&self) -> BatchSize {
         self.shared.max_batch()
     }
@@ -116,7 +116,7 @@ impl LinkUnicastTrait for LinkMulti {
         let batch = batch.map_err(into_zenoh)?;
         let (size, max) = (batch.len(), buffer.len());
         let room = buffer.get_mut(..size);
-        room.ok_or_else(|| into_zenoh(MultiError::BatchTooLarge { size, max }))?
+        room.ok_or_else(|| into_zenoh(AnyError::BatchTooLarge { size, max }))?
             .copy_from_slice(&batch);
         Ok(size)
     }
@@ -135,7 +135,7 @@ impl LinkUnicastTrait for LinkMulti {
         if !self.is_closed.swap(true, Ordering::AcqRel) {
             self.shared.finish(LINGER).await;
             self.shared
-                .fail(MultiError::Dropped(self.shared.peer.clone()));
+                .fail(AnyError::Dropped(self.shared.peer.clone()));
         }
         Ok(())
     }
@@ -143,12 +143,12 @@ impl LinkUnicastTrait for LinkMulti {
     #[cfg(all(feature = "uring", target_os = "linux"))]
     fn get_fd(&self) -> ZResult<std::os::fd::RawFd> {
         Err(
-            zerror!("a multi link has no file descriptor for io_uring: disable `uring` for it")
+            zerror!("an `any` link has no file descriptor for io_uring: disable `uring` for it")
                 .into(),
         )
     }
 }
 
-fn into_zenoh(error: MultiError) -> zenoh_result::Error {
+fn into_zenoh(error: AnyError) -> zenoh_result::Error {
     Box::new(error)
 }

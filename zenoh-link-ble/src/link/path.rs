@@ -1,4 +1,4 @@
-//! A channel that is a path of another link (crate `zenoh-link-multi`): it carries that link's frames in place of Zenoh's
+//! A channel that is a path of another link (crate `zenoh-link-any`): it carries that link's frames in place of Zenoh's
 //! batches.
 use std::sync::Arc;
 
@@ -7,13 +7,17 @@ use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 use crate::{
     error::BleError,
     link::LinkBle,
-    protocol::{hello::PathOf, lanes::Lane, seal::Derived},
+    protocol::{
+        hello::{NodeId, PathOf, Refusal},
+        lanes::Lane,
+        seal::Derived,
+    },
 };
 
 /// Takes the paths that peers open.
 pub trait AcceptPaths: Send + Sync {
-    /// Returns whether this side has the link with that number.
-    fn has_link(&self, link: u64) -> bool;
+    /// Returns why a peer must not open a channel, if it must not. `path` is the link of which it should become a path, if any.
+    fn refusal(&self, peer: &str, node: NodeId, path: Option<PathOf>) -> Option<Refusal>;
 
     /// Takes a path that a peer has opened.
     fn on_path(self: Arc<Self>, path: BlePath);
@@ -27,6 +31,15 @@ pub enum DialledPath {
     Link(LinkUnicast),
 }
 
+/// A link of which the two sides have agreed that a channel is a path.
+#[derive(Clone, Copy, Debug)]
+pub struct AgreedPath {
+    /// The link.
+    pub of: PathOf,
+    /// The peer's Zenoh runtime.
+    pub node: NodeId,
+}
+
 /// An open path.
 pub struct BlePath {
     link: Arc<LinkBle>,
@@ -38,7 +51,7 @@ impl BlePath {
     }
 
     /// Returns the link of which this is a path.
-    pub fn path_of(&self) -> Option<PathOf> {
+    pub fn agreed(&self) -> Option<AgreedPath> {
         self.link.path()
     }
 

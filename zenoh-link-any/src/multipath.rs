@@ -151,6 +151,9 @@ pub struct Multipath {
     last_switch: Option<Switch>,
     switches: u64,
     wakeups: u64,
+    /// Number of batches and bytes that were accepted, and taken.
+    sent: (u64, u64),
+    received: (u64, u64),
 }
 
 impl Multipath {
@@ -173,6 +176,8 @@ impl Multipath {
             last_switch: None,
             switches: 0,
             wakeups: 0,
+            sent: (0, 0),
+            received: (0, 0),
         }
     }
 
@@ -224,6 +229,7 @@ impl Multipath {
             return false;
         }
         out.push(batch, kind, is_copied(lane, batch), now);
+        self.sent = (self.sent.0 + 1, self.sent.1 + batch.len() as u64);
         true
     }
 
@@ -236,6 +242,7 @@ impl Multipath {
     /// Takes the next batch of a lane.
     pub fn take(&mut self, lane: Lane, now: Instant) -> Option<Vec<u8>> {
         let batch = self.into[lane.index()].take()?;
+        self.received = (self.received.0 + 1, self.received.1 + batch.len() as u64);
         self.update_stopped(lane, now);
         Some(batch)
     }
@@ -476,6 +483,11 @@ impl Multipath {
     /// Returns the number of changes of the primary path, and the last one.
     pub fn switches(&self) -> (u64, Option<Switch>) {
         (self.switches, self.last_switch)
+    }
+
+    /// Returns the numbers of batches and bytes, sent and received.
+    pub fn traffic(&self) -> ((u64, u64), (u64, u64)) {
+        (self.sent, self.received)
     }
 
     /// Returns the number of bytes that arrived a second time.

@@ -1,0 +1,257 @@
+//! Tests links over Bluetooth and Wi-Fi at once (`any/`), with both simulated: `cargo test -p rect-router --test any`
+mod support;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use serde_json::{json, Value};
+use support::{answers, arrives, client, file, repository, Air, Router, DEADLINE};
+use zenoh::{
+    handlers::FifoChannelHandler, pubsub::Subscriber, qos::CongestionControl, sample::Sample,
+    Session, Wait,
+};
+use zenoh_link::any::wifi::{self, Wifi, WifiOptions, WifiState};
+
+/// A robot with a listener for links over several paths.
+struct Robot {
+    _router: Router,
+    session: Session,
+}
+
+struct World {
+    air: Air,
+    folder: tempfile::TempDir,
+    wifi: PathBuf,
+    runtime: tokio::runtime::Runtime,
+}
+
+impl World {
+    fn new() -> Self {
+        let air = Air::new();
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .expect("a runtime");
+        let wifi = wifi::socket_beside(&air.socket());
+        let served = {
+            let _runtime = runtime.enter();
+            Wifi::bind(&wifi, WifiOptions::default()).expect("a Wi-Fi")
+        };
+        runtime.spawn(async move { served.serve().await });
+        Self {
+            air,
+            folder: tempfile::tempdir().expect("a folder"),
+            wifi,
+            runtime,
+        }
+    }
+
+    fn set_wifi(&self, state: WifiState) {
+        let set = self.runtime.block_on(wifi::control(&self.wifi, state));
+        set.expect("a Wi-Fi");
+    }
+
+    /// Starts a robot that listens with `method`, and has a connection with the method `any` to each of `to`.
+    fn robot(&self, number: u32, method: &str, secret: Option<&Path>, to: &[&str]) -> Robot {
+        let connections = self.folder.path().join(format!("{number}.json"));
+        let any = |robot: &&str| json!({ "name": robot, "method": "any", "address": robot });
+        let listed: Vec<_> = to.iter().map(any).collect();
+        fs::write(&connections, file(&listed).to_string()).expect("written");
+        let settings = json!({ "robot": format!("wombat-{number}"), "connections": connections });
+        let secret = secret.map_or_else(String::new, |file| format!(";secret={}", file.display()));
+        let config = repository().join("config/simulation.json5");
+        let mut router = Router::start_on(
+            &self.air,
+            &[
+                "-c",
+                &config.display().to_string(),
+                "-l",
+                "tcp/127.0.0.1:0",
+                "-l",
+                &format!("{method}/sim-wombat-{number}#name=wombat-{number}{secret}"),
+                "--cfg",
+                &format!("plugins/rect:{settings}"),
+            ],
+        );
+        let endpoint = router.listener();
+        router.up();
+        Robot {
+            session: client(&endpoint),
+            _router: router,
+        }
+    }
+
+    fn secret(&self, name: &str) -> PathBuf {
+        let path = self.folder.path().join(name);
+        fs::write(&path, format!("fleet:the secret of {name}\n")).expect("written");
+        path
+    }
+}
+
+/// Waits until the first connection of wombat-2 is as expected, and returns it.
+fn connection(robot: &Robot, is_expected: impl Fn(&Value) -> bool) -> Value {
+    let selector = "rect/wombat-2/@rect/connections?name=wombat-1";
+    let answer = answers(&robot.session, selector, |answer| is_expected(&answer[0]));
+    answer[0].clone()
+}
+
+/// Returns whether the path with that method carries the bulk.
+fn is_primary(connection: &Value, method: &str) -> bool {
+    let paths = connection["paths"].as_array().into_iter().flatten();
+    let mut primary = paths.filter(|path| path["is_primary"] == true);
+    primary.any(|path| path["method"] == method)
+}
+
+/// Returns whether the connection has live paths with these methods, and no others.
+fn has_paths(connection: &Value, methods: &[&str]) -> bool {
+    let paths = connection["paths"].as_array().into_iter().flatten();
+    let live = paths.filter(|path| path["state"] == "live");
+    let mut found: Vec<_> = live.filter_map(|path| path["method"].as_str()).collect();
+    found.sort_unstable();
+    found == methods
+}
+
+/// Publishes numbered messages, and verifies that each arrives once and in order.
+struct Counted<'a> {
+    publisher: &'a Session,
+    subscriber: Subscriber<FifoChannelHandler<Sample>>,
+    sent: u32,
+}
+
+impl<'a> Counted<'a> {
+    const KEY: &'static str = "rect/wombat-2/count";
+
+    fn start(publisher: &'a Session, to: &Session) -> Self {
+        assert!(arrives(publisher, to, Self::KEY));
+        let subscriber = to.declare_subscriber(Self::KEY).wait().expect("declared");
+        Self {
+            publisher,
+            subscriber,
+            sent: 0,
+        }
+    }
+
+    /// Publishes for a time.
+    fn publish(&mut self, time: Duration) {
+        let until = Instant::now() + time;
+        while Instant::now() < until {
+            let put = self.publisher.put(Self::KEY, self.sent.to_string());
+            let put = put.congestion_control(CongestionControl::Block);
+            put.wait().expect("published");
+            self.sent += 1;
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn verify(self) {
+        for number in 0..self.sent {
+            let sample = self.subscriber.recv_timeout(DEADLINE).expect("open");
+            let sample =
+                sample.unwrap_or_else(|| panic!("{number} of {} did not arrive", self.sent));
+            let text = sample.payload().try_to_string().expect("text").into_owned();
+            assert_eq!(text, number.to_string());
+        }
+        let more = self.subscriber.try_recv().expect("open");
+        assert!(more.is_none(), "a message arrived twice");
+    }
+}
+
+#[test]
+fn link_survives_the_loss_of_either_path() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let one = world.robot(1, "any", Some(&secret), &[]);
+    let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
+    let linked = connection(&two, |link| {
+        has_paths(link, &["ble", "tcp"]) && is_primary(link, "tcp")
+    });
+    assert_eq!(linked["encrypted"], true, "{linked:#}");
+    assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
+
+    let mut counted = Counted::start(&two.session, &one.session);
+    counted.publish(Duration::from_millis(300));
+    // Jammed: connections stay open, and nothing arrives.
+    world.set_wifi(WifiState::Silent);
+    counted.publish(Duration::from_secs(1));
+    connection(&two, |link| is_primary(link, "ble"));
+    world.set_wifi(WifiState::On);
+    counted.publish(Duration::from_millis(300));
+    connection(&two, |link| is_primary(link, "tcp"));
+    // There is no network for a while.
+    world.set_wifi(WifiState::Off);
+    counted.publish(Duration::from_millis(500));
+    connection(&two, |link| {
+        is_primary(link, "ble") && has_paths(link, &["ble"])
+    });
+    world.set_wifi(WifiState::On);
+    connection(&two, |link| is_primary(link, "tcp"));
+    // The robots are out of range of Bluetooth.
+    world.air.air().cut();
+    counted.publish(Duration::from_millis(500));
+    connection(&two, |link| has_paths(link, &["tcp"]));
+    counted.publish(Duration::from_millis(300));
+    world.air.air().restore();
+    let restored = connection(&two, |link| has_paths(link, &["ble", "tcp"]));
+    counted.publish(Duration::from_millis(100));
+    counted.verify();
+    assert_eq!(restored["linked"], 1, "one link all the time: {restored:#}");
+}
+
+#[test]
+fn link_without_a_secret_uses_bluetooth_alone() {
+    let world = World::new();
+    let one = world.robot(1, "any", None, &[]);
+    let two = world.robot(2, "any", None, &["wombat-1"]);
+    let linked = connection(&two, |link| link["state"] == "connected");
+    assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+    assert_eq!(linked["encrypted"], false, "{linked:#}");
+    assert!(
+        is_primary(&linked, "ble") && has_paths(&linked, &["ble"]),
+        "{linked:#}"
+    );
+}
+
+#[test]
+fn robot_that_knows_only_bluetooth_gets_a_bluetooth_link() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let one = world.robot(1, "ble", Some(&secret), &[]);
+    let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
+    let linked = connection(&two, |link| link["state"] == "connected");
+    assert_eq!(linked["paths"], Value::Null, "{linked:#}");
+    assert_eq!(linked["encrypted"], true, "{linked:#}");
+    assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+}
+
+#[test]
+fn robot_of_another_team_gets_no_path() {
+    let world = World::new();
+    let _one = world.robot(1, "any", Some(&world.secret("team")), &[]);
+    let two = world.robot(2, "any", Some(&world.secret("others")), &["wombat-1"]);
+    let failed = connection(&two, |link| link["failed"].as_u64() > Some(0));
+    let error = failed["last_error"]["what"].as_str().expect("an error");
+    assert!(error.contains("the same secret"), "{error}");
+    assert_ne!(failed["state"], "connected");
+}
+
+#[test]
+fn restarted_robot_is_linked_again() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let one = world.robot(1, "any", Some(&secret), &[]);
+    let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
+    connection(&two, |link| has_paths(link, &["ble", "tcp"]));
+    drop(one);
+    let one = world.robot(1, "any", Some(&secret), &[]);
+    let linked = connection(&two, |link| {
+        has_paths(link, &["ble", "tcp"])
+            && is_primary(link, "tcp")
+            && link["linked"].as_u64() > Some(1)
+    });
+    assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
+    assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+}
