@@ -5,6 +5,7 @@ socket buffers the equivalent of 8 kB (twice that as the kernel counts, includin
 size of Ethernet's instead of the loopback's 64 kB, which would enlarge the senders' buffers. The sockets of the
 programs are not changed."""
 
+import contextlib
 import socket
 import threading
 import time
@@ -25,6 +26,8 @@ class Shaper:
         self._bytes_per_s = bytes_per_s
         self._target = target
         self.carried = 0
+        #: `on`; `silent`: nothing arrives, but connections stay open; `off`: connections end, and new ones fail.
+        self.state = "on"
         self.connections = 0
         self._listener = small_socket()
         self._listener.bind(("127.0.0.1", 0))
@@ -44,6 +47,9 @@ class Shaper:
                 one, _ = self._listener.accept()
             except OSError:  # The listener was closed.
                 return
+            if self.state == "off":
+                one.close()
+                continue
             other = small_socket()
             try:
                 other.connect(("127.0.0.1", self._target))
@@ -60,11 +66,18 @@ class Shaper:
             while chunk := source.recv(CHUNK_BYTES):
                 free_at = max(free_at, time.monotonic() - SLACK_S) + len(chunk) / self._bytes_per_s
                 time.sleep(max(0.0, free_at - time.monotonic()))
+                while self.state == "silent":
+                    time.sleep(SLACK_S)
+                if self.state == "off":
+                    break
                 sink.sendall(chunk)
                 self.carried += len(chunk)
         except OSError:
             pass  # One of the two sides was closed.
         for end in (source, sink):
+            # Also ends a receive of the other direction.
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
             end.close()
 
 

@@ -26,6 +26,9 @@ class RobotError(Exception):
 class Robot:
     """A router with a `ble/` listener under the robot's name and a local TCP port for programs."""
 
+    #: The method of its links to other robots.
+    method = "ble"
+
     def __init__(
         self,
         name: str,
@@ -67,7 +70,7 @@ class Robot:
             self._listens = listens
         if ble_options is not None:
             self._ble_options = ble_options
-        command = self._command(f"ble/{self._adapter}#name={self.name}{self._ble_options}")
+        command = self._command(f"{self.method}/{self._adapter}#name={self.name}{self._ble_options}")
         self._process = start(command, self._log, self._environment)
         if wait:
             self.wait_until_up()
@@ -147,6 +150,34 @@ class Robot:
         if self.ended():
             raise RobotError(f"the router of {self.name} ended: {self.log().strip().splitlines()[-1]}")
         return is_listening(self.port)
+
+
+class AnyRobot(Robot):
+    """A robot with a link over Bluetooth and Wi-Fi at once to each other one. Its team has a secret."""
+
+    method = "any"
+
+    def _command(self, ble_listener: str) -> list[str]:
+        secret = self._log.with_name("secret")
+        secret.write_text("team:the secret of the team\n")
+        return [*super()._command(f"{ble_listener};secret={secret}"), *rect_settings({"robot": self.name})]
+
+    def paths(self) -> list[dict]:
+        """Returns the live paths of its link, as its registry reports them."""
+        with self.session() as session:
+            for reply in session.get(f"rect/{self.name}/@rect/connections?method=any;state=connected", timeout=5):
+                if reply.ok is not None:
+                    links = json.loads(reply.ok.payload.to_bytes())
+                    paths = [path for link in links for path in link["paths"]]
+                    return [path for path in paths if path["state"] == "live"]
+        return []
+
+    def has_path(self, method: str) -> bool:
+        return any(path["method"] == method for path in self.paths())
+
+    def bulk_path(self) -> str:
+        """Returns the method of the path that carries the bulk, or an empty text."""
+        return next((path["method"] for path in self.paths() if path["is_primary"]), "")
 
 
 class PluginRobot(Robot):

@@ -15,8 +15,10 @@ from robots import Robot, RobotError, start, wait_until
 class Room:
     """A simulated air with robots. Leaving the context ends all processes."""
 
-    def __init__(self, condition: str, *air_options: str) -> None:
+    def __init__(self, condition: str, *air_options: str, has_wifi: bool = False) -> None:
         self._air_options = ["--condition", condition, *air_options]
+        self._has_wifi = has_wifi
+        self._wifi: subprocess.Popen | None = None
         self._robots: list[Robot] = []
 
     def __enter__(self) -> Room:
@@ -25,13 +27,18 @@ class Room:
         command = [os.environ.get("RECT_TOOL", "rect"), "air", "serve", *self._air_options]
         self._air = start(command, self._folder / "air.log", os.environ | self._environment)
         wait_until("the simulated air is up", 10, lambda: self._command("status").returncode == 0)
+        if self._has_wifi:
+            command = [os.environ.get("RECT_ROUTER", "rect-router"), "wifi", "serve"]
+            self._wifi = start(command, self._folder / "wifi.log", os.environ | self._environment)
+            wait_until("the simulated Wi-Fi is up", 10, (self._folder / "air.sock.wifi").exists)
         return self
 
     def __exit__(self, *failure: object) -> None:
         for robot in self._robots:
             robot.stop()
-        self._air.terminate()
-        self._air.wait(10)
+        for server in filter(None, [self._wifi, self._air]):
+            server.terminate()
+            server.wait(10)
         if failure[0] is None:
             shutil.rmtree(self._folder)
         else:
@@ -48,7 +55,7 @@ class Room:
         """Starts a robot's router, which dials all earlier robots with `dial_options` in the locator. `ble_options` are
         those of its listener."""
         robot = kind(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
-        robot.start([f"ble/{other.name}{dial_options}" for other in self._robots], ble_options)
+        robot.start([f"{kind.method}/{other.name}{dial_options}" for other in self._robots], ble_options)
         self._robots.append(robot)
         return robot
 
@@ -61,6 +68,11 @@ class Room:
 
     def restore(self) -> None:
         self._control("restore")
+
+    def set_wifi(self, state: str) -> None:
+        """Sets the state of the simulated Wi-Fi: `on`, `silent` or `off`."""
+        command = [os.environ.get("RECT_ROUTER", "rect-router"), "wifi", state]
+        subprocess.run(command, env=self.environment(), check=True, timeout=10)
 
     def status(self) -> dict:
         """Returns the adapters of the air and their counters."""

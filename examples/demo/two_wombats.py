@@ -15,7 +15,7 @@ import time
 
 import zenoh
 from PIL import Image
-from robots import Collector, Robot, RobotError
+from robots import AnyRobot, Collector, Robot, RobotError, wait_until
 from room import Room, wait_for_link, wait_for_no_link
 
 CONDITION = "room"
@@ -52,6 +52,7 @@ def main() -> int:
             photographs(here, there)
             radio_cut(room, one, two, here, there)
         adapters = room.status()["adapters"]
+    wifi_is_jammed()
     for adapter in adapters:
         print(
             f"  {adapter['name']} sent {adapter['stats']['bytes_on_air'] / 1000:.0f} kB, with headers and repetitions"
@@ -146,6 +147,56 @@ def radio_cut(room: Room, one: Robot, two: Robot, here: zenoh.Session, there: ze
     expect(received == list(range(MESSAGES)), "messages arrive after the cut")
     report("back", f"the radio is back: linked again automatically after {back_s:.1f} s, {MESSAGES} messages arrived")
     collector.close()
+
+
+def wifi_is_jammed() -> None:
+    """Links two robots by Bluetooth and Wi-Fi, and jams the Wi-Fi in the middle of a transmission."""
+    print("\nTwo Wombats that share a Wi-Fi, too: one link, which uses both.\n")
+    with Room(CONDITION, "--pdu", "27", has_wifi=True) as room:
+        one, two = room.add_robot("wombat-1", kind=AnyRobot), room.add_robot("wombat-2", kind=AnyRobot)
+        wait_until("the robots are linked by both", 20, lambda: one.bulk_path() == "tcp" and one.has_path("ble"))
+        report("link", "the two met over Bluetooth, and moved the load to the Wi-Fi by themselves")
+        with one.session() as here, two.session() as there:
+            photographs(here, there)
+            stop_commands(room, here, there)
+            photographs(here, there)
+            room.set_wifi("on")
+            back_s = wait_until("the load is on the Wi-Fi", 20, lambda: one.bulk_path() == "tcp")
+            report("back", f"the Wi-Fi works again: it carries the load after {back_s:.1f} s")
+            photographs(here, there)
+
+
+def stop_commands(room: Room, here: zenoh.Session, there: zenoh.Session) -> None:
+    """Jams the Wi-Fi while urgent messages are sent."""
+    key = "rect/wombat-1/stop"
+    arrived: list[tuple[int, float]] = []
+    collector = Collector(there, key, here)
+    subscriber = there.declare_subscriber(key, lambda sample: arrived.append(age_ms(sample)))
+    room.set_wifi("silent")
+    for n in range(MESSAGES):
+        command = json.dumps({"n": n, "at": time.time()})
+        here.put(
+            key,
+            command,
+            priority=zenoh.Priority.REAL_TIME,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            express=True,
+        )
+        time.sleep(0.05)
+    received = [json.loads(payload)["n"] for payload in collector.take(MESSAGES)]
+    expect(received == list(range(MESSAGES)), "each stop command arrives once, in order")
+    latest_ms = max(age for _, age in arrived)
+    report(
+        "jam", f"the Wi-Fi is jammed: {MESSAGES} stop commands arrived over Bluetooth, each within {latest_ms:.0f} ms"
+    )
+    collector.close()
+    subscriber.undeclare()
+
+
+def age_ms(sample: zenoh.Sample) -> tuple[int, float]:
+    """Returns the number of a stop command, and its age in milliseconds."""
+    command = json.loads(sample.payload.to_bytes())
+    return command["n"], (time.time() - command["at"]) * 1000
 
 
 def camera_frame(name: str) -> bytes:

@@ -244,6 +244,9 @@ impl Hub {
                 }
             } else {
                 retry = RETRY.0;
+                if shared.role == Role::Opener {
+                    shared.end_spare_paths();
+                }
             }
             let waits = async {
                 let new_offer = async { drop(offered.changed().await) };

@@ -425,6 +425,14 @@ impl Multipath {
             .flat_map(|(_, path)| path.suspect(now))
             .collect();
         self.resend(late);
+        let primary = self.primary;
+        let others = self
+            .paths
+            .iter_mut()
+            .filter(|(id, _)| primary != Some(**id));
+        for (_, path) in others {
+            path.expire_rate(now);
+        }
         self.on_paths_changed(now);
         if let Some(since) = self.silent_since {
             if now >= since + self.options.lease {

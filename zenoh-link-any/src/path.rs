@@ -33,6 +33,9 @@ const COPY_SHARE: f64 = 0.25;
 /// Number of bytes of copies that may be sent at once.
 const COPY_BURST_BYTES: f64 = 2_048.0;
 
+/// How long a measured rate holds.
+const RATE_EXPIRY: Duration = Duration::from_secs(10);
+
 /// Time between the pings of a suspected path that answers.
 const PING_INTERVAL: Duration = Duration::from_millis(60);
 /// The longest time between the pings of one that does not.
@@ -108,6 +111,8 @@ pub(crate) struct Path {
     acked_frames: u16,
     last_ack: Instant,
     estimate: Estimate,
+    /// When the rate was last measured.
+    measured_at: Instant,
     rtt: Rtt,
     received_frames: u16,
     unacked_bytes: usize,
@@ -141,6 +146,7 @@ impl Path {
             acked_frames: 0,
             last_ack: now,
             estimate: Estimate::default(),
+            measured_at: now,
             rtt: Rtt::default(),
             received_frames: 0,
             unacked_bytes: 0,
@@ -213,6 +219,14 @@ impl Path {
         });
     }
 
+    /// Forgets the measured rate if it is old. A path that does not carry the bulk is not measured, and may have become faster.
+    pub(crate) fn expire_rate(&mut self, now: Instant) {
+        if now.saturating_duration_since(self.measured_at) > RATE_EXPIRY {
+            self.estimate = Estimate::default();
+            self.measured_at = now;
+        }
+    }
+
     /// Records that there is nothing to send.
     pub(crate) fn on_idle(&mut self) {
         self.estimate.on_idle();
@@ -237,8 +251,11 @@ impl Path {
         if let (Some(round_trip), PathState::Live | PathState::Untried) = (round_trip, self.state) {
             self.rtt.add(round_trip);
         }
-        let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
-        self.estimate.on_ack(bytes, round_trip, now);
+        if self.is_live() {
+            let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
+            self.estimate.on_ack(bytes, round_trip, now);
+            self.measured_at = now;
+        }
         self.answers += 1;
         match self.state {
             PathState::Untried => self.recover(),
@@ -275,6 +292,8 @@ impl Path {
     /// Suspects the path, and returns what another path has to carry.
     pub(crate) fn suspect(&mut self, now: Instant) -> Vec<(Lane, Range<u64>)> {
         self.state = PathState::Suspected;
+        // What was measured before does not hold afterwards.
+        self.estimate = Estimate::default();
         self.answers = 0;
         self.ping_interval = PING_INTERVAL;
         self.ping_at = Some(now);

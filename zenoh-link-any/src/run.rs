@@ -68,7 +68,7 @@ async fn send_ble(guard: &PathGuard, path: &BlePath) -> String {
             Next::Wait(until) => {
                 let offered = async { drop(offer.changed().await) };
                 tokio::select! {
-                    () = guard.waker.notified() => {}
+                    () = guard.task.waker.notified() => {}
                     () = sleep_until(until) => {}
                     () = path.sent(), if is_busy => {}
                     () = offered => offer.mark_changed(),
@@ -152,6 +152,7 @@ pub(crate) async fn run_tcp(shared: Arc<Shared>, connection: Connection) {
     let reason = tokio::select! {
         error = send_tcp(&guard, write, &keys, sent) => error.to_string(),
         error = receive_tcp(&guard, read, &keys, received) => error.to_string(),
+        () = guard.task.end.cancelled() => "another one is used".to_owned(),
         () = shared.ended() => "the link has ended".to_owned(),
     };
     tracing::info!(
@@ -187,7 +188,7 @@ async fn send_tcp(
         }
         if let Next::Wait(until) = next {
             tokio::select! {
-                () = guard.waker.notified() => {}
+                () = guard.task.waker.notified() => {}
                 () = sleep_until(until) => {}
             }
         }

@@ -48,16 +48,25 @@ pub(crate) struct Shared {
 
 struct State {
     multipath: Multipath,
-    /// Wakes the task that sends on each path.
-    wakers: HashMap<PathId, Arc<Notify>>,
+    /// The tasks of the paths.
+    tasks: HashMap<PathId, Task>,
     end: Option<Arc<AnyError>>,
+}
+
+/// The task that runs a path.
+#[derive(Clone, Default)]
+pub(crate) struct Task {
+    /// Notified when there may be something to send.
+    pub(crate) waker: Arc<Notify>,
+    /// Cancelled when the path is not needed any more.
+    pub(crate) end: CancellationToken,
 }
 
 /// One path of a link. Dropping it removes the path.
 pub(crate) struct PathGuard {
     pub(crate) shared: Arc<Shared>,
     pub(crate) id: PathId,
-    pub(crate) waker: Arc<Notify>,
+    pub(crate) task: Task,
 }
 
 /// The next step of a task that sends on a path.
@@ -88,7 +97,7 @@ impl Shared {
             options,
             state: Mutex::new(State {
                 multipath: Multipath::new(options, now.into_std()),
-                wakers: HashMap::new(),
+                tasks: HashMap::new(),
                 end: None,
             }),
             room: Notify::new(),
@@ -107,18 +116,37 @@ impl Shared {
         max_frame: usize,
         is_proven: bool,
     ) -> PathGuard {
-        let waker = Arc::new(Notify::new());
+        let task = Task::default();
         let mut state = self.state.lock();
         let now = Instant::now().into_std();
         let id = (state.multipath).add_path(medium, max_frame, is_proven, now);
-        state.wakers.insert(id, Arc::clone(&waker));
+        state.tasks.insert(id, task.clone());
         drop(state);
         tracing::info!("any: {} has a path over {medium}", self.peer);
         self.paths_changed.notify_waiters();
         PathGuard {
             shared: Arc::clone(self),
             id,
-            waker,
+            task,
+        }
+    }
+
+    /// Ends network paths that work, but are not needed beside another one. There are two after the network was silent for a
+    /// while: the old connection, and the one that should have replaced it.
+    pub(crate) fn end_spare_paths(&self) {
+        let state = self.state.lock();
+        let is_live =
+            |path: &PathReport| path.medium == Medium::Network && path.state == PathState::Live;
+        let live: Vec<_> = (state.multipath.paths())
+            .filter(|(_, path)| is_live(path))
+            .collect();
+        let kept = live.iter().find(|(_, path)| path.is_primary);
+        let Some((kept, _)) = kept.or(live.last()) else {
+            return;
+        };
+        let spare = live.iter().filter(|(id, _)| id != kept);
+        for task in spare.filter_map(|(id, _)| state.tasks.get(id)) {
+            task.end.cancel();
         }
     }
 
@@ -355,14 +383,14 @@ impl State {
     }
 
     fn wake(&self, id: PathId) {
-        if let Some(waker) = self.wakers.get(&id) {
-            waker.notify_one();
+        if let Some(task) = self.tasks.get(&id) {
+            task.waker.notify_one();
         }
     }
 
     fn wake_all(&self) {
-        for waker in self.wakers.values() {
-            waker.notify_one();
+        for task in self.tasks.values() {
+            task.waker.notify_one();
         }
     }
 }
@@ -370,7 +398,7 @@ impl State {
 impl Drop for PathGuard {
     fn drop(&mut self) {
         let mut state = self.shared.state.lock();
-        state.wakers.remove(&self.id);
+        state.tasks.remove(&self.id);
         let now = Instant::now().into_std();
         state.multipath.remove_path(self.id, now);
         state.wake_all();

@@ -177,11 +177,14 @@ fn jammed_path_is_used_again_when_it_answers() {
     let network = world.connect(NETWORK);
     let mut talks = Default::default();
     talk(&mut world, &mut talks, Duration::from_secs(1), false);
-    world.jam(network, Duration::from_secs(2));
-    talk(&mut world, &mut talks, Duration::from_secs(1), false);
-    assert_eq!(primary_of(&world.ends[0]), Some(Medium::Bluetooth));
-    talk(&mut world, &mut talks, Duration::from_secs(5), false);
-    assert_eq!(primary_of(&world.ends[0]), Some(Medium::Network));
+    for with_bulk in [false, true] {
+        talk(&mut world, &mut talks, 500 * MS, with_bulk);
+        world.jam(network, Duration::from_secs(6));
+        talk(&mut world, &mut talks, Duration::from_secs(5), with_bulk);
+        assert_eq!(primary_of(&world.ends[0]), Some(Medium::Bluetooth));
+        talk(&mut world, &mut talks, Duration::from_secs(5), with_bulk);
+        assert_eq!(primary_of(&world.ends[0]), Some(Medium::Network));
+    }
     finish(&mut world, &mut talks, "jam");
     assert!(
         world.ends[1].repeated_bytes() > 0,
