@@ -22,7 +22,7 @@ from zenoh import CongestionControl, Priority
 
 WIFI_BYTES_PER_S, BLUETOOTH_BYTES_PER_S = 3_000_000, 34_000
 FAULTS = {"silent": "silent for 3 s", "off": "lost for 3 s"}
-ROUNDS = 3
+ROUNDS = 2
 BEFORE_S, FAULT_S, AFTER_S, STRAGGLERS_S = 2, 3, 5, 20
 # Number, and the time when it was due.
 MESSAGE = "<Id"

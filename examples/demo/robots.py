@@ -45,7 +45,10 @@ class Robot:
         self._arguments = arguments
         self._environment = (
             os.environ
-            | {"RUST_LOG": "warn,rect_router=info,zenoh_link_ble=debug,zenoh::net::runtime::orchestrator=debug"}
+            | {
+                "RUST_LOG": "warn,rect_router=info,zenoh_link_ble=debug,zenoh_link_any=debug,"
+                "zenoh::net::runtime::orchestrator=debug"
+            }
             | (environment or {})
         )
         self._process: subprocess.Popen | None = None

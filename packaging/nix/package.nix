@@ -30,6 +30,7 @@ let
         ../../examples
         ../../tests
         ../../zenoh-link
+        ../../zenoh-link-any
         ../../zenoh-link-ble
         ../../zenoh-link-placeholder
         ../../rect-router

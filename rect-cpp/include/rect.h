@@ -276,7 +276,7 @@ typedef struct rect_robot {
 typedef struct rect_connection {
     // The name of a named connection; otherwise empty.
     struct rect_text name;
-    // The method of the link: `ble`, `tcp`, `udp` and so on.
+    // The method of the link: `any`, `ble`, `tcp`, `udp` and so on.
     struct rect_text method;
     // The address of the other end.
     struct rect_text address;
@@ -294,6 +294,10 @@ typedef struct rect_connection {
     double rssi_dbm;
     // 1 if the link is encrypted, 0 if it is not, -1 if that is not known.
     int32_t encrypted;
+    // For the method `any`, the method of the path that carries the bulk: `ble` or `tcp`.
+    struct rect_text path;
+    // For the method `any`, how often that path has changed.
+    int64_t switches;
     // Number of bytes sent.
     int64_t sent_bytes;
     // Number of bytes received.
@@ -323,9 +327,9 @@ typedef struct rect_connections {
 typedef struct rect_named_connection {
     // The name of the connection.
     const char *name;
-    // The method: `ble`, `tcp`, `udp` or another protocol of Zenoh.
+    // The method: `any`, `ble`, `tcp`, `udp` or another protocol of Zenoh.
     const char *method;
-    // For `ble`, the name or Bluetooth address of a robot; for other methods, a host.
+    // For `any` and `ble`, the name or Bluetooth address of a robot; for other methods, a host.
     const char *address;
     // The port, for methods that have ports.
     uint16_t port;

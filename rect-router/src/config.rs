@@ -12,7 +12,10 @@ use serde_json::Value;
 use validated_struct::InsertionError;
 use zenoh::{config::WhatAmI, Config};
 use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, PermissionsConf};
-use zenoh_link::ble::locator::{is_ble, ConnectLocator, ListenLocator};
+use zenoh_link::{
+    any::locator::{self as any, is_any},
+    ble::locator::{is_ble, ConnectLocator, ListenLocator},
+};
 use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 
@@ -119,8 +122,13 @@ pub fn listens_on(config: &Config) -> Vec<EndPoint> {
 pub fn uses_bluetooth(config: &Config) -> bool {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let connect = config.connect.endpoints.get(mode).into_iter().flatten();
-    connect.flat_map(EndPoints::as_vec).any(|one| is_ble(&one))
-        || listens_on(config).iter().any(is_ble)
+    let mut connect = connect.flat_map(EndPoints::as_vec);
+    connect.any(|one| has_radio(&one)) || listens_on(config).iter().any(has_radio)
+}
+
+/// Returns whether the links of an endpoint use Bluetooth.
+fn has_radio(endpoint: &EndPoint) -> bool {
+    is_any(endpoint) || is_ble(endpoint)
 }
 
 /// Makes the Bluetooth listeners advertise the fleet, unless their locators name one.
@@ -131,7 +139,7 @@ pub fn announce(config: &mut Config, fleet: &str) -> Result<(), ConfigError> {
     const KEY: &str = "fleet";
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     change(&mut config.listen.endpoints, mode, LISTEN, |all| {
-        for endpoint in all.iter_mut().filter(|endpoint| is_ble(endpoint)) {
+        for endpoint in all.iter_mut().filter(|endpoint| has_radio(endpoint)) {
             if endpoint.config().get(KEY).is_none() {
                 let refused = |_| ConfigError::Refused {
                     key: LISTEN,
@@ -405,25 +413,39 @@ fn set<T>(result: Result<T, T>, key: &'static str, value: &str) -> Result<(), Co
     }
 }
 
-/// Checks all `ble/` endpoints. Without this check, Zenoh would retry an invalid endpoint forever.
+/// Checks all `any/` and `ble/` endpoints. Without this check, Zenoh would retry an invalid endpoint forever.
 ///
 /// # Errors
-/// [`ConfigError::Ble`] for the first invalid endpoint.
+/// [`ConfigError::Any`] or [`ConfigError::Ble`] for the first invalid endpoint.
 pub fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     let mode = config.mode().unwrap_or(WhatAmI::Router);
     let wrong = |endpoint: &EndPoint, source| ConfigError::Ble {
         endpoint: endpoint.to_string(),
         source,
     };
+    let wrong_any = |endpoint: &EndPoint, source| ConfigError::Any {
+        endpoint: endpoint.to_string(),
+        source,
+    };
     let connect = config.connect.endpoints.get(mode).into_iter().flatten();
     let mut has_ble = false;
-    for endpoint in connect.flat_map(EndPoints::as_vec).filter(is_ble) {
-        ConnectLocator::parse(&endpoint).map_err(|source| wrong(&endpoint, source))?;
+    for endpoint in connect.flat_map(EndPoints::as_vec).filter(has_radio) {
+        let radio = match is_any(&endpoint) {
+            true => any::ConnectLocator::parse(&endpoint).map(|any| any.ble),
+            false => Ok(endpoint.clone()),
+        };
+        let radio = radio.map_err(|source| wrong_any(&endpoint, source))?;
+        ConnectLocator::parse(&radio).map_err(|source| wrong(&endpoint, source))?;
         has_ble = true;
     }
     let listen = config.listen.endpoints.get(mode).into_iter().flatten();
-    for endpoint in listen.filter(|endpoint| is_ble(endpoint)) {
-        ListenLocator::parse(endpoint).map_err(|source| wrong(endpoint, source))?;
+    for endpoint in listen.filter(|endpoint| has_radio(endpoint)) {
+        let radio = match is_any(endpoint) {
+            true => any::ListenLocator::parse(endpoint).map(|any| any.ble),
+            false => Ok(endpoint.clone()),
+        };
+        let radio = radio.map_err(|source| wrong_any(endpoint, source))?;
+        ListenLocator::parse(&radio).map_err(|source| wrong(endpoint, source))?;
         has_ble = true;
     }
     if has_ble {

@@ -198,7 +198,7 @@ fn check_reports_invalid_configurations_without_starting_anything() {
             "nobody",
         ),
         (
-            was.replace("ble/sim-wombat-1#", "ble/sim-wombat-1#psm=x;"),
+            was.replace("any/sim-wombat-1#", "any/sim-wombat-1#psm=x;"),
             "psm",
         ),
     ] {

@@ -71,7 +71,8 @@ fn no_listener_accepts_connections_from_the_network() {
             .expect("a list");
         assert!(listeners.len() >= 2, "{name}");
         for listener in listeners.iter().map(|l| l.as_str().expect("text")) {
-            let reach = ["tcp/127.0.0.1:", "unixsock-stream/", "ble/"];
+            // `any/` accepts connections only of peers that have the key of a link over Bluetooth.
+            let reach = ["tcp/127.0.0.1:", "unixsock-stream/", "any/", "ble/"];
             assert!(
                 reach.iter().any(|r| listener.starts_with(r)),
                 "{name}: {listener}"

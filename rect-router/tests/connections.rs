@@ -65,6 +65,7 @@ fn the_registry_answers_the_six_questions() {
     // Count the connections in total and by method. This test's session is one of them.
     let count = ask(&local, &format!("{registry}/connections/count")).expect("an answer");
     let expected = json!({ "total": 5, "connected": 3, "discovered": 1, "methods": {
+        "any": { "total": 0, "connected": 0, "discovered": 0 },
         "ble": { "total": 2, "connected": 1, "discovered": 1 },
         "tcp": { "total": 3, "connected": 2, "discovered": 0 },
         "udp": { "total": 0, "connected": 0, "discovered": 0 },

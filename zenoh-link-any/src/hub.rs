@@ -90,8 +90,6 @@ impl Hub {
             links: Mutex::default(),
             tcp: Mutex::new(None),
         });
-        let acceptor: Arc<dyn AcceptPaths> = Arc::<Self>::clone(&hub);
-        hub.ble.accept_paths(&acceptor);
         hubs.push(Arc::downgrade(&hub));
         hub
     }
@@ -290,6 +288,12 @@ impl Hub {
             }
         }
         None
+    }
+
+    /// Accepts Bluetooth paths of peers. A node that listens only with `ble/` accepts none: its peers get `ble` links.
+    pub(crate) fn accept_bluetooth(self: &Arc<Self>) {
+        let acceptor: Arc<dyn AcceptPaths> = Arc::<Self>::clone(self);
+        self.ble.accept_paths(&acceptor);
     }
 
     /// Accepts further paths on a TCP port, or on one that the system chooses. A simulated robot accepts them on the loopback

@@ -6,6 +6,11 @@ use zenoh_protocol::core::EndPoint;
 /// The name of the protocol in a locator.
 pub const ANY_LOCATOR_PREFIX: &str = "any";
 
+/// Returns whether an endpoint is one of these links.
+pub fn is_any(endpoint: &EndPoint) -> bool {
+    endpoint.protocol().as_str() == ANY_LOCATOR_PREFIX
+}
+
 /// Stands for any robot of a fleet.
 const ANY_ROBOT: &str = "*";
 

@@ -68,6 +68,7 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastAny {
             let is_simulated = is_simulated(locator.ble.address().as_str());
             (self.hub).listen(locator.port, locator.interfaces, is_simulated)?;
         }
+        self.hub.accept_bluetooth();
         let bluetooth = self.hub.ble.new_listener(locator.ble.clone()).await?;
         let name = bluetooth.address().as_str().to_owned();
         let dialable = Locator::new(ANY_LOCATOR_PREFIX, name, "")?;

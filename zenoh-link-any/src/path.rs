@@ -292,7 +292,7 @@ impl Path {
     /// Suspects the path, and returns what another path has to carry.
     pub(crate) fn suspect(&mut self, now: Instant) -> Vec<(Lane, Range<u64>)> {
         self.state = PathState::Suspected;
-        // What was measured before does not hold afterwards.
+        // The rate from before does not hold afterwards.
         self.estimate = Estimate::default();
         self.answers = 0;
         self.ping_interval = PING_INTERVAL;

@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use zenoh_link::ble::locator::LocatorError;
+use zenoh_link::{any::locator::LocatorError as AnyLocatorError, ble::locator::LocatorError};
 
 /// An error in the flags or the configuration file.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +28,12 @@ pub enum ConfigError {
         flag: &'static str,
         given: String,
         source: zenoh::Error,
+    },
+    /// An `any/` endpoint is invalid.
+    #[error("{endpoint}")]
+    Any {
+        endpoint: String,
+        source: AnyLocatorError,
     },
     /// A `ble/` endpoint of a flag or the file is invalid.
     #[error("{endpoint}")]

@@ -7,6 +7,7 @@ use std::{
 use zenoh_link_ble::protocol::lanes::Lane;
 
 use super::{Bounds, Medium, Multipath, Options, PathId};
+use crate::frame::{decode, Frame};
 
 pub(super) const OPTIONS: Options = Options {
     max_batch: 8_192,
@@ -78,6 +79,18 @@ pub(super) struct World {
     frame: Vec<u8>,
     /// Number of bytes that each medium has carried.
     pub(super) carried: [u64; 2],
+    /// The data frames that have arrived at the second end.
+    pub(super) arrivals: Vec<Arrival>,
+}
+
+/// A data frame that has arrived.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Arrival {
+    pub(super) at: Duration,
+    pub(super) medium: Medium,
+    pub(super) lane: Lane,
+    /// The position of its first byte.
+    pub(super) position: u32,
 }
 
 impl World {
@@ -90,6 +103,7 @@ impl World {
             paths: Vec::new(),
             frame: Vec::new(),
             carried: [0; 2],
+            arrivals: Vec::new(),
         }
     }
 
@@ -154,6 +168,11 @@ impl World {
         self.deliver();
     }
 
+    /// Returns the time from the beginning of the simulation.
+    pub(super) fn time_of(&self, at: Instant) -> Duration {
+        at - self.start
+    }
+
     /// Runs until `until`.
     pub(super) fn run(&mut self, time: Duration) {
         let until = self.now + time;
@@ -185,6 +204,14 @@ impl World {
                     .is_some_and(|(at, _)| *at <= now)
                 {
                     let (_, frame) = path.wires[from].frames.pop_front().expect("checked");
+                    if let (0, Ok(Frame::Data { lane, offset, .. })) = (from, decode(&frame)) {
+                        self.arrivals.push(Arrival {
+                            at: now - self.start,
+                            medium: path.quality.medium,
+                            lane,
+                            position: offset,
+                        });
+                    }
                     if let Some(id) = path.ids[1 - from] {
                         let end = &mut self.ends[1 - from];
                         end.on_frame(id, &frame, now).expect("no violation");
@@ -266,7 +293,14 @@ impl Conversation {
         while self.offer(world, from, lane, BULK_BYTES) {}
     }
 
-    fn offer(&mut self, world: &mut World, from: usize, lane: Lane, size: usize) -> bool {
+    /// Offers a message to a lane, and returns whether it was accepted.
+    pub(super) fn offer(
+        &mut self,
+        world: &mut World,
+        from: usize,
+        lane: Lane,
+        size: usize,
+    ) -> bool {
         let number = self.sent[lane.index()];
         let at = (world.now - world.start).as_nanos() as u64;
         let mut batch = vec![0xff; size];

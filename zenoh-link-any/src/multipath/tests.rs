@@ -296,3 +296,39 @@ fn lane_that_is_not_read_stops_without_stopping_others() {
     }
     assert_eq!(taken, sent);
 }
+
+/// Prints what arrives around a fault of the network, for `scripts/switch-picture`.
+#[test]
+fn arrivals_continue_on_bluetooth_when_the_network_falls_silent() {
+    let mut world = World::new(OPTIONS);
+    world.connect(BLUETOOTH);
+    let network = world.connect(NETWORK);
+    let mut talks: [Conversation; 2] = Default::default();
+    talk(&mut world, &mut talks, Duration::from_secs(1), false);
+    let fault = world.now;
+    world.jam(network, Duration::from_secs(1));
+    let before = world.arrivals.len();
+    let until = world.now + Duration::from_secs(2);
+    while world.now < until {
+        // A stream of 20 kB/s, which Bluetooth can carry.
+        for _ in 0..2 {
+            assert!(talks[0].offer(&mut world, 0, lane(6), 1000));
+        }
+        talk(&mut world, &mut talks, 100 * MS, false);
+    }
+    let arrivals = world.arrivals.split_off(before);
+    let jam_ended = world.time_of(fault) + Duration::from_secs(1);
+    for arrival in &arrivals {
+        let ms = (arrival.at - world.time_of(fault)).as_secs_f64() * 1000.0;
+        let (medium, lane) = (arrival.medium, arrival.lane.number());
+        println!("arrival: {ms:.1} {medium} {lane} {}", arrival.position);
+    }
+    let during = arrivals.iter().filter(|arrival| arrival.at < jam_ended);
+    assert!(during.clone().count() > 50);
+    assert!(during
+        .clone()
+        .all(|arrival| arrival.medium == Medium::Bluetooth));
+    assert!(arrivals
+        .iter()
+        .any(|arrival| arrival.medium == Medium::Network));
+}
