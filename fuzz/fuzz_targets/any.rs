@@ -58,7 +58,10 @@ fuzz_target!(|input: &[u8]| {
             }
         }
         for id in &paths {
-            while link.next_frame(*id, Lane::last(), &mut frame, now).is_some() {
+            while link
+                .next_frame(*id, Lane::last(), &mut frame, now)
+                .is_some()
+            {
                 assert!(frame::decode(&frame).is_ok(), "{frame:?}");
             }
         }

@@ -3,12 +3,14 @@ mod support;
 
 use std::{
     fs,
+    io::Write,
+    net::TcpStream,
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
 use serde_json::{json, Value};
-use support::{answers, arrives, client, file, repository, Air, Router, DEADLINE};
+use support::{answers, arrives, client, file, free_socket, repository, Air, Router, DEADLINE};
 use zenoh::{
     handlers::FifoChannelHandler, pubsub::Subscriber, qos::CongestionControl, sample::Sample,
     Session, Wait,
@@ -57,12 +59,17 @@ impl World {
 
     /// Starts a robot that listens with `method`, and has a connection with the method `any` to each of `to`.
     fn robot(&self, number: u32, method: &str, secret: Option<&Path>, to: &[&str]) -> Robot {
+        let options = secret.map_or_else(String::new, |file| format!(";secret={}", file.display()));
+        self.robot_with(number, method, &options, to)
+    }
+
+    /// Starts a robot with these options of its listener.
+    fn robot_with(&self, number: u32, method: &str, options: &str, to: &[&str]) -> Robot {
         let connections = self.folder.path().join(format!("{number}.json"));
         let any = |robot: &&str| json!({ "name": robot, "method": "any", "address": robot });
         let listed: Vec<_> = to.iter().map(any).collect();
         fs::write(&connections, file(&listed).to_string()).expect("written");
         let settings = json!({ "robot": format!("wombat-{number}"), "connections": connections });
-        let secret = secret.map_or_else(String::new, |file| format!(";secret={}", file.display()));
         let config = repository().join("config/simulation.json5");
         let mut router = Router::start_on(
             &self.air,
@@ -72,7 +79,7 @@ impl World {
                 "-l",
                 "tcp/127.0.0.1:0",
                 "-l",
-                &format!("{method}/sim-wombat-{number}#name=wombat-{number}{secret}"),
+                &format!("{method}/sim-wombat-{number}#name=wombat-{number}{options}"),
                 "--cfg",
                 &format!("plugins/rect:{settings}"),
             ],
@@ -126,8 +133,9 @@ impl<'a> Counted<'a> {
     const KEY: &'static str = "rect/wombat-2/count";
 
     fn start(publisher: &'a Session, to: &Session) -> Self {
-        assert!(arrives(publisher, to, Self::KEY));
+        // Declared before the other one ends, so that the routers keep the subscription.
         let subscriber = to.declare_subscriber(Self::KEY).wait().expect("declared");
+        assert!(arrives(publisher, to, Self::KEY));
         Self {
             publisher,
             subscriber,
@@ -148,12 +156,14 @@ impl<'a> Counted<'a> {
     }
 
     fn verify(self) {
-        for number in 0..self.sent {
+        let next = || {
             let sample = self.subscriber.recv_timeout(DEADLINE).expect("open");
-            let sample =
-                sample.unwrap_or_else(|| panic!("{number} of {} did not arrive", self.sent));
-            let text = sample.payload().try_to_string().expect("text").into_owned();
-            assert_eq!(text, number.to_string());
+            sample.map(|sample| sample.payload().try_to_string().expect("text").into_owned())
+        };
+        for number in 0..self.sent {
+            // `arrives` has published the others.
+            let text = std::iter::from_fn(next).find(|text| text != "hello");
+            assert_eq!(text, Some(number.to_string()), "of {}", self.sent);
         }
         let more = self.subscriber.try_recv().expect("open");
         assert!(more.is_none(), "a message arrived twice");
@@ -236,6 +246,31 @@ fn robot_of_another_team_gets_no_path() {
     let error = failed["last_error"]["what"].as_str().expect("an error");
     assert!(error.contains("the same secret"), "{error}");
     assert_ne!(failed["state"], "connected");
+}
+
+/// Strangers hold connections to the port for network paths, and send anything.
+#[test]
+fn strangers_at_the_port_do_not_keep_a_robot_out() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let address = free_socket();
+    let port = address.rsplit(':').next().expect("a port");
+    let options = format!(";secret={};port={port}", secret.display());
+    let one = world.robot_with(1, "any", &options, &[]);
+    let strangers: Vec<_> = (0..40_u8)
+        .map(|number| {
+            let mut stranger = TcpStream::connect(&address).expect("accepted");
+            // Nothing, part of a first message, or one for a link that does not exist.
+            let garbage = [&b"RECTA\x01"[..], &[number; 56]].concat();
+            let sent = [&garbage[..0], &garbage[..20], &garbage][usize::from(number) % 3];
+            stranger.write_all(sent).expect("sent");
+            stranger
+        })
+        .collect();
+    let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
+    connection(&two, |link| has_paths(link, &["ble", "tcp"]));
+    assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+    drop(strangers);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Keeps what all `any` links of one Zenoh runtime share: its Bluetooth node, its TCP listener and its links.
 use std::{
-    collections::HashMap,
+    collections::{HashMap, VecDeque},
     future::Future,
     net::SocketAddr,
     sync::{Arc, Weak},
@@ -11,9 +11,8 @@ use parking_lot::Mutex;
 use tokio::{
     net::{TcpListener, TcpStream},
     runtime::Handle,
-    sync::Semaphore,
 };
-use tokio_util::task::AbortOnDropHandle;
+use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use zenoh_link_ble::{
     path::{AcceptPaths, BlePath, DialledPath},
     protocol::hello::{NodeId, PathOf, Refusal},
@@ -329,11 +328,8 @@ impl Hub {
     }
 
     async fn accept(self: Arc<Self>, listener: TcpListener) {
-        let unproven = Arc::new(Semaphore::new(MAX_UNPROVEN));
+        let mut unproven: VecDeque<CancellationToken> = VecDeque::new();
         loop {
-            let Ok(permit) = Arc::clone(&unproven).acquire_owned().await else {
-                return;
-            };
             let (stream, address) = match listener.accept().await {
                 Ok(accepted) => accepted,
                 Err(error) => {
@@ -342,17 +338,30 @@ impl Hub {
                     continue;
                 }
             };
+            // A proof takes milliseconds, so strangers who send nothing cannot keep a robot out: the oldest connection gives way.
+            unproven.retain(|one| !one.is_cancelled());
+            if unproven.len() >= MAX_UNPROVEN {
+                if let Some(oldest) = unproven.pop_front() {
+                    oldest.cancel();
+                }
+            }
+            let ended = CancellationToken::new();
+            unproven.push_back(ended.clone());
             let hub = Arc::clone(&self);
             self.spawn(async move {
-                let accepted = hub.prove(stream).await;
-                drop(permit);
-                match accepted {
+                let proven = ended.run_until_cancelled(hub.prove(stream)).await;
+                ended.cancel();
+                match proven {
                     // Both have dialled at the same time, and the opener's connection takes precedence.
-                    Ok((shared, _)) if shared.role == Role::Opener && !shared.needs_network() => {}
-                    Ok((shared, connection)) => run::run_tcp(shared, connection).await,
-                    Err(error) => {
+                    Some(Ok((shared, _)))
+                        if shared.role == Role::Opener && !shared.needs_network() => {}
+                    Some(Ok((shared, connection))) => run::run_tcp(shared, connection).await,
+                    Some(Err(error)) => {
                         tracing::debug!("any: closed a connection from {address}: {error}");
                     }
+                    None => tracing::debug!(
+                        "any: closed a connection from {address}, because there are newer ones"
+                    ),
                 }
             });
         }
