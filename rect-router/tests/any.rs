@@ -248,29 +248,29 @@ fn robot_of_another_team_gets_no_path() {
     assert_ne!(failed["state"], "connected");
 }
 
-/// Strangers hold connections to the port for network paths, and send anything.
+/// Unauthenticated peers hold connections to the port for network paths, and send anything.
 #[test]
-fn strangers_at_the_port_do_not_keep_a_robot_out() {
+fn unauthenticated_connections_do_not_keep_a_robot_out() {
     let world = World::new();
     let secret = world.secret("team");
     let address = free_socket();
     let port = address.rsplit(':').next().expect("a port");
     let options = format!(";secret={};port={port}", secret.display());
     let one = world.robot_with(1, "any", &options, &[]);
-    let strangers: Vec<_> = (0..40_u8)
+    let unauthenticated: Vec<_> = (0..40_u8)
         .map(|number| {
-            let mut stranger = TcpStream::connect(&address).expect("accepted");
+            let mut stream = TcpStream::connect(&address).expect("accepted");
             // Nothing, part of a first message, or one for a link that does not exist.
             let garbage = [&b"RECTA\x01"[..], &[number; 56]].concat();
             let sent = [&garbage[..0], &garbage[..20], &garbage][usize::from(number) % 3];
-            stranger.write_all(sent).expect("sent");
-            stranger
+            stream.write_all(sent).expect("sent");
+            stream
         })
         .collect();
     let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
     connection(&two, |link| has_paths(link, &["ble", "tcp"]));
     assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
-    drop(strangers);
+    drop(unauthenticated);
 }
 
 #[test]
