@@ -338,7 +338,8 @@ impl Hub {
                     continue;
                 }
             };
-            // A proof takes milliseconds, so unauthenticated peers that send nothing cannot keep a robot out: the oldest connection gives way.
+            // A proof takes milliseconds, so unauthenticated peers that send nothing cannot keep a robot out: the oldest
+            // connection gives way.
             unproven.retain(|one| !one.is_cancelled());
             if unproven.len() >= MAX_UNPROVEN {
                 if let Some(oldest) = unproven.pop_front() {
