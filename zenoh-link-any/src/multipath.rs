@@ -12,13 +12,16 @@ use std::{
 };
 
 use zenoh_link_ble::protocol::lanes::{
-    backlog, batch_kind::BatchKind, scheduler::RESERVED_BYTES_PER_LANE, Lane, LANES,
+    backlog::{self, Limits},
+    batch_kind::BatchKind,
+    scheduler::RESERVED_BYTES_PER_LANE,
+    Lane, LANES,
 };
 
 use crate::{
     frame::{self, Frame, FrameError, DATA_HEAD_BYTES},
     in_lane::{InLane, LaneError},
-    out_lane::{Limits, OutLane},
+    out_lane::OutLane,
     path::{AckError, Medium, Path, PathState},
 };
 

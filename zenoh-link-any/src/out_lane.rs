@@ -2,7 +2,7 @@
 use std::{collections::VecDeque, ops::Range, time::Instant};
 
 use zenoh_link_ble::protocol::lanes::{
-    backlog::{Backlog, Counting},
+    backlog::{Backlog, Limits, Queued},
     batch_kind::BatchKind,
 };
 
@@ -33,11 +33,18 @@ impl Batch {
     }
 }
 
-/// How many bytes may wait on a lane before it accepts another message.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Limits {
-    pub(crate) droppable_bytes: usize,
-    pub(crate) backlog_bytes: usize,
+impl Queued for Batch {
+    fn kind(&self) -> BatchKind {
+        self.kind
+    }
+
+    fn cost(&self) -> usize {
+        self.bytes.len()
+    }
+
+    fn counts(&mut self) -> &mut bool {
+        &mut self.counts
+    }
 }
 
 /// The sending side of a lane.
@@ -61,18 +68,7 @@ pub(crate) struct OutLane {
 impl OutLane {
     /// Returns whether the lane accepts a batch of that kind, given what waits before it.
     pub(crate) fn accepts(&self, kind: BatchKind, limits: Limits, now: Instant) -> bool {
-        let has_room = match kind {
-            BatchKind::NextFragment => true,
-            BatchKind::Whole { is_droppable: true }
-            | BatchKind::FirstFragment { is_droppable: true } => {
-                self.unsent_bytes() <= limits.droppable_bytes
-            }
-            BatchKind::Whole { .. } | BatchKind::FirstFragment { .. } => {
-                self.backlog.has_room(kind, limits.backlog_bytes)
-            }
-        };
-        let is_overdue = || self.backlog.overdue_at(kind).is_some_and(|at| at <= now);
-        has_room || is_overdue()
+        self.backlog.accepts(kind, self.unsent_bytes(), limits, now)
     }
 
     /// Returns when the lane accepts a batch of that kind even without room.
@@ -85,55 +81,29 @@ impl OutLane {
         let mut bytes = Vec::with_capacity(batch.len() + 2);
         batch_length::encode(batch.len(), &mut bytes);
         bytes.extend_from_slice(batch);
-        let counting = self.backlog.on_accepted(kind, bytes.len(), now);
-        if counting == Counting::ExemptsMessage {
-            self.exempt_last_message();
-        }
         let batch = Batch {
             start: self.end,
             kind,
-            counts: counting == Counting::Counts,
+            counts: false,
             is_copied,
             bytes,
         };
         self.end = batch.end();
         self.memory += batch.memory();
-        self.batches.push_back(batch);
-    }
-
-    /// Exempts the fragments of the last message from the backlog.
-    fn exempt_last_message(&mut self) {
-        for batch in self.batches.iter_mut().rev() {
-            if matches!(batch.kind, BatchKind::Whole { .. }) {
-                break;
-            }
-            if batch.counts {
-                batch.counts = false;
-                self.backlog.on_exempted(batch.bytes.len());
-            }
-            if matches!(batch.kind, BatchKind::FirstFragment { .. }) {
-                break;
-            }
-        }
+        self.backlog.queue(&mut self.batches, batch, now);
     }
 
     /// Withdraws the fragments of the last message that no path has carried yet.
     pub(crate) fn abandon_message(&mut self) {
-        while let Some(last) = self.batches.back() {
-            if matches!(last.kind, BatchKind::Whole { .. }) || last.start < self.next {
-                break;
-            }
-            let is_first = matches!(last.kind, BatchKind::FirstFragment { .. });
-            self.end = last.start;
-            self.memory -= last.memory();
-            if last.counts {
-                self.backlog.on_exempted(last.bytes.len());
-            }
-            self.batches.pop_back();
-            if is_first {
-                break;
-            }
-        }
+        let (end, memory, next) = (&mut self.end, &mut self.memory, self.next);
+        self.backlog.abandon(
+            &mut self.batches,
+            |batch| batch.start >= next,
+            |batch| {
+                *end = batch.start;
+                *memory -= batch.memory();
+            },
+        );
     }
 
     /// Returns the approximate memory that the lane occupies, in bytes.

@@ -4,7 +4,10 @@
 //! A message of more than [`LARGE_MESSAGE_BYTES`] that must arrive is exempt: all its fragments are accepted at once,
 //! because Zenoh closes a link that does not accept a message within `wait_before_close`. In addition, `scheduler` bounds
 //! the number of bytes on all lanes together.
-use std::time::{Duration, Instant};
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
 
 use super::batch_kind::BatchKind;
 
@@ -42,9 +45,30 @@ impl Message {
     }
 }
 
+/// How many bytes may wait on a lane before it accepts another message.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Before a message that may be dropped.
+    pub droppable_bytes: usize,
+    /// Before one that must arrive, without large messages.
+    pub backlog_bytes: usize,
+}
+
+/// A batch in the queue of a lane.
+pub trait Queued {
+    /// Returns which part of a message it carries.
+    fn kind(&self) -> BatchKind;
+
+    /// Returns the number of bytes with which it counts.
+    fn cost(&self) -> usize;
+
+    /// Returns whether it counts.
+    fn counts(&mut self) -> &mut bool;
+}
+
 /// How an accepted batch counts towards the limit of its lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Counting {
+enum Counting {
     /// The batch counts until it is sent.
     Counts,
     /// The batch does not count. Its message has just become large, so that its earlier fragments do not count any more
@@ -69,9 +93,74 @@ impl Backlog {
         self.bytes
     }
 
+    /// Returns whether the lane accepts a batch of that kind behind `waiting_bytes` bytes of any kind.
+    pub fn accepts(
+        &self,
+        kind: BatchKind,
+        waiting_bytes: usize,
+        limits: Limits,
+        now: Instant,
+    ) -> bool {
+        let has_room = match kind {
+            BatchKind::NextFragment => true,
+            BatchKind::Whole { is_droppable } | BatchKind::FirstFragment { is_droppable } => {
+                match is_droppable {
+                    true => waiting_bytes <= limits.droppable_bytes,
+                    false => self.has_room(kind, limits.backlog_bytes),
+                }
+            }
+        };
+        let is_overdue = || self.overdue_at(kind).is_some_and(|at| at <= now);
+        has_room || is_overdue()
+    }
+
+    /// Queues a batch that the lane has accepted.
+    pub fn queue<T: Queued>(&mut self, queue: &mut VecDeque<T>, mut batch: T, now: Instant) {
+        let counting = self.on_accepted(batch.kind(), batch.cost(), now);
+        *batch.counts() = counting == Counting::Counts;
+        if counting == Counting::ExemptsMessage {
+            for earlier in queue.iter_mut().rev() {
+                if matches!(earlier.kind(), BatchKind::Whole { .. }) {
+                    break;
+                }
+                if std::mem::take(earlier.counts()) {
+                    self.on_exempted(earlier.cost());
+                }
+                if matches!(earlier.kind(), BatchKind::FirstFragment { .. }) {
+                    break;
+                }
+            }
+        }
+        queue.push_back(batch);
+    }
+
+    /// Withdraws the fragments of the message that was queued last, as far as `may_withdraw` permits it, and calls `withdrawn` with
+    /// each.
+    pub fn abandon<T: Queued>(
+        &mut self,
+        queue: &mut VecDeque<T>,
+        may_withdraw: impl Fn(&T) -> bool,
+        mut withdrawn: impl FnMut(&T),
+    ) {
+        while let Some(last) = queue.back_mut() {
+            if matches!(last.kind(), BatchKind::Whole { .. }) || !may_withdraw(last) {
+                break;
+            }
+            if *last.counts() {
+                self.on_exempted(last.cost());
+            }
+            let is_first = matches!(last.kind(), BatchKind::FirstFragment { .. });
+            withdrawn(last);
+            queue.pop_back();
+            if is_first {
+                break;
+            }
+        }
+    }
+
     /// Returns whether the lane has room for a batch of a message that must arrive. A message of several fragments brings up
     /// to [`LARGE_MESSAGE_BYTES`] once its first fragment is accepted, so it begins only when few bytes wait.
-    pub fn has_room(&self, kind: BatchKind, limit_bytes: usize) -> bool {
+    fn has_room(&self, kind: BatchKind, limit_bytes: usize) -> bool {
         match kind {
             BatchKind::NextFragment => true,
             BatchKind::Whole { .. } => self.bytes < limit_bytes,
@@ -92,7 +181,7 @@ impl Backlog {
     }
 
     /// Counts a batch of `bytes` bytes that the lane has accepted.
-    pub fn on_accepted(&mut self, kind: BatchKind, bytes: usize, now: Instant) -> Counting {
+    fn on_accepted(&mut self, kind: BatchKind, bytes: usize, now: Instant) -> Counting {
         self.last_progress = Some(now);
         let was_exempt = match kind {
             BatchKind::NextFragment => self.message.is_exempt(),
@@ -118,7 +207,7 @@ impl Backlog {
     }
 
     /// Stops counting a batch that has become part of a large message, or was withdrawn.
-    pub fn on_exempted(&mut self, bytes: usize) {
+    fn on_exempted(&mut self, bytes: usize) {
         self.bytes = self.bytes.saturating_sub(bytes);
     }
 

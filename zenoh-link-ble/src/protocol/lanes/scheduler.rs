@@ -7,7 +7,7 @@ use std::{
 
 use super::{
     ack_timer::AckTimer,
-    backlog::{self, Backlog, Counting},
+    backlog::{self, Backlog, Limits, Queued},
     batch_kind::BatchKind,
     credits::{cost, Allowance, CreditError},
     flight::Flight,
@@ -48,13 +48,6 @@ struct Waiting {
     counts: bool,
 }
 
-/// How many bytes may wait on a lane before it accepts another message.
-#[derive(Clone, Copy)]
-struct Limits {
-    droppable_bytes: usize,
-    backlog_bytes: usize,
-}
-
 /// The sending side of a lane.
 struct OutLane {
     queue: VecDeque<Waiting>,
@@ -69,71 +62,42 @@ struct OutLane {
 }
 
 impl OutLane {
-    /// Returns whether the lane accepts a batch of that kind, given what waits before it.
-    fn accepts(&self, kind: BatchKind, limits: Limits, now: Instant) -> bool {
-        let has_room = match kind {
-            BatchKind::NextFragment => true,
-            BatchKind::Whole { is_droppable } | BatchKind::FirstFragment { is_droppable } => {
-                match is_droppable {
-                    true => self.bytes <= limits.droppable_bytes,
-                    false => self.backlog.has_room(kind, limits.backlog_bytes),
-                }
-            }
-        };
-        let is_overdue = || self.backlog.overdue_at(kind).is_some_and(|at| at <= now);
-        has_room || is_overdue()
-    }
-
-    fn push(&mut self, mut waiting: Waiting, now: Instant) {
-        let cost = usize::from(waiting.cost());
-        let counting = self.backlog.on_accepted(waiting.kind, cost, now);
-        waiting.counts = counting == Counting::Counts;
-        if counting == Counting::ExemptsMessage {
-            self.exempt_last_message();
-        }
+    fn push(&mut self, waiting: Waiting, now: Instant) {
         self.bytes += waiting.bytes();
-        self.queue.push_back(waiting);
-    }
-
-    /// Exempts the waiting fragments of the message whose fragments were queued last.
-    fn exempt_last_message(&mut self) {
-        for waiting in self.queue.iter_mut().rev() {
-            if matches!(waiting.kind, BatchKind::Whole { .. }) {
-                break;
-            }
-            if waiting.counts {
-                waiting.counts = false;
-                self.backlog.on_exempted(usize::from(waiting.cost()));
-            }
-            if matches!(waiting.kind, BatchKind::FirstFragment { .. }) {
-                break;
-            }
-        }
+        self.backlog.queue(&mut self.queue, waiting, now);
     }
 
     /// Withdraws the waiting fragments of the message whose fragments were queued last.
     fn abandon_message(&mut self) {
-        while let Some(last) = self.queue.back() {
-            if matches!(last.kind, BatchKind::Whole { .. }) {
-                break;
-            }
-            self.bytes -= last.bytes();
-            if last.counts {
-                self.backlog.on_exempted(usize::from(last.cost()));
-            }
-            self.abandoned += 1;
-            let is_first = matches!(last.kind, BatchKind::FirstFragment { .. });
-            self.queue.pop_back();
-            if is_first {
-                break;
-            }
-        }
+        let (bytes, abandoned) = (&mut self.bytes, &mut self.abandoned);
+        self.backlog.abandon(
+            &mut self.queue,
+            |_| true,
+            |waiting| {
+                *bytes -= waiting.bytes();
+                *abandoned += 1;
+            },
+        );
     }
 
     /// Returns the cost of the next SDU; `None` if there is none or the peer has stopped the lane.
     fn next_cost(&self) -> Option<u16> {
         let next = self.queue.front().filter(|_| !self.is_stopped);
         next.map(Waiting::cost)
+    }
+}
+
+impl Queued for Waiting {
+    fn kind(&self) -> BatchKind {
+        self.kind
+    }
+
+    fn cost(&self) -> usize {
+        usize::from(Waiting::cost(self))
+    }
+
+    fn counts(&mut self) -> &mut bool {
+        &mut self.counts
     }
 }
 
@@ -251,7 +215,7 @@ impl Scheduler {
         let is_closing = !matches!(self.end, End::NotYet);
         let (out, size) = (self.lane(lane), Waiting::bytes_of(HEAD_BYTES + batch.len()));
         let fits = out.bytes + size <= RESERVED_BYTES_PER_LANE || total + size <= max_bytes;
-        let is_accepted = !is_closing && fits && out.accepts(kind, limits, now);
+        let is_accepted = !is_closing && fits && out.backlog.accepts(kind, out.bytes, limits, now);
         if is_accepted {
             let waiting = Waiting {
                 sdu: Content::Batch(lane, batch).encode(),
