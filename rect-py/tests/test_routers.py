@@ -179,7 +179,7 @@ def test_connections_are_added_and_removed(routers: Routers) -> None:
         until_named(robot, "base", [])
         with pytest.raises(rect.ServiceError, match="base"):
             robot.remove_connection("base")
-        with pytest.raises(rect.ServiceError, match="a method is ble, tcp, udp"):
+        with pytest.raises(rect.ServiceError, match="a method is any, ble, tcp, udp"):
             robot.add_connection("base", "nonsense", "127.0.0.1")
 
 
