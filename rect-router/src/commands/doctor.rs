@@ -92,6 +92,13 @@ fn show(mark: &str, text: &str) {
     }
 }
 
+/// Returns whether a connection uses Bluetooth.
+fn has_radio(connection: &Value) -> bool {
+    ["any", "ble"]
+        .iter()
+        .any(|method| connection["method"] == *method)
+}
+
 /// Returns the name of the robot or program at the other end of a connection, or else its address.
 fn peer(connection: &Value) -> &str {
     let mut paths = ["/peer/robot", "/address"].iter();

@@ -1,7 +1,7 @@
 //! Checks that what leaves this computer is encrypted.
 use serde_json::Value;
 
-use super::{peer, Finding};
+use super::{has_radio, peer, Finding};
 
 const ABOUT: &str = "encryption";
 
@@ -14,13 +14,14 @@ pub fn findings(connections: &Value) -> Vec<Finding> {
 }
 
 fn unencrypted(connection: &Value) -> Finding {
-    let (link, who, advice) = match connection["method"].as_str() {
-        Some("ble") => (
+    // A link with the method `any` that is not encrypted uses Bluetooth alone.
+    let (link, who, advice) = match has_radio(connection) {
+        true => (
             "Bluetooth",
             "everybody in range",
             "give both robots the secret of the team: `rect init` on the first, and its login file on the other (docs/how-to/security.md)",
         ),
-        _ => (
+        false => (
             "network",
             "everybody on the network",
             "use TLS where others share the network (docs/how-to/security.md, \"Connect over Wi-Fi with TLS\")",
@@ -51,8 +52,10 @@ mod tests {
 
     #[test]
     fn warns_of_links_that_are_not_encrypted() {
-        assert!(found("ble", json!(false))[0]
-            .contains("the Bluetooth link with wombat-2 is not encrypted: everybody in range"));
+        for method in ["any", "ble"] {
+            assert!(found(method, json!(false))[0]
+                .contains("the Bluetooth link with wombat-2 is not encrypted: everybody in range"));
+        }
         assert!(found("tcp", json!(false))[0].contains("everybody on the network"));
     }
 

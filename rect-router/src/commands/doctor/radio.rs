@@ -2,7 +2,7 @@
 //! and whether its router may choose connection intervals. docs/concepts/radio.md explains the limits.
 use serde_json::Value;
 
-use super::{peer, Finding};
+use super::{has_radio, peer, Finding};
 
 const ABOUT: &str = "radio";
 /// Most controllers hold about this number of links.
@@ -17,7 +17,7 @@ const WEAK_DBM: i64 = -80;
 pub fn findings(connections: &Value, may_choose: Option<bool>) -> Vec<Finding> {
     let ble = || {
         let all = connections.as_array().into_iter().flatten();
-        all.filter(|connection| connection["method"] == "ble")
+        all.filter(|connection| has_radio(connection))
     };
     let is = |state: &'static str| move |connection: &&Value| connection["state"] == state;
     let links = ble().filter(is("connected")).count();
@@ -109,6 +109,14 @@ mod tests {
             "1 Bluetooth links, 2 robots of the fleet in range"
         );
         assert_eq!(findings(&json!([other]), None), []);
+    }
+
+    #[test]
+    fn links_over_several_paths_count() {
+        let mut link = link(None, -60);
+        link["method"] = json!("any");
+        let found = findings(&json!([link]), None);
+        assert!(found[0].what.starts_with("1 Bluetooth links"), "{found:?}");
     }
 
     #[test]
