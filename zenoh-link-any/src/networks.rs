@@ -3,9 +3,16 @@ use std::net::{IpAddr, SocketAddr};
 
 use if_addrs::{IfAddr, Interface};
 
-/// Returns the addresses to offer: those of the given interfaces, or of all but the loopback interface.
+/// Returns the addresses to offer: those of the given interfaces, or of all but the loopback interface. Link-local addresses of
+/// IPv6 are left out: they are valid only together with the number of the peer's interface.
 pub(crate) fn own_addresses(interfaces: Option<&[String]>) -> Vec<IpAddr> {
-    used(interfaces).map(|interface| interface.ip()).collect()
+    let addresses = used(interfaces).map(|interface| interface.ip());
+    addresses
+        .filter(|address| match address {
+            IpAddr::V4(_) => true,
+            IpAddr::V6(address) => !address.is_unicast_link_local(),
+        })
+        .collect()
 }
 
 /// Returns those of a peer's addresses that are in one of this computer's networks. Others are never dialled, so that an offer
