@@ -50,6 +50,8 @@ struct State {
     multipath: Multipath,
     /// The tasks of the paths.
     tasks: HashMap<PathId, Task>,
+    /// Number of changes of the primary path that were logged.
+    logged_switches: u64,
     end: Option<Arc<AnyError>>,
 }
 
@@ -98,6 +100,7 @@ impl Shared {
             state: Mutex::new(State {
                 multipath: Multipath::new(options, now.into_std()),
                 tasks: HashMap::new(),
+                logged_switches: 0,
                 end: None,
             }),
             room: Notify::new(),
@@ -237,6 +240,7 @@ impl Shared {
         let lane = (state.multipath).next_frame(id, least_urgent, frame, now);
         if state.multipath.wakeups() != before {
             state.wake_all();
+            state.log_switch(&self.peer);
             self.paths_changed.notify_waiters();
         }
         if let Some(end) = state.multipath.end() {
@@ -281,7 +285,10 @@ impl Shared {
         }
         // The frame has to be acknowledged, and may have freed room on this path.
         match state.multipath.wakeups() != before {
-            true => state.wake_all(),
+            true => {
+                state.wake_all();
+                state.log_switch(&self.peer);
+            }
             false => state.wake(id),
         }
         Ok(())
@@ -380,6 +387,19 @@ impl State {
             self.wake_all();
         }
         batch
+    }
+
+    /// Logs the primary path if it has changed.
+    fn log_switch(&mut self, peer: &str) {
+        let (switches, _) = self.multipath.switches();
+        if switches == self.logged_switches {
+            return;
+        }
+        self.logged_switches = switches;
+        match self.multipath.paths().find(|(_, path)| path.is_primary) {
+            Some((_, path)) => tracing::info!("any: the load to {peer} is on {} now", path.medium),
+            None => tracing::info!("any: no path to {peer} works now"),
+        }
     }
 
     fn wake(&self, id: PathId) {
