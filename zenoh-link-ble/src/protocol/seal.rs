@@ -82,7 +82,7 @@ fn cipher(chain: &Derived) -> Box<Cipher> {
 pub struct SealingKey {
     key: Key,
     /// The last SDU that was sealed and not sent, before and after sealing. The channel often has no room at first, and sealing
-    /// the same SDU for each attempt would take a third of a Raspberry Pi's core.
+    /// the same SDU again for each attempt would waste processor time.
     unsent: Option<(Vec<u8>, Vec<u8>)>,
 }
 
