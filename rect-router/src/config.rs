@@ -14,7 +14,7 @@ use zenoh::{config::WhatAmI, Config};
 use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, PermissionsConf};
 use zenoh_link::{
     any::locator::{self as any, is_any},
-    ble::locator::{is_ble, ConnectLocator, ListenLocator},
+    ble::locator::{ConnectLocator, ListenLocator},
 };
 use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
@@ -128,7 +128,7 @@ pub fn uses_bluetooth(config: &Config) -> bool {
 
 /// Returns whether the links of an endpoint use Bluetooth.
 fn has_radio(endpoint: &EndPoint) -> bool {
-    is_any(endpoint) || is_ble(endpoint)
+    any::has_radio(endpoint.protocol().as_str())
 }
 
 /// Makes the Bluetooth listeners advertise the fleet, unless their locators name one.

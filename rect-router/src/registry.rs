@@ -24,6 +24,7 @@ use rect::core::{
 };
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
+use zenoh_link::any::locator::has_radio;
 use zenoh_link::ble::{
     advertisement::Advertisement, radio::bluez::management, status::DiscoveredStatus,
     BLE_LOCATOR_PREFIX as BLE,
@@ -33,7 +34,7 @@ use self::{
     document::{peers, Clock, Counts, Status},
     presence::Presence,
     publisher::{publish, Change},
-    radio::{has_radio, Radio},
+    radio::Radio,
     selector::Selector,
     sockets::Sockets,
     uptime::Uptime,

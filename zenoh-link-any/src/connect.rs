@@ -28,26 +28,12 @@ pub(crate) async fn connect(
     if is_simulated {
         let mut stream = within(wifi::connect(address)).await?;
         let keys = prove(shared, &mut stream).await?;
-        let (read, write) = stream.into_split();
-        return Ok(Connection {
-            read: Box::new(read),
-            write: Box::new(write),
-            keys,
-            sent: 1,
-            received: 0,
-        });
+        return Ok(Connection::dialled(stream.into_split(), keys));
     }
     let mut stream = within(TcpStream::connect(address)).await?;
     prepare(&stream)?;
     let keys = prove(shared, &mut stream).await?;
-    let (read, write) = stream.into_split();
-    Ok(Connection {
-        read: Box::new(read),
-        write: Box::new(write),
-        keys,
-        sent: 1,
-        received: 0,
-    })
+    Ok(Connection::dialled(stream.into_split(), keys))
 }
 
 /// Performs the handshake of a connection as its dialler.
@@ -91,15 +77,7 @@ pub(crate) async fn accept(
         }
     };
     let (shared, keys) = within(proven).await?;
-    let (read, write) = stream.into_split();
-    let connection = Connection {
-        read: Box::new(read),
-        write: Box::new(write),
-        keys,
-        sent: 0,
-        received: 1,
-    };
-    Ok((shared, connection))
+    Ok((shared, Connection::accepted(stream.into_split(), keys)))
 }
 
 async fn within<T>(step: impl Future<Output = io::Result<T>>) -> io::Result<T> {

@@ -26,7 +26,7 @@ use crate::{
     error::AnyError,
     link::LinkAny,
     locator::ConnectLocator,
-    multipath::{Bounds, Options},
+    multipath::Options,
     networks, offer,
     proof::{Proof, Role, Tag, KEY_LABEL, TAG_LABEL},
     run,
@@ -34,16 +34,6 @@ use crate::{
     wifi,
 };
 
-/// The settings of all links. Both sides use the same largest batch.
-const OPTIONS: Options = Options {
-    max_batch: 8_192,
-    bounds: Bounds {
-        bytes: 16 << 20,
-        backlog: Duration::from_millis(2500),
-        droppable: Duration::from_millis(100),
-    },
-    lease: Duration::from_secs(10),
-};
 /// Number of accepted connections that may be unproven at the same time.
 const MAX_UNPROVEN: usize = 8;
 /// How long the side that has accepted the link leaves dialling to the other one.
@@ -143,7 +133,14 @@ impl Hub {
             .zip(path.exported_key(TAG_LABEL));
         let proof = keys.map(|(key, tag)| Proof::new(key, tag, role));
         let node = path.agreed().map_or(NodeId(0), |agreed| agreed.node);
-        let shared = Shared::new(id, path.peer().to_owned(), node, role, proof, OPTIONS);
+        let shared = Shared::new(
+            id,
+            path.peer().to_owned(),
+            node,
+            role,
+            proof,
+            Options::default(),
+        );
         self.links.lock().insert(id, Arc::downgrade(&shared));
         shared
     }

@@ -6,6 +6,11 @@ use zenoh_protocol::core::EndPoint;
 /// The name of the protocol in a locator.
 pub const ANY_LOCATOR_PREFIX: &str = "any";
 
+/// Returns whether links of that method use Bluetooth.
+pub fn has_radio(method: &str) -> bool {
+    [ANY_LOCATOR_PREFIX, BLE_LOCATOR_PREFIX].contains(&method)
+}
+
 /// Returns whether an endpoint is one of these links.
 pub fn is_any(endpoint: &EndPoint) -> bool {
     endpoint.protocol().as_str() == ANY_LOCATOR_PREFIX
@@ -56,7 +61,7 @@ impl ConnectLocator {
     /// # Errors
     /// Fails if the endpoint has an option that belongs to a listener.
     pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
-        for option in ["port", "interfaces"] {
+        for option in OPTIONS {
             if endpoint.config().get(option).is_some() {
                 return Err(LocatorError::NotForDial(option));
             }
@@ -65,6 +70,18 @@ impl ConnectLocator {
             peer: endpoint.address().as_str().to_owned(),
             ble: ble(endpoint)?,
         })
+    }
+
+    /// Returns the endpoint of the Bluetooth path to a peer that was dialled by this locator, which may stand for any robot of a
+    /// fleet.
+    ///
+    /// # Errors
+    /// Fails if the name is not valid in a locator.
+    pub fn to(&self, peer: &str) -> Result<EndPoint, LocatorError> {
+        match self.peer == ANY_ROBOT {
+            true => bluetooth(&self.ble, peer, &["fleet"]),
+            false => Ok(self.ble.clone()),
+        }
     }
 }
 
@@ -88,37 +105,28 @@ impl ListenLocator {
     }
 }
 
-impl ConnectLocator {
-    /// Returns the endpoint of the Bluetooth path to a peer that was dialled by this locator, which may stand for any robot of a
-    /// fleet.
-    ///
-    /// # Errors
-    /// Fails if the name is not valid in a locator.
-    pub fn to(&self, peer: &str) -> Result<EndPoint, LocatorError> {
-        if self.peer != ANY_ROBOT {
-            return Ok(self.ble.clone());
-        }
-        let config = self.ble.config();
-        let options = config.iter().filter(|(name, _)| *name != "fleet");
-        let options: Vec<_> = options
-            .map(|(name, value)| format!("{name}={value}"))
-            .collect();
-        EndPoint::new(BLE_LOCATOR_PREFIX, peer, "", options.join(";"))
-            .map_err(|error| LocatorError::Endpoint(error.to_string()))
-    }
-}
+/// The options of this crate.
+const OPTIONS: [&str; 2] = ["port", "interfaces"];
 
 /// Returns the `ble/` endpoint with the same address and the options that are not of this crate.
 fn ble(endpoint: &EndPoint) -> Result<EndPoint, LocatorError> {
+    bluetooth(endpoint, endpoint.address().as_str(), &OPTIONS)
+}
+
+/// Returns the `ble/` endpoint with another address, and without some of the options.
+fn bluetooth(
+    endpoint: &EndPoint,
+    address: &str,
+    without: &[&str],
+) -> Result<EndPoint, LocatorError> {
     let config = endpoint.config();
-    let options = config.iter();
-    let options: Vec<String> = options
-        .filter(|(name, _)| !["port", "interfaces"].contains(name))
+    let kept = config.iter().filter(|(name, _)| !without.contains(name));
+    let options: Vec<_> = kept
         .map(|(name, value)| format!("{name}={value}"))
         .collect();
     EndPoint::new(
         BLE_LOCATOR_PREFIX,
-        endpoint.address().as_str(),
+        address,
         endpoint.metadata().as_str(),
         options.join(";"),
     )

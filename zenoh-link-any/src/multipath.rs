@@ -45,7 +45,7 @@ const BETTER_FOR: Duration = Duration::from_millis(300);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PathId(pub u32);
 
-/// The settings of a link, on which both sides have agreed.
+/// The settings of a link. Both sides use the same largest batch.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// The largest batch, in bytes.
@@ -54,6 +54,20 @@ pub struct Options {
     pub bounds: Bounds,
     /// How long the link stays open without a path that works.
     pub lease: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            max_batch: 8_192,
+            bounds: Bounds {
+                bytes: 16 << 20,
+                backlog: Duration::from_millis(2500),
+                droppable: Duration::from_millis(100),
+            },
+            lease: Duration::from_secs(10),
+        }
+    }
 }
 
 /// Why a link has ended.
@@ -100,17 +114,6 @@ pub enum Change {
     Credits,
 }
 
-/// A change of the path that carries the bulk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Switch {
-    /// When it happened.
-    pub at: Instant,
-    /// The path before, if there was one.
-    pub from: Option<PathId>,
-    /// The path now, if there is one.
-    pub to: Option<PathId>,
-}
-
 /// The state of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathReport {
@@ -151,7 +154,6 @@ pub struct Multipath {
     /// The code of the reason with which this side ends the link.
     closing: Option<u8>,
     end: Option<End>,
-    last_switch: Option<Switch>,
     switches: u64,
     wakeups: u64,
     /// Number of batches and bytes that were accepted, and taken.
@@ -176,7 +178,6 @@ impl Multipath {
             silent_since: Some(now),
             closing: None,
             end: None,
-            last_switch: None,
             switches: 0,
             wakeups: 0,
             sent: (0, 0),
@@ -217,15 +218,15 @@ impl Multipath {
         if self.closing.is_some() || self.end.is_some() {
             return false;
         }
+        if batch.is_empty() {
+            self.out[lane.index()].abandon_message();
+            return true;
+        }
         let kind = BatchKind::of(batch);
         let memory: usize = self.out.iter().map(OutLane::memory).sum();
         let limits = self.limits(lane);
         let max_bytes = self.options.bounds.bytes;
         let out = &mut self.out[lane.index()];
-        if batch.is_empty() {
-            out.abandon_message();
-            return true;
-        }
         let has_memory = memory + batch.len() <= max_bytes
             || out.memory() + batch.len() <= RESERVED_BYTES_PER_LANE;
         if !has_memory || !out.accepts(kind, limits, now) {
@@ -491,9 +492,9 @@ impl Multipath {
         })
     }
 
-    /// Returns the number of changes of the primary path, and the last one.
-    pub fn switches(&self) -> (u64, Option<Switch>) {
-        (self.switches, self.last_switch)
+    /// Returns the number of changes of the primary path.
+    pub fn switches(&self) -> u64 {
+        self.switches
     }
 
     /// Returns the numbers of batches and bytes, sent and received.
@@ -504,11 +505,6 @@ impl Multipath {
     /// Returns the number of bytes that arrived a second time.
     pub fn repeated_bytes(&self) -> u64 {
         self.into.iter().map(InLane::repeated_bytes).sum()
-    }
-
-    /// Returns the number of bytes of small messages of a lane that the peer does not have yet.
-    pub fn backlog_bytes(&self, lane: Lane) -> usize {
-        self.out[lane.index()].backlog_bytes()
     }
 
     fn on_close_sent(&mut self) {
@@ -556,13 +552,13 @@ impl Multipath {
         let best = live.min_by_key(|(_, path)| path.time_for(COMPARED_BYTES));
         let Some((&best, best_path)) = best else {
             self.silent_since.get_or_insert(now);
-            self.switch(None, now);
+            self.switch(None);
             return;
         };
         self.silent_since = None;
         let current = self.primary.and_then(|id| self.paths.get(&id));
         let Some(current) = current.filter(|path| path.is_live()) else {
-            self.switch(Some(best), now);
+            self.switch(Some(best));
             return;
         };
         let limit = current.time_for(COMPARED_BYTES).mul_f64(BETTER);
@@ -576,17 +572,16 @@ impl Multipath {
         };
         self.better = Some((best, since));
         if now >= since + BETTER_FOR {
-            self.switch(Some(best), now);
+            self.switch(Some(best));
         }
     }
 
-    fn switch(&mut self, to: Option<PathId>, now: Instant) {
+    fn switch(&mut self, to: Option<PathId>) {
         self.better = None;
         if self.primary == to {
             return;
         }
-        let from = std::mem::replace(&mut self.primary, to);
-        self.last_switch = Some(Switch { at: now, from, to });
+        self.primary = to;
         self.switches += 1;
         self.wakeups += 1;
     }

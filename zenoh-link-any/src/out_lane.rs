@@ -116,11 +116,6 @@ impl OutLane {
         (self.end - self.next) as usize
     }
 
-    /// Returns the number of bytes of small messages that are not acknowledged yet.
-    pub(crate) fn backlog_bytes(&self) -> usize {
-        self.backlog.bytes()
-    }
-
     /// Returns whether all was acknowledged.
     pub(crate) fn is_empty(&self) -> bool {
         self.batches.is_empty()

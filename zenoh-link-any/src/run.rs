@@ -139,6 +139,40 @@ pub(crate) struct Connection {
     pub(crate) received: u64,
 }
 
+impl Connection {
+    /// Creates a connection that this side has dialled. Its confirmation was the first frame.
+    pub(crate) fn dialled(
+        (read, write): (
+            impl AsyncRead + Send + Unpin + 'static,
+            impl AsyncWrite + Send + Unpin + 'static,
+        ),
+        keys: StatelessTransportState,
+    ) -> Self {
+        Self {
+            read: Box::new(read),
+            write: Box::new(write),
+            keys,
+            sent: 1,
+            received: 0,
+        }
+    }
+
+    /// Creates a connection that this side has accepted.
+    pub(crate) fn accepted(
+        halves: (
+            impl AsyncRead + Send + Unpin + 'static,
+            impl AsyncWrite + Send + Unpin + 'static,
+        ),
+        keys: StatelessTransportState,
+    ) -> Self {
+        Self {
+            sent: 0,
+            received: 1,
+            ..Self::dialled(halves, keys)
+        }
+    }
+}
+
 /// Carries frames over a TCP connection until it has ended.
 pub(crate) async fn run_tcp(shared: Arc<Shared>, connection: Connection) {
     let Connection {

@@ -185,7 +185,7 @@ impl Shared {
 
     /// Returns the number of changes of the path that carries the bulk.
     pub(crate) fn switches(&self) -> u64 {
-        self.state.lock().multipath.switches().0
+        self.state.lock().multipath.switches()
     }
 
     /// Queues a batch on its lane. Waits while there is no room.
@@ -243,10 +243,7 @@ impl Shared {
             state.log_switch(&self.peer);
             self.paths_changed.notify_waiters();
         }
-        if let Some(end) = state.multipath.end() {
-            let peer = self.peer.clone();
-            self.end(&mut state, AnyError::Ended { peer, end });
-        }
+        self.end_if_due(&mut state);
         match lane {
             Some(lane) => Next::Frame(lane),
             None => Next::Wait(state.multipath.next_time(id).map(Instant::from_std)),
@@ -260,11 +257,7 @@ impl Shared {
     pub(crate) fn on_frame(&self, id: PathId, bytes: &[u8]) -> Result<(), AnyError> {
         if let Ok(Frame::Offer(body)) = frame::decode(bytes) {
             let offered = offer::decode(body).map_err(|error| self.protocol(&error))?;
-            self.offered.send_if_modified(|before| {
-                let is_new = *before != offered;
-                *before = offered;
-                is_new
-            });
+            set(&self.offered, offered);
             return Ok(());
         }
         let (mut state, now) = (self.state.lock(), Instant::now().into_std());
@@ -279,10 +272,7 @@ impl Shared {
             }
             Err(violation) => return Err(self.protocol(&violation)),
         }
-        if let Some(end) = state.multipath.end() {
-            let peer = self.peer.clone();
-            self.end(&mut state, AnyError::Ended { peer, end });
-        }
+        self.end_if_due(&mut state);
         // The frame has to be acknowledged, and may have freed room on this path.
         match state.multipath.wakeups() != before {
             true => {
@@ -301,11 +291,7 @@ impl Shared {
 
     /// Offers these addresses to the peer, over Bluetooth.
     pub(crate) fn offer(&self, offer: Vec<u8>) {
-        self.own_offer.send_if_modified(|before| {
-            let is_new = *before != offer;
-            *before = offer;
-            is_new
-        });
+        set(&self.own_offer, offer);
     }
 
     /// Returns the offer of this side.
@@ -356,6 +342,14 @@ impl Shared {
         }
     }
 
+    /// Ends the link if its logic says so.
+    fn end_if_due(&self, state: &mut State) {
+        if let Some(end) = state.multipath.end() {
+            let peer = self.peer.clone();
+            self.end(state, AnyError::Ended { peer, end });
+        }
+    }
+
     fn end(&self, state: &mut State, error: AnyError) {
         if state.end.is_none() {
             tracing::info!("any: {error}");
@@ -370,6 +364,15 @@ impl Shared {
             what: what.to_string(),
         }
     }
+}
+
+/// Sets a value, and notifies those who watch it if it is another one.
+fn set<T: PartialEq>(watched: &watch::Sender<T>, value: T) {
+    watched.send_if_modified(|before| {
+        let is_new = *before != value;
+        *before = value;
+        is_new
+    });
 }
 
 impl State {
@@ -391,7 +394,7 @@ impl State {
 
     /// Logs the primary path if it has changed.
     fn log_switch(&mut self, peer: &str) {
-        let (switches, _) = self.multipath.switches();
+        let switches = self.multipath.switches();
         if switches == self.logged_switches {
             return;
         }

@@ -15,6 +15,7 @@ use rect::{
 };
 use serde::Serialize;
 use serde_json::Value;
+use zenoh_link::any::locator;
 
 use super::Failure;
 use crate::args::DoctorArgs;
@@ -94,9 +95,7 @@ fn show(mark: &str, text: &str) {
 
 /// Returns whether a connection uses Bluetooth.
 fn has_radio(connection: &Value) -> bool {
-    ["any", "ble"]
-        .iter()
-        .any(|method| connection["method"] == *method)
+    (connection["method"].as_str()).is_some_and(locator::has_radio)
 }
 
 /// Returns the name of the robot or program at the other end of a connection, or else its address.

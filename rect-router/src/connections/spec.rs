@@ -3,7 +3,10 @@ use std::{collections::BTreeMap, fmt, net::IpAddr};
 
 use zenoh_config::EndPoint;
 use zenoh_link::{
-    any::{locator::ConnectLocator as AnyConnectLocator, ANY_LOCATOR_PREFIX as ANY},
+    any::{
+        locator::{has_radio, ConnectLocator as AnyConnectLocator},
+        ANY_LOCATOR_PREFIX as ANY,
+    },
     ble::locator::ConnectLocator,
     LinkKind,
 };
@@ -140,11 +143,6 @@ impl Spec {
     pub fn target(&self) -> String {
         self.endpoint.to_locator().to_string()
     }
-}
-
-/// Returns whether the address of a connection with that method is a robot's name or Bluetooth address.
-fn has_radio(method: &str) -> bool {
-    [ANY, BLE].contains(&method)
 }
 
 fn check_name(name: &str) -> Result<(), SpecError> {

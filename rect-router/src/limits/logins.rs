@@ -4,7 +4,7 @@ use std::{any::Any, collections::HashMap, sync::Arc, time::Duration, time::Insta
 
 use parking_lot::Mutex;
 use zenoh::{internal::runtime::ZRuntime, Result as ZResult};
-use zenoh_link::{any::ANY_LOCATOR_PREFIX, ble::BLE_LOCATOR_PREFIX, Link};
+use zenoh_link::{any::locator::has_radio, Link};
 use zenoh_protocol::network::NetworkMessageMut;
 use zenoh_transport::{
     multicast::TransportMulticast, unicast::TransportUnicast, TransportEventHandler,
@@ -66,8 +66,7 @@ impl TransportEventHandler for LoginLimit {
         peer: TransportPeer,
         transport: TransportUnicast,
     ) -> ZResult<Arc<dyn TransportPeerEventHandler>> {
-        let by_radio = [ANY_LOCATOR_PREFIX, BLE_LOCATOR_PREFIX];
-        let is_by_radio = |link: &Link| by_radio.contains(&link.src.protocol().as_str());
+        let is_by_radio = |link: &Link| has_radio(link.src.protocol().as_str());
         let identity = transport.get_auth_ids()?;
         let user = identity.username();
         let Some(user) = user.filter(|_| !peer.links.iter().any(is_by_radio)) else {

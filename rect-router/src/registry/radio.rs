@@ -4,14 +4,12 @@ use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link::{
     any::{
+        locator::has_radio,
         path::{Medium, PathState as State},
         status::{self as any, LinkStatus as AnyStatus},
         ANY_LOCATOR_PREFIX as ANY,
     },
-    ble::{
-        status::{nodes, Count, DiscoveredStatus, LinkStatus},
-        BLE_LOCATOR_PREFIX as BLE,
-    },
+    ble::status::{nodes, Count, DiscoveredStatus, LinkStatus},
 };
 
 use super::LinkTraffic;
@@ -133,11 +131,6 @@ impl Radio {
         };
         self.discovered.iter().find(is_peer)?.rssi_dbm
     }
-}
-
-/// Returns whether links of that method use Bluetooth.
-pub fn has_radio(method: &str) -> bool {
-    [ANY, BLE].contains(&method)
 }
 
 fn traffic(count: Count) -> Traffic {

@@ -6,18 +6,8 @@ use std::{
 
 use zenoh_link_ble::protocol::lanes::Lane;
 
-use super::{Bounds, Medium, Multipath, Options, PathId};
+use super::{Medium, Multipath, Options, PathId};
 use crate::frame::{decode, Frame};
-
-pub(super) const OPTIONS: Options = Options {
-    max_batch: 8_192,
-    bounds: Bounds {
-        bytes: 16 << 20,
-        backlog: Duration::from_millis(2500),
-        droppable: Duration::from_millis(100),
-    },
-    lease: Duration::from_secs(10),
-};
 
 /// The properties of a path.
 #[derive(Clone, Copy, Debug)]
@@ -94,8 +84,8 @@ pub(super) struct Arrival {
 }
 
 impl World {
-    pub(super) fn new(options: Options) -> Self {
-        let now = Instant::now();
+    pub(super) fn new() -> Self {
+        let (options, now) = (Options::default(), Instant::now());
         Self {
             now,
             start: now,

@@ -7,7 +7,7 @@ use rand_pcg::{
 };
 
 use super::{
-    simulation::{Conversation, World, BLUETOOTH, NETWORK, OPTIONS},
+    simulation::{Conversation, World, BLUETOOTH, NETWORK},
     *,
 };
 
@@ -62,7 +62,7 @@ fn percentile(ages: &mut [Duration], share: f64) -> Duration {
 #[test]
 fn one_path_carries_everything_in_order() {
     for quality in [BLUETOOTH, NETWORK] {
-        let mut world = World::new(OPTIONS);
+        let mut world = World::new();
         world.connect(quality);
         let mut talks = Default::default();
         talk(&mut world, &mut talks, Duration::from_secs(5), true);
@@ -73,7 +73,7 @@ fn one_path_carries_everything_in_order() {
 
 #[test]
 fn bulk_moves_to_the_network_and_returns_when_it_is_lost() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     let mut talks = Default::default();
     talk(&mut world, &mut talks, Duration::from_secs(2), true);
@@ -96,7 +96,7 @@ fn nothing_is_lost_repeated_or_reordered_at_any_switch() {
     while done < switches {
         let mut rng = Pcg32::seed_from_u64(seed);
         let mut below = |limit: u64| u64::from(rng.next_u32()) % limit;
-        let mut world = World::new(OPTIONS);
+        let mut world = World::new();
         let mut paths = [Some(world.connect(BLUETOOTH)), Some(world.connect(NETWORK))];
         let mut talks = Default::default();
         talk(&mut world, &mut talks, 400 * MS, true);
@@ -141,7 +141,7 @@ fn delays_at_a_switch_are_bounded() {
     ] {
         let (mut urgent, mut small) = (Vec::new(), Vec::new());
         for n in 0..100 {
-            let mut world = World::new(OPTIONS);
+            let mut world = World::new();
             world.connect(BLUETOOTH);
             let network = world.connect(NETWORK);
             let mut talks = Default::default();
@@ -172,7 +172,7 @@ fn delays_at_a_switch_are_bounded() {
 
 #[test]
 fn jammed_path_is_used_again_when_it_answers() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     let network = world.connect(NETWORK);
     let mut talks = Default::default();
@@ -194,19 +194,22 @@ fn jammed_path_is_used_again_when_it_answers() {
 
 #[test]
 fn link_ends_after_the_lease_without_a_path() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     let only = world.connect(BLUETOOTH);
     world.run(Duration::from_secs(1));
     world.cut(only, [10 * MS; 2]);
     world.run(Duration::from_secs(9));
     assert_eq!(world.ends[0].end(), None);
     world.run(Duration::from_secs(2));
-    assert_eq!(world.ends[0].end(), Some(End::NoPath(OPTIONS.lease)));
+    assert_eq!(
+        world.ends[0].end(),
+        Some(End::NoPath(Options::default().lease))
+    );
 }
 
 #[test]
 fn close_arrives_after_everything_else() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     world.connect(NETWORK);
     let mut talks: [Conversation; 2] = Default::default();
@@ -227,7 +230,7 @@ fn close_arrives_after_everything_else() {
 /// Nothing but Zenoh's keep-alives travels: one byte on the first lane, four times in a lease.
 #[test]
 fn idle_link_sends_little_over_bluetooth() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     world.connect(NETWORK);
     world.run(Duration::from_secs(2));
@@ -248,7 +251,7 @@ fn idle_link_sends_little_over_bluetooth() {
 
 #[test]
 fn acknowledgement_of_more_than_was_sent_is_a_violation() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     world.run(100 * MS);
     let mut ack = Vec::new();
@@ -268,7 +271,7 @@ fn acknowledgement_of_more_than_was_sent_is_a_violation() {
 
 #[test]
 fn lane_that_is_not_read_stops_without_stopping_others() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     world.connect(NETWORK);
     world.run(500 * MS);
@@ -300,7 +303,7 @@ fn lane_that_is_not_read_stops_without_stopping_others() {
 /// Prints what arrives around a fault of the network, for `scripts/switch-picture`.
 #[test]
 fn arrivals_continue_on_bluetooth_when_the_network_falls_silent() {
-    let mut world = World::new(OPTIONS);
+    let mut world = World::new();
     world.connect(BLUETOOTH);
     let network = world.connect(NETWORK);
     let mut talks: [Conversation; 2] = Default::default();

@@ -124,17 +124,14 @@ impl SealingKey {
         send: impl FnOnce(&[u8]) -> Result<bool, E>,
     ) -> Result<bool, E> {
         let unsent = self.unsent.take().filter(|(plain, _)| plain == sdu);
-        let (plain, sealed) = match unsent {
-            Some(unsent) => unsent,
-            None => match self.sealed(sdu) {
-                Some(sealed) => (sdu.clone(), sealed),
-                None => return Ok(false),
-            },
+        let sealed = unsent.map(|(_, sealed)| sealed);
+        let Some(sealed) = sealed.or_else(|| self.sealed(sdu)) else {
+            return Ok(false);
         };
-        sdu.clone_from(&sealed);
+        let plain = std::mem::replace(sdu, sealed);
         let sent = send(sdu);
         match sent {
-            Ok(false) => self.unsent = Some((plain, sealed)),
+            Ok(false) => self.unsent = Some((plain, sdu.clone())),
             _ => self.key.advance(),
         }
         sent
