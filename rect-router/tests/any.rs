@@ -57,7 +57,8 @@ impl World {
         set.expect("a Wi-Fi");
     }
 
-    /// Starts a robot that listens with `method`, and has a connection with the method `any` to each of `to`.
+    /// Starts a robot that listens with `method`, and has a connection with the method `any` to each of `to`: a robot, or the
+    /// address of wombat-1.
     fn robot(&self, number: u32, method: &str, secret: Option<&Path>, to: &[&str]) -> Robot {
         let options = secret.map_or_else(String::new, |file| format!(";secret={}", file.display()));
         self.robot_with(number, method, &options, to)
@@ -65,10 +66,15 @@ impl World {
 
     /// Starts a robot with these options of its listener.
     fn robot_with(&self, number: u32, method: &str, options: &str, to: &[&str]) -> Robot {
+        let listener = format!("{method}/sim-wombat-{number}#name=wombat-{number}{options}");
+        let listed: Vec<_> = to.iter().map(|to| any_to(to)).collect();
+        self.start(number, &listener, &listed)
+    }
+
+    /// Starts a robot with that listener and these connections.
+    fn start(&self, number: u32, listener: &str, listed: &[Value]) -> Robot {
         let connections = self.folder.path().join(format!("{number}.json"));
-        let any = |robot: &&str| json!({ "name": robot, "method": "any", "address": robot });
-        let listed: Vec<_> = to.iter().map(any).collect();
-        fs::write(&connections, file(&listed).to_string()).expect("written");
+        fs::write(&connections, file(listed).to_string()).expect("written");
         let settings = json!({ "robot": format!("wombat-{number}"), "connections": connections });
         let config = repository().join("config/simulation.json5");
         let mut router = Router::start_on(
@@ -79,7 +85,7 @@ impl World {
                 "-l",
                 "tcp/127.0.0.1:0",
                 "-l",
-                &format!("{method}/sim-wombat-{number}#name=wombat-{number}{options}"),
+                listener,
                 "--cfg",
                 &format!("plugins/rect:{settings}"),
             ],
@@ -92,11 +98,33 @@ impl World {
         }
     }
 
+    /// Starts a robot of the team that accepts links on the port of an address.
+    fn robot_at(&self, number: u32, address: &str, to: &[&str]) -> Robot {
+        let (secret, port) = (self.secret("team"), port_of(address));
+        let options = format!(";secret={};port={port}", secret.display());
+        self.robot_with(number, "any", &options, to)
+    }
+
     fn secret(&self, name: &str) -> PathBuf {
         let path = self.folder.path().join(name);
         fs::write(&path, format!("fleet:the secret of {name}\n")).expect("written");
         path
     }
+}
+
+/// Returns the entry of a connection to a robot, or to wombat-1 at an address.
+fn any_to(robot: &str) -> Value {
+    match robot.rsplit_once(':') {
+        Some((host, port)) => {
+            let port: u16 = port.parse().expect("a port");
+            json!({ "name": "wombat-1", "method": "any", "address": host, "port": port })
+        }
+        None => json!({ "name": robot, "method": "any", "address": robot }),
+    }
+}
+
+fn port_of(address: &str) -> &str {
+    address.rsplit(':').next().expect("a port")
 }
 
 /// Waits until the first connection of wombat-2 is as expected, and returns it.
@@ -248,21 +276,71 @@ fn robot_of_another_team_gets_no_path() {
     assert_ne!(failed["state"], "connected");
 }
 
+/// Where Bluetooth does not reach, a link begins on the network. It gets a Bluetooth path later, and finds the network again.
+#[test]
+fn link_to_an_address_begins_on_the_network() {
+    let world = World::new();
+    world.air.air().cut();
+    let address = free_socket();
+    let one = world.robot_at(1, &address, &[]);
+    let two = world.robot(2, "any", Some(&world.secret("team")), &[&address]);
+    let linked = connection(&two, |link| has_paths(link, &["tcp"]));
+    assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
+    assert_eq!(linked["encrypted"], true, "{linked:#}");
+    let mut counted = Counted::start(&two.session, &one.session);
+    counted.publish(Duration::from_millis(300));
+    world.air.air().restore();
+    connection(&two, |link| has_paths(link, &["ble", "tcp"]));
+    world.set_wifi(WifiState::Off);
+    counted.publish(Duration::from_millis(500));
+    connection(&two, |link| has_paths(link, &["ble"]));
+    world.set_wifi(WifiState::On);
+    let restored = connection(&two, |link| is_primary(link, "tcp"));
+    counted.publish(Duration::from_millis(100));
+    counted.verify();
+    assert_eq!(restored["linked"], 1, "one link all the time: {restored:#}");
+}
+
+#[test]
+fn robots_without_bluetooth_are_linked_by_address() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let address = free_socket();
+    let listen = |number: u32, address: &str| {
+        let port = port_of(address);
+        let secret = secret.display();
+        format!(
+            "any/hci99#name=wombat-{number};wait=true;secret={secret};port={port};interfaces=lo"
+        )
+    };
+    let one = world.start(1, &listen(1, &address), &[]);
+    let two = world.start(2, &listen(2, &free_socket()), &[any_to(&address)]);
+    let linked = connection(&two, |link| has_paths(link, &["tcp"]));
+    assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
+    assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+}
+
 /// Unauthenticated peers hold connections to the port for network paths, and send anything.
 #[test]
 fn unauthenticated_connections_do_not_keep_a_robot_out() {
     let world = World::new();
     let secret = world.secret("team");
     let address = free_socket();
-    let port = address.rsplit(':').next().expect("a port");
-    let options = format!(";secret={};port={port}", secret.display());
-    let one = world.robot_with(1, "any", &options, &[]);
+    let one = world.robot_at(1, &address, &[]);
     let unauthenticated: Vec<_> = (0..40_u8)
         .map(|number| {
             let mut stream = TcpStream::connect(&address).expect("accepted");
             // Nothing, part of a first message, or one for a link that does not exist.
             let garbage = [&b"RECTA\x01"[..], &[number; 56]].concat();
-            let sent = [&garbage[..0], &garbage[..20], &garbage][usize::from(number) % 3];
+            let opening = [&b"RECTM\x01"[..], &[48, 0], &[number; 48]].concat();
+            let sent = [
+                &garbage[..0],
+                &garbage[..20],
+                &garbage,
+                &opening,
+                &opening[..20],
+            ];
+            let sent = sent[usize::from(number) % 5];
             stream.write_all(sent).expect("sent");
             stream
         })

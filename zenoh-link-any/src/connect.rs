@@ -1,16 +1,15 @@
 //! Opens and accepts the TCP connections that become paths.
 use std::{future::Future, io, net::SocketAddr, sync::Arc, time::Duration};
 
-use snow::StatelessTransportState;
 use tokio::{
-    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
+    io::{join, AsyncReadExt, AsyncWriteExt, Join},
     net::TcpStream,
     time::timeout,
 };
 
 use crate::{
-    proof::{tag_of, Tag, MESSAGE_BYTES, OPENING_BYTES},
-    run::{open_next, prepare, seal, Connection},
+    proof::{tag_of, Tag, MAGIC, MESSAGE_BYTES, OPENING_BYTES},
+    run::{open_next, prepare, seal, Connection, ReadHalf, WriteHalf},
     shared::Shared,
     wifi,
 };
@@ -18,29 +17,37 @@ use crate::{
 /// How long a connect, and then the proof, may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Connects to an address of the peer, and proves that the connection belongs to the link. A simulated robot connects through
-/// the simulated Wi-Fi.
+/// A connection, whose halves can be used by two tasks without a lock.
+pub(crate) type Stream = Join<ReadHalf, WriteHalf>;
+
+/// Connects to an address of the peer, and proves that the connection belongs to the link.
 pub(crate) async fn connect(
     shared: &Shared,
     address: SocketAddr,
     is_simulated: bool,
 ) -> io::Result<Connection> {
-    if is_simulated {
-        let mut stream = within(wifi::connect(address)).await?;
-        let keys = prove(shared, &mut stream).await?;
-        return Ok(Connection::dialled(stream.into_split(), keys));
-    }
-    let mut stream = within(TcpStream::connect(address)).await?;
-    prepare(&stream)?;
-    let keys = prove(shared, &mut stream).await?;
-    Ok(Connection::dialled(stream.into_split(), keys))
+    let stream = dial(address, is_simulated).await?;
+    prove(shared, stream).await
 }
 
-/// Performs the handshake of a connection as its dialler.
-async fn prove(
-    shared: &Shared,
-    stream: &mut (impl AsyncRead + AsyncWrite + Unpin),
-) -> io::Result<StatelessTransportState> {
+/// Connects to an address. A simulated robot connects through the simulated Wi-Fi.
+pub(crate) async fn dial(address: SocketAddr, is_simulated: bool) -> io::Result<Stream> {
+    if is_simulated {
+        let (read, write) = within(wifi::connect(address)).await?.into_split();
+        return Ok(join(Box::new(read), Box::new(write)));
+    }
+    let stream = within(TcpStream::connect(address)).await?;
+    prepare(&stream)?;
+    Ok(halves(stream))
+}
+
+fn halves(stream: TcpStream) -> Stream {
+    let (read, write) = stream.into_split();
+    join(Box::new(read), Box::new(write))
+}
+
+/// Proves as the dialler of a connection that it belongs to the link.
+pub(crate) async fn prove(shared: &Shared, mut stream: Stream) -> io::Result<Connection> {
     let proof = shared.proof.as_ref().ok_or_else(no_secret)?;
     let (opening, message) = proof.open().map_err(io::Error::other)?;
     let answered = async {
@@ -52,38 +59,63 @@ async fn prove(
         let mut confirmation = Vec::new();
         seal(&keys, 0, &[], &mut confirmation)?;
         stream.write_all(&confirmation).await?;
-        Ok(keys)
+        Ok::<_, io::Error>(keys)
     };
-    within(answered).await
+    let keys = within(answered).await?;
+    Ok(Connection::dialled(stream, keys))
 }
 
-/// Verifies that an accepted connection belongs to a link, which `find` returns for its tag.
+/// Verifies that an accepted connection belongs to a link, which `find` returns for its tag. `magic` are its first bytes.
 pub(crate) async fn accept(
-    mut stream: TcpStream,
+    mut stream: Stream,
+    magic: [u8; MAGIC.len()],
     find: impl FnOnce(Tag) -> Option<Arc<Shared>>,
 ) -> io::Result<(Arc<Shared>, Connection)> {
-    prepare(&stream)?;
     let proven = async {
         let mut opening = [0; OPENING_BYTES];
-        stream.read_exact(&mut opening).await?;
+        let (first, rest) = opening.split_at_mut(magic.len());
+        first.copy_from_slice(&magic);
+        stream.read_exact(rest).await?;
         let shared = tag_of(&opening).and_then(find).ok_or_else(unknown)?;
         let proof = shared.proof.as_ref().ok_or_else(no_secret)?;
         let (answer, keys) = proof.answer(&opening).map_err(io::Error::other)?;
         stream.write_all(&answer).await?;
         let (mut sealed, mut confirmation) = (Vec::new(), [0; 64]);
         match open_next(&mut stream, &keys, 0, &mut sealed, &mut confirmation).await? {
-            0 => Ok((shared, keys)),
+            0 => Ok::<_, io::Error>((shared, keys)),
             _ => Err(io::Error::other("it did not confirm its keys")),
         }
     };
     let (shared, keys) = within(proven).await?;
-    Ok((shared, Connection::accepted(stream.into_split(), keys)))
+    Ok((shared, Connection::accepted(stream, keys)))
 }
 
-async fn within<T>(step: impl Future<Output = io::Result<T>>) -> io::Result<T> {
+/// Verifies that an accepted connection belongs to this link, which was opened on it.
+pub(crate) async fn accept_as(shared: &Arc<Shared>, mut stream: Stream) -> io::Result<Connection> {
+    let mut magic = [0; MAGIC.len()];
+    within(stream.read_exact(&mut magic)).await?;
+    let is_this = |tag: Tag| shared.proof.as_ref().is_some_and(|proof| proof.tag == tag);
+    let find = |tag: Tag| is_this(tag).then(|| Arc::clone(shared));
+    let (_, connection) = accept(stream, magic, find).await?;
+    Ok(connection)
+}
+
+/// Receives the first bytes of an accepted connection, which tell what it is for.
+pub(crate) async fn receive_magic(stream: TcpStream) -> io::Result<(Stream, [u8; MAGIC.len()])> {
+    prepare(&stream)?;
+    let mut stream = halves(stream);
+    let mut magic = [0; MAGIC.len()];
+    within(stream.read_exact(&mut magic)).await?;
+    Ok((stream, magic))
+}
+
+/// Waits for a step of a handshake for at most [`TIMEOUT`].
+pub(crate) async fn within<T, E: From<io::Error>>(
+    step: impl Future<Output = Result<T, E>>,
+) -> Result<T, E> {
     timeout(TIMEOUT, step)
         .await
-        .unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
+        .unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut).into()))
 }
 
 fn unknown() -> io::Error {

@@ -1,9 +1,9 @@
 //! The errors of `any` links.
 use std::sync::Arc;
 
-use zenoh_link_ble::BleError;
+use zenoh_link_ble::{protocol::secret::SecretError, BleError};
 
-use crate::{locator::LocatorError, multipath::End};
+use crate::{locator::LocatorError, meeting::MeetingError, multipath::End};
 
 /// Why a link could not be opened, or has ended.
 #[derive(Debug, thiserror::Error)]
@@ -53,6 +53,24 @@ pub enum AnyError {
         #[source]
         error: std::io::Error,
     },
+    /// A peer was to be reached by an address without a secret.
+    #[error("a link to {0} needs secret=: without one, use tcp/{0}, which is not encrypted")]
+    NoSecret(String),
+    /// The secret cannot be read.
+    #[error(transparent)]
+    Secret(#[from] SecretError),
+    /// No link can be opened at an address.
+    #[error("no link at {address}: {error}")]
+    Meeting {
+        /// The address, as in the locator.
+        address: String,
+        /// The reason.
+        #[source]
+        error: MeetingError,
+    },
+    /// A peer was reached neither at its address nor over Bluetooth.
+    #[error("{0}; and over Bluetooth: {1}")]
+    Nowhere(Box<AnyError>, BleError),
     /// The Bluetooth path failed.
     #[error(transparent)]
     Ble(#[from] BleError),

@@ -1,5 +1,5 @@
-//! Parses locators: `any/<robot>#...` to dial, and `any/<adapter>#...` to listen. All options but those of this crate are
-//! those of `ble/`.
+//! Parses locators: `any/<robot>#...` or `any/<host>:<port>#...` to dial, and `any/<adapter>#...` to listen. All options but
+//! those of this crate are those of `ble/`.
 use zenoh_link_ble::BLE_LOCATOR_PREFIX;
 use zenoh_protocol::core::EndPoint;
 
@@ -28,6 +28,12 @@ pub enum LocatorError {
     /// The option has no meaning for this kind of locator.
     #[error("{0}= has no effect on a locator to dial: give it to the listener")]
     NotForDial(&'static str),
+    /// The option has no meaning for this kind of locator.
+    #[error("{0}= has no effect on a listener: give it to the locator to dial")]
+    NotForListen(&'static str),
+    /// The address has no port, or it has another form.
+    #[error("address={0}: a host or an IP address and its port are expected, as 192.168.7.2:7460")]
+    Address(String),
     /// The rest is not a valid endpoint.
     #[error("{0}")]
     Endpoint(String),
@@ -36,9 +42,11 @@ pub enum LocatorError {
 /// A locator to dial.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConnectLocator {
-    /// The robot.
-    pub peer: String,
-    /// The endpoint of its Bluetooth path.
+    /// The robot; `None` if only its address is known.
+    pub peer: Option<String>,
+    /// `address=`: a host and the port on which the robot accepts further paths. It is dialled before Bluetooth.
+    pub address: Option<String>,
+    /// The endpoint of its Bluetooth path, of which the address is to be replaced if [`Self::peer`] is `None`.
     pub ble: EndPoint,
 }
 
@@ -61,26 +69,43 @@ impl ConnectLocator {
     /// # Errors
     /// Fails if the endpoint has an option that belongs to a listener.
     pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
-        for option in OPTIONS {
-            if endpoint.config().get(option).is_some() {
-                return Err(LocatorError::NotForDial(option));
-            }
+        let config = endpoint.config();
+        let for_listener = LISTEN_OPTIONS.iter();
+        let unfit = for_listener
+            .copied()
+            .find(|name| config.get(name).is_some());
+        if let Some(option) = unfit {
+            return Err(LocatorError::NotForDial(option));
         }
-        Ok(Self {
-            peer: endpoint.address().as_str().to_owned(),
-            ble: ble(endpoint)?,
-        })
+        let target = endpoint.address().as_str().to_owned();
+        let ble = bluetooth(endpoint, &target, &[ADDRESS])?;
+        if is_host_with_port(&target) {
+            return Ok(Self {
+                peer: None,
+                address: Some(target),
+                ble,
+            });
+        }
+        let address = config.get(ADDRESS).map(str::to_owned);
+        match address.filter(|address| !is_host_with_port(address)) {
+            Some(invalid) => Err(LocatorError::Address(invalid)),
+            None => Ok(Self {
+                peer: Some(target),
+                address: config.get(ADDRESS).map(str::to_owned),
+                ble,
+            }),
+        }
     }
 
     /// Returns the endpoint of the Bluetooth path to a peer that was dialled by this locator, which may stand for any robot of a
-    /// fleet.
+    /// fleet, or for the robot at an address.
     ///
     /// # Errors
     /// Fails if the name is not valid in a locator.
     pub fn to(&self, peer: &str) -> Result<EndPoint, LocatorError> {
-        match self.peer == ANY_ROBOT {
-            true => bluetooth(&self.ble, peer, &["fleet"]),
-            false => Ok(self.ble.clone()),
+        match self.peer.as_deref() {
+            Some(ANY_ROBOT) | None => bluetooth(&self.ble, peer, &["fleet"]),
+            Some(_) => Ok(self.ble.clone()),
         }
     }
 }
@@ -92,25 +117,34 @@ impl ListenLocator {
     /// Fails if an option of this crate is invalid.
     pub fn parse(endpoint: &EndPoint) -> Result<Self, LocatorError> {
         let config = endpoint.config();
+        if config.get(ADDRESS).is_some() {
+            return Err(LocatorError::NotForListen(ADDRESS));
+        }
         let port = config.get("port").map(|text| {
             let port = text.parse().ok().filter(|port| *port > 0);
             port.ok_or_else(|| LocatorError::Port(text.to_owned()))
         });
         let names = |text: &str| text.split(',').map(str::to_owned).collect();
         Ok(Self {
-            ble: ble(endpoint)?,
+            ble: bluetooth(endpoint, endpoint.address().as_str(), &LISTEN_OPTIONS)?,
             port: port.transpose()?,
             interfaces: config.get("interfaces").map(names),
         })
     }
 }
 
-/// The options of this crate.
-const OPTIONS: [&str; 2] = ["port", "interfaces"];
+/// The options of this crate for a listener, and the one to dial.
+const LISTEN_OPTIONS: [&str; 2] = ["port", "interfaces"];
+const ADDRESS: &str = "address";
 
-/// Returns the `ble/` endpoint with the same address and the options that are not of this crate.
-fn ble(endpoint: &EndPoint) -> Result<EndPoint, LocatorError> {
-    bluetooth(endpoint, endpoint.address().as_str(), &OPTIONS)
+/// Returns whether a text is a host with a port, and not the Bluetooth address or the name of a robot.
+fn is_host_with_port(text: &str) -> bool {
+    let Some((host, port)) = text.rsplit_once(':') else {
+        return false;
+    };
+    let is_ipv6 = host.starts_with('[') && host.ends_with(']');
+    let has_port = port.parse::<u16>().is_ok_and(|port| port > 0);
+    has_port && !host.is_empty() && (is_ipv6 || !host.contains(':'))
 }
 
 /// Returns the `ble/` endpoint with another address, and without some of the options.
@@ -154,12 +188,47 @@ mod tests {
         );
         let parsed = ConnectLocator::parse(&endpoint("any/wombat-2#timeout=3000"));
         let parsed = parsed.expect("valid");
-        assert_eq!(parsed.peer, "wombat-2");
+        assert_eq!(parsed.peer.as_deref(), Some("wombat-2"));
+        assert_eq!(parsed.address, None);
         assert_eq!(parsed.ble, endpoint("ble/wombat-2#timeout=3000"));
         assert_eq!(parsed.to("wombat-2"), Ok(parsed.ble.clone()));
         let fleet = endpoint("any/*#fleet=rect;mtu=500");
         let parsed = ConnectLocator::parse(&fleet).expect("valid");
         assert_eq!(parsed.to("wombat-3"), Ok(endpoint("ble/wombat-3#mtu=500")));
+    }
+
+    #[test]
+    fn a_robot_can_be_given_by_its_address() {
+        for host in ["192.168.7.2:7460", "wombat-2.local:7460", "[fe80::1]:7460"] {
+            let text = format!("any/{host}#secret=/etc/rect/users");
+            let parsed = ConnectLocator::parse(&endpoint(&text)).expect("valid");
+            assert_eq!(
+                (parsed.peer.as_deref(), parsed.address.as_deref()),
+                (None, Some(host))
+            );
+            let ble = endpoint("ble/wombat-2#secret=/etc/rect/users");
+            assert_eq!(parsed.to("wombat-2"), Ok(ble));
+            let text = format!("any/wombat-2#address={host};mtu=500");
+            let parsed = ConnectLocator::parse(&endpoint(&text)).expect("valid");
+            assert_eq!(
+                (parsed.peer.as_deref(), parsed.address.as_deref()),
+                (Some("wombat-2"), Some(host))
+            );
+            assert_eq!(parsed.ble, endpoint("ble/wombat-2#mtu=500"));
+        }
+        let bluetooth = ConnectLocator::parse(&endpoint("any/DC:A6:32:01:02:03")).expect("valid");
+        assert_eq!(bluetooth.address, None);
+        for invalid in [
+            "192.168.7.2",
+            "x:0",
+            "x:70000",
+            ":7460",
+            "DC:A6:32:01:02:03",
+        ] {
+            let text = format!("any/wombat-2#address={invalid}");
+            let parsed = ConnectLocator::parse(&endpoint(&text));
+            assert_eq!(parsed, Err(LocatorError::Address(invalid.to_owned())));
+        }
     }
 
     #[test]
@@ -171,6 +240,10 @@ mod tests {
         assert_eq!(
             ConnectLocator::parse(&endpoint("any/wombat-2#port=1")),
             Err(LocatorError::NotForDial("port"))
+        );
+        assert_eq!(
+            ListenLocator::parse(&endpoint("any/hci0#address=x:1")),
+            Err(LocatorError::NotForListen("address"))
         );
     }
 }

@@ -6,7 +6,7 @@ use snow::{params::NoiseParams, Builder, HandshakeState, StatelessTransportState
 
 const PROTOCOL: &str = "Noise_NNpsk0_25519_ChaChaPoly_SHA256";
 /// The first bytes of a connection, with the version.
-const MAGIC: [u8; 6] = *b"RECTA\x01";
+pub(crate) const MAGIC: [u8; 6] = *b"RECTA\x01";
 /// Size of a message of the handshake, in bytes: a public key of X25519 and a tag.
 pub(crate) const MESSAGE_BYTES: usize = 48;
 /// Size of the dialler's first message, in bytes.

@@ -3,7 +3,7 @@ use std::{io, sync::Arc, time::Duration};
 
 use snow::StatelessTransportState;
 use tokio::{
-    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader, Join},
     net::TcpStream,
     time::Instant,
 };
@@ -130,27 +130,28 @@ fn set_not_sent(socket: &socket2::SockRef<'_>) -> io::Result<()> {
     }
 }
 
+pub(crate) type ReadHalf = Box<dyn AsyncRead + Send + Unpin>;
+pub(crate) type WriteHalf = Box<dyn AsyncWrite + Send + Unpin>;
+
 /// A TCP connection that belongs to a link, with its keys and the number of the next frame in each direction.
 pub(crate) struct Connection {
-    pub(crate) read: Box<dyn AsyncRead + Send + Unpin>,
-    pub(crate) write: Box<dyn AsyncWrite + Send + Unpin>,
-    pub(crate) keys: StatelessTransportState,
-    pub(crate) sent: u64,
-    pub(crate) received: u64,
+    read: ReadHalf,
+    write: WriteHalf,
+    keys: StatelessTransportState,
+    sent: u64,
+    received: u64,
 }
 
 impl Connection {
     /// Creates a connection that this side has dialled. Its confirmation was the first frame.
     pub(crate) fn dialled(
-        (read, write): (
-            impl AsyncRead + Send + Unpin + 'static,
-            impl AsyncWrite + Send + Unpin + 'static,
-        ),
+        stream: Join<ReadHalf, WriteHalf>,
         keys: StatelessTransportState,
     ) -> Self {
+        let (read, write) = stream.into_inner();
         Self {
-            read: Box::new(read),
-            write: Box::new(write),
+            read,
+            write,
             keys,
             sent: 1,
             received: 0,
@@ -159,22 +160,19 @@ impl Connection {
 
     /// Creates a connection that this side has accepted.
     pub(crate) fn accepted(
-        halves: (
-            impl AsyncRead + Send + Unpin + 'static,
-            impl AsyncWrite + Send + Unpin + 'static,
-        ),
+        stream: Join<ReadHalf, WriteHalf>,
         keys: StatelessTransportState,
     ) -> Self {
         Self {
             sent: 0,
             received: 1,
-            ..Self::dialled(halves, keys)
+            ..Self::dialled(stream, keys)
         }
     }
 }
 
 /// Carries frames over a TCP connection until it has ended.
-pub(crate) async fn run_tcp(shared: Arc<Shared>, connection: Connection) {
+pub(crate) async fn run_tcp(shared: Arc<Shared>, connection: Connection, is_proven: bool) {
     let Connection {
         read,
         write,
@@ -182,7 +180,7 @@ pub(crate) async fn run_tcp(shared: Arc<Shared>, connection: Connection) {
         sent,
         received,
     } = connection;
-    let guard = shared.add_path(Medium::Network, MAX_TCP_FRAME, false);
+    let guard = shared.add_path(Medium::Network, MAX_TCP_FRAME, is_proven);
     let reason = tokio::select! {
         error = send_tcp(&guard, write, &keys, sent) => error.to_string(),
         error = receive_tcp(&guard, read, &keys, received) => error.to_string(),
@@ -202,8 +200,16 @@ async fn send_tcp(
     mut number: u64,
 ) -> io::Error {
     let (mut frame, mut sealed) = (Vec::new(), Vec::with_capacity(WRITE_BYTES));
+    let mut offer = guard.shared.own_offer();
+    offer.mark_changed();
     loop {
-        let next = (guard.shared).next_frame(guard.id, Lane::last(), &mut frame);
+        let next = if offer.has_changed().unwrap_or(false) {
+            frame.clear();
+            Frame::Offer(&offer.borrow_and_update()).encode(&mut frame);
+            Next::Frame(Lane::last())
+        } else {
+            (guard.shared).next_frame(guard.id, Lane::last(), &mut frame)
+        };
         if let Next::Frame(_) = next {
             if let Err(error) = seal(keys, number, &frame, &mut sealed) {
                 return error;
@@ -221,9 +227,11 @@ async fn send_tcp(
             continue;
         }
         if let Next::Wait(until) = next {
+            let offered = async { drop(offer.changed().await) };
             tokio::select! {
                 () = guard.task.waker.notified() => {}
                 () = sleep_until(until) => {}
+                () = offered => offer.mark_changed(),
             }
         }
     }

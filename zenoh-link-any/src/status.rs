@@ -8,6 +8,8 @@ use crate::{hub::Hub, multipath::PathReport};
 pub struct LinkStatus {
     /// The peer.
     pub peer: String,
+    /// The addresses of locators at which the peer has answered.
+    pub addresses: Vec<String>,
     /// How long the link has been open.
     pub up: Duration,
     /// Whether further paths can be added, and all are encrypted.
@@ -24,10 +26,14 @@ pub struct LinkStatus {
 
 /// Returns the state of each link.
 pub fn links() -> Vec<LinkStatus> {
-    let links = Hub::all_links().into_iter();
+    let hubs = Hub::all();
+    let links = hubs
+        .iter()
+        .flat_map(|hub| hub.links().into_iter().map(move |link| (hub, link)));
     links
-        .map(|link| LinkStatus {
+        .map(|(hub, link)| LinkStatus {
             peer: link.peer.clone(),
+            addresses: hub.addresses_of(&link.peer),
             up: link.since.elapsed(),
             is_encrypted: link.proof.is_some(),
             paths: link.paths(),

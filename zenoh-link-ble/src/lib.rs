@@ -31,4 +31,4 @@ pub use error::{BleError, DialStep};
 pub use link::path;
 pub use link::table::LinkCounts;
 pub use locator::BLE_LOCATOR_PREFIX;
-pub use manager::{BleLocatorInspector, LinkManagerUnicastBle};
+pub use manager::{BleLocatorInspector, Identity, LinkManagerUnicastBle};

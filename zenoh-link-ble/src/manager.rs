@@ -22,6 +22,7 @@ use crate::{
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
     protocol::hello::{NodeId, PathOf},
+    protocol::secret::Secret,
     radio::{bluez, sim, Radio, RadioError},
     status,
 };
@@ -43,6 +44,17 @@ impl LocatorInspector for BleLocatorInspector {
     fn is_reliable(&self, _locator: &Locator) -> ZResult<bool> {
         Ok(true)
     }
+}
+
+/// What identifies a node to its peers.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    /// The Zenoh runtime.
+    pub node: NodeId,
+    /// The name of the node's listener, or an empty one.
+    pub name: String,
+    /// The secret of the node's listener.
+    pub secret: Option<Secret>,
 }
 
 /// Dials and accepts `ble` links for one Zenoh runtime.
@@ -120,9 +132,13 @@ impl LinkManagerUnicastBle {
         Ok(DialledPath::Link(LinkUnicast::from(link)))
     }
 
-    /// Returns the name of this node's listener, or an empty one.
-    pub fn name(&self) -> String {
-        self.node.name()
+    /// Returns the identity of this node, which paths over other media share.
+    pub fn identity(&self) -> Identity {
+        Identity {
+            node: self.node.id,
+            name: self.node.name(),
+            secret: self.node.secret(),
+        }
     }
 
     /// Dials a peer. With `path`, the channel becomes a path of that link if the peer knows such links.

@@ -29,22 +29,26 @@ fn adapters() -> Option<(String, String)> {
 }
 
 fn world(a: &str, b: &str) -> World {
+    let (one, both) = (a.to_owned(), [a.to_owned(), b.to_owned()]);
     World {
         a: bluez::radio(Some(a)).expect("opens"),
         b: bluez::radio(Some(b)).expect("opens"),
-        lose_links: lose_links_of(a.to_owned()),
+        lose_links: Box::new(move || run("room", &["drop", &one])),
+        set_pace: Box::new(move |bytes_per_s| {
+            for adapter in &both {
+                run("room", &["pace", adapter, &bytes_per_s.to_string()]);
+            }
+        }),
     }
 }
 
-/// Uses the emulated radio of the VM (`tests/vm/guest/room`).
-fn lose_links_of(adapter: String) -> Box<dyn Fn() + Send + Sync> {
-    Box::new(move || {
-        let dropped = Command::new("room").args(["drop", &adapter]).output();
-        assert!(
-            dropped.is_ok_and(|done| done.status.success()),
-            "room drop {adapter}"
-        );
-    })
+/// Runs a program of the VM (`tests/vm/guest`).
+fn run(program: &str, arguments: &[&str]) {
+    let done = Command::new(program).args(arguments).status();
+    assert!(
+        done.is_ok_and(|status| status.success()),
+        "{program} {arguments:?}"
+    );
 }
 
 /// Waits until the advertisements and scans of the test have ended. The crate bluer ends them in tasks. If the runtime

@@ -19,6 +19,7 @@ async fn world(condition: Condition) -> World {
         a: air.radio("sim-a").await.expect("attaches"),
         b: air.radio("sim-b").await.expect("attaches"),
         lose_links: Box::new(move || air.cut()),
+        set_pace: Box::new(|_| ()),
     }
 }
 

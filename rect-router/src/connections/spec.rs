@@ -79,7 +79,8 @@ impl Spec {
         check_name(&raw.name)?;
         check_method(&raw.method)?;
         let method = raw.method.as_str();
-        let has_port = WITH_PORT.contains(&method);
+        // The robot of an `any` connection may be given by its address.
+        let has_port = WITH_PORT.contains(&method) || (method == ANY && raw.port.is_some());
         if raw.psm.is_some() && !has_radio(method) {
             return Err(SpecError::field(
                 "psm",
@@ -88,7 +89,6 @@ impl Spec {
         }
         if raw.port.is_some() && !has_port {
             let advice = match method {
-                ANY => "; the robots exchange it over Bluetooth",
                 BLE => "; ble has a psm",
                 _ => "",
             };
@@ -118,10 +118,7 @@ impl Spec {
         }
         let endpoint = endpoint(method, &address, &options)?;
         if has_radio(method) {
-            let any = AnyConnectLocator::parse(&endpoint).map_err(|error| error.to_string());
-            let radio = any
-                .and_then(|any| ConnectLocator::parse(&any.ble).map_err(|error| error.to_string()));
-            radio.map_err(|problem| SpecError {
+            check_radio(&endpoint).map_err(|problem| SpecError {
                 field: None,
                 problem,
             })?;
@@ -143,6 +140,18 @@ impl Spec {
     pub fn target(&self) -> String {
         self.endpoint.to_locator().to_string()
     }
+}
+
+/// Checks the options of a connection that uses Bluetooth.
+fn check_radio(endpoint: &EndPoint) -> Result<(), String> {
+    let any = AnyConnectLocator::parse(endpoint).map_err(|error| error.to_string())?;
+    let bluetooth = match &any.peer {
+        Some(_) => Ok(any.ble.clone()),
+        // Its name becomes known when it answers.
+        None => any.to("robot").map_err(|error| error.to_string()),
+    };
+    ConnectLocator::parse(&bluetooth?).map_err(|error| error.to_string())?;
+    Ok(())
 }
 
 fn check_name(name: &str) -> Result<(), SpecError> {
@@ -249,6 +258,9 @@ mod tests {
         assert_eq!(endpoint_of(tcp("fe80::1")), "tcp/[fe80::1]:7447");
         assert_eq!(endpoint_of(tcp("[fe80::1]")), "tcp/[fe80::1]:7447");
         assert_eq!(endpoint_of(raw("ble", "wombat-2", None)), "ble/wombat-2");
+        assert_eq!(endpoint_of(raw("any", "wombat-2", None)), "any/wombat-2");
+        let by_address = raw("any", "192.168.1.5", Some(7460));
+        assert_eq!(endpoint_of(by_address), "any/192.168.1.5:7460");
         let socket = raw("unixsock-stream", "/run/rect/a.sock", None);
         assert_eq!(endpoint_of(socket), "unixsock-stream//run/rect/a.sock");
     }
@@ -293,6 +305,9 @@ mod tests {
         }
         let adapter = error_of(raw("ble", "hci0", None));
         assert!(adapter.problem.contains("adapter"), "{adapter}");
+        let mut without_port = raw("any", "wombat-2", None);
+        (without_port.options).insert("address".into(), "192.168.1.5".into());
+        assert!(error_of(without_port).problem.contains("its port"));
         let mut option = raw("ble", "wombat-2", None);
         option.options.insert("speed".into(), "1".into());
         assert!(error_of(option).problem.contains("speed"));

@@ -121,7 +121,11 @@ impl Radio {
         let is_name = || {
             has_radio(link.dst().protocol().as_str()) && link.dst().address().as_str() == address
         };
-        has_radio(endpoint.protocol().as_str()) && (is_address || is_name())
+        let is_met = || {
+            let any = self.any(link);
+            any.is_some_and(|any| any.addresses.iter().any(|met| met == address))
+        };
+        has_radio(endpoint.protocol().as_str()) && (is_address || is_name() || is_met())
     }
 
     /// Returns the signal strength of the discovered robot with the name or address `peer`.

@@ -9,8 +9,8 @@ use crate::{
     link::LinkBle,
     protocol::{
         hello::{NodeId, PathOf, Refusal},
+        key_agreement::Exporter,
         lanes::Lane,
-        seal::Derived,
     },
 };
 
@@ -70,9 +70,9 @@ impl BlePath {
         usize::from(self.link.get_mtu())
     }
 
-    /// Derives a key for the use that `label` names; both sides derive the same. Returns `None` if the two have no secret.
-    pub fn exported_key(&self, label: &str) -> Option<Derived> {
-        self.link.exporter().map(|exporter| exporter.key(label))
+    /// Returns what derives keys for other uses. Returns `None` if the two have no secret.
+    pub fn exporter(&self) -> Option<&Exporter> {
+        self.link.exporter()
     }
 
     /// Queues a frame on a lane. Waits while there is no room.

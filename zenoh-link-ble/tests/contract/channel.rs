@@ -6,7 +6,7 @@ use zenoh_link_ble::{
     radio::{ChannelOptions, RadioError, Security},
 };
 
-use super::{advertisement, channel_pair, channel_pair_with, World};
+use super::{advertisement, channel_pair, channel_pair_with, Paced, World};
 use crate::shared::{listener::OPTIONS, peer::within};
 
 pub async fn reports_an_advertisement_unchanged_and_repeatedly(world: World) {
@@ -67,6 +67,39 @@ pub async fn delivers_sdus_of_every_size_in_order_in_both_directions(world: Worl
         })
         .await;
     }
+}
+
+/// A sender that the radio keeps waiting rests. Each K-frame that the radio sends may be a reason to try again.
+pub async fn waiting_for_room_costs_few_attempts(world: World) {
+    const SDUS: u32 = 60;
+    /// Smallest K-frame that a controller may ask for, in bytes.
+    const MIN_FRAME_BYTES: usize = 23;
+    let (near, far, _listener) = channel_pair(&world).await;
+    let _paced = Paced::new(&world, 34_000);
+    let sdu = vec![7; near.send_mtu().min(1000)];
+    let sending = async {
+        let mut attempts = 0_usize;
+        for _ in 0..SDUS {
+            while !near.try_send(&sdu).expect("sends") {
+                attempts += 1;
+                near.writable().await;
+            }
+        }
+        attempts
+    };
+    let receiving = async {
+        let mut buffer = vec![0; 5000];
+        for _ in 0..SDUS {
+            far.recv(&mut buffer).await.expect("receives");
+        }
+    };
+    let (attempts, ()) = within("sending the sdus", async {
+        tokio::join!(sending, receiving)
+    })
+    .await;
+    let frames = SDUS as usize * sdu.len().div_ceil(MIN_FRAME_BYTES);
+    println!("{attempts} attempts for {SDUS} sdus of {} bytes", sdu.len());
+    assert!(attempts <= frames, "{attempts} attempts for {SDUS} sdus");
 }
 
 pub async fn closing_a_channel_ends_the_peers_receive(world: World) {

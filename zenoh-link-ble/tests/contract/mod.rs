@@ -23,6 +23,24 @@ pub struct World {
     pub b: Arc<dyn Radio>,
     /// Drops all connections between them, as if they went out of range, without a message from either side.
     pub lose_links: Box<dyn Fn() + Send + Sync>,
+    /// Limits the rate of both radios, in bytes per second; 0: no limit. The simulated air always has its own rate.
+    pub set_pace: Box<dyn Fn(u32) + Send + Sync>,
+}
+
+/// Limits the rate of both radios of a world while it lives.
+pub struct Paced<'a>(&'a World);
+
+impl<'a> Paced<'a> {
+    pub fn new(world: &'a World, bytes_per_s: u32) -> Self {
+        (world.set_pace)(bytes_per_s);
+        Self(world)
+    }
+}
+
+impl Drop for Paced<'_> {
+    fn drop(&mut self) {
+        (self.0.set_pace)(0);
+    }
 }
 
 /// Returns the advertisement of a test listener.
@@ -75,6 +93,7 @@ macro_rules! for_each_scenario {
             reports_an_advertisement_unchanged_and_repeatedly: channel,
             scan_starts_after_cancelled_scans: channel,
             delivers_sdus_of_every_size_in_order_in_both_directions: channel,
+            waiting_for_room_costs_few_attempts: channel,
             closing_a_channel_ends_the_peers_receive: channel,
             dropping_a_channel_ends_the_peers_receive: channel,
             channel_stays_down_after_repeated_calls: channel,

@@ -1,6 +1,6 @@
 //! Tests pairing with a passkey that both sides know. Runs only on a real Bluetooth stack: the simulated air does not
 //! pair.
-use std::{collections::BTreeMap, fs, path::Path, process::Command};
+use std::{collections::BTreeMap, fs, path::Path};
 
 use zenoh_link_ble::radio::{ChannelOptions, Security};
 
@@ -8,8 +8,9 @@ use crate::{
     contract::{
         advertisement,
         secret::{File, OURS, THEIRS},
-        World,
+        Paced, World,
     },
+    run,
     shared::{
         listener::OPTIONS,
         peer::{assert_delivers, within, Peer},
@@ -20,36 +21,15 @@ use crate::{
 const BONDS: &str = "/var/lib/bluetooth";
 /// Rate of the radios in bytes per second. Both adapters share one bluetoothd, whose agent handles one request at a
 /// time; on a slow radio, the two adapters request the passkey one after the other.
-const PACE: &str = "1500";
+const PACE: u32 = 1500;
 
-fn run(program: &str, arguments: &[&str]) {
-    let done = Command::new(program).args(arguments).status();
-    assert!(
-        done.is_ok_and(|status| status.success()),
-        "{program} {arguments:?}"
-    );
-}
-
-/// Two radios without keys for each other. Their rate is limited until this value is dropped.
-struct UnpairedRadios<'a>(&'a World);
-
-impl<'a> UnpairedRadios<'a> {
-    fn of(world: &'a World) -> Self {
-        for radio in [&world.a, &world.b] {
-            run("adapter", &["forget", radio.name()]);
-            run("room", &["pace", radio.name(), PACE]);
-        }
-        assert!(keys().is_empty(), "{:?}", keys().keys());
-        Self(world)
+/// Removes the keys that the two radios have for each other, and limits their rate until the returned value is dropped.
+fn unpaired(world: &World) -> Paced<'_> {
+    for radio in [&world.a, &world.b] {
+        run("adapter", &["forget", radio.name()]);
     }
-}
-
-impl Drop for UnpairedRadios<'_> {
-    fn drop(&mut self) {
-        for radio in [&self.0.a, &self.0.b] {
-            run("room", &["pace", radio.name(), "0"]);
-        }
-    }
+    assert!(keys().is_empty(), "{:?}", keys().keys());
+    Paced::new(world, PACE)
 }
 
 /// Returns the keys of all paired devices, by the file that contains them.
@@ -89,7 +69,7 @@ async fn channel_with(world: &World, passkeys: [u32; 2]) -> bool {
 }
 
 pub async fn refuses_a_wrong_passkey_and_pairs_with_the_right_one(world: World) {
-    let _unpaired = UnpairedRadios::of(&world);
+    let _unpaired = unpaired(&world);
     assert!(!channel_with(&world, [123_456, 123_457]).await);
     assert!(
         keys().is_empty(),
@@ -100,7 +80,7 @@ pub async fn refuses_a_wrong_passkey_and_pairs_with_the_right_one(world: World) 
 }
 
 pub async fn pairs_once_with_a_shared_secret_and_reconnects(world: World) {
-    let _unpaired = UnpairedRadios::of(&world);
+    let _unpaired = unpaired(&world);
     let file = File::with(OURS);
     let listener = format!("name=wombat-2;sec=high;{}", file.option());
     let b = Peer::on(&world.b).listen_as(&listener).await;
@@ -127,7 +107,7 @@ pub async fn pairs_once_with_a_shared_secret_and_reconnects(world: World) {
 }
 
 pub async fn does_not_pair_with_a_different_secret(world: World) {
-    let _unpaired = UnpairedRadios::of(&world);
+    let _unpaired = unpaired(&world);
     let (ours, theirs) = (File::with(OURS), File::with(THEIRS));
     let listener = format!("name=wombat-2;sec=high;{}", ours.option());
     let b = Peer::on(&world.b).listen_as(&listener).await;

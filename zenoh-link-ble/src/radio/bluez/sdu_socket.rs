@@ -44,7 +44,9 @@ impl SduSocket {
             // Without SIGPIPE: the process that loads the plugin does not necessarily ignore that signal.
             let sent = check_hung_up(socket, socket.send_with_flags(sdu, libc::MSG_NOSIGNAL));
             match &sent {
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock && is_empty(socket) => {
+                Err(error)
+                    if error.kind() == io::ErrorKind::WouldBlock && unsent_bytes(socket) == 0 =>
+                {
                     // Retry once before growing the buffer: its last bytes may have been sent just now.
                     if was_empty {
                         socket.set_send_buffer_size(socket.send_buffer_size()?)?;
@@ -57,10 +59,21 @@ impl SduSocket {
         self.0.try_io(Interest::WRITABLE, send)
     }
 
-    /// Waits until the socket may have room again.
+    /// Waits until the socket has more room than now, or none of its data is unsent, or the connection was hung up.
+    ///
+    /// An event of the system is not enough. An attempt to send an SDU of several K-frames, of which only the first ones
+    /// have room, returns their space, and that is an event too: a sender that tries again for each event never rests.
     pub(super) async fn writable(&self) {
+        let socket = self.0.get_ref();
+        let unsent_before = unsent_bytes(socket);
         // Fails only when the runtime shuts down.
-        let _ = self.0.ready(Interest::WRITABLE).await;
+        while let Ok(mut event) = self.0.ready(Interest::WRITABLE).await {
+            let unsent = unsent_bytes(socket);
+            if unsent == 0 || unsent < unsent_before || is_hung_up(socket) {
+                return;
+            }
+            event.clear_ready();
+        }
     }
 
     /// Requests a large receive buffer and returns its actual size, in bytes.
@@ -97,23 +110,24 @@ fn check_hung_up(socket: &Socket, result: io::Result<usize>) -> io::Result<usize
     }
 }
 
-/// Returns whether the send buffer is empty. (For a Bluetooth socket, TIOCOUTQ returns the free space.)
-fn is_empty(socket: &Socket) -> bool {
+/// Returns the size of the send buffer's content, in bytes as the system counts them; 0 if the system does not tell. (For
+/// a Bluetooth socket, TIOCOUTQ returns the free space.)
+fn unsent_bytes(socket: &Socket) -> u32 {
     /// Index of the number of bytes in the send buffer within `SO_MEMINFO` (include/uapi/linux/sock_diag.h).
     const SK_MEMINFO_WMEM_ALLOC: usize = 2;
     let mut meminfo = [0_u32; SK_MEMINFO_WMEM_ALLOC + 1];
     let mut size = size_of_val(&meminfo) as libc::socklen_t;
     // SAFETY: the system writes at most `size` bytes into `meminfo`.
-    let result = unsafe {
+    unsafe {
         libc::getsockopt(
             socket.as_raw_fd(),
             libc::SOL_SOCKET,
             libc::SO_MEMINFO,
             meminfo.as_mut_ptr().cast(),
             &raw mut size,
-        )
-    };
-    result == 0 && meminfo[SK_MEMINFO_WMEM_ALLOC] == 0
+        );
+    }
+    meminfo[SK_MEMINFO_WMEM_ALLOC]
 }
 
 /// Returns whether the connection was hung up.
@@ -168,11 +182,11 @@ mod tests {
     async fn detects_unsent_data_in_the_send_buffer() {
         let (near, far) = Socket::pair(socket2::Domain::UNIX, socket2::Type::SEQPACKET, None)
             .expect("creates a socket pair");
-        assert!(is_empty(&near));
+        assert_eq!(unsent_bytes(&near), 0);
         near.send(b"an sdu").expect("sends");
-        assert!(!is_empty(&near));
+        assert!(unsent_bytes(&near) > 0);
         assert_eq!((&far).read(&mut [0; 100]).expect("receives"), 6);
-        assert!(is_empty(&near));
+        assert_eq!(unsent_bytes(&near), 0);
     }
 
     /// The system does not distinguish the two.
