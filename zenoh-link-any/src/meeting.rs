@@ -19,7 +19,7 @@ const SEAL_BYTES: usize = 16;
 
 /// Two nodes have agreed on a link.
 pub(crate) struct Met {
-    /// What the peer has told about itself.
+    /// The peer's properties.
     pub(crate) peer: Hello,
     /// Derives the keys of the link.
     pub(crate) exporter: Exporter,
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn strangers_and_refusals_are_named_on_both_sides() {
+    async fn rejected_peers_and_refusals_are_named_on_both_sides() {
         for met in meeting(["one", "two"], Ok(hello("wombat-2"))).await {
             assert!(matches!(met, Err(MeetingError::NoSharedSecret)));
         }

@@ -46,7 +46,7 @@ impl LocatorInspector for BleLocatorInspector {
     }
 }
 
-/// What identifies a node to its peers.
+/// The identity of a node for its peers.
 #[derive(Clone, Debug)]
 pub struct Identity {
     /// The Zenoh runtime.

@@ -31,7 +31,7 @@ use crate::{
     shared::Shared,
 };
 
-/// What a link that begins on TCP reports as its own address.
+/// The own address that a link reports which begins on TCP.
 const SOURCE: &str = "tcp";
 /// Number of addresses that are tried of a host with several.
 const MAX_ADDRESSES: usize = 4;
