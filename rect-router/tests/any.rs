@@ -301,6 +301,20 @@ fn link_to_an_address_begins_on_the_network() {
     assert_eq!(restored["linked"], 1, "one link all the time: {restored:#}");
 }
 
+/// Both have the address of the other.
+#[test]
+fn two_robots_that_dial_each_other_by_address_have_one_link() {
+    let world = World::new();
+    world.air.air().cut();
+    let addresses = [free_socket(), free_socket()];
+    let one = world.robot_at(1, &addresses[0], &[&addresses[1]]);
+    let two = world.robot_at(2, &addresses[1], &[&addresses[0]]);
+    let linked = connection(&two, |link| has_paths(link, &["tcp"]));
+    assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
+    assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+    assert!(arrives(&two.session, &one.session, "rect/wombat-2/x"));
+}
+
 #[test]
 fn robots_without_bluetooth_are_linked_by_address() {
     let world = World::new();
@@ -318,6 +332,35 @@ fn robots_without_bluetooth_are_linked_by_address() {
     let linked = connection(&two, |link| has_paths(link, &["tcp"]));
     assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
     assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+}
+
+#[test]
+fn address_of_another_robot_or_team_is_reported() {
+    let world = World::new();
+    world.air.air().cut();
+    let address = free_socket();
+    let _one = world.robot_at(1, &address, &[]);
+    let error_of = |secret: &str, entry: Value| {
+        let secret = world.secret(secret);
+        let listener = format!("any/sim-wombat-2#name=wombat-2;secret={}", secret.display());
+        let two = world.start(2, &listener, &[entry]);
+        let failed = connection(&two, |link| link["failed"].as_u64() > Some(0));
+        assert_ne!(failed["state"], "connected");
+        let error = failed["last_error"]["what"].as_str();
+        error.expect("an error").to_owned()
+    };
+    let options = json!({ "address": address, "timeout": 1000 });
+    let other =
+        json!({ "name": "wombat-1", "method": "any", "address": "wombat-3", "options": options });
+    let other = error_of("team", other);
+    assert!(
+        other.contains("wombat-1 answers there, and not wombat-3"),
+        "{other}"
+    );
+    let other_team = error_of("others", any_to(&address));
+    assert!(other_team.contains("the same secret"), "{other_team}");
+    let nobody = error_of("team", any_to(&free_socket()));
+    assert!(nobody.contains("port="), "{nobody}");
 }
 
 /// Unauthenticated peers hold connections to the port for network paths, and send anything.

@@ -69,8 +69,14 @@ pub enum AnyError {
         error: MeetingError,
     },
     /// A peer was reached neither at its address nor over Bluetooth.
-    #[error("{0}; and over Bluetooth: {1}")]
-    Nowhere(Box<AnyError>, BleError),
+    // Short forms of the text keep its end, and the address is what the user has chosen.
+    #[error("{ble}; and {network}")]
+    Nowhere {
+        /// The reason at the address.
+        network: Box<AnyError>,
+        /// The reason over Bluetooth.
+        ble: BleError,
+    },
     /// The Bluetooth path failed.
     #[error(transparent)]
     Ble(#[from] BleError),

@@ -100,6 +100,11 @@ impl Hub {
         self.links().into_iter().find(|link| link.peer == peer)
     }
 
+    /// Returns the link with a peer. A peer that was restarted is another node: its link has ended.
+    fn existing(&self, peer: &str, node: NodeId) -> Option<Arc<Shared>> {
+        self.link_with(peer).filter(|link| link.node == node)
+    }
+
     /// Opens a link with a peer: at its address if one is given, and otherwise or if that fails over Bluetooth.
     pub(crate) async fn open(
         self: &Arc<Self>,
@@ -120,7 +125,10 @@ impl Hub {
             Err(error @ AnyError::AlreadyLinked(_)) => Err(error),
             Err(error) if locator.peer.is_none() => Err(error),
             Err(error) => match self.open_on_bluetooth(&locator).await {
-                Err(AnyError::Ble(ble)) => Err(AnyError::Nowhere(Box::new(error), ble)),
+                Err(AnyError::Ble(ble)) => {
+                    let network = Box::new(error);
+                    Err(AnyError::Nowhere { network, ble })
+                }
                 opened => opened,
             },
         }
@@ -312,12 +320,8 @@ impl AcceptPaths for Hub {
             let has_link = links.iter().any(|link| link.id == path.link);
             return (!has_link).then_some(Refusal::NoSuchLink);
         }
-        // A peer that was restarted is another node: its link has ended.
-        let is_linked = |link: &Arc<Shared>| link.peer == peer && link.node == node;
-        links
-            .iter()
-            .any(is_linked)
-            .then_some(Refusal::AlreadyLinked)
+        let existing = self.existing(peer, node);
+        existing.map(|_| Refusal::AlreadyLinked)
     }
 
     fn on_path(self: Arc<Self>, path: BlePath) {

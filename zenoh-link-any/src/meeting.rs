@@ -59,7 +59,6 @@ pub(crate) async fn dial(
     secret: &Secret,
     own: Hello,
 ) -> Result<Met, MeetingError> {
-    let path = own.path;
     let (initiator, message) = Initiator::start(secret, &header(VERSION)).map_err(protocol)?;
     let version = VERSION;
     let key = HandshakeMessage::Key(Key { version, message });
@@ -76,7 +75,7 @@ pub(crate) async fn dial(
     send(stream, &sealed_message::seal(&mut keys, &hello)).await?;
     let mut sealed = receive(stream).await?;
     match sealed_message::open(&mut keys, &mut sealed).map_err(protocol)? {
-        HandshakeMessage::Accept(peer) if peer.path == path => Ok(Met {
+        HandshakeMessage::Accept(peer) if peer.path.is_some() => Ok(Met {
             peer,
             exporter: agreed.exporter,
         }),

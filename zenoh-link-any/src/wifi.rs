@@ -228,7 +228,7 @@ impl Shared {
         mut to: impl AsyncWriteExt + Unpin,
     ) -> io::Result<()> {
         let (queue, mut arrivals) = mpsc::channel::<(Instant, Vec<u8>)>(QUEUE_CHUNKS);
-        let send = async {
+        let send = async move {
             loop {
                 let mut chunk = vec![0; CHUNK_BYTES];
                 let size = from.read(&mut chunk).await?;
@@ -260,10 +260,8 @@ impl Shared {
             }
             Ok(())
         };
-        tokio::select! {
-            ended = send => ended,
-            ended = receive => ended,
-        }
+        // What was sent before the end of a connection still arrives.
+        tokio::try_join!(send, receive).map(drop)
     }
 
     /// Reserves the channel for that many bytes, and returns when they have left.

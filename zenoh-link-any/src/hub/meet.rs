@@ -9,7 +9,6 @@ use std::{
 };
 
 use zenoh_link_ble::{
-    path::AcceptPaths,
     protocol::{
         hello::{Hello, PathOf, Refusal, VERSION},
         secret::Secret,
@@ -55,7 +54,11 @@ impl Hub {
         };
         let (at, mut stream) = self.dial(address).await.map_err(|e| failed(e.into()))?;
         let id = random_number();
-        let own = hello(identity, id);
+        let new_link = PathOf {
+            link: id,
+            joins: false,
+        };
+        let own = hello(identity, new_link);
         let met = {
             let _meeting = Meeting::begin(&self.meetings);
             within(meeting::dial(&mut stream, &secret, own)).await
@@ -69,7 +72,9 @@ impl Hub {
             }));
         }
         (self.met.lock()).insert(address.to_owned(), peer.clone());
-        if self.link_with(&peer).is_some() {
+        // The peer names the link that the two have, if there is one.
+        let is_new = met.peer.path == Some(new_link);
+        if !is_new || self.link_with(&peer).is_some() {
             return Err(AnyError::AlreadyLinked(peer));
         }
         let has_name = !met.peer.name.is_empty();
@@ -112,6 +117,13 @@ impl Hub {
         let secret = secret.ok_or(MeetingError::NoSharedSecret)?;
         let decide = |peer: &Hello| self.decide(peer, address, identity);
         let met = within(meeting::accept(&mut stream, &secret, decide)).await?;
+        if self
+            .existing(&name_of(&met.peer, address), met.peer.node)
+            .is_some()
+        {
+            // The peer knows now that the two are linked, and closes the connection.
+            return Ok(());
+        }
         let (peer, node) = (name_of(&met.peer, address), met.peer.node);
         let id = met.peer.path.map_or(0, |path| path.link);
         self.replace(&peer);
@@ -131,8 +143,14 @@ impl Hub {
             return Err(Refusal::Malformed);
         };
         let name = name_of(peer, address);
-        if let Some(refusal) = self.refusal(&name, peer.node, None) {
-            return Err(refusal);
+        if let Some(existing) = self.existing(&name, peer.node) {
+            return Ok(hello(
+                own,
+                PathOf {
+                    link: existing.id,
+                    joins: true,
+                },
+            ));
         }
         // A peer that was restarted is another node, but then the paths of its old link have ended.
         let is_alive = |link: Arc<Shared>| {
@@ -145,7 +163,7 @@ impl Hub {
         if self.meetings.load(Ordering::Relaxed) > 0 && own.node < peer.node {
             return Err(Refusal::Crossing);
         }
-        Ok(hello(own, link))
+        Ok(hello(own, PathOf { link, joins: false }))
     }
 }
 
@@ -165,7 +183,7 @@ impl Drop for Meeting<'_> {
     }
 }
 
-fn hello(own: Identity, link: u64) -> Hello {
+fn hello(own: Identity, path: PathOf) -> Hello {
     Hello {
         version: VERSION,
         node: own.node,
@@ -173,7 +191,7 @@ fn hello(own: Identity, link: u64) -> Hello {
         window: u16::MAX,
         name: own.name,
         intervals: None,
-        path: Some(PathOf { link, joins: false }),
+        path: Some(path),
     }
 }
 

@@ -76,7 +76,7 @@ pub async fn waiting_for_room_costs_few_attempts(world: World) {
     const MIN_FRAME_BYTES: usize = 23;
     let (near, far, _listener) = channel_pair(&world).await;
     let _paced = Paced::new(&world, 34_000);
-    let sdu = vec![7; near.send_mtu().min(1000)];
+    let sdu = vec![7; near.send_mtu().min(2000)];
     let sending = async {
         let mut attempts = 0_usize;
         for _ in 0..SDUS {
