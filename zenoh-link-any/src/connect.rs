@@ -2,23 +2,20 @@
 use std::{future::Future, io, net::SocketAddr, sync::Arc, time::Duration};
 
 use tokio::{
-    io::{join, AsyncReadExt, AsyncWriteExt, Join},
+    io::{join, AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
     time::timeout,
 };
 
 use crate::{
+    connection::{open_next, seal, Connection, Stream},
     proof::{tag_of, Tag, MAGIC, MESSAGE_BYTES, OPENING_BYTES},
-    run::{open_next, prepare, seal, Connection, ReadHalf, WriteHalf},
     shared::Shared,
     wifi,
 };
 
 /// How long a connect, and then the proof, may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
-
-/// A connection, whose halves can be used by two tasks without a lock.
-pub(crate) type Stream = Join<ReadHalf, WriteHalf>;
 
 /// Connects to an address of the peer, and proves that the connection belongs to the link.
 pub(crate) async fn connect(
@@ -34,31 +31,29 @@ pub(crate) async fn connect(
 pub(crate) async fn dial(address: SocketAddr, is_simulated: bool) -> io::Result<Stream> {
     if is_simulated {
         let (read, write) = within(wifi::connect(address)).await?.into_split();
-        return Ok(join(Box::new(read), Box::new(write)));
+        return Ok(Stream {
+            halves: join(Box::new(read), Box::new(write)),
+            local: None,
+        });
     }
     let stream = within(TcpStream::connect(address)).await?;
-    prepare(&stream)?;
-    Ok(halves(stream))
-}
-
-fn halves(stream: TcpStream) -> Stream {
-    let (read, write) = stream.into_split();
-    join(Box::new(read), Box::new(write))
+    Stream::of_tcp(stream)
 }
 
 /// Proves as the dialler of a connection that it belongs to the link.
 pub(crate) async fn prove(shared: &Shared, mut stream: Stream) -> io::Result<Connection> {
     let proof = shared.proof.as_ref().ok_or_else(no_secret)?;
+    let halves = &mut stream.halves;
     let (opening, message) = proof.open().map_err(io::Error::other)?;
     let answered = async {
-        stream.write_all(&message).await?;
+        halves.write_all(&message).await?;
         let mut answer = [0; MESSAGE_BYTES];
-        stream.read_exact(&mut answer).await?;
+        halves.read_exact(&mut answer).await?;
         let keys = opening.finish(&answer).map_err(io::Error::other)?;
         // Only one who has the keys can confirm; the first message may be a repetition.
         let mut confirmation = Vec::new();
         seal(&keys, 0, &[], &mut confirmation)?;
-        stream.write_all(&confirmation).await?;
+        halves.write_all(&confirmation).await?;
         Ok::<_, io::Error>(keys)
     };
     let keys = within(answered).await?;
@@ -71,17 +66,18 @@ pub(crate) async fn accept(
     magic: [u8; MAGIC.len()],
     find: impl FnOnce(Tag) -> Option<Arc<Shared>>,
 ) -> io::Result<(Arc<Shared>, Connection)> {
+    let halves = &mut stream.halves;
     let proven = async {
         let mut opening = [0; OPENING_BYTES];
         let (first, rest) = opening.split_at_mut(magic.len());
         first.copy_from_slice(&magic);
-        stream.read_exact(rest).await?;
+        halves.read_exact(rest).await?;
         let shared = tag_of(&opening).and_then(find).ok_or_else(unknown)?;
         let proof = shared.proof.as_ref().ok_or_else(no_secret)?;
         let (answer, keys) = proof.answer(&opening).map_err(io::Error::other)?;
-        stream.write_all(&answer).await?;
+        halves.write_all(&answer).await?;
         let (mut sealed, mut confirmation) = (Vec::new(), [0; 64]);
-        match open_next(&mut stream, &keys, 0, &mut sealed, &mut confirmation).await? {
+        match open_next(halves, &keys, 0, &mut sealed, &mut confirmation).await? {
             0 => Ok::<_, io::Error>((shared, keys)),
             _ => Err(io::Error::other("it did not confirm its keys")),
         }
@@ -93,7 +89,7 @@ pub(crate) async fn accept(
 /// Verifies that an accepted connection belongs to this link, which was opened on it.
 pub(crate) async fn accept_as(shared: &Arc<Shared>, mut stream: Stream) -> io::Result<Connection> {
     let mut magic = [0; MAGIC.len()];
-    within(stream.read_exact(&mut magic)).await?;
+    within(stream.halves.read_exact(&mut magic)).await?;
     let is_this = |tag: Tag| shared.proof.as_ref().is_some_and(|proof| proof.tag == tag);
     let find = |tag: Tag| is_this(tag).then(|| Arc::clone(shared));
     let (_, connection) = accept(stream, magic, find).await?;
@@ -102,10 +98,9 @@ pub(crate) async fn accept_as(shared: &Arc<Shared>, mut stream: Stream) -> io::R
 
 /// Receives the first bytes of an accepted connection, which tell what it is for.
 pub(crate) async fn receive_magic(stream: TcpStream) -> io::Result<(Stream, [u8; MAGIC.len()])> {
-    prepare(&stream)?;
-    let mut stream = halves(stream);
+    let mut stream = Stream::of_tcp(stream)?;
     let mut magic = [0; MAGIC.len()];
-    within(stream.read_exact(&mut magic)).await?;
+    within(stream.halves.read_exact(&mut magic)).await?;
     Ok((stream, magic))
 }
 

@@ -272,6 +272,7 @@ impl Hub {
         }
         while !shared.has_ended() {
             let changed = shared.paths_changed.notified();
+            let networks_changed = shared.networks_changed.notified();
             shared.offer(self.offer());
             let mut addresses = self.reachable(&offered.borrow_and_update());
             addresses.extend(known.filter(|known| !addresses.contains(known)));
@@ -289,20 +290,18 @@ impl Hub {
                     shared.end_spare_paths();
                 }
             }
+            // Without a network path, this side tries again; with one, it looks for other addresses now and then.
+            let pause = if needs_network { retry } else { RETRY.1 };
+            retry = (retry * 2).min(RETRY.1);
             let waits = async {
-                let new_offer = async { drop(offered.changed().await) };
-                // Without a network path, this side tries again; with one, it looks for other addresses now and then.
-                let pause = if needs_network { retry } else { RETRY.1 };
                 tokio::select! {
-                    () = new_offer => {}
+                    _ = offered.changed() => {}
                     () = changed, if !needs_network => {}
+                    () = networks_changed => retry = RETRY.0,
                     () = tokio::time::sleep(pause) => {}
                 }
             };
             shared.unless_ended(waits).await;
-            if needs_network {
-                retry = (retry * 2).min(RETRY.1);
-            }
         }
     }
 

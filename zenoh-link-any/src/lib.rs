@@ -5,6 +5,7 @@
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used))]
 pub mod batch_length;
 mod connect;
+mod connection;
 mod error;
 pub mod frame;
 mod hub;
@@ -14,6 +15,7 @@ pub mod locator;
 mod manager;
 mod meeting;
 pub mod multipath;
+mod network_events;
 mod networks;
 pub mod offer;
 mod out_lane;

@@ -33,9 +33,18 @@ pub(crate) fn reachable(offered: &[SocketAddr], interfaces: Option<&[String]>) -
         .collect()
 }
 
-fn used(interfaces: Option<&[String]>) -> impl Iterator<Item = Interface> + '_ {
+/// Returns all addresses of interfaces that are up.
+pub(crate) fn working_addresses() -> Vec<IpAddr> {
+    working().map(|interface| interface.ip()).collect()
+}
+
+fn working() -> impl Iterator<Item = Interface> {
     let all = if_addrs::get_if_addrs().unwrap_or_default();
-    all.into_iter().filter(move |interface| match interfaces {
+    all.into_iter().filter(Interface::is_oper_up)
+}
+
+fn used(interfaces: Option<&[String]>) -> impl Iterator<Item = Interface> + '_ {
+    working().filter(move |interface| match interfaces {
         Some(names) => names.contains(&interface.name),
         None => !interface.is_loopback(),
     })

@@ -1,5 +1,11 @@
 //! The state of one link, which Zenoh and the tasks of its paths share.
-use std::{collections::HashMap, future::Future, net::SocketAddr, sync::Arc, time::Duration};
+use std::{
+    collections::HashMap,
+    future::Future,
+    net::{IpAddr, SocketAddr},
+    sync::Arc,
+    time::Duration,
+};
 
 use parking_lot::Mutex;
 use tokio::{
@@ -43,6 +49,8 @@ pub(crate) struct Shared {
     offered: watch::Sender<Vec<SocketAddr>>,
     /// Notified whenever a path is added or removed, or may have become suspect.
     pub(crate) paths_changed: Notify,
+    /// Notified whenever the network interfaces of this computer have changed.
+    pub(crate) networks_changed: Notify,
     ended: CancellationToken,
 }
 
@@ -62,6 +70,10 @@ pub(crate) struct Task {
     pub(crate) waker: Arc<Notify>,
     /// Cancelled when the path is not needed any more.
     pub(crate) end: CancellationToken,
+    /// Cancelled when this side has lost the network of the path.
+    pub(crate) network_lost: CancellationToken,
+    /// The path's address on this side, if it has one.
+    local: Option<IpAddr>,
 }
 
 /// One path of a link. Dropping it removes the path.
@@ -108,6 +120,7 @@ impl Shared {
             own_offer: watch::Sender::new(Vec::new()),
             offered: watch::Sender::new(Vec::new()),
             paths_changed: Notify::new(),
+            networks_changed: Notify::new(),
             ended: CancellationToken::new(),
         })
     }
@@ -118,8 +131,12 @@ impl Shared {
         medium: Medium,
         max_frame: usize,
         is_proven: bool,
+        local: Option<IpAddr>,
     ) -> PathGuard {
-        let task = Task::default();
+        let task = Task {
+            local,
+            ..Task::default()
+        };
         let mut state = self.state.lock();
         let now = Instant::now().into_std();
         let id = (state.multipath).add_path(medium, max_frame, is_proven, now);
@@ -151,6 +168,18 @@ impl Shared {
         for task in spare.filter_map(|(id, _)| state.tasks.get(id)) {
             task.end.cancel();
         }
+    }
+
+    /// Ends the paths whose own address works no more. `working` are the addresses of interfaces that are up.
+    pub(crate) fn on_networks_changed(&self, working: &[IpAddr]) {
+        let state = self.state.lock();
+        for task in state.tasks.values() {
+            if task.local.is_some_and(|local| !working.contains(&local)) {
+                task.network_lost.cancel();
+            }
+        }
+        drop(state);
+        self.networks_changed.notify_waiters();
     }
 
     /// Returns whether the link has a Bluetooth path.

@@ -260,7 +260,7 @@ impl Shared {
             }
             Ok(())
         };
-        // What was sent before the end of a connection still arrives.
+        // The bytes that were sent before the end of a connection still arrive.
         tokio::try_join!(send, receive).map(drop)
     }
 

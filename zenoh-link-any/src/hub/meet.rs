@@ -19,7 +19,8 @@ use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
 use super::{random_number, Hub};
 use crate::{
-    connect::{self, within, Stream},
+    connect::{self, within},
+    connection::Stream,
     error::AnyError,
     locator::ConnectLocator,
     meeting::{self, MeetingError},
@@ -61,7 +62,7 @@ impl Hub {
         let own = hello(identity, new_link);
         let met = {
             let _meeting = Meeting::begin(&self.meetings);
-            within(meeting::dial(&mut stream, &secret, own)).await
+            within(meeting::dial(&mut stream.halves, &secret, own)).await
         };
         let met = met.map_err(failed)?;
         let peer = name_of(&met.peer, at);
@@ -116,7 +117,7 @@ impl Hub {
         let secret = identity.secret.clone();
         let secret = secret.ok_or(MeetingError::NoSharedSecret)?;
         let decide = |peer: &Hello| self.decide(peer, address, identity);
-        let met = within(meeting::accept(&mut stream, &secret, decide)).await?;
+        let met = within(meeting::accept(&mut stream.halves, &secret, decide)).await?;
         if self
             .existing(&name_of(&met.peer, address), met.peer.node)
             .is_some()

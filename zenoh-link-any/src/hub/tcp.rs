@@ -1,5 +1,5 @@
 //! The TCP side of a hub: its listener, the addresses that it offers, and those that it dials.
-use std::{collections::VecDeque, net::SocketAddr, sync::Arc};
+use std::{collections::VecDeque, convert::Infallible, io, net::SocketAddr, sync::Arc};
 
 use tokio::net::{TcpListener, TcpStream};
 use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
@@ -7,11 +7,13 @@ use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use super::{Hub, RETRY};
 use crate::{
     connect,
+    connection::Connection,
     error::AnyError,
     meeting::{self, MeetingError},
+    network_events::NetworkEvents,
     networks, offer,
     proof::{Role, Tag},
-    run::{self, Connection},
+    run,
     shared::Shared,
     wifi,
 };
@@ -26,6 +28,7 @@ pub(super) struct Tcp {
     /// Whether connections run through the simulated Wi-Fi.
     is_simulated: bool,
     _accepting: AbortOnDropHandle<()>,
+    _watching: AbortOnDropHandle<()>,
 }
 
 impl Hub {
@@ -101,13 +104,32 @@ impl Hub {
         });
         let (listener, port) = with_port.map_err(|error| AnyError::Listen { port, error })?;
         let accepting = self.runtime.spawn(Arc::clone(self).accept(listener));
+        let watching = self.runtime.spawn(Arc::clone(self).watch_networks());
         *self.tcp.lock() = Some(Tcp {
             port,
             interfaces,
             is_simulated,
             _accepting: AbortOnDropHandle::new(accepting),
+            _watching: AbortOnDropHandle::new(watching),
         });
         Ok(())
+    }
+
+    /// Reports changes of this computer's networks to the links. Without the kernel's notifications, silence tells the same later.
+    async fn watch_networks(self: Arc<Self>) {
+        let watching = async {
+            let events = NetworkEvents::open()?;
+            loop {
+                events.next().await?;
+                let working = networks::working_addresses();
+                for link in self.links() {
+                    link.on_networks_changed(&working);
+                }
+            }
+        };
+        let failed: io::Result<Infallible> = watching.await;
+        let Err(error) = failed;
+        tracing::debug!("any: changes of the network are not reported: {error}");
     }
 
     async fn accept(self: Arc<Self>, listener: TcpListener) {
