@@ -50,10 +50,17 @@ def exchange(here: zenoh.Session, there: zenoh.Session) -> None:
 def fresh_bluetooth():
     """Resets the kernel and bluetoothd before each scenario.
 
-    A router that is killed during a scan can leave either of them at "operation in progress".
+    A router that is killed during a scan can leave either of them at "operation in progress". Kernels since 6.12 keep
+    the number of an adapter that was unplugged as long as a program uses it.
     """
     guest("bluetoothd", "stop")
     adapters = guest("adapter", "list").split()
+    numbers = [f"hci{n}" for n in range(len(adapters))]
+    for renumbered in set(adapters) - set(numbers):
+        guest("room", "remove", renumbered)
+        guest("room", "add")
+    adapters = guest("adapter", "list").split()
+    assert adapters == numbers
     for adapter in adapters:
         guest("hciconfig", adapter, "down")
     guest("bluetoothd", "start")

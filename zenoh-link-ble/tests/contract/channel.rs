@@ -74,7 +74,12 @@ pub async fn waiting_for_room_costs_few_attempts(world: World) {
     const SDUS: usize = 60;
     /// An SDU of 2000 bytes is about that many K-frames.
     const MAX_ATTEMPTS: usize = 10 * SDUS;
-    let (near, far, _listener) = channel_pair(&world).await;
+    // The limit of a link. With a smaller one, kernel 5.10 grants too few credits.
+    let options = ChannelOptions {
+        recv_mtu: 16_384,
+        ..OPTIONS
+    };
+    let (near, far, _listener) = channel_pair_with(&world, options).await;
     let _paced = Paced::new(&world, 34_000);
     let sdu = vec![7; near.send_mtu().min(2000)];
     let sending = async {

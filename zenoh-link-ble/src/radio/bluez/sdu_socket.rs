@@ -6,6 +6,7 @@ use std::{
     io::{self, Read},
     net::Shutdown,
     os::fd::{AsRawFd, BorrowedFd},
+    time::Duration,
 };
 
 use socket2::Socket;
@@ -17,6 +18,9 @@ const RECEIVE_BUFFER_BYTES: usize = 1 << 20;
 /// further, because data in it cannot be overtaken by more urgent data. The space that an SDU needs depends on the size
 /// of the peer's K-frames.
 const MIN_SEND_BUFFER_BYTES: usize = 4608;
+
+/// How long a sender waits for an event before it tries again. At 100 kB/s, a radio sends half a send buffer in 40 ms.
+const RETRY: Duration = Duration::from_millis(40);
 
 /// A connected L2CAP socket.
 pub(super) struct SduSocket(AsyncFd<Socket>);
@@ -59,21 +63,25 @@ impl SduSocket {
         self.0.try_io(Interest::WRITABLE, send)
     }
 
-    /// Waits until the socket has more room than now, or none of its data is unsent, or the connection was hung up.
+    /// Waits until the socket has more room than now, or the connection was hung up, but at most [`RETRY`].
     ///
     /// An event of the system is not enough. An attempt to send an SDU of several K-frames, of which only the first ones
     /// have room, returns their space, and that is an event too: a sender that tries again for each event never rests.
+    /// Nor does each change cause an event: the room may have grown before this wait began.
     pub(super) async fn writable(&self) {
         let socket = self.0.get_ref();
         let unsent_before = unsent_bytes(socket);
-        // Fails only when the runtime shuts down.
-        while let Ok(mut event) = self.0.ready(Interest::WRITABLE).await {
-            let unsent = unsent_bytes(socket);
-            if unsent == 0 || unsent < unsent_before || is_hung_up(socket) {
-                return;
+        let has_more_room = async {
+            // Fails only when the runtime shuts down.
+            while let Ok(mut event) = self.0.ready(Interest::WRITABLE).await {
+                let unsent = unsent_bytes(socket);
+                if unsent == 0 || unsent < unsent_before || is_hung_up(socket) {
+                    return;
+                }
+                event.clear_ready();
             }
-            event.clear_ready();
-        }
+        };
+        let _ = tokio::time::timeout(RETRY, has_more_room).await;
     }
 
     /// Requests a large receive buffer and returns its actual size, in bytes.
