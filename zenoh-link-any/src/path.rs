@@ -412,3 +412,6 @@ impl Path {
         self.is_close_sent
     }
 }
+
+#[cfg(test)]
+mod states;
