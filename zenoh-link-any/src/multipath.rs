@@ -5,6 +5,9 @@
 //! ```text
 //! push(lane, batch) -> OutLane -> next_frame(path) -> path -> on_frame(path) -> InLane -> take(lane)
 //! ```
+mod options;
+mod outcome;
+
 use std::{
     collections::BTreeMap,
     ops::Range,
@@ -19,13 +22,16 @@ use zenoh_link_ble::protocol::lanes::{
 };
 
 use crate::{
-    frame::{self, Frame, FrameError, DATA_HEAD_BYTES},
-    in_lane::{InLane, LaneError},
+    frame::{self, Frame, DATA_HEAD_BYTES},
+    in_lane::InLane,
     out_lane::OutLane,
-    path::{AckError, Medium, Path, PathState},
+    path::{Medium, Path},
 };
 
-pub use zenoh_link_ble::protocol::lanes::scheduler::Bounds;
+pub use self::{
+    options::{Bounds, Options},
+    outcome::{Change, End, PathReport, Violation},
+};
 
 /// The least urgent lane whose small batches every live path carries: Zenoh's `InteractiveHigh`. Declarations travel as
 /// `Control`, and therefore on every path as well: they are few, and everything else waits for them.
@@ -44,94 +50,6 @@ const BETTER_FOR: Duration = Duration::from_millis(300);
 /// A path of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PathId(pub u32);
-
-/// The settings of a link. Both sides use the same largest batch.
-#[derive(Clone, Copy, Debug)]
-pub struct Options {
-    /// The largest batch, in bytes.
-    pub max_batch: usize,
-    /// The limits of what may wait.
-    pub bounds: Bounds,
-    /// How long the link stays open without a path that works.
-    pub lease: Duration,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            max_batch: 8_192,
-            bounds: Bounds {
-                bytes: 16 << 20,
-                backlog: Duration::from_millis(2500),
-                droppable: Duration::from_millis(100),
-            },
-            lease: Duration::from_secs(10),
-        }
-    }
-}
-
-/// Why a link has ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum End {
-    /// No path has worked for the lease.
-    #[error("no path to the peer has worked for {0:?}")]
-    NoPath(Duration),
-    /// The peer has ended the link.
-    #[error("the peer has ended the link (reason {0})")]
-    ClosedByPeer(u8),
-    /// This side has ended the link, and has notified the peer.
-    #[error("closed by this side")]
-    Closed,
-}
-
-/// A violation of the protocol by the peer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Violation {
-    /// The frame is malformed. It ends the path.
-    #[error(transparent)]
-    Frame(#[from] FrameError),
-    /// The acknowledgement is wrong. It ends the path.
-    #[error(transparent)]
-    Ack(#[from] AckError),
-    /// The bytes of a lane are wrong. It ends the link.
-    #[error("lane {}: {error}", .lane.number())]
-    Lane {
-        /// The lane.
-        lane: Lane,
-        /// The violation.
-        error: LaneError,
-    },
-}
-
-/// The effect of a received frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Change {
-    /// Nothing for the program.
-    Nothing,
-    /// A batch can be taken from that lane.
-    Batch(Lane),
-    /// There is more room, or another path to use.
-    Credits,
-}
-
-/// The state of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PathReport {
-    /// Its medium.
-    pub medium: Medium,
-    /// Whether it is used.
-    pub state: PathState,
-    /// Whether it carries the bulk.
-    pub is_primary: bool,
-    /// The rate, measured or assumed, in bytes per second.
-    pub rate_bytes_per_s: f64,
-    /// The mean round trip, if it was measured.
-    pub round_trip: Option<Duration>,
-    /// Number of bytes sent.
-    pub sent_bytes: u64,
-    /// Number of bytes among them that another path had carried before.
-    pub resent_bytes: u64,
-}
 
 /// A link over several paths.
 #[derive(Debug)]

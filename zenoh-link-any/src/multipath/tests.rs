@@ -10,6 +10,7 @@ use super::{
     simulation::{Conversation, World, BLUETOOTH, NETWORK},
     *,
 };
+use crate::path::AckError;
 
 const MS: Duration = Duration::from_millis(1);
 const DATA: u8 = 5;
