@@ -32,7 +32,9 @@ pub use error::Error;
 pub use session::*;
 
 pub use crate::core::{
-    connection::{Connection, ConnectionState, Event, Link, LinkPath, LinkPathState},
+    connection::{
+        Connection, ConnectionState, Event, Link, LinkPath, LinkPathState, PathSwitch, SwitchReason,
+    },
     counters::Counters,
     encoding::Encoding,
     message::Message,

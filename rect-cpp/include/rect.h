@@ -114,6 +114,8 @@ typedef enum rect_event_kind {
     RECT_EVENT_KIND_ROUTER_UP = 4,
     // The router of this program became unreachable.
     RECT_EVENT_KIND_ROUTER_DOWN = 5,
+    // Another path carries the bulk of a link whose method is `any`.
+    RECT_EVENT_KIND_PATH_SWITCHED = 6,
 } rect_event_kind;
 
 // The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
@@ -298,6 +300,12 @@ typedef struct rect_connection {
     struct rect_text path;
     // For the method `any`, how often that path has changed.
     int64_t switches;
+    // Why it has changed last: `ended`, `silent` or `faster`. Empty if it has not.
+    struct rect_text last_switch_reason;
+    // How long data had waited when another path took it over, in milliseconds.
+    double last_switch_gap_ms;
+    // Time since that change, in seconds.
+    double last_switch_ago_s;
     // Number of bytes sent.
     int64_t sent_bytes;
     // Number of bytes received.
@@ -349,6 +357,10 @@ typedef struct rect_event {
     struct rect_text method;
     // The address of the link's other end; empty if the event does not concern a link.
     struct rect_text address;
+    // The method of the path that carries the bulk now, `ble` or `tcp`; empty unless the path has changed.
+    struct rect_text path;
+    // Why the path has changed: `ended`, `silent` or `faster`; empty unless it has.
+    struct rect_text reason;
 } rect_event;
 
 // A callback for events. The event is valid until the callback returns.
@@ -849,7 +861,7 @@ enum rect_code rect_dictionary_id(struct rect_dictionary dictionary,
 // Calls `callback` for each event, until the subscription is dropped.
 //
 // The events are: robots that become reachable or unreachable, links of this robot's router (or of this program, if it has
-// no router) with their method, and the router itself. The first calls report the robots that are already reachable and the
+// no router) with their method and the path that carries their bulk, and the router itself. The first calls report the robots that are already reachable and the
 // links that the router already has. The calls are made one after another, on a thread of the subscription.
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.

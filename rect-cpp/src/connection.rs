@@ -53,6 +53,12 @@ pub struct Connection {
     pub path: Text,
     /// For the method `any`, how often that path has changed.
     pub switches: i64,
+    /// Why it has changed last: `ended`, `silent` or `faster`. Empty if it has not.
+    pub last_switch_reason: Text,
+    /// How long data had waited when another path took it over, in milliseconds.
+    pub last_switch_gap_ms: f64,
+    /// Time since that change, in seconds.
+    pub last_switch_ago_s: f64,
     /// Number of bytes sent.
     pub sent_bytes: i64,
     /// Number of bytes received.
@@ -117,6 +123,7 @@ fn number_or_unknown(number: Option<u64>) -> i64 {
 fn view(connection: &rect::Connection) -> Connection {
     let peer = connection.peer.as_ref();
     let last_error = connection.last_error.as_ref();
+    let switch = connection.last_switch.as_ref();
     let mut paths = connection.paths.iter().flatten();
     let primary = paths.find(|path| path.is_primary);
     Connection {
@@ -136,6 +143,9 @@ fn view(connection: &rect::Connection) -> Connection {
         encrypted: connection.encrypted.map_or(-1, i32::from),
         path: Text::of_some(primary.map(|path| path.method.as_str())),
         switches: number_or_unknown(connection.switches),
+        last_switch_reason: Text::of_some(switch.map(|switch| switch.reason.as_str())),
+        last_switch_gap_ms: switch.map_or(f64::NAN, |switch| switch.gap_ms),
+        last_switch_ago_s: switch.map_or(f64::NAN, |switch| switch.ago_s),
         sent_bytes: number_or_unknown(connection.sent.map(|sent| sent.bytes)),
         received_bytes: number_or_unknown(connection.received.map(|received| received.bytes)),
         linked: number_or_unknown(connection.linked),

@@ -29,6 +29,8 @@ pub enum EventKind {
     RouterUp = 4,
     /// The router of this program became unreachable.
     RouterDown = 5,
+    /// Another path carries the bulk of a link whose method is `any`.
+    PathSwitched = 6,
 }
 
 /// A change of a robot, a link or the router. It is valid until the callback returns.
@@ -42,6 +44,10 @@ pub struct Event {
     pub method: Text,
     /// The address of the link's other end; empty if the event does not concern a link.
     pub address: Text,
+    /// The method of the path that carries the bulk now, `ble` or `tcp`; empty unless the path has changed.
+    pub path: Text,
+    /// Why the path has changed: `ended`, `silent` or `faster`; empty unless it has.
+    pub reason: Text,
 }
 
 /// A callback for events. The event is valid until the callback returns.
@@ -65,12 +71,19 @@ fn view(event: &rect::Event) -> Event {
         robot: Text::of_some(robot.map(Name::as_str)),
         method: Text::of_some(link.map(|link| link.method.as_str())),
         address: Text::of_some(link.map(|link| link.address.as_str())),
+        path: Text::of(""),
+        reason: Text::of(""),
     };
     match event {
         rect::Event::PeerUp { robot } => of(EventKind::PeerUp, Some(robot), None),
         rect::Event::PeerDown { robot } => of(EventKind::PeerDown, Some(robot), None),
         rect::Event::LinkUp(link) => of(EventKind::LinkUp, link.robot.as_ref(), Some(link)),
         rect::Event::LinkDown(link) => of(EventKind::LinkDown, link.robot.as_ref(), Some(link)),
+        rect::Event::PathSwitched { link, path, reason } => Event {
+            path: Text::of(path),
+            reason: Text::of(reason.as_str()),
+            ..of(EventKind::PathSwitched, link.robot.as_ref(), Some(link))
+        },
         rect::Event::RouterUp => of(EventKind::RouterUp, None, None),
         rect::Event::RouterDown => of(EventKind::RouterDown, None, None),
     }
@@ -79,7 +92,7 @@ fn view(event: &rect::Event) -> Event {
 /// Calls `callback` for each event, until the subscription is dropped.
 ///
 /// The events are: robots that become reachable or unreachable, links of this robot's router (or of this program, if it has
-/// no router) with their method, and the router itself. The first calls report the robots that are already reachable and the
+/// no router) with their method and the path that carries their bulk, and the router itself. The first calls report the robots that are already reachable and the
 /// links that the router already has. The calls are made one after another, on a thread of the subscription.
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.

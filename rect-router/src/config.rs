@@ -431,7 +431,7 @@ pub fn check_ble_endpoints(config: &Config) -> Result<(), ConfigError> {
     let mut has_ble = false;
     for endpoint in connect.flat_map(EndPoints::as_vec).filter(has_radio) {
         let radio = match is_any(&endpoint) {
-            true => any::ConnectLocator::parse(&endpoint).map(|any| any.ble),
+            true => any::ConnectLocator::parse(&endpoint).and_then(|any| any.bluetooth()),
             false => Ok(endpoint.clone()),
         };
         let radio = radio.map_err(|source| wrong_any(&endpoint, source))?;

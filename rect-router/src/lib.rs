@@ -8,6 +8,7 @@ mod config_service;
 pub mod connections;
 pub mod limits;
 pub mod logging;
+mod paths;
 pub mod privileges;
 pub mod registry;
 mod regular_file;

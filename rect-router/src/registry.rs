@@ -24,7 +24,7 @@ use rect::core::{
 };
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
-use zenoh_link::any::locator::has_radio;
+use zenoh_link::any::{locator::has_radio, observers};
 use zenoh_link::ble::{
     advertisement::Advertisement, radio::bluez::management, status::DiscoveredStatus,
     BLE_LOCATOR_PREFIX as BLE,
@@ -93,6 +93,11 @@ impl Registry {
         let changed = Arc::new(changed);
         let on_robots = on_change(&changed, Change::Robots);
         let on_change = on_change(&changed, Change::Links);
+        let of_paths = Arc::downgrade(&changed);
+        observers::observe(move || {
+            let changed = of_paths.upgrade();
+            changed.is_some_and(|changed| changed.send(Change::Links).is_ok())
+        });
         let presence = Presence::start(session, &settings.fleet, &settings.robot, on_robots)?;
         let uptime = Uptime::start([session].into_iter().chain(&host), &on_change)?;
         if let Some(connections) = &connections {
@@ -309,9 +314,8 @@ impl Sources {
             received: Some(of_peer.map_or(snapshot.received, |c| snapshot.received + c.received)),
             round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
             paths: link.and_then(|link| radio.paths(link)),
-            switches: link
-                .and_then(|link| radio.any(link))
-                .map(|any| any.switches),
+            switches: link.and_then(|link| radio.switches(link)),
+            last_switch: link.and_then(|link| radio.last_switch(link)),
             linked: Some(snapshot.linked),
             failed: Some(snapshot.failed),
             last_error: snapshot.last_error.map(failure),
@@ -331,7 +335,8 @@ impl Sources {
             received: carried.map(|carried| carried.received),
             round_trip_ms: carried.and_then(|carried| carried.round_trip_ms),
             paths: radio.paths(link),
-            switches: radio.any(link).map(|any| any.switches),
+            switches: radio.switches(link),
+            last_switch: radio.last_switch(link),
             ..Connection::of(method.as_str(), address.as_str(), State::Connected)
         }
     }

@@ -1,24 +1,36 @@
-//! Reports the Bluetooth links in the admin space: `@/<zid>/router/ble` answers with a JSON array of one object for each Zenoh
-//! runtime of the process. Zenoh's access control decides who may read it, as for the rest of `@/**`.
-
+//! Reports links in the admin space: `@/<zid>/router/ble` answers with a JSON array of one object for each Zenoh runtime of the
+//! process and its Bluetooth links, and `@/<zid>/router/any` with an array of the links over several paths. Zenoh's access control
+//! decides who may read them, as for the rest of `@/**`.
+use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};
 use zenoh_link::ble::status::nodes;
 
-/// Declares the queryable, which answers until the session is closed.
+use crate::paths;
+
+/// Declares the queryables, which answer until the session is closed.
 ///
 /// # Errors
-/// Zenoh's error if it cannot be declared.
+/// Zenoh's error if one cannot be declared.
 pub fn serve(session: &Session) -> zenoh::Result<()> {
-    let key = format!("@/{}/router/ble", session.zid());
+    serve_document(session, "ble", nodes)?;
+    serve_document(session, "any", paths::links)
+}
+
+fn serve_document<T: Serialize>(
+    session: &Session,
+    name: &str,
+    document: impl Fn() -> T + Send + Sync + 'static,
+) -> zenoh::Result<()> {
+    let key = format!("@/{}/router/{name}", session.zid());
     let key_of_answer = key.clone();
     let queryable = session
         .declare_queryable(key)
-        .callback(move |query| answer(&query, &key_of_answer));
+        .callback(move |query| answer(&query, &key_of_answer, &document()));
     queryable.background().wait()
 }
 
-fn answer(query: &Query, key: &str) {
-    let replied = match serde_json::to_vec(&nodes()) {
+fn answer(query: &Query, key: &str, document: &impl Serialize) {
+    let replied = match serde_json::to_vec(document) {
         Ok(status) => query
             .reply(key, status)
             .encoding(Encoding::APPLICATION_JSON)
@@ -26,6 +38,6 @@ fn answer(query: &Query, key: &str) {
         Err(error) => query.reply_err(error.to_string()).wait(),
     };
     if let Err(error) = replied {
-        tracing::debug!("cannot send a reply about the Bluetooth links: {error}");
+        tracing::debug!("cannot send a reply about the links: {error}");
     }
 }

@@ -73,22 +73,29 @@ impl World {
 
     /// Starts a robot with that listener and these connections.
     fn start(&self, number: u32, listener: &str, listed: &[Value]) -> Robot {
+        self.start_with(number, listener, listed, &[])
+    }
+
+    /// Starts a robot whose router has further arguments.
+    fn start_with(
+        &self,
+        number: u32,
+        listener: &str,
+        listed: &[Value],
+        arguments: &[&str],
+    ) -> Robot {
         let connections = self.folder.path().join(format!("{number}.json"));
         fs::write(&connections, file(listed).to_string()).expect("written");
         let settings = json!({ "robot": format!("wombat-{number}"), "connections": connections });
         let config = repository().join("config/simulation.json5");
+        let (config, settings) = (
+            config.display().to_string(),
+            format!("plugins/rect:{settings}"),
+        );
+        let own = ["-c", &config, "-l", "tcp/127.0.0.1:0", "-l", listener];
         let mut router = Router::start_on(
             &self.air,
-            &[
-                "-c",
-                &config.display().to_string(),
-                "-l",
-                "tcp/127.0.0.1:0",
-                "-l",
-                listener,
-                "--cfg",
-                &format!("plugins/rect:{settings}"),
-            ],
+            &[&own, &["--cfg", settings.as_str()][..], arguments].concat(),
         );
         let endpoint = router.listener();
         router.up();
@@ -127,10 +134,15 @@ fn port_of(address: &str) -> &str {
     address.rsplit(':').next().expect("a port")
 }
 
-/// Waits until the first connection of wombat-2 is as expected, and returns it.
+/// Waits until the connection of wombat-2 with wombat-1 is as expected, and returns it.
 fn connection(robot: &Robot, is_expected: impl Fn(&Value) -> bool) -> Value {
-    let selector = "rect/wombat-2/@rect/connections?name=wombat-1";
-    let answer = answers(&robot.session, selector, |answer| is_expected(&answer[0]));
+    connection_of(2, robot, is_expected)
+}
+
+/// Waits until the connection of the robot with that number with wombat-1 is as expected, and returns it.
+fn connection_of(number: u32, robot: &Robot, is_expected: impl Fn(&Value) -> bool) -> Value {
+    let selector = format!("rect/wombat-{number}/@rect/connections?name=wombat-1");
+    let answer = answers(&robot.session, &selector, |answer| is_expected(&answer[0]));
     answer[0].clone()
 }
 
@@ -212,10 +224,29 @@ fn link_survives_the_loss_of_either_path() {
 
     let mut counted = Counted::start(&two.session, &one.session);
     counted.publish(Duration::from_millis(300));
+    let reports = (two
+        .session
+        .declare_subscriber("rect/wombat-2/@rect/connections"))
+    .wait()
+    .expect("declared");
     // Jammed: connections stay open, and nothing arrives.
     world.set_wifi(WifiState::Silent);
     counted.publish(Duration::from_secs(1));
-    connection(&two, |link| is_primary(link, "ble"));
+    let silent = connection(&two, |link| is_primary(link, "ble"));
+    let switch = &silent["last_switch"];
+    assert_eq!(
+        [&switch["previous"], &switch["path"], &switch["reason"]],
+        ["tcp", "ble", "silent"],
+        "{silent:#}"
+    );
+    let report = reports.recv_timeout(DEADLINE).expect("open");
+    let report = report.expect("a switch is published");
+    let report: Value = serde_json::from_slice(&report.payload().to_bytes()).expect("JSON");
+    assert_eq!(report[0]["last_switch"]["path"], "ble", "{report:#}");
+    let admin = answers(&two.session, "@/*/router/any", |links| {
+        links[0]["last_switch"]["path"] == "ble"
+    });
+    assert_eq!(admin[0]["peer"], "wombat-1", "{admin:#}");
     world.set_wifi(WifiState::On);
     counted.publish(Duration::from_millis(300));
     connection(&two, |link| is_primary(link, "tcp"));
@@ -332,6 +363,9 @@ fn robots_without_bluetooth_are_linked_by_address() {
     let linked = connection(&two, |link| has_paths(link, &["tcp"]));
     assert_eq!(linked["peer"]["robot"], "wombat-1", "{linked:#}");
     assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
+    let dial = format!("any/{address}");
+    let three = world.start_with(3, &listen(3, &free_socket()), &[], &["-e", &dial]);
+    assert!(arrives(&three.session, &one.session, "rect/wombat-3/x"));
 }
 
 #[test]
@@ -392,6 +426,31 @@ fn unauthenticated_connections_do_not_keep_a_robot_out() {
     connection(&two, |link| has_paths(link, &["ble", "tcp"]));
     assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
     drop(unauthenticated);
+}
+
+/// A standby path gives way to a robot that can only be reached over Bluetooth.
+#[test]
+fn last_place_of_the_adapter_is_for_a_robot_without_another_path() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let options = format!(";secret={};max_links=2", secret.display());
+    let one = world.robot_with(1, "any", &options, &[]);
+    let linked = [2, 3].map(|number| {
+        let robot = world.robot(number, "any", Some(&secret), &["wombat-1"]);
+        connection_of(number, &robot, |link| is_primary(link, "tcp"));
+        robot
+    });
+    let four = world.start(
+        4,
+        &format!("ble/sim-wombat-4#name=wombat-4;secret={}", secret.display()),
+        &[json!({ "name": "wombat-1", "method": "ble", "address": "wombat-1" })],
+    );
+    connection_of(4, &four, |link| link["state"] == "connected");
+    assert!(arrives(&four.session, &one.session, "rect/wombat-4/x"));
+    for (number, robot) in [2, 3].into_iter().zip(&linked) {
+        let link = connection_of(number, robot, |link| has_paths(link, &["tcp"]));
+        assert_eq!(link["linked"], 1, "one link all the time: {link:#}");
+    }
 }
 
 #[test]

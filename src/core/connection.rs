@@ -57,9 +57,13 @@ pub struct Connection {
     /// The paths of the link, if its method is `any`.
     #[serde(default)]
     pub paths: Option<Vec<LinkPath>>,
-    /// How often the path that carries the bulk has changed, if the method is `any`.
+    /// How often the path that carries the bulk was replaced, if the method is `any`: by another one, or by itself after it had
+    /// been silent.
     #[serde(default)]
     pub switches: Option<u64>,
+    /// The last time it was.
+    #[serde(default)]
+    pub last_switch: Option<PathSwitch>,
     /// How often the connection was established.
     pub linked: Option<u64>,
     /// Attempts that have failed since it was last established.
@@ -85,6 +89,7 @@ impl Connection {
             encrypted: None,
             paths: None,
             switches: None,
+            last_switch: None,
             linked: None,
             failed: None,
             last_error: None,
@@ -121,6 +126,44 @@ pub enum LinkPathState {
     Live,
     /// Its acknowledgements are missing.
     Suspected,
+}
+
+/// A change of the path that carries the bulk of a link.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PathSwitch {
+    /// Method of the path before: `ble` or `tcp`.
+    pub previous: String,
+    /// Method of the path that carries the bulk since then.
+    pub path: String,
+    /// Why it has changed.
+    pub reason: SwitchReason,
+    /// How long data had waited for an acknowledgement when another path took it over, in milliseconds.
+    pub gap_ms: f64,
+    /// Age of the change, in seconds.
+    pub ago_s: f64,
+}
+
+/// Why another path carries the bulk of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SwitchReason {
+    /// The path before has ended: its connection was closed, or its network was lost.
+    Ended,
+    /// The acknowledgements of the path before were missing.
+    Silent,
+    /// The other path is faster.
+    Faster,
+}
+
+impl SwitchReason {
+    /// Returns the name of the reason, such as `silent`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Ended => "ended",
+            Self::Silent => "silent",
+            Self::Faster => "faster",
+        }
+    }
 }
 
 /// The router or program at the other end of a connection.
@@ -189,6 +232,15 @@ pub enum Event {
     LinkUp(Link),
     /// A link of this robot has ended.
     LinkDown(Link),
+    /// Another path carries the bulk of a link whose method is `any`.
+    PathSwitched {
+        /// The link.
+        link: Link,
+        /// Method of the path that carries the bulk now: `ble` or `tcp`.
+        path: String,
+        /// Why it has changed.
+        reason: SwitchReason,
+    },
     /// The program has connected to its router, or reconnected.
     RouterUp,
     /// The program has lost its router. Zenoh reconnects by itself.
@@ -209,29 +261,48 @@ pub struct Link {
 /// Keeps track of the current links, to report changes as events.
 #[derive(Debug, Default)]
 pub struct Links {
-    /// The robot at the other end, if it is known, by method and address.
-    links: BTreeMap<(String, String), Option<Name>>,
+    /// By method and address.
+    links: BTreeMap<(String, String), KnownLink>,
+}
+
+/// A link, as it was last reported.
+#[derive(Debug, Default)]
+struct KnownLink {
+    /// The robot at the other end, if it is known.
+    robot: Option<Name>,
+    /// How often the path that carries the bulk was replaced.
+    switches: u64,
 }
 
 impl Links {
     /// Returns the events since the previous call, given all current connections. The robot of a link becomes known
     /// shortly after the link comes up, and unknown shortly before it ends; neither counts as the end of the link.
     pub fn on_connections(&mut self, connections: &[Connection]) -> Vec<Event> {
-        let mut now: BTreeMap<_, Option<Name>> = BTreeMap::new();
-        let connected = |one: &&Connection| one.state == ConnectionState::Connected;
-        for Link {
-            method,
-            address,
-            robot,
-        } in connections.iter().filter(connected).map(Link::of)
-        {
-            let known = now.entry((method, address)).or_default();
-            *known = known.take().or(robot);
-        }
+        let mut now: BTreeMap<_, KnownLink> = BTreeMap::new();
         let before = std::mem::take(&mut self.links);
-        let (mut down, mut up) = (Vec::new(), Vec::new());
-        for (ends, robot) in &mut now {
-            match (before.get(ends), robot.as_ref()) {
+        let (mut down, mut up, mut changed) = (Vec::new(), Vec::new(), Vec::new());
+        let is_connected = |one: &&Connection| one.state == ConnectionState::Connected;
+        for connection in connections.iter().filter(is_connected) {
+            let link = Link::of(connection);
+            let ends = (link.method, link.address);
+            let old = before.get(&ends);
+            let state = now.entry(ends.clone()).or_default();
+            state.robot = state.robot.take().or(link.robot);
+            state.switches = connection.switches.unwrap_or(0);
+            let Some(switch) = &connection.last_switch else {
+                continue;
+            };
+            if let Some(old) = old.filter(|old| old.switches != state.switches) {
+                let robot = state.robot.as_ref().or(old.robot.as_ref());
+                changed.push(Event::PathSwitched {
+                    link: Link::between(&ends, robot),
+                    path: switch.path.clone(),
+                    reason: switch.reason,
+                });
+            }
+        }
+        for (ends, KnownLink { robot, .. }) in &mut now {
+            match (before.get(ends).map(|old| &old.robot), robot.as_ref()) {
                 (Some(before), None) => robot.clone_from(before),
                 (Some(Some(before)), Some(robot)) if before == robot => {}
                 (Some(Some(before)), Some(_)) => {
@@ -243,12 +314,11 @@ impl Links {
                 }
             }
         }
-        for (ends, robot) in before.iter().filter(|(ends, _)| !now.contains_key(*ends)) {
-            down.push(Event::LinkDown(Link::between(ends, robot.as_ref())));
+        for (ends, old) in before.iter().filter(|(ends, _)| !now.contains_key(*ends)) {
+            down.push(Event::LinkDown(Link::between(ends, old.robot.as_ref())));
         }
         self.links = now;
-        down.append(&mut up);
-        down
+        down.into_iter().chain(up).chain(changed).collect()
     }
 
     /// Returns the method of the links to a robot. `None` if there is no link, or if the links have several methods.
@@ -256,7 +326,7 @@ impl Links {
         let to_robot = self
             .links
             .iter()
-            .filter(|(_, to)| to.as_ref() == Some(robot));
+            .filter(|(_, to)| to.robot.as_ref() == Some(robot));
         let mut methods = to_robot.map(|((method, _), _)| method.as_str());
         let first = methods.next()?;
         methods.all(|method| method == first).then_some(first)
@@ -354,6 +424,36 @@ mod tests {
             "{events:?}"
         );
         assert_eq!(links.method(&b), None, "two methods");
+    }
+
+    #[test]
+    fn reports_each_switch_of_the_path_of_a_link_once() {
+        let after = |switches, path: &str| Connection {
+            switches: Some(switches),
+            last_switch: (switches > 0).then(|| PathSwitch {
+                previous: "ble".to_owned(),
+                path: path.to_owned(),
+                reason: SwitchReason::Silent,
+                gap_ms: 120.0,
+                ago_s: 0.1,
+            }),
+            ..connection("any", "b", ConnectionState::Connected)
+        };
+        let mut links = Links::default();
+        let events = links.on_connections(&[after(1, "tcp")]);
+        assert!(
+            matches!(&events[..], [Event::LinkUp(_)]),
+            "switches from before are none: {events:?}"
+        );
+        assert_eq!(links.on_connections(&[after(1, "tcp")]), []);
+        let events = links.on_connections(&[after(2, "ble")]);
+        let [Event::PathSwitched { link, path, reason }] = &events[..] else {
+            panic!("one event: {events:?}");
+        };
+        assert_eq!((path.as_str(), *reason), ("ble", SwitchReason::Silent));
+        assert_eq!(link.robot.as_ref().map(Name::as_str), Some("b"));
+        let events = links.on_connections(&[after(0, "ble")]);
+        assert_eq!(events, [], "another link, which was not switched yet");
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! Renders the connections of the registry as a table.
 use super::{Cell, Style, Table};
 use crate::core::{
-    connection::{Connection, ConnectionState as State, LinkPath, LinkPathState},
+    connection::{
+        Connection, ConnectionState as State, LinkPath, LinkPathState, PathSwitch, SwitchReason,
+    },
     humanize::{bytes, duration_of_s, milliseconds, short_reason},
 };
 
@@ -50,12 +52,13 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
     if let Some(paths) = &connection.paths {
         let paths: Vec<_> = paths.iter().map(path).collect();
         let switches = match connection.switches {
-            // The first path counts, too.
-            None | Some(0 | 1) => String::new(),
-            Some(2) => "; switched once".to_owned(),
-            Some(switches) => format!("; switched {} times", switches - 1),
+            None | Some(0) => String::new(),
+            Some(1) => "; switched once".to_owned(),
+            Some(switches) => format!("; switched {switches} times"),
         };
-        table.note(&format!("paths: {}{switches}", paths.join(", ")));
+        let last = connection.last_switch.as_ref().map(last_switch);
+        let last = last.unwrap_or_default();
+        table.note(&format!("paths: {}{switches}{last}", paths.join(", ")));
     }
     if let Some(failure) = &connection.last_error {
         let ago = duration_of_s(failure.ago_s);
@@ -64,6 +67,23 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
             short_reason(&failure.what)
         ));
     }
+}
+
+/// Describes the last switch, such as `, 12s ago from tcp to ble (silent for 120 ms)`.
+fn last_switch(switch: &PathSwitch) -> String {
+    let (ago, gap) = (
+        duration_of_s(switch.ago_s),
+        duration_of_s(switch.gap_ms / 1000.0),
+    );
+    let why = match switch.reason {
+        SwitchReason::Ended => "the path had ended".to_owned(),
+        SwitchReason::Silent => format!("silent for {gap}"),
+        SwitchReason::Faster => "faster".to_owned(),
+    };
+    format!(
+        ", {ago} ago from {} to {} ({why})",
+        switch.previous, switch.path
+    )
 }
 
 /// Describes a path, such as `tcp (bulk, 3.1 MB/s, 4 ms)`.

@@ -209,12 +209,20 @@ impl Describe for Event {
             json!([kind, robot.map(|robot| robot.to_string()), method, address])
         };
         match self {
-            Self::PeerUp { robot } => json!(["peer_up", robot.as_str(), null, null]),
-            Self::PeerDown { robot } => json!(["peer_down", robot.as_str(), null, null]),
+            Self::PeerUp { robot } => json!(["peer_up", robot.as_str()]),
+            Self::PeerDown { robot } => json!(["peer_down", robot.as_str()]),
             Self::LinkUp(up) => link("link_up", up),
             Self::LinkDown(down) => link("link_down", down),
-            Self::RouterUp => json!(["router_up", null, null, null]),
-            Self::RouterDown => json!(["router_down", null, null, null]),
+            Self::PathSwitched { link, path, reason } => json!([
+                "path_switched",
+                link.robot.map(|robot| robot.to_string()),
+                link.method,
+                link.address,
+                path,
+                reason.as_str()
+            ]),
+            Self::RouterUp => json!(["router_up"]),
+            Self::RouterDown => json!(["router_down"]),
         }
     }
 }

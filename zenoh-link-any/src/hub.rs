@@ -39,6 +39,10 @@ const ACCEPTOR_DELAY: Duration = Duration::from_millis(1500);
 /// The shortest and the longest time between attempts to open a path.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 
+/// The largest number of links of one runtime that accept further ones. Each keeps what is in flight, at most
+/// [`MAX_IN_FLIGHT_BYTES`](crate::path::MAX_IN_FLIGHT_BYTES) for each path: 8 MB for all network paths.
+const MAX_LINKS: usize = 32;
+
 /// The shared parts of all links of one runtime.
 pub(crate) struct Hub {
     pub(crate) ble: LinkManagerUnicastBle,
@@ -98,6 +102,12 @@ impl Hub {
 
     fn link_with(&self, peer: &str) -> Option<Arc<Shared>> {
         self.links().into_iter().find(|link| link.peer == peer)
+    }
+
+    /// Returns whether there are too many links to accept one with a peer. A new link replaces an old one with the same peer.
+    fn is_full_for(&self, peer: &str) -> bool {
+        let links = self.links();
+        links.len() >= MAX_LINKS && links.iter().all(|link| link.peer != peer)
     }
 
     /// Returns the link with a peer. A peer that was restarted is another node: its link has ended.
@@ -254,6 +264,10 @@ impl Hub {
                 }) => return shared.fail(AnyError::Replaced(shared.peer.clone())),
                 Err(error) => {
                     tracing::debug!("any: no Bluetooth path to {}: {error}", shared.peer);
+                    let full = Refusal::Full;
+                    if matches!(&error, BleError::Refused { refusal, .. } if *refusal == full) {
+                        retry = RETRY.1;
+                    }
                     shared.unless_ended(tokio::time::sleep(retry)).await;
                     retry = (retry * 2).min(RETRY.1);
                 }
@@ -313,14 +327,36 @@ impl Hub {
 }
 
 impl AcceptPaths for Hub {
-    fn refusal(&self, peer: &str, node: NodeId, path: Option<PathOf>) -> Option<Refusal> {
-        let links = self.links();
+    fn refusal(
+        &self,
+        peer: &str,
+        node: NodeId,
+        path: Option<PathOf>,
+        free_places: usize,
+    ) -> Option<Refusal> {
         if let Some(path) = path.filter(|path| path.joins) {
-            let has_link = links.iter().any(|link| link.id == path.link);
-            return (!has_link).then_some(Refusal::NoSuchLink);
+            let links = self.links();
+            let Some(link) = links.iter().find(|link| link.id == path.link) else {
+                return Some(Refusal::NoSuchLink);
+            };
+            // The last place is for a robot that cannot be reached otherwise.
+            let is_last = free_places <= 1 && link.has_live_network();
+            return is_last.then_some(Refusal::Full);
         }
-        let existing = self.existing(peer, node);
-        existing.map(|_| Refusal::AlreadyLinked)
+        if self.existing(peer, node).is_some() {
+            return Some(Refusal::AlreadyLinked);
+        }
+        self.is_full_for(peer).then_some(Refusal::Full)
+    }
+
+    fn make_room(&self) {
+        let links = self.links().into_iter();
+        let standby = links.filter(|link| {
+            link.role == Role::Acceptor && link.has_bluetooth() && link.has_live_network()
+        });
+        if let Some(newest) = standby.max_by_key(|link| link.since) {
+            newest.end_bluetooth();
+        }
     }
 
     fn on_path(self: Arc<Self>, path: BlePath) {

@@ -97,6 +97,17 @@ impl ConnectLocator {
         }
     }
 
+    /// Returns the endpoint of the Bluetooth path. It has some name in place of that of a robot of which only the address is known.
+    ///
+    /// # Errors
+    /// Fails if the options are not valid in a locator.
+    pub fn bluetooth(&self) -> Result<EndPoint, LocatorError> {
+        match &self.peer {
+            Some(_) => Ok(self.ble.clone()),
+            None => self.to("robot"),
+        }
+    }
+
     /// Returns the endpoint of the Bluetooth path to a peer that was dialled by this locator, which may stand for any robot of a
     /// fleet, or for the robot at an address.
     ///

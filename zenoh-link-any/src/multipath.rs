@@ -30,7 +30,7 @@ use crate::{
 
 pub use self::{
     options::{Bounds, Options},
-    outcome::{Change, End, PathReport, Violation},
+    outcome::{Change, End, PathReport, Switch, SwitchReason, Violation},
 };
 
 /// The least urgent lane whose small batches every live path carries: Zenoh's `InteractiveHigh`. Declarations travel as
@@ -51,6 +51,25 @@ const BETTER_FOR: Duration = Duration::from_millis(300);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PathId(pub u32);
 
+/// A primary path that works no more.
+#[derive(Clone, Copy, Debug)]
+struct LostPath {
+    medium: Medium,
+    reason: SwitchReason,
+    /// Since when frames wait for their acknowledgement.
+    since: Instant,
+}
+
+impl LostPath {
+    fn of(path: &Path, reason: SwitchReason, now: Instant) -> Self {
+        Self {
+            medium: path.medium,
+            reason,
+            since: path.waiting_since().unwrap_or(now),
+        }
+    }
+}
+
 /// A link over several paths.
 #[derive(Debug)]
 pub struct Multipath {
@@ -60,6 +79,8 @@ pub struct Multipath {
     paths: BTreeMap<PathId, Path>,
     next_path: u32,
     primary: Option<PathId>,
+    /// The primary path that works no more, until another one replaces it.
+    lost: Option<LostPath>,
     /// The last rate of each medium that the link has used, in bytes per second.
     rates: BTreeMap<Medium, f64>,
     /// The path that is better than the primary one, and since when.
@@ -73,6 +94,7 @@ pub struct Multipath {
     closing: Option<u8>,
     end: Option<End>,
     switches: u64,
+    last_switch: Option<Switch>,
     wakeups: u64,
     /// Number of batches and bytes that were accepted, and taken.
     sent: (u64, u64),
@@ -89,6 +111,7 @@ impl Multipath {
             paths: BTreeMap::new(),
             next_path: 0,
             primary: None,
+            lost: None,
             rates: BTreeMap::new(),
             better: None,
             change: 0,
@@ -97,6 +120,7 @@ impl Multipath {
             closing: None,
             end: None,
             switches: 0,
+            last_switch: None,
             wakeups: 0,
             sent: (0, 0),
             received: (0, 0),
@@ -125,6 +149,9 @@ impl Multipath {
     /// Removes a path. Others carry what it has not delivered.
     pub fn remove_path(&mut self, id: PathId, now: Instant) {
         if let Some(mut path) = self.paths.remove(&id) {
+            if self.primary == Some(id) {
+                self.lost = Some(LostPath::of(&path, SwitchReason::Ended, now));
+            }
             self.resend(path.give_up());
             self.on_paths_changed(now);
         }
@@ -410,9 +437,19 @@ impl Multipath {
         })
     }
 
-    /// Returns the number of changes of the primary path.
+    /// Returns the path that carries the bulk.
+    pub fn primary(&self) -> Option<PathId> {
+        self.primary
+    }
+
+    /// Returns how often the path that carries the bulk was replaced: by another one, or by itself after it had been silent.
     pub fn switches(&self) -> u64 {
         self.switches
+    }
+
+    /// Returns the last of these changes.
+    pub fn last_switch(&self) -> Option<Switch> {
+        self.last_switch
     }
 
     /// Returns the numbers of batches and bytes, sent and received.
@@ -468,19 +505,25 @@ impl Multipath {
             self.rates.insert(path.medium, path.rate_bytes_per_s());
         }
         let best = live.min_by_key(|(_, path)| path.time_for(COMPARED_BYTES));
-        let Some((&best, best_path)) = best else {
+        let best = best.map(|(id, path)| (*id, path.time_for(COMPARED_BYTES)));
+        let primary = self.primary.and_then(|id| self.paths.get(&id));
+        if let Some(silent) = primary.filter(|path| !path.is_live()) {
+            let lost = LostPath::of(silent, SwitchReason::Silent, now);
+            self.lost.get_or_insert(lost);
+        }
+        let Some((best, best_time)) = best else {
             self.silent_since.get_or_insert(now);
-            self.switch(None);
+            self.set_primary(None, now);
             return;
         };
         self.silent_since = None;
         let current = self.primary.and_then(|id| self.paths.get(&id));
         let Some(current) = current.filter(|path| path.is_live()) else {
-            self.switch(Some(best));
+            self.set_primary(Some(best), now);
             return;
         };
         let limit = current.time_for(COMPARED_BYTES).mul_f64(BETTER);
-        if self.primary == Some(best) || best_path.time_for(COMPARED_BYTES) >= limit {
+        if self.primary == Some(best) || best_time >= limit {
             self.better = None;
             return;
         }
@@ -490,18 +533,35 @@ impl Multipath {
         };
         self.better = Some((best, since));
         if now >= since + BETTER_FOR {
-            self.switch(Some(best));
+            self.lost = Some(LostPath {
+                medium: current.medium,
+                reason: SwitchReason::Faster,
+                since: now,
+            });
+            self.set_primary(Some(best), now);
         }
     }
 
-    fn switch(&mut self, to: Option<PathId>) {
+    fn set_primary(&mut self, to: Option<PathId>, now: Instant) {
         self.better = None;
         if self.primary == to {
             return;
         }
         self.primary = to;
-        self.switches += 1;
         self.wakeups += 1;
+        let path = to.and_then(|id| self.paths.get(&id));
+        let Some(path) = path else { return };
+        // The first path of a link replaces none.
+        if let Some(lost) = self.lost.take() {
+            self.switches += 1;
+            self.last_switch = Some(Switch {
+                previous: lost.medium,
+                current: path.medium,
+                reason: lost.reason,
+                gap: now.saturating_duration_since(lost.since),
+                at: now,
+            });
+        }
     }
 
     /// Returns how much may wait on a lane: what the slowest medium of the link carries in the time of the bounds, even if it has

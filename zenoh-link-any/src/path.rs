@@ -285,8 +285,13 @@ impl Path {
         if !self.is_live() {
             return None;
         }
+        Some(self.waiting_since()? + self.rtt.timeout(ACK_DELAY))
+    }
+
+    /// Returns since when an acknowledgement is missing; `None` if none is awaited.
+    pub(crate) fn waiting_since(&self) -> Option<Instant> {
         let oldest = self.in_flight.iter().find(|sent| !sent.is_lazy)?;
-        Some(oldest.at.max(self.last_ack) + self.rtt.timeout(ACK_DELAY))
+        Some(oldest.at.max(self.last_ack))
     }
 
     /// Suspects the path, and returns what another path has to carry.

@@ -24,6 +24,7 @@ pub(crate) async fn run_ble(shared: Arc<Shared>, path: BlePath, is_proven: bool)
     let reason = tokio::select! {
         reason = send_ble(&guard, &path) => reason,
         reason = receive_ble(&guard, &path) => reason,
+        () = guard.task.end.cancelled() => "another robot may need its place".to_owned(),
         () = shared.ended() => "the link has ended".to_owned(),
     };
     drop(guard);

@@ -21,8 +21,8 @@ use zenoh_link_ble::protocol::{
 use crate::{
     error::AnyError,
     frame::{self, Frame},
-    multipath::{Change, Multipath, Options, PathId, PathReport, Violation},
-    offer,
+    multipath::{Change, Multipath, Options, PathId, PathReport, Switch, Violation},
+    observers, offer,
     path::{Medium, PathState},
     proof::{Proof, Role},
 };
@@ -58,8 +58,8 @@ struct State {
     multipath: Multipath,
     /// The tasks of the paths.
     tasks: HashMap<PathId, Task>,
-    /// Number of changes of the primary path that were logged.
-    logged_switches: u64,
+    /// The primary path that was reported last.
+    reported: Option<PathId>,
     end: Option<Arc<AnyError>>,
 }
 
@@ -112,7 +112,7 @@ impl Shared {
             state: Mutex::new(State {
                 multipath: Multipath::new(options, now.into_std()),
                 tasks: HashMap::new(),
-                logged_switches: 0,
+                reported: None,
                 end: None,
             }),
             room: Notify::new(),
@@ -182,6 +182,24 @@ impl Shared {
         self.networks_changed.notify_waiters();
     }
 
+    /// Ends the Bluetooth path.
+    pub(crate) fn end_bluetooth(&self) {
+        let state = self.state.lock();
+        let mut paths = state.multipath.paths();
+        let is_bluetooth = |path: &PathReport| path.medium == Medium::Bluetooth;
+        let found = paths.find(|(_, path)| is_bluetooth(path));
+        if let Some(task) = found.and_then(|(id, _)| state.tasks.get(&id)) {
+            task.end.cancel();
+        }
+    }
+
+    /// Returns whether the link has a network path that works.
+    pub(crate) fn has_live_network(&self) -> bool {
+        let is_live =
+            |path: &PathReport| path.medium == Medium::Network && path.state == PathState::Live;
+        self.paths().iter().any(is_live)
+    }
+
     /// Returns whether the link has a Bluetooth path.
     pub(crate) fn has_bluetooth(&self) -> bool {
         let is_bluetooth = |path: &PathReport| path.medium == Medium::Bluetooth;
@@ -212,9 +230,10 @@ impl Shared {
         self.state.lock().multipath.traffic()
     }
 
-    /// Returns the number of changes of the path that carries the bulk.
-    pub(crate) fn switches(&self) -> u64 {
-        self.state.lock().multipath.switches()
+    /// Returns how often the path that carries the bulk was replaced, and the last time.
+    pub(crate) fn switches(&self) -> (u64, Option<Switch>) {
+        let multipath = &self.state.lock().multipath;
+        (multipath.switches(), multipath.last_switch())
     }
 
     /// Queues a batch on its lane. Waits while there is no room.
@@ -269,7 +288,7 @@ impl Shared {
         let lane = (state.multipath).next_frame(id, least_urgent, frame, now);
         if state.multipath.wakeups() != before {
             state.wake_all();
-            state.log_switch(&self.peer);
+            state.report_switch(&self.peer);
             self.paths_changed.notify_waiters();
         }
         self.end_if_due(&mut state);
@@ -306,7 +325,7 @@ impl Shared {
         match state.multipath.wakeups() != before {
             true => {
                 state.wake_all();
-                state.log_switch(&self.peer);
+                state.report_switch(&self.peer);
             }
             false => state.wake(id),
         }
@@ -421,17 +440,18 @@ impl State {
         batch
     }
 
-    /// Logs the primary path if it has changed.
-    fn log_switch(&mut self, peer: &str) {
-        let switches = self.multipath.switches();
-        if switches == self.logged_switches {
+    /// Logs and reports the primary path if it has changed.
+    fn report_switch(&mut self, peer: &str) {
+        let primary = self.multipath.primary();
+        if primary == self.reported {
             return;
         }
-        self.logged_switches = switches;
+        self.reported = primary;
         match self.multipath.paths().find(|(_, path)| path.is_primary) {
             Some((_, path)) => tracing::info!("any: the load to {peer} is on {} now", path.medium),
             None => tracing::info!("any: no path to {peer} works now"),
         }
+        observers::report();
     }
 
     fn wake(&self, id: PathId) {
@@ -454,6 +474,7 @@ impl Drop for PathGuard {
         let now = Instant::now().into_std();
         state.multipath.remove_path(self.id, now);
         state.wake_all();
+        state.report_switch(&self.shared.peer);
         drop(state);
         self.shared.room.notify_waiters();
         self.shared.paths_changed.notify_waiters();

@@ -1,7 +1,10 @@
 //! Reports the state of all `any` links of the process.
 use std::time::Duration;
 
-use crate::{hub::Hub, multipath::PathReport};
+use crate::{
+    hub::Hub,
+    multipath::{PathReport, Switch},
+};
 
 /// The state of a link.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,8 +23,10 @@ pub struct LinkStatus {
     pub sent: (u64, u64),
     /// Number of received batches and their bytes.
     pub received: (u64, u64),
-    /// Number of changes of the path that carries the bulk.
+    /// How often the path that carries the bulk was replaced: by another one, or by itself after it had been silent.
     pub switches: u64,
+    /// The last time it was.
+    pub last_switch: Option<Switch>,
 }
 
 /// Returns the state of each link.
@@ -31,15 +36,20 @@ pub fn links() -> Vec<LinkStatus> {
         .iter()
         .flat_map(|hub| hub.links().into_iter().map(move |link| (hub, link)));
     links
-        .map(|(hub, link)| LinkStatus {
-            peer: link.peer.clone(),
-            addresses: hub.addresses_of(&link.peer),
-            up: link.since.elapsed(),
-            is_encrypted: link.proof.is_some(),
-            paths: link.paths(),
-            sent: link.traffic().0,
-            received: link.traffic().1,
-            switches: link.switches(),
+        .map(|(hub, link)| {
+            let (sent, received) = link.traffic();
+            let (switches, last_switch) = link.switches();
+            LinkStatus {
+                peer: link.peer.clone(),
+                addresses: hub.addresses_of(&link.peer),
+                up: link.since.elapsed(),
+                is_encrypted: link.proof.is_some(),
+                paths: link.paths(),
+                sent,
+                received,
+                switches,
+                last_switch,
+            }
         })
         .collect()
 }

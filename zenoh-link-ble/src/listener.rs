@@ -304,8 +304,11 @@ impl Listener {
         let path = peer.as_ref().and_then(|peer| peer.path);
         let acceptor = self.node.path_acceptor();
         let path = path.filter(|_| acceptor.is_some());
+        let max_links = self.locator.max_links;
+        let node = peer.as_ref().map(|peer| peer.node);
+        let free_places = (self.node.link_table()).free_places(node, device, max_links);
         if let (Some(peer), Some(acceptor)) = (&peer, &acceptor) {
-            if let Some(refusal) = acceptor.refusal(&peer.name, peer.node, path) {
+            if let Some(refusal) = acceptor.refusal(&peer.name, peer.node, path, free_places) {
                 permit.succeed();
                 handshake.refuse(refusal).await?;
                 return Ok(None);
@@ -316,10 +319,13 @@ impl Listener {
             &self.name,
             peer.as_ref(),
             device,
-            self.locator.max_links,
+            max_links,
             Instant::now().into_std(),
             replaced.clone(),
         );
+        if let Some(acceptor) = acceptor.filter(|_| free_places <= 1) {
+            acceptor.make_room();
+        }
         let number = match (verdict, number) {
             (Verdict::Accept, Some(number)) => number,
             (Verdict::Refuse(refusal), _) => {

@@ -64,6 +64,12 @@ struct Connection {
     std::string path;
     /// For the method `any`, how often that path has changed.
     std::optional<std::uint64_t> switches;
+    /// Why it has changed last: `ended`, `silent` or `faster`. Empty if it has not.
+    std::string last_switch_reason;
+    /// How long data had waited when another path took it over, in milliseconds.
+    std::optional<double> last_switch_gap_ms;
+    /// Time since that change, in seconds.
+    std::optional<double> last_switch_ago_s;
     /// Number of bytes sent.
     std::optional<std::uint64_t> sent_bytes;
     /// Number of bytes received.
@@ -91,6 +97,9 @@ struct Connection {
           encrypted(raw.encrypted < 0 ? std::nullopt : std::optional<bool>(raw.encrypted != 0)),
           path(detail::view(raw.path)),
           switches(detail::value_if_known(raw.switches)),
+          last_switch_reason(detail::view(raw.last_switch_reason)),
+          last_switch_gap_ms(detail::value_if_known(raw.last_switch_gap_ms)),
+          last_switch_ago_s(detail::value_if_known(raw.last_switch_ago_s)),
           sent_bytes(detail::value_if_known(raw.sent_bytes)),
           received_bytes(detail::value_if_known(raw.received_bytes)),
           linked(detail::value_if_known(raw.linked)),
@@ -132,6 +141,8 @@ public:
         router_up = RECT_EVENT_KIND_ROUTER_UP,
         /// The router of this program became unreachable.
         router_down = RECT_EVENT_KIND_ROUTER_DOWN,
+        /// Another path carries the bulk of a link whose method is `any`.
+        path_switched = RECT_EVENT_KIND_PATH_SWITCHED,
     };
 
     /// Refers to a struct of rect.h.
@@ -145,6 +156,10 @@ public:
     [[nodiscard]] std::string_view method() const noexcept { return detail::view(raw_.method); }
     /// Returns the address of the link's other end. Empty if the event does not concern a link.
     [[nodiscard]] std::string_view address() const noexcept { return detail::view(raw_.address); }
+    /// Returns the method of the path that carries the bulk now, `ble` or `tcp`. Empty unless the path has changed.
+    [[nodiscard]] std::string_view path() const noexcept { return detail::view(raw_.path); }
+    /// Returns why the path has changed: `ended`, `silent` or `faster`. Empty unless it has.
+    [[nodiscard]] std::string_view reason() const noexcept { return detail::view(raw_.reason); }
 
 private:
     rect_event raw_;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rect import _rect
 from rect.choices import EventKind
@@ -28,6 +28,10 @@ class Event:
     method: str | None = None
     #: Address of the peer of the link. `None` unless the event is about a link.
     address: str | None = None
+    #: Method of the path that carries the bulk now: `ble` or `tcp`. `None` unless the path has changed.
+    path: str | None = None
+    #: Why the path has changed: `ended`, `silent` (without acknowledgements) or `faster`. `None` unless it has.
+    reason: str | None = None
 
 
 @dataclass(frozen=True)
@@ -61,9 +65,7 @@ class Events:
     def __init__(self, session: Session) -> None:
         self._session = session
         #: Fields of an `Event`.
-        self._queue: ReceiveQueue[tuple[EventKind, str | None, str | None, str | None]] = ReceiveQueue(
-            DEFAULT_CAPACITY, "drop_oldest"
-        )
+        self._queue: ReceiveQueue[tuple[Any, ...]] = ReceiveQueue(DEFAULT_CAPACITY, "drop_oldest")
         driver = _rect.observer(session.key_space, session.is_direct)
         self._executor = Executor(session, driver, self._queue.queue, queue=self._queue, is_passive=True)
         self._executor.start("rect events")

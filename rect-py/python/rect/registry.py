@@ -76,8 +76,11 @@ class Connection:
     encrypted: bool | None = None
     #: Paths of the link, if its method is `any`.
     paths: list[LinkPath] | None = None
-    #: Number of changes of the path that carries the bulk, if the method is `any`.
+    #: How often the path that carries the bulk was replaced, if the method is `any`: by another one, or by itself after
+    #: it had been silent.
     switches: int | None = None
+    #: The last time it was: `{"previous": ..., "path": ..., "reason": ..., "gap_ms": ..., "ago_s": ...}`.
+    last_switch: dict[str, Any] | None = None
     #: Number of times that the link was opened. `None` if it is not counted.
     linked: int | None = None
     #: Number of failed attempts since the link was last opened. `None` if they are not counted.

@@ -105,7 +105,21 @@ impl ToPython for ReceivedFrame {
 
 impl ToPython for Event {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        event_fields(self).into_py_any(py)
+        let robot = |robot: Option<Name>| robot.map(|robot| robot.to_string());
+        let of_link =
+            |kind: &'static str, link: Link| (kind, robot(link.robot), link.method, link.address);
+        match self {
+            Self::PeerUp { robot } => ("peer_up", robot.as_str()).into_py_any(py),
+            Self::PeerDown { robot } => ("peer_down", robot.as_str()).into_py_any(py),
+            Self::LinkUp(link) => of_link("link_up", link).into_py_any(py),
+            Self::LinkDown(link) => of_link("link_down", link).into_py_any(py),
+            Self::PathSwitched { link, path, reason } => {
+                let (kind, robot, method, address) = of_link("path_switched", link);
+                (kind, robot, method, address, path, reason.as_str()).into_py_any(py)
+            }
+            Self::RouterUp => ("router_up",).into_py_any(py),
+            Self::RouterDown => ("router_down",).into_py_any(py),
+        }
     }
 }
 
@@ -118,24 +132,5 @@ impl ToPython for Vec<Connection> {
 impl ToPython for Progress {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         (self.received_bytes, self.size_bytes).into_py_any(py)
-    }
-}
-
-/// The kind of the event, the robot, the method of the link, and the address of the peer.
-type EventFields = (&'static str, Option<String>, Option<String>, Option<String>);
-
-/// Converts an event.
-fn event_fields(event: Event) -> EventFields {
-    let link = |kind, link: Link| {
-        let robot = link.robot.map(|robot| robot.to_string());
-        (kind, robot, Some(link.method), Some(link.address))
-    };
-    match event {
-        Event::PeerUp { robot } => ("peer_up", Some(robot.to_string()), None, None),
-        Event::PeerDown { robot } => ("peer_down", Some(robot.to_string()), None, None),
-        Event::LinkUp(up) => link("link_up", up),
-        Event::LinkDown(down) => link("link_down", down),
-        Event::RouterUp => ("router_up", None, None, None),
-        Event::RouterDown => ("router_down", None, None, None),
     }
 }

@@ -144,13 +144,10 @@ impl Spec {
 
 /// Checks the options of a connection that uses Bluetooth.
 fn check_radio(endpoint: &EndPoint) -> Result<(), String> {
-    let any = AnyConnectLocator::parse(endpoint).map_err(|error| error.to_string())?;
-    let bluetooth = match &any.peer {
-        Some(_) => Ok(any.ble.clone()),
-        // Its name becomes known when it answers.
-        None => any.to("robot").map_err(|error| error.to_string()),
-    };
-    ConnectLocator::parse(&bluetooth?).map_err(|error| error.to_string())?;
+    let any = AnyConnectLocator::parse(endpoint);
+    let bluetooth = any.and_then(|any| any.bluetooth());
+    let bluetooth = bluetooth.map_err(|error| error.to_string())?;
+    ConnectLocator::parse(&bluetooth).map_err(|error| error.to_string())?;
     Ok(())
 }
 

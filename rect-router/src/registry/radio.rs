@@ -1,11 +1,10 @@
 //! Collects the links over Bluetooth, those over several paths, and the discovered robots for the registry.
-use rect::core::connection::{LinkPath, LinkPathState, Traffic};
+use rect::core::connection::{LinkPath, PathSwitch, Traffic};
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link::{
     any::{
         locator::has_radio,
-        path::{Medium, PathState as State},
         status::{self as any, LinkStatus as AnyStatus},
         ANY_LOCATOR_PREFIX as ANY,
     },
@@ -13,6 +12,7 @@ use zenoh_link::{
 };
 
 use super::LinkTraffic;
+use crate::paths;
 
 /// The status of all links of which Bluetooth is a part.
 pub struct Radio {
@@ -59,25 +59,17 @@ impl Radio {
 
     /// Returns the paths of a link.
     pub fn paths(&self, link: &Link) -> Option<Vec<LinkPath>> {
-        let paths = self.any(link)?.paths.iter();
-        let status = paths.map(|path| LinkPath {
-            method: match path.medium {
-                Medium::Bluetooth => "ble",
-                Medium::Network => "tcp",
-            }
-            .to_owned(),
-            state: match path.state {
-                State::Untried => LinkPathState::Untried,
-                State::Live => LinkPathState::Live,
-                State::Suspected => LinkPathState::Suspected,
-            },
-            is_primary: path.is_primary,
-            round_trip_ms: path.round_trip.map(|time| time.as_secs_f64() * 1000.0),
-            bytes_per_s: path.rate_bytes_per_s,
-            sent_bytes: path.sent_bytes,
-            resent_bytes: path.resent_bytes,
-        });
-        Some(status.collect())
+        self.any(link).map(paths::paths_of)
+    }
+
+    /// Returns how often the path that carries the bulk of a link was replaced.
+    pub fn switches(&self, link: &Link) -> Option<u64> {
+        self.any(link).map(|any| any.switches)
+    }
+
+    /// Returns the last time it was.
+    pub fn last_switch(&self, link: &Link) -> Option<PathSwitch> {
+        paths::last_switch_of(self.any(link)?)
     }
 
     /// Returns whether a link is encrypted; `None` if it is of another kind.

@@ -161,6 +161,9 @@ impl Hub {
         if name == own.name || self.link_with(&name).is_some_and(is_alive) {
             return Err(Refusal::NameTaken);
         }
+        if self.is_full_for(&name) {
+            return Err(Refusal::Full);
+        }
         if self.meetings.load(Ordering::Relaxed) > 0 && own.node < peer.node {
             return Err(Refusal::Crossing);
         }

@@ -1,5 +1,5 @@
 //! The results of a link's logic: the effects of frames, violations, the end, and the state of its paths.
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use zenoh_link_ble::protocol::lanes::Lane;
 
@@ -51,6 +51,32 @@ pub enum Change {
     Batch(Lane),
     /// There is more room, or another path to use.
     Credits,
+}
+
+/// A change of the path that carries the bulk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Switch {
+    /// The medium of the path before.
+    pub previous: Medium,
+    /// The medium of the path that carries the bulk since then.
+    pub current: Medium,
+    /// Why it has changed.
+    pub reason: SwitchReason,
+    /// How long frames had waited for an acknowledgement when another path took them over. Zero if none had waited.
+    pub gap: Duration,
+    /// When it has changed.
+    pub at: Instant,
+}
+
+/// Why another path carries the bulk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SwitchReason {
+    /// The path has ended: its connection was closed, or its network was lost.
+    Ended,
+    /// The acknowledgements of the path were missing.
+    Silent,
+    /// The other path is faster.
+    Faster,
 }
 
 /// The state of a path.

@@ -88,6 +88,39 @@ fn bulk_moves_to_the_network_and_returns_when_it_is_lost() {
     finish(&mut world, &mut talks, "lost network");
 }
 
+/// Returns the reason and the new medium of the last switch, and how long data had waited.
+fn last_switch(end: &Multipath) -> Option<(SwitchReason, Medium, Duration)> {
+    let switch = end.last_switch()?;
+    Some((switch.reason, switch.current, switch.gap))
+}
+
+#[test]
+fn each_switch_has_a_reason_and_a_gap() {
+    let mut world = World::new();
+    world.connect(BLUETOOTH);
+    let mut talks = Default::default();
+    talk(&mut world, &mut talks, Duration::from_secs(1), true);
+    assert_eq!(last_switch(&world.ends[0]), None, "the first path");
+    let network = world.connect(NETWORK);
+    talk(&mut world, &mut talks, Duration::from_secs(1), true);
+    let faster = (SwitchReason::Faster, Medium::Network, Duration::ZERO);
+    assert_eq!(last_switch(&world.ends[0]), Some(faster));
+    world.jam(network, Duration::from_millis(500));
+    talk(&mut world, &mut talks, Duration::from_millis(400), true);
+    let silent = last_switch(&world.ends[0]);
+    let (reason, to, gap) = silent.expect("switched");
+    assert_eq!((reason, to), (SwitchReason::Silent, Medium::Bluetooth));
+    assert!(gap >= 100 * MS && gap < 300 * MS, "{gap:?}");
+    talk(&mut world, &mut talks, Duration::from_secs(2), true);
+    assert_eq!(primary_of(&world.ends[0]), Some(Medium::Network));
+    world.cut(network, [10 * MS, 30 * MS]);
+    talk(&mut world, &mut talks, Duration::from_secs(1), true);
+    let (reason, to, gap) = last_switch(&world.ends[0]).expect("switched");
+    assert_eq!((reason, to), (SwitchReason::Ended, Medium::Bluetooth));
+    assert!(gap <= 50 * MS, "{gap:?}");
+    assert_eq!(world.ends[0].switches(), 4);
+}
+
 /// Faults of all kinds, while small messages travel on all lanes in both directions beside bulk.
 #[test]
 fn nothing_is_lost_repeated_or_reordered_at_any_switch() {

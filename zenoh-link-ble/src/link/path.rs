@@ -16,8 +16,18 @@ use crate::{
 
 /// Takes the paths that peers open.
 pub trait AcceptPaths: Send + Sync {
-    /// Returns why a peer must not open a channel, if it must not. `path` is the link of which it should become a path, if any.
-    fn refusal(&self, peer: &str, node: NodeId, path: Option<PathOf>) -> Option<Refusal>;
+    /// Returns why a peer must not open a channel, if it must not. `path` is the link of which it should become a path, if any, and
+    /// `free_places` the number of channels that may still be accepted.
+    fn refusal(
+        &self,
+        peer: &str,
+        node: NodeId,
+        path: Option<PathOf>,
+        free_places: usize,
+    ) -> Option<Refusal>;
+
+    /// Ends a path that is not needed, if there is one: no further channel can be accepted.
+    fn make_room(&self);
 
     /// Takes a path that a peer has opened.
     fn on_path(self: Arc<Self>, path: BlePath);

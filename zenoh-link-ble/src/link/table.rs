@@ -248,6 +248,19 @@ impl LinkTable {
         }
     }
 
+    /// Returns how many links `max_links` still allows beside those that a new link with this peer would replace.
+    pub fn free_places(
+        &self,
+        node: Option<NodeId>,
+        device: DeviceAddress,
+        max_links: usize,
+    ) -> usize {
+        let takes_place =
+            |link: &&EstablishedLink| !link.dialled_here && !link.is_with(node, device);
+        let taken = self.established.values().filter(takes_place).count();
+        max_links.saturating_sub(taken)
+    }
+
     /// Returns why an incoming hello is refused, if it is.
     fn refusal(
         &self,
@@ -280,10 +293,8 @@ impl LinkTable {
                 return Some(Refusal::AlreadyLinked);
             }
         }
-        let is_other = |link: &&EstablishedLink| !link.is_with(peer.map(|p| p.node), device);
-        let is_accepted = |link: &&EstablishedLink| !link.dialled_here;
-        let links = (self.established.values()).filter(is_other);
-        (links.filter(is_accepted).count() >= max_links).then_some(Refusal::Full)
+        let free = self.free_places(peer.map(|peer| peer.node), device, max_links);
+        (free == 0).then_some(Refusal::Full)
     }
 
     /// Ends links with an earlier run of the same peer, and links that the peer has evidently lost.

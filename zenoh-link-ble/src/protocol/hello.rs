@@ -85,7 +85,7 @@ pub enum Refusal {
     AlreadyLinked,
     /// Both dialled at the same time, and the dial of the refusing side takes precedence.
     Crossing,
-    /// The refusing side has as many links as `max_links=` allows.
+    /// The refusing side has as many links as it accepts: over Bluetooth, as `max_links=` allows.
     Full,
     /// The refusing side has the same name, or a link with another robot of that name.
     NameTaken,
@@ -136,7 +136,7 @@ impl Refusal {
             Self::Crossing => {
                 "both dialled at the same time, and this side's dial takes precedence"
             }
-            Self::Full => "this side has as many links as max_links allows",
+            Self::Full => "this side has as many links as it accepts",
             Self::NameTaken => {
                 "this robot or another linked one has the same name: give one of the two another name="
             }
@@ -158,7 +158,7 @@ impl fmt::Display for Refusal {
             Self::Crossing => {
                 f.write_str("both dialled at the same time, and its own dial takes precedence")
             }
-            Self::Full => f.write_str("it has as many links as max_links allows"),
+            Self::Full => f.write_str("it has as many links as it accepts"),
             Self::NameTaken => f.write_str(
                 "it has the same name, or a link with another robot of that name: give one of the two another name=",
             ),

@@ -169,6 +169,8 @@ fn limit_of_links_counts_only_other_peers() {
         Verdict::Refuse(Refusal::Full)
     );
     assert_eq!(receive_hello_with_limit(11, 11), Verdict::Accept);
+    assert_eq!(links.free_places(Some(NodeId(12)), device(12), 2), 0);
+    assert_eq!(links.free_places(Some(NodeId(11)), device(11), 2), 1);
 }
 
 #[test]

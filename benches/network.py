@@ -1,0 +1,181 @@
+"""Compares a link with the method `any` on its network path with a plain `tcp/` link: goodput, round trip and memory
+of two routers in two network namespaces."""
+
+import os
+import statistics
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import zenoh
+from comparison import ratio
+from robots import RobotError, open_client, wait_until
+from routers import own_kb
+from table import Table
+from zenoh import CongestionControl, Priority
+
+NEAR, FAR, PORT = "10.77.0.1", "10.77.0.2", 7460
+NETWORKS = {"100 Mbit/s": "100mbit", "unlimited": None}
+LINKS = ["any", "tcp"]
+SIZES = [1000, 8000, 100_000]
+ROUNDS = 5
+SECONDS = 2.0
+ROUND_TRIPS = 300
+
+
+def run() -> Table:
+    columns = [
+        "network",
+        "link",
+        *(f"put {size} B, MB/s" for size in SIZES),
+        "round trip p50, us",
+        "router's memory, kB",
+    ]
+    table = Table("The network path of an `any` link compared with a `tcp` link", columns)
+    for network, rate in NETWORKS.items():
+        figures: dict[str, list[list[float]]] = {link: [] for link in LINKS}
+        for n in range(ROUNDS):
+            # They alternate in going first, because the first one may find a cooler or a hotter machine.
+            for link in LINKS if n % 2 else reversed(LINKS):
+                with pair(link, rate) as (near, far, pid):
+                    rates = [goodput(near, far, size) for size in SIZES]
+                    figures[link].append([*rates, round_trip(near, far), own_kb(pid)])
+            print(f"  {network}: round {n + 1} of {ROUNDS}", flush=True)
+        for link in LINKS:
+            *rates, round_trip_us, memory = (statistics.median(column) for column in zip(*figures[link], strict=True))
+            table.add(network, link, *(f"{value:.1f}" for value in rates), f"{round_trip_us:.0f}", f"{memory:.0f}")
+        columns_of = [list(zip(*figures[link], strict=True)) for link in LINKS]
+        table.add(
+            network, "ratio", *(ratio(list(ours), list(others)) for ours, others in zip(*columns_of, strict=True))
+        )
+    table.notes = [
+        f"Medians of {ROUNDS} rounds, in each of which both links run. Ratio: any to tcp, median of the rounds, with "
+        "the range of the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
+        "run in two network namespaces with a pair of virtual Ethernet devices between them, limited by `tc` or not at "
+        "all. The `any` link has only its network path and is encrypted; the `tcp` link is not. Memory: the private "
+        "memory of the dialling router afterwards.",
+    ]
+    return table
+
+
+@contextmanager
+def pair(link: str, rate: str | None) -> Iterator[tuple[zenoh.Session, zenoh.Session, int]]:
+    """Runs two routers that are linked. Yields a client of each, and the process of the dialling one."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        stack.enter_context(namespaces(rate))
+        secret = folder / "secret"
+        secret.write_text("team:the secret of the team\n")
+        if link == "tcp":
+            listen, dial = f"tcp/{NEAR}:{PORT}", ["-e", f"tcp/{NEAR}:{PORT}"]
+        else:
+            options = f"wait=true;secret={secret}"
+            listen = f"any/hci99#name=near;{options};port={PORT}"
+            dial = ["-l", f"any/hci99#name=far;{options}", "-e", f"any/{NEAR}:{PORT}"]
+        near = stack.enter_context(router(folder / "near", [], ["-l", listen]))
+        far = stack.enter_context(router(folder / "far", ["ip", "netns", "exec", "rect-far"], dial))
+        sessions = [stack.enter_context(open_client(endpoint)) for endpoint, _ in (near, far)]
+        wait_for_link(*sessions)
+        yield sessions[0], sessions[1], far[1]
+
+
+@contextmanager
+def namespaces(rate: str | None) -> Iterator[None]:
+    """Connects this network namespace with another one."""
+    if os.geteuid() != 0:
+        raise RobotError("this bench needs root, for its network namespace")
+
+    def ip(command: str) -> None:
+        subprocess.run(["ip", *command.split()], check=True)
+
+    ip("netns add rect-far")
+    try:
+        ip("link add rect-near type veth peer name rect-far netns rect-far")
+        for device, address, where in (("rect-near", NEAR, ""), ("rect-far", FAR, "-n rect-far ")):
+            ip(f"{where}addr add {address}/24 dev {device}")
+            ip(f"{where}link set {device} up")
+            if rate:
+                enter = ["ip", "netns", "exec", "rect-far"] if where else []
+                limit = f"tc qdisc add dev {device} root tbf rate {rate} burst 32kb latency 50ms"
+                subprocess.run([*enter, *limit.split()], check=True)
+        ip("-n rect-far link set lo up")
+        yield
+    finally:
+        ip("netns del rect-far")
+
+
+@contextmanager
+def router(at: Path, enter: list[str], arguments: list[str]) -> Iterator[tuple[str, int]]:
+    """Runs a router. Yields the endpoint of its clients, and its process."""
+    endpoint = f"unixsock-stream/{at}.sock"
+    command = [*enter, os.environ["RECT_ROUTER"], "-l", endpoint, "--no-multicast-scouting", *arguments]
+    with Path(f"{at}.log").open("w") as log:
+        environment = os.environ | {"RUST_LOG": "warn"}
+        process = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        wait_until("the router is up", 20, Path(f"{at}.sock").exists)
+        yield endpoint, process.pid
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def wait_for_link(near: zenoh.Session, far: zenoh.Session) -> None:
+    arrived = threading.Event()
+    with far.declare_subscriber("hello", lambda _: arrived.set()):
+
+        def has_arrived() -> bool:
+            near.put("hello", b"")
+            return arrived.wait(0.1)
+
+        wait_until("the routers are linked", 20, has_arrived)
+
+
+def goodput(near: zenoh.Session, far: zenoh.Session, size: int) -> float:
+    """Returns the MB/s of payload from the first arrival to the last."""
+    arrivals: list[float] = []
+    ended = threading.Event()
+
+    def on_sample(sample: zenoh.Sample) -> None:
+        if len(sample.payload) == 1:
+            ended.set()
+        else:
+            arrivals.append(time.perf_counter())
+
+    with far.declare_subscriber("load", on_sample):
+        wait_for_link(near, far)
+        payload = zenoh.ZBytes(bytes(size))
+        publisher = near.declare_publisher("load", congestion_control=CongestionControl.BLOCK)
+        until = time.perf_counter() + SECONDS
+        while time.perf_counter() < until:
+            publisher.put(payload)
+        publisher.put(b"0")
+        if not ended.wait(30):
+            raise RobotError("the last message did not arrive")
+    return (len(arrivals) - 1) * size / (arrivals[-1] - arrivals[0]) / 1e6
+
+
+def round_trip(near: zenoh.Session, far: zenoh.Session) -> float:
+    """Returns the median of the round trips of a small message, in microseconds."""
+    returned = threading.Event()
+    options = {"congestion_control": CongestionControl.BLOCK, "express": True, "priority": Priority.DATA}
+    back, there = far.declare_publisher("back", **options), near.declare_publisher("there", **options)
+    with (
+        far.declare_subscriber("there", lambda sample: back.put(sample.payload)),
+        near.declare_subscriber("back", lambda _: returned.set()),
+    ):
+        wait_for_link(near, far)
+        wait_for_link(far, near)
+        times = []
+        for _ in range(ROUND_TRIPS):
+            returned.clear()
+            start = time.perf_counter()
+            there.put(b"12345678")
+            if not returned.wait(10):
+                raise RobotError("a message did not return")
+            times.append(time.perf_counter() - start)
+    return statistics.median(times) * 1e6
