@@ -105,6 +105,8 @@ def namespaces(rate: str | None) -> Iterator[None]:
         ip("-n rect-far link set lo up")
         yield
     finally:
+        # The kernel removes the devices of a namespace some time after it.
+        ip("link del rect-near")
         ip("netns del rect-far")
 
 
