@@ -25,6 +25,7 @@ SIZES = [1000, 8000, 100_000]
 ROUNDS = 5
 SECONDS = 2.0
 ROUND_TRIPS = 300
+IDLE_S = 4
 
 
 def run() -> Table:
@@ -33,7 +34,8 @@ def run() -> Table:
         "link",
         *(f"put {size} B, MB/s" for size in SIZES),
         "round trip p50, us",
-        "router's memory, kB",
+        "memory, kB",
+        "idle processor, us/s",
     ]
     table = Table("The network path of an `any` link compared with a `tcp` link", columns)
     for network, rate in NETWORKS.items():
@@ -43,11 +45,12 @@ def run() -> Table:
             for link in LINKS if n % 2 else reversed(LINKS):
                 with pair(link, rate) as (near, far, pid):
                     rates = [goodput(near, far, size) for size in SIZES]
-                    figures[link].append([*rates, round_trip(near, far), own_kb(pid)])
+                    figures[link].append([*rates, round_trip(near, far), own_kb(pid), idle_us(pid)])
             print(f"  {network}: round {n + 1} of {ROUNDS}", flush=True)
         for link in LINKS:
-            *rates, round_trip_us, memory = (statistics.median(column) for column in zip(*figures[link], strict=True))
-            table.add(network, link, *(f"{value:.1f}" for value in rates), f"{round_trip_us:.0f}", f"{memory:.0f}")
+            medians = [statistics.median(column) for column in zip(*figures[link], strict=True)]
+            rates, others = medians[: len(SIZES)], medians[len(SIZES) :]
+            table.add(network, link, *(f"{value:.1f}" for value in rates), *(f"{value:.0f}" for value in others))
         columns_of = [list(zip(*figures[link], strict=True)) for link in LINKS]
         table.add(
             network, "ratio", *(ratio(list(ours), list(others)) for ours, others in zip(*columns_of, strict=True))
@@ -57,7 +60,7 @@ def run() -> Table:
         "the range of the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
         "run in two network namespaces with a pair of virtual Ethernet devices between them, limited by `tc` or not at "
         "all. The `any` link has only its network path and is encrypted; the `tcp` link is not. Memory: the private "
-        "memory of the dialling router afterwards.",
+        "memory of the dialling router afterwards. Idle processor: its processor time while nothing is published.",
     ]
     return table
 
@@ -159,6 +162,18 @@ def goodput(near: zenoh.Session, far: zenoh.Session, size: int) -> float:
         if not ended.wait(30):
             raise RobotError("the last message did not arrive")
     return (len(arrivals) - 1) * size / (arrivals[-1] - arrivals[0]) / 1e6
+
+
+def idle_us(pid: int) -> float:
+    """Returns the processor time of an idle process, in microseconds per second."""
+
+    def used_ns() -> int:
+        return sum(int(path.read_text().split()[0]) for path in Path(f"/proc/{pid}/task").glob("*/schedstat"))
+
+    time.sleep(1)  # The work of the earlier measurements ends.
+    before, start = used_ns(), time.perf_counter()
+    time.sleep(IDLE_S)
+    return (used_ns() - before) / 1000 / (time.perf_counter() - start)
 
 
 def round_trip(near: zenoh.Session, far: zenoh.Session) -> float:

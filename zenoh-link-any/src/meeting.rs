@@ -18,11 +18,11 @@ pub(crate) const MAGIC: [u8; 6] = *b"RECTM\x01";
 const SEAL_BYTES: usize = 16;
 
 /// Two nodes have agreed on a link.
-pub(crate) struct Met {
+pub struct Met {
     /// The peer's properties.
-    pub(crate) peer: Hello,
+    pub peer: Hello,
     /// Derives the keys of the link.
-    pub(crate) exporter: Exporter,
+    pub exporter: Exporter,
 }
 
 /// Why the two do not open a link.
@@ -54,7 +54,10 @@ pub enum MeetingError {
 }
 
 /// Opens a link as the dialler of the connection.
-pub(crate) async fn dial(
+///
+/// # Errors
+/// Fails if the connection ends, or if the peer refuses, violates the protocol or has another secret.
+pub async fn dial(
     stream: &mut (impl AsyncRead + AsyncWrite + Unpin),
     secret: &Secret,
     own: Hello,
@@ -84,7 +87,10 @@ pub(crate) async fn dial(
 }
 
 /// Opens a link as the listener of the connection, which has begun with [`MAGIC`]. `decide` returns this side's answer.
-pub(crate) async fn accept(
+///
+/// # Errors
+/// Fails as [`dial`] does, or if this side refuses.
+pub async fn accept(
     stream: &mut (impl AsyncRead + AsyncWrite + Unpin),
     secret: &Secret,
     decide: impl FnOnce(&Hello) -> Result<Hello, Refusal>,

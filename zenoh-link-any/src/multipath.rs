@@ -406,6 +406,11 @@ impl Multipath {
             .min()
     }
 
+    /// Returns when a path has to send an acknowledgement.
+    pub fn ack_at(&self, id: PathId) -> Option<Instant> {
+        self.paths.get(&id)?.ack_at()
+    }
+
     /// Returns a number that changes whenever other paths than the one of a call may have something to send.
     pub fn wakeups(&self) -> u64 {
         self.wakeups

@@ -17,6 +17,8 @@ const NETWORK_ACK_DELAY: Duration = Duration::from_millis(2);
 pub const LAZY_ACK_DELAY: Duration = Duration::from_secs(4);
 /// Number of received bytes after which it acknowledges at once.
 pub const ACK_BYTES: usize = 4096;
+/// The same on a network, where each acknowledgement wakes two tasks that would have more to do otherwise.
+const NETWORK_ACK_BYTES: usize = 32_768;
 
 /// Bounds of the number of bytes in flight on a path.
 const MIN_IN_FLIGHT_BYTES: usize = 8_192;
@@ -333,13 +335,14 @@ impl Path {
     pub(crate) fn on_received(&mut self, bytes: usize, is_lazy: bool, now: Instant) {
         self.received_frames = self.received_frames.wrapping_add(1);
         self.unacked_bytes += bytes;
+        let (max_bytes, delay) = match self.medium {
+            Medium::Bluetooth => (ACK_BYTES, ACK_DELAY),
+            Medium::Network => (NETWORK_ACK_BYTES, NETWORK_ACK_DELAY),
+        };
         let delay = match is_lazy {
             true => LAZY_ACK_DELAY,
-            false if self.unacked_bytes >= ACK_BYTES => Duration::ZERO,
-            false => match self.medium {
-                Medium::Bluetooth => ACK_DELAY,
-                Medium::Network => NETWORK_ACK_DELAY,
-            },
+            false if self.unacked_bytes >= max_bytes => Duration::ZERO,
+            false => delay,
         };
         self.ack_by(now + delay);
     }

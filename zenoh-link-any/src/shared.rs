@@ -309,10 +309,14 @@ impl Shared {
             return Ok(());
         }
         let (mut state, now) = (self.state.lock(), Instant::now().into_std());
-        let before = state.multipath.wakeups();
+        let (before, ack_at) = (state.multipath.wakeups(), state.multipath.ack_at(id));
+        let mut has_room = false;
         match state.multipath.on_frame(id, bytes, now) {
             Ok(Change::Batch(lane)) => self.arrived[lane.index()].notify_one(),
-            Ok(Change::Credits) => self.room.notify_waiters(),
+            Ok(Change::Credits) => {
+                self.room.notify_waiters();
+                has_room = true;
+            }
             Ok(Change::Nothing) => {}
             Err(violation @ Violation::Lane { .. }) => {
                 let error = self.protocol(&violation);
@@ -321,13 +325,11 @@ impl Shared {
             Err(violation) => return Err(self.protocol(&violation)),
         }
         self.end_if_due(&mut state);
-        // The frame has to be acknowledged, and may have freed room on this path.
-        match state.multipath.wakeups() != before {
-            true => {
-                state.wake_all();
-                state.report_switch(&self.peer);
-            }
-            false => state.wake(id),
+        if state.multipath.wakeups() != before {
+            state.wake_all();
+            state.report_switch(&self.peer);
+        } else if has_room || state.multipath.ack_at(id) != ack_at {
+            state.wake(id);
         }
         Ok(())
     }

@@ -1,0 +1,63 @@
+//! Opens links on TCP with a peer that sends any bytes, as its dialler and as its listener. Without the secret, nobody is accepted.
+#![no_main]
+use std::{io::Cursor, sync::LazyLock};
+
+use libfuzzer_sys::fuzz_target;
+use tokio::{
+    io::{join, sink, AsyncRead, AsyncWrite},
+    runtime::{Builder, Runtime},
+};
+use zenoh_link_any::meeting::{accept, dial};
+use zenoh_link_ble::protocol::{
+    hello::{Hello, NodeId, PathOf, MAGIC, VERSION},
+    secret::Secret,
+};
+
+/// HELLO, ACCEPT, REFUSE, KEY, KEY ANSWER, and an unknown kind.
+const KINDS: std::ops::RangeInclusive<u8> = 1..=6;
+
+static SECRET: LazyLock<Secret> =
+    LazyLock::new(|| Secret::new(b"what only the team knows").expect("long enough"));
+static RUNTIME: LazyLock<Runtime> =
+    LazyLock::new(|| Builder::new_current_thread().build().expect("started"));
+
+fuzz_target!(|input: &[u8]| {
+    check(input.to_vec());
+    // The same bytes as messages with a correct head, of which the first byte is the length.
+    for kind in KINDS {
+        let mut sent = Vec::new();
+        let mut rest = input;
+        while let [length, tail @ ..] = rest {
+            let (body, tail) = tail.split_at(usize::from(*length).min(tail.len()));
+            let message = [&MAGIC[..], &[kind], body].concat();
+            sent.extend_from_slice(&(message.len() as u16).to_le_bytes());
+            sent.extend_from_slice(&message);
+            rest = tail;
+        }
+        check(sent);
+    }
+});
+
+fn check(sent: Vec<u8>) {
+    let own = || Hello {
+        version: VERSION,
+        node: NodeId(1),
+        mtu: 8192,
+        window: u16::MAX,
+        name: "own".to_owned(),
+        intervals: None,
+        path: Some(PathOf {
+            link: 7,
+            joins: false,
+        }),
+    };
+    let accepted = accept(&mut peer(sent.clone()), &SECRET, |_| Ok(own()));
+    let dialled = dial(&mut peer(sent), &SECRET, own());
+    let is_linked = RUNTIME.block_on(async { [accepted.await.is_ok(), dialled.await.is_ok()] });
+    assert_eq!(is_linked, [false, false]);
+}
+
+/// Returns a connection on which the peer has sent these bytes, and then closes it.
+fn peer(sent: Vec<u8>) -> impl AsyncRead + AsyncWrite + Unpin {
+    join(Cursor::new(sent), sink())
+}
