@@ -51,10 +51,14 @@ fn check(sent: Vec<u8>) {
             joins: false,
         }),
     };
-    let accepted = accept(&mut peer(sent.clone()), &SECRET, |_| Ok(own()));
-    let dialled = dial(&mut peer(sent), &SECRET, own());
-    let is_linked = RUNTIME.block_on(async { [accepted.await.is_ok(), dialled.await.is_ok()] });
-    assert_eq!(is_linked, [false, false]);
+    let accepted = async {
+        accept(&mut peer(sent.clone()), &SECRET, |_| Ok(own()))
+            .await
+            .is_ok()
+    };
+    assert!(!RUNTIME.block_on(accepted));
+    let dialled = async { dial(&mut peer(sent.clone()), &SECRET, own()).await.is_ok() };
+    assert!(!RUNTIME.block_on(dialled));
 }
 
 /// Returns a connection on which the peer has sent these bytes, and then closes it.
