@@ -120,6 +120,15 @@ impl Robot {
         }
     }
 
+    /// Returns a handle whose messages expire after that time; see [`crate::Robot::expires_after`].
+    #[must_use]
+    pub fn expires_after(&self, lifetime: Duration) -> Self {
+        Self {
+            robot: self.robot.expires_after(lifetime),
+            runtime: self.runtime.clone(),
+        }
+    }
+
     /// Returns a handle that encodes the payloads of messages and requests with `codec`; see
     /// [`crate::Robot::with_codec`].
     #[must_use]

@@ -13,6 +13,7 @@ pub mod display;
 pub mod driver;
 pub mod encoding;
 pub mod endpoint;
+pub mod expiry;
 pub mod gaps;
 pub mod humanize;
 pub mod inquiry;

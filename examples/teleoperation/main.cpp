@@ -1,5 +1,5 @@
-// Teleoperation: drive commands are urgent and overtake all other messages. A robot that receives none for half a second
-// stops.
+// Teleoperation: drive commands are urgent and overtake all other messages, and expire. A robot that receives none for
+// half a second stops.
 //
 //     build/default/examples/teleoperation wombat-1             # receives commands
 //     build/default/examples/teleoperation laptop wombat-1      # sends commands
@@ -19,12 +19,15 @@ struct Drive {
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Drive, left, right)
 
 constexpr Drive stop{0, 0};
+// A drive command is dropped rather than executed later than this. The last one, to stop, never expires.
+constexpr auto lifetime = 200ms;
 
 void drive(const rect::Robot& robot, const char* recipient) {
     const auto urgent = rect::must(robot.with_urgency(rect::Urgency::urgent));
+    const auto steering = rect::must(urgent.expires_after(lifetime));
     for (int n = 0; n < 200; ++n) {
         const auto left = std::sin(n / 20.0);
-        rect::must(urgent.send(recipient, "drive", rect::Cbor(Drive{left, -left})));
+        rect::must(steering.send(recipient, "drive", rect::Cbor(Drive{left, -left})));
         std::this_thread::sleep_for(50ms);
     }
     rect::must(urgent.send(recipient, "drive", rect::Cbor(stop)));

@@ -1,4 +1,4 @@
-"""Teleoperation: urgent drive commands overtake all other messages. A robot that receives none for 0.5 s stops.
+"""Teleoperation: urgent drive commands overtake all other messages, and expire. A robot that receives none stops.
 
 python examples/teleoperation/main.py wombat-1             # receives commands
 python examples/teleoperation/main.py laptop wombat-1      # sends commands
@@ -20,7 +20,7 @@ def main(me: str = "wombat-1", other: str = "") -> None:
 
 def drive(robot: rect.Robot, other: str) -> None:
     for left in (math.sin(n / 20) for n in range(200)):
-        robot.send(other, "drive", rect.Cbor({"left": left, "right": -left}), urgency="urgent")
+        robot.send(other, "drive", rect.Cbor({"left": left, "right": -left}), urgency="urgent", expires_after=0.2)
         time.sleep(0.05)
     robot.send(other, "drive", rect.Cbor(STOP), urgency="urgent")
 

@@ -1,5 +1,5 @@
-//! Teleoperation: drive commands are urgent and overtake all other messages. A robot that receives none for half a second
-//! stops.
+//! Teleoperation: drive commands are urgent and overtake all other messages, and expire. A robot that receives none for
+//! half a second stops.
 //!
 //!     cargo run --example teleoperation -- wombat-1             # receives commands
 //!     cargo run --example teleoperation -- laptop wombat-1      # sends commands
@@ -18,6 +18,9 @@ const STOP: Drive = Drive {
     right: 0.0,
 };
 
+/// A drive command is dropped rather than executed later than this. The last one, to stop, never expires.
+const LIFETIME: Duration = Duration::from_millis(200);
+
 #[tokio::main]
 async fn main() -> Result<(), rect::Error> {
     let mut names = std::env::args().skip(1);
@@ -31,12 +34,14 @@ async fn main() -> Result<(), rect::Error> {
 
 async fn drive(robot: &rect::Robot, recipient: &str) -> Result<(), rect::Error> {
     let urgent = robot.urgent();
+    let steering = urgent.expires_after(LIFETIME);
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
     for n in 0..200 {
         ticks.tick().await;
         let left = (f64::from(n) / 20.0).sin();
         let command = Drive { left, right: -left };
-        urgent.send(recipient, "drive", rect::Cbor(command)).await?;
+        let command = rect::Cbor(command);
+        steering.send(recipient, "drive", command).await?;
     }
     urgent.send(recipient, "drive", rect::Cbor(STOP)).await
 }

@@ -1,4 +1,5 @@
-// Wombat: a robot with two wheels and a light sensor. Other robots drive it, and it streams the values of its sensor.
+// Wombat: a robot with two wheels and a light sensor. Other robots drive it with commands that expire (the example
+// teleoperation), so an old command never moves it. It streams the values of its sensor.
 // On a Wombat (the robot controller of KIPR), include <kipr/wombat.h> instead of the stub.
 //
 //     build/default/examples/wombat wombat-1

@@ -481,6 +481,8 @@ typedef struct rect_message {
     int64_t sequence;
     // Number of messages of the same publisher, directly before this one, that did not arrive.
     uint32_t missed;
+    // Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
+    int64_t expires_in_ms;
     // The urgency: a `rect_urgency`.
     uint32_t urgency;
     // Whether the message arrived after one with a higher sequence number of the same publisher.
@@ -515,6 +517,8 @@ typedef struct rect_counters {
     uint64_t received_bytes;
     // Number of messages that did not arrive, according to their sequence numbers.
     uint64_t missed;
+    // Number of messages that had expired on arrival, or before the program has read them.
+    uint64_t expired;
     // Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     // control characters, is longer than 200 bytes, or is reserved.
     uint64_t rejected;
@@ -1049,6 +1053,17 @@ enum rect_code rect_robot_with_urgency(struct rect_robot robot,
                                        uint32_t urgency,
                                        struct rect_robot *derived,
                                        struct rect_error *error);
+
+// Creates a handle of the same robot whose messages expire, and writes it to `derived`: they are dropped rather than delivered
+// later than `lifetime_ms` milliseconds after they were sent. For commands such as steering. A queue or link without room drops
+// such a message, and receivers drop it if it was on the way for longer, or has waited for longer until the program reads it.
+// Both handles share the session, and both must be dropped.
+//
+// May be called on any thread.
+enum rect_code rect_robot_expires_after(struct rect_robot robot,
+                                        uint32_t lifetime_ms,
+                                        struct rect_robot *derived,
+                                        struct rect_error *error);
 
 // Creates a handle of the same robot that encodes the payloads of its messages and requests with a codec, e.g. `zstd:9`,
 // `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Receivers decode them automatically. Both

@@ -1,5 +1,5 @@
 //! Converts messages into the form that C receives.
-use std::sync::Arc;
+use std::{sync::Arc, time::Instant};
 
 use rect::Name;
 
@@ -33,6 +33,8 @@ pub struct Message {
     pub sequence: i64,
     /// Number of messages of the same publisher, directly before this one, that did not arrive.
     pub missed: u32,
+    /// Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
+    pub expires_in_ms: i64,
     /// The urgency: a `rect_urgency`.
     pub urgency: u32,
     /// Whether the message arrived after one with a higher sequence number of the same publisher.
@@ -74,6 +76,10 @@ pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
         sent_ms: sent_ms.unwrap_or(-1),
         sequence: message.sequence.map_or(-1, i64::from),
         missed: message.missed,
+        expires_in_ms: message.expires_at.map_or(-1, |at| {
+            let rest = at.saturating_duration_since(Instant::now());
+            i64::try_from(rest.as_millis()).unwrap_or(i64::MAX)
+        }),
         urgency: number(&URGENCIES, &message.urgency),
         late: message.late,
         problem: Text::of_some(problem),

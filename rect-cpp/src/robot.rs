@@ -2,6 +2,7 @@
 use std::{
     ffi::{c_char, CStr},
     mem::MaybeUninit,
+    time::Duration,
 };
 
 use rect::core::codec;
@@ -49,6 +50,8 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Number of messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
+    /// Number of messages that had expired on arrival, or before the program has read them.
+    pub expired: u64,
     /// Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     /// control characters, is longer than 200 bytes, or is reserved.
     pub rejected: u64,
@@ -123,6 +126,28 @@ pub extern "C" fn rect_robot_with_urgency(
         require_out("derived", &derived)?;
         let (program, urgency) = (robot.resolve()?, choice("urgency", &URGENCIES, urgency)?);
         let robot = program.derive(program.robot.with_urgency(urgency));
+        write_out("derived", derived, RobotHandle::of(robot))
+    })
+}
+
+/// Creates a handle of the same robot whose messages expire, and writes it to `derived`: they are dropped rather than delivered
+/// later than `lifetime_ms` milliseconds after they were sent. For commands such as steering. A queue or link without room drops
+/// such a message, and receivers drop it if it was on the way for longer, or has waited for longer until the program reads it.
+/// Both handles share the session, and both must be dropped.
+///
+/// May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_expires_after(
+    robot: RobotHandle,
+    lifetime_ms: u32,
+    derived: Option<&mut MaybeUninit<RobotHandle>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        require_out("derived", &derived)?;
+        let program = robot.resolve()?;
+        let lifetime = Duration::from_millis(lifetime_ms.into());
+        let robot = program.derive(program.robot.expires_after(lifetime));
         write_out("derived", derived, RobotHandle::of(robot))
     })
 }
@@ -344,6 +369,7 @@ pub extern "C" fn rect_robot_counters(
             received,
             received_bytes,
             missed,
+            expired,
             rejected,
         } = counted;
         let counted = Counters {
@@ -352,6 +378,7 @@ pub extern "C" fn rect_robot_counters(
             received,
             received_bytes,
             missed,
+            expired,
             rejected,
         };
         write_out("counters", counters, counted)

@@ -46,6 +46,26 @@ TEST_CASE("a message sent to one robot has its recipient and urgency") {
     CHECK(must((*message)->payload.text()) == "now");
 }
 
+TEST_CASE("a message that is read too late has expired") {
+    Pair pair;
+    const auto subscriber = must(pair.two.subscribe("wombat-1/drive"));
+    const auto fresh = pair.publish_until_received(subscriber, "drive", "fresh");
+    CHECK_FALSE(fresh->expires_in().has_value());
+    const auto steering = must(pair.one.expires_after(1ms));
+    const auto careful = must(pair.one.expires_after(60s));
+    must(steering.publish("drive", "old"));
+    must(careful.publish("drive", "new"));
+    std::this_thread::sleep_for(300ms);
+    auto message = must(subscriber.next(deadline));
+    while (must(message->payload.text()) == "fresh") {
+        message = must(subscriber.next(deadline));
+    }
+    CHECK(must(message->payload.text()) == "new");
+    REQUIRE(message->expires_in().has_value());
+    CHECK(*message->expires_in() <= 60s);
+    CHECK(must(pair.two.counters()).expired == 1);
+}
+
 TEST_CASE("a callback runs on a thread of its own and can publish") {
     Pair pair;
     Flag received;

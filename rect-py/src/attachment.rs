@@ -28,6 +28,7 @@ pub fn write_attachment(
         source,
         sequence,
         sent,
+        lifetime_ms: None,
     };
     PyBytes::new(py, &attachment.encode())
 }

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use pyo3::{intern, prelude::*};
-use rect::core::key::AddressError;
+use rect::core::{key::AddressError, message::Undelivered};
 
 use crate::{
     connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,
@@ -68,8 +68,12 @@ impl OnMessage {
         let counters = &self.counters.get().0;
         let metadata = match metadata {
             Ok(metadata) => metadata,
-            Err(AddressError::NotForThisRobot) => return Ok(()),
-            Err(AddressError::InvalidTopic { .. }) => {
+            Err(Undelivered::Expired { missed }) => {
+                counters.on_expired(missed);
+                return Ok(());
+            }
+            Err(Undelivered::Address(AddressError::NotForThisRobot)) => return Ok(()),
+            Err(Undelivered::Address(AddressError::InvalidTopic { .. })) => {
                 counters.on_rejected();
                 return Ok(());
             }

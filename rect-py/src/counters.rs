@@ -18,8 +18,13 @@ impl AtomicCounters {
         self.0.on_sent(bytes);
     }
 
-    /// Returns messages sent, their bytes, messages received, their bytes, messages missed and messages rejected.
-    fn read(&self) -> (u64, u64, u64, u64, u64, u64) {
+    /// Counts a message that has expired in the receive queue.
+    fn on_expired(&self) {
+        self.0.on_expired(0);
+    }
+
+    /// Returns messages sent, their bytes, messages received, their bytes, messages missed, expired and rejected.
+    fn read(&self) -> (u64, u64, u64, u64, u64, u64, u64) {
         let read = self.0.read();
         (
             read.sent,
@@ -27,6 +32,7 @@ impl AtomicCounters {
             read.received,
             read.received_bytes,
             read.missed,
+            read.expired,
             read.rejected,
         )
     }

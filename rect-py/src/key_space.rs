@@ -101,6 +101,7 @@ impl KeySpace {
             topic: self::topic(topic)?,
             recipient: recipient.map(name).transpose()?,
             urgency: Urgency::default(),
+            expires: false,
         };
         Ok(key.key(&self.0))
     }

@@ -1,12 +1,14 @@
 //! Makes messages from the samples that Zenoh delivers, and counts missed ones.
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::{
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Instant,
+};
 
 use bytes::Bytes;
 use pyo3::prelude::*;
 use rect::core::{
     encoding::Encoding,
-    key::AddressError,
-    message::{self, Delivery, Message},
+    message::{self, Delivery, Message, Undelivered},
     name::Name,
     payload::Payload,
 };
@@ -25,11 +27,14 @@ pub struct MessageMetadata(Message);
 impl Inbound {
     #[new]
     fn new(key_space: &KeySpace) -> Self {
-        Self(Mutex::new(message::Inbound::new(key_space.0.clone())))
+        Self(Mutex::new(message::Inbound::new(
+            key_space.0.clone(),
+            Instant::now(),
+        )))
     }
 
     /// Makes a message from a sample. Returns `None` if the sample is not a message for this robot, if its topic is
-    /// invalid, or if another Zenoh subscriber delivers it. `directed` is whether the subscriber's key is that of
+    /// invalid, if it has expired, or if another Zenoh subscriber delivers it. `directed` is whether the subscriber's key is that of
     /// messages sent to this robot alone.
     #[pyo3(name = "on_delivery")]
     fn on_delivered_or_none(
@@ -60,7 +65,7 @@ impl Inbound {
         attachment: Option<&[u8]>,
         priority: u8,
         directed: bool,
-    ) -> Result<MessageMetadata, AddressError> {
+    ) -> Result<MessageMetadata, Undelivered> {
         let delivered = Delivery {
             key,
             // The payload bytes stay in Python: the core does not need them.
@@ -69,7 +74,8 @@ impl Inbound {
             priority,
             directed,
         };
-        self.inbound().on_delivery(delivered).map(MessageMetadata)
+        let delivered = self.inbound().on_delivery(delivered, Instant::now());
+        delivered.map(MessageMetadata)
     }
 
     fn inbound(&self) -> MutexGuard<'_, message::Inbound> {
@@ -118,6 +124,12 @@ impl MessageMetadata {
     #[getter]
     pub fn missed(&self) -> u32 {
         self.0.missed
+    }
+
+    /// Whether the message has expired.
+    #[getter]
+    fn is_expired(&self) -> bool {
+        self.0.is_expired(Instant::now())
     }
 
     #[getter]

@@ -1,5 +1,5 @@
 //! Numbers the messages that a program publishes.
-use std::sync::Mutex;
+use std::{sync::Mutex, time::Duration};
 
 use pyo3::{prelude::*, types::PyBytes};
 use rect::core::publication;
@@ -18,9 +18,11 @@ impl Numbering {
         Self(Mutex::new(publication::Numbering::new(source)))
     }
 
-    /// Returns the attachment of a message that is sent now.
-    fn attachment<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &lock(&self.0).attachment(now_ms()))
+    /// Returns the attachment of a message that is sent now. `lifetime`: the time in seconds after which it expires.
+    #[pyo3(signature = (lifetime=None))]
+    fn attachment<'py>(&self, py: Python<'py>, lifetime: Option<f64>) -> Bound<'py, PyBytes> {
+        let lifetime = lifetime.map(|s| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX));
+        PyBytes::new(py, &lock(&self.0).attachment(now_ms(), lifetime))
     }
 
     /// Handles that the message was sent.

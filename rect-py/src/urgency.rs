@@ -1,6 +1,7 @@
 //! Converts urgencies between their names and the core's type, and to Zenoh's quality of service.
 use pyo3::prelude::*;
 use rect::core::{
+    publication,
     settings::{SessionChoice, SessionsState},
     urgency::Urgency,
 };
@@ -16,10 +17,10 @@ const ALL: [(&str, Urgency); 3] = [
     ("bulk", Urgency::Bulk),
 ];
 
-/// Returns the quality of service of messages of that urgency.
+/// Returns the quality of service of messages of that urgency that expire or not.
 #[pyfunction]
-pub fn qos(py: Python<'_>, urgency: &str) -> PyResult<QosFields> {
-    Ok(qos_fields(parse(py, urgency)?.qos()))
+pub fn qos(py: Python<'_>, urgency: &str, expires: bool) -> PyResult<QosFields> {
+    Ok(qos_fields(publication::qos(parse(py, urgency)?, expires)))
 }
 
 /// Returns which session carries messages of that urgency: `normal`, `separate`, or `open` if the separate session is to

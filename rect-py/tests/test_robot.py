@@ -9,6 +9,7 @@ import logging
 import queue
 import sys
 import threading
+import time
 import zlib
 from collections.abc import Callable
 from typing import Any
@@ -135,6 +136,37 @@ def test_blocking_queue_drops_nothing(pair: Pair) -> None:
         one.publish("count", number)
     assert [subscriber.next(DEADLINE).value for _ in range(50)] == list(range(50))
     assert subscriber.dropped == 0
+
+
+def test_message_that_is_read_too_late_has_expired(pair: Pair) -> None:
+    one, two = pair
+    with two.subscribe("wombat-1/drive") as subscriber:
+        until_subscribed(one, "drive")
+        steering = one.publisher("drive", expires_after=0.1)
+        for value in range(2):
+            one.publish("drive", value, expires_after=0.1)
+            steering.publish(value)
+        one.send("wombat-2", "drive", "old", expires_after=0.1)
+        one.publish("drive", "stop")
+        stop = subscriber.next(DEADLINE)
+        while stop.value != "stop":
+            assert not stop.is_expired
+            stop = subscriber.next(DEADLINE)
+        assert not stop.is_expired
+        before = two.counters().expired
+        one.publish("drive", "old", expires_after=0.001)
+        one.publish("drive", "new", expires_after=60)
+        time.sleep(0.3)
+        new = subscriber.next(DEADLINE)
+        assert new.value == "new"
+        assert not new.is_expired
+        assert two.counters().expired == before + 1
+
+
+@pytest.mark.parametrize("expires_after", [-1, float("inf")])
+def test_invalid_lifetime_is_named(pair: Pair, expires_after: float) -> None:
+    with pytest.raises(rect.OptionError, match="expires_after"):
+        pair[0].publish("drive", 1, expires_after=expires_after)
 
 
 def test_wait_for_message_returns_next_message(pair: Pair) -> None:

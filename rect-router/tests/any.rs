@@ -6,11 +6,14 @@ use std::{
     io::Write,
     net::TcpStream,
     path::{Path, PathBuf},
+    sync::mpsc,
     time::{Duration, Instant},
 };
 
 use serde_json::{json, Value};
-use support::{answers, arrives, client, file, free_socket, repository, Air, Router, DEADLINE};
+use support::{
+    answers, arrives, client, file, free_socket, joined, repository, Air, Router, DEADLINE,
+};
 use zenoh::{
     handlers::FifoChannelHandler, pubsub::Subscriber, qos::CongestionControl, sample::Sample,
     Session, Wait,
@@ -21,6 +24,7 @@ use zenoh_link::any::wifi::{self, Wifi, WifiOptions, WifiState};
 struct Robot {
     _router: Router,
     session: Session,
+    endpoint: String,
 }
 
 struct World {
@@ -101,6 +105,7 @@ impl World {
         router.up();
         Robot {
             session: client(&endpoint),
+            endpoint,
             _router: router,
         }
     }
@@ -426,6 +431,70 @@ fn unauthenticated_connections_do_not_keep_a_robot_out() {
     connection(&two, |link| has_paths(link, &["ble", "tcp"]));
     assert!(arrives(&one.session, &two.session, "rect/wombat-1/x"));
     drop(unauthenticated);
+}
+
+/// All paths are lost for three seconds. Afterwards the robot stops, and does not execute the drive commands from before.
+#[test]
+fn stop_command_survives_a_cut_and_old_drive_commands_do_not() {
+    const LIFETIME: Duration = Duration::from_millis(200);
+    let world = World::new();
+    let secret = world.secret("team");
+    let one = world.robot(1, "any", Some(&secret), &[]);
+    let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
+    connection(&two, |link| has_paths(link, &["ble", "tcp"]));
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let join = |name, at: &Robot| runtime.block_on(joined(name, &at.endpoint));
+    let (robot, base) = (join("wombat-1", &one), join("wombat-2", &two));
+    let begun = Instant::now();
+    let (sender, drives) = mpsc::channel();
+    let driving = robot.on_message("wombat-2/drive", move |message| {
+        let sent_ms: u64 = message.payload.value().expect("a number");
+        let age = begun
+            .elapsed()
+            .saturating_sub(Duration::from_millis(sent_ms));
+        sender.send(age).expect("counted");
+    });
+    let _driving = runtime.block_on(driving).expect("subscribed");
+    let (sender, stops) = mpsc::channel();
+    let stopping = robot.on_message("wombat-2/stop", move |_| sender.send(()).expect("counted"));
+    let _stopping = runtime.block_on(stopping).expect("subscribed");
+    let (urgent, steering) = (base.urgent(), base.urgent().expires_after(LIFETIME));
+    let drive = || {
+        let sent_ms = begun.elapsed().as_millis() as u64;
+        let published = steering.publish("drive", rect::Json(sent_ms));
+        runtime.block_on(published).expect("published");
+        std::thread::sleep(Duration::from_millis(30));
+    };
+    while drives.try_recv().is_err() {
+        assert!(begun.elapsed() < DEADLINE, "drive commands arrive");
+        drive();
+    }
+
+    world.air.air().cut();
+    world.set_wifi(WifiState::Off);
+    for number in 0..100 {
+        drive();
+        if number == 50 {
+            let stop = urgent.publish("stop", "");
+            runtime.block_on(stop).expect("published");
+        }
+    }
+    assert!(stops.try_recv().is_err(), "nothing arrives without a path");
+    world.set_wifi(WifiState::On);
+    world.air.air().restore();
+    stops.recv_timeout(DEADLINE).expect("stopped");
+    let restored = Instant::now();
+    let mut ages: Vec<_> = drives.try_iter().collect();
+    while ages.len() < 5 {
+        assert!(restored.elapsed() < DEADLINE, "it can drive again");
+        drive();
+        ages.extend(drives.try_iter());
+    }
+    let oldest = ages.iter().max().expect("some");
+    // The bound is the lifetime and what the fastest message took; the rest is for a busy machine.
+    assert!(*oldest < LIFETIME + Duration::from_millis(300), "{ages:?}");
+    let counters = robot.counters();
+    assert!(counters.missed + counters.expired > 80, "{counters:?}");
 }
 
 /// A standby path gives way to a robot that can only be reached over Bluetooth.

@@ -1,19 +1,21 @@
-//! Encodes the attachment of a message: 4 to 14 bytes of metadata beside the payload.
+//! Encodes the attachment of a message: 4 to 19 bytes of metadata beside the payload.
 //!
 //! | bytes | content |
 //! |---|---|
-//! | 1 | `0xF8` plus three flag bits, the third of which is reserved. No text in UTF-8 begins with such a byte, so attachments of other Zenoh programs are not mistaken for RECT's |
+//! | 1 | `0xF8` plus three flag bits. No text in UTF-8 begins with such a byte, so attachments of other Zenoh programs are not mistaken for RECT's |
 //! | 2 | the source: a random number that each publisher chooses when it starts, little endian |
 //! | 1 to 5 | the sequence number of the message at that source, LEB128 |
 //! | 6 | with flag 1: the time of sending in milliseconds since 1970 by the sender's clock, little endian |
 //! | 2 | with flag 2 instead: the low 16 bits of that time; for frames of a stream, of which only the age matters |
+//! | 1 to 5 | with flag 4: the time in milliseconds after which the message expires, LEB128 |
 
 const MARK: u8 = 0xF8;
 const TIME: u8 = 1;
 const SHORT_TIME: u8 = 2;
+const LIFETIME: u8 = 4;
 
 /// The maximum length of an attachment, in bytes.
-pub const MAX_BYTES: usize = 14;
+pub const MAX_BYTES: usize = 19;
 
 /// The time at which a message was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,28 +38,30 @@ pub struct Attachment {
     pub sequence: u32,
     /// The time at which the message was sent.
     pub sent: Sent,
+    /// The time in milliseconds after which the message expires. `None`: it never does.
+    pub lifetime_ms: Option<u32>,
 }
 
 impl Attachment {
     /// Encodes the attachment.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(MAX_BYTES);
-        bytes.push(match self.sent {
-            Sent::Unknown => MARK,
-            Sent::At(_) => MARK | TIME,
-            Sent::Low(_) => MARK | SHORT_TIME,
-        });
+        let time = match self.sent {
+            Sent::Unknown => 0,
+            Sent::At(_) => TIME,
+            Sent::Low(_) => SHORT_TIME,
+        };
+        let lifetime = self.lifetime_ms.map_or(0, |_| LIFETIME);
+        bytes.push(MARK | time | lifetime);
         bytes.extend_from_slice(&self.source.to_le_bytes());
-        let mut rest = self.sequence;
-        while rest >= 0x80 {
-            bytes.push(rest as u8 | 0x80);
-            rest >>= 7;
-        }
-        bytes.push(rest as u8);
+        write_leb128(self.sequence, &mut bytes);
         match self.sent {
             Sent::Unknown => {}
             Sent::At(at_ms) => bytes.extend_from_slice(&at_ms.to_le_bytes()[..6]),
             Sent::Low(low) => bytes.extend_from_slice(&low.to_le_bytes()),
+        }
+        if let Some(lifetime_ms) = self.lifetime_ms {
+            write_leb128(lifetime_ms, &mut bytes);
         }
         bytes
     }
@@ -66,33 +70,57 @@ impl Attachment {
     /// program.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (&flags, rest) = bytes.split_first()?;
-        let (source, mut rest) = rest.split_first_chunk()?;
-        let mut sequence = 0u64;
-        for shift in (0..35).step_by(7) {
-            let (&byte, after) = rest.split_first()?;
-            rest = after;
-            sequence |= u64::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                let sent = match flags ^ MARK {
-                    0 if rest.is_empty() => Sent::Unknown,
-                    TIME => {
-                        let low: [u8; 6] = rest.try_into().ok()?;
-                        let mut all = [0; 8];
-                        all[..6].copy_from_slice(&low);
-                        Sent::At(u64::from_le_bytes(all))
-                    }
-                    SHORT_TIME => Sent::Low(u16::from_le_bytes(rest.try_into().ok()?)),
-                    _ => return None,
-                };
-                return Some(Self {
-                    source: u16::from_le_bytes(*source),
-                    sequence: u32::try_from(sequence).ok()?,
-                    sent,
-                });
+        let (source, rest) = rest.split_first_chunk()?;
+        let (sequence, rest) = read_leb128(rest)?;
+        let flags = flags ^ MARK;
+        let (sent, rest) = match flags & !LIFETIME {
+            0 => (Sent::Unknown, rest),
+            TIME => {
+                let (low, rest) = rest.split_first_chunk::<6>()?;
+                let mut all = [0; 8];
+                all[..6].copy_from_slice(low);
+                (Sent::At(u64::from_le_bytes(all)), rest)
             }
-        }
-        None
+            SHORT_TIME => {
+                let (low, rest) = rest.split_first_chunk()?;
+                (Sent::Low(u16::from_le_bytes(*low)), rest)
+            }
+            _ => return None,
+        };
+        let (lifetime_ms, rest) = match flags & LIFETIME {
+            0 => (None, rest),
+            _ => read_leb128(rest).map(|(lifetime_ms, rest)| (Some(lifetime_ms), rest))?,
+        };
+        rest.is_empty().then_some(Self {
+            source: u16::from_le_bytes(*source),
+            sequence,
+            sent,
+            lifetime_ms,
+        })
     }
+}
+
+fn write_leb128(number: u32, to: &mut Vec<u8>) {
+    let mut rest = number;
+    while rest >= 0x80 {
+        to.push(rest as u8 | 0x80);
+        rest >>= 7;
+    }
+    to.push(rest as u8);
+}
+
+/// Returns the number at the beginning of the bytes, and the bytes after it.
+fn read_leb128(mut bytes: &[u8]) -> Option<(u32, &[u8])> {
+    let mut number = 0u64;
+    for shift in (0..35).step_by(7) {
+        let (&byte, after) = bytes.split_first()?;
+        bytes = after;
+        number |= u64::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            return Some((u32::try_from(number).ok()?, bytes));
+        }
+    }
+    None
 }
 
 #[cfg(test)]
@@ -102,16 +130,18 @@ mod tests {
     #[test]
     fn attachments_round_trip_in_few_bytes() {
         let cases = [
-            (0, Sent::Unknown, 4),
-            (127, Sent::Low(65535), 6),
-            (128, Sent::At(1_795_000_000_000), 11),
-            (u32::MAX, Sent::At((1 << 48) - 1), 14),
+            (0, Sent::Unknown, None, 4),
+            (127, Sent::Low(65535), None, 6),
+            (128, Sent::At(1_795_000_000_000), None, 11),
+            (5, Sent::At(1_795_000_000_000), Some(100), 11),
+            (u32::MAX, Sent::At((1 << 48) - 1), Some(u32::MAX), MAX_BYTES),
         ];
-        for (sequence, sent, bytes) in cases {
+        for (sequence, sent, lifetime_ms, bytes) in cases {
             let attachment = Attachment {
                 source: 0xABCD,
                 sequence,
                 sent,
+                lifetime_ms,
             };
             let encoded = attachment.encode();
             assert_eq!(encoded.len(), bytes, "{attachment:?}");
@@ -130,7 +160,7 @@ mod tests {
             assert_eq!(Attachment::decode(other.as_bytes()), None, "{other}");
         }
         assert_eq!(
-            Attachment::decode(&[MARK | 4, 0, 0, 0]),
+            Attachment::decode(&[MARK | TIME | SHORT_TIME, 0, 0, 0]),
             None,
             "a later version"
         );

@@ -16,6 +16,8 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
+    /// Messages that had expired on arrival, or before the program has read them.
+    pub expired: u64,
     /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
     /// more than 200 bytes, reserved parts).
     pub rejected: u64,
@@ -29,6 +31,7 @@ pub struct AtomicCounters {
     received: AtomicU64,
     received_bytes: AtomicU64,
     missed: AtomicU64,
+    expired: AtomicU64,
     rejected: AtomicU64,
 }
 
@@ -47,6 +50,12 @@ impl AtomicCounters {
         add(&self.missed, missed.into());
     }
 
+    /// Counts a message that has expired, and the `missed` messages before it that did not arrive and are not counted yet.
+    pub fn on_expired(&self, missed: u32) {
+        add(&self.expired, 1);
+        add(&self.missed, missed.into());
+    }
+
     /// Counts a message that was dropped because of its invalid topic.
     pub fn on_rejected(&self) {
         add(&self.rejected, 1);
@@ -61,6 +70,7 @@ impl AtomicCounters {
             received: read(&self.received),
             received_bytes: read(&self.received_bytes),
             missed: read(&self.missed),
+            expired: read(&self.expired),
             rejected: read(&self.rejected),
         }
     }

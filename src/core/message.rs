@@ -1,7 +1,10 @@
 //! Defines [`Message`], and [`Inbound`], which turns Zenoh samples into messages.
+use std::time::{Duration, Instant};
+
 use super::{
     attachment::{Attachment, Sent},
     codec::CodecError,
+    expiry::Expiry,
     gaps::{Gaps, SenderCounts},
     key::{AddressError, KeySpace},
     name::Name,
@@ -32,12 +35,22 @@ pub struct Message {
     pub missed: u32,
     /// Whether a message that was published later arrived before this one.
     pub late: bool,
+    /// When the message expires, on this computer's clock. `None`: it never does. A program that is busy for long may look again
+    /// before it acts on the message.
+    pub expires_at: Option<Instant>,
     /// Why the payload could not be decoded and is delivered as it arrived: it is damaged, too large, or needs an
     /// unknown dictionary. `None` if it was decoded.
     pub problem: Option<CodecError>,
     /// The method by which the message arrived, such as `ble`. `None` if it is unknown, or if this robot has links of
     /// several methods with the sender.
     pub method: Option<String>,
+}
+
+impl Message {
+    /// Returns whether the message has expired at that time.
+    pub fn is_expired(&self, now: Instant) -> bool {
+        self.expires_at.is_some_and(|at| at <= now)
+    }
 }
 
 /// A sample that Zenoh delivered to a subscription.
@@ -56,32 +69,53 @@ pub struct Delivery<'a> {
     pub directed: bool,
 }
 
+/// Why a sample is not delivered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Undelivered {
+    /// Its key is not that of a message to this robot, or the pattern's other subscription delivers the sample.
+    Address(AddressError),
+    /// The message has expired.
+    Expired {
+        /// The number of messages directly before it that did not arrive.
+        missed: u32,
+    },
+}
+
 /// Turns the samples of one subscription into messages, and counts those that did not arrive.
 #[derive(Debug)]
 pub struct Inbound {
     keys: KeySpace,
     gaps: Gaps,
+    expiry: Expiry,
 }
 
 impl Inbound {
     /// Creates the state of a new subscription by a program of the robot of `keys`.
-    pub fn new(keys: KeySpace) -> Self {
-        let gaps = Gaps::default();
-        Self { keys, gaps }
+    pub fn new(keys: KeySpace, now: Instant) -> Self {
+        Self {
+            keys,
+            gaps: Gaps::default(),
+            expiry: Expiry::new(now),
+        }
     }
 
     /// Returns the message that a sample contains.
     ///
     /// # Errors
-    /// Returns an [`AddressError`] if the key is not that of a message to this robot, or if the pattern's other
-    /// subscription delivers the same sample.
-    pub fn on_delivery(&mut self, delivered: Delivery<'_>) -> Result<Message, AddressError> {
+    /// Returns why the sample is not delivered.
+    pub fn on_delivery(
+        &mut self,
+        delivered: Delivery<'_>,
+        now: Instant,
+    ) -> Result<Message, Undelivered> {
         let address = match self.keys.parse(delivered.key) {
             Ok(address) if address.recipient.is_some() == delivered.directed => address,
             Err(AddressError::InvalidTopic { directed }) if directed == delivered.directed => {
-                return Err(AddressError::InvalidTopic { directed });
+                return Err(Undelivered::Address(AddressError::InvalidTopic {
+                    directed,
+                }));
             }
-            _ => return Err(AddressError::NotForThisRobot),
+            _ => return Err(Undelivered::Address(AddressError::NotForThisRobot)),
         };
         let attachment = delivered.attachment.and_then(Attachment::decode);
         let mut message = Message {
@@ -94,6 +128,7 @@ impl Inbound {
             sequence: None,
             missed: 0,
             late: false,
+            expires_at: None,
             problem: None,
             method: None,
         };
@@ -101,13 +136,24 @@ impl Inbound {
             None => self.gaps.on_unnumbered(&message.sender),
             Some(attachment) => {
                 let Attachment {
-                    source, sequence, ..
+                    source,
+                    sequence,
+                    sent,
+                    lifetime_ms,
                 } = attachment;
                 let gap = self.gaps.on_message(&message.sender, source, sequence);
                 message.sequence = Some(sequence);
                 (message.missed, message.late) = (gap.missed, gap.late);
-                if let Sent::At(at_ms) = attachment.sent {
+                let mut age = Duration::ZERO;
+                if let Sent::At(at_ms) = sent {
                     message.sent_ms = Some(at_ms);
+                    age = (self.expiry).age(&message.sender, source, at_ms, gap.late, now);
+                }
+                if let Some(lifetime_ms) = lifetime_ms {
+                    let rest = Duration::from_millis(lifetime_ms.into()).checked_sub(age);
+                    let rest = rest.filter(|rest| !rest.is_zero());
+                    let missed = message.missed;
+                    message.expires_at = Some(now + rest.ok_or(Undelivered::Expired { missed })?);
                 }
             }
         }
@@ -128,7 +174,7 @@ mod tests {
     fn inbound() -> Inbound {
         let name = |text| Name::new(text).expect("valid name");
         let (fleet, robot) = (name("rect"), name("wombat-1"));
-        Inbound::new(KeySpace { fleet, robot })
+        Inbound::new(KeySpace { fleet, robot }, Instant::now())
     }
 
     fn delivered<'a>(key: &'a str, attachment: Option<&'a [u8]>) -> Delivery<'a> {
@@ -150,24 +196,60 @@ mod tests {
                 source,
                 sequence,
                 sent,
+                lifetime_ms: None,
             }
             .encode()
         };
         let mut inbound = inbound();
-        let first = inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(3))));
+        let first = inbound.on_delivery(
+            delivered("rect/a/x/y", Some(&attachment(3))),
+            Instant::now(),
+        );
         let first = first.expect("a message");
         assert_eq!((first.sender.as_str(), first.topic.as_str()), ("a", "x/y"));
         assert_eq!((first.sequence, first.missed), (Some(3), 0));
         assert_eq!(first.sent_ms, Some(1_795_000_000_000));
-        let next = inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(6))));
+        let next = inbound.on_delivery(
+            delivered("rect/a/x/y", Some(&attachment(6))),
+            Instant::now(),
+        );
         assert_eq!(next.expect("a message").missed, 2);
+    }
+
+    #[test]
+    fn message_that_was_held_up_is_not_delivered() {
+        let (mut inbound, start) = (inbound(), Instant::now());
+        let ms = Duration::from_millis;
+        let mut on_message = |sequence: u32, sent: u64, arrived: u64| {
+            let attachment = Attachment {
+                source: 7,
+                sequence,
+                sent: Sent::At(1_795_000_000_000 + sent),
+                lifetime_ms: Some(200),
+            };
+            let attachment = attachment.encode();
+            let delivered = delivered("rect/a/drive", Some(&attachment));
+            inbound.on_delivery(delivered, start + ms(arrived))
+        };
+        let fresh = on_message(0, 0, 10).expect("delivered");
+        assert!(!fresh.is_expired(start + ms(209)));
+        assert!(fresh.is_expired(start + ms(210)), "in the receive queue");
+        let late = on_message(1, 100, 260).expect("delivered");
+        assert!(!late.is_expired(start + ms(309)));
+        assert!(late.is_expired(start + ms(310)), "150 ms on the way");
+        let expired = on_message(4, 300, 3300).expect_err("3 s on the way");
+        assert_eq!(expired, Undelivered::Expired { missed: 2 });
+        assert!(on_message(5, 3290, 3300).is_ok());
     }
 
     #[test]
     fn messages_of_other_zenoh_programs_have_no_sequence_number() {
         let mut inbound = inbound();
         for attachment in [None, Some(b"mine".as_slice())] {
-            let message = inbound.on_delivery(delivered("rect/a/to/wombat-1/x", attachment));
+            let message = inbound.on_delivery(
+                delivered("rect/a/to/wombat-1/x", attachment),
+                Instant::now(),
+            );
             let message = message.expect("a message");
             assert_eq!((message.sequence, message.sent_ms), (None, None));
             assert_eq!(message.recipient.expect("to me"), "wombat-1");
@@ -180,7 +262,7 @@ mod tests {
     fn delivers_a_message_once_if_both_subscriptions_match() {
         let mut twice = delivered("rect/a/to/wombat-1/x", None);
         twice.directed = false;
-        assert!(inbound().on_delivery(twice).is_err());
+        assert!(inbound().on_delivery(twice, Instant::now()).is_err());
     }
 
     #[test]
@@ -191,13 +273,16 @@ mod tests {
             (format!("rect/a/to/wombat-1/{topic}"), true),
         ] {
             let mut inbound = inbound();
-            let rejected = AddressError::InvalidTopic { directed };
-            let first = inbound.on_delivery(delivered(&key, None));
+            let rejected = Undelivered::Address(AddressError::InvalidTopic { directed });
+            let first = inbound.on_delivery(delivered(&key, None), Instant::now());
             assert_eq!(first.expect_err("rejected"), rejected);
             let mut twice = delivered(&key, None);
             twice.directed = !directed;
-            let second = inbound.on_delivery(twice);
-            assert_eq!(second.expect_err("rejected"), AddressError::NotForThisRobot);
+            let second = inbound.on_delivery(twice, Instant::now());
+            assert_eq!(
+                second.expect_err("rejected"),
+                Undelivered::Address(AddressError::NotForThisRobot)
+            );
             assert_eq!(inbound.counts_by_sender().count(), 0);
         }
     }

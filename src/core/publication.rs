@@ -1,12 +1,12 @@
 //! Decides how a message is published: its key, its number, and which publishers are kept.
-use std::{collections::HashMap, sync::Arc};
+use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use super::{
     attachment::{Attachment, Sent},
     key::KeySpace,
     name::Name,
     topic::Topic,
-    urgency::Urgency,
+    urgency::{Qos, Urgency},
 };
 
 /// The size in bytes from which a payload may have to wait for room on a link, so that a thread that must not wait does
@@ -22,6 +22,8 @@ pub struct PublicationKey {
     pub recipient: Option<Name>,
     /// The urgency of the messages.
     pub urgency: Urgency,
+    /// Whether the messages expire. They are dropped where others would wait.
+    pub expires: bool,
 }
 
 impl PublicationKey {
@@ -31,6 +33,24 @@ impl PublicationKey {
             None => place.publication(&self.topic),
             Some(recipient) => place.message(recipient, &self.topic),
         }
+    }
+
+    /// Returns the quality of service of the messages.
+    pub fn qos(&self) -> Qos {
+        qos(self.urgency, self.expires)
+    }
+}
+
+/// Returns the quality of service of messages of an urgency that expire or not. An overloaded link refuses a message that
+/// expires, in place of storing it.
+pub fn qos(urgency: Urgency, expires: bool) -> Qos {
+    let qos = urgency.qos();
+    match expires {
+        true => Qos {
+            express: true,
+            ..qos.drop_when_congested()
+        },
+        false => qos,
     }
 }
 
@@ -47,12 +67,14 @@ impl Numbering {
         Self { source, next: 0 }
     }
 
-    /// Returns the attachment of the next message. `unix_ms` is the time of sending in milliseconds since 1970.
-    pub fn attachment(&self, unix_ms: u64) -> Vec<u8> {
+    /// Returns the attachment of the next message. `unix_ms` is the time of sending in milliseconds since 1970, and `lifetime` the
+    /// time after which the message expires, if it does.
+    pub fn attachment(&self, unix_ms: u64, lifetime: Option<Duration>) -> Vec<u8> {
         let attachment = Attachment {
             source: self.source,
             sequence: self.next,
             sent: Sent::At(unix_ms),
+            lifetime_ms: lifetime.map(in_ms),
         };
         attachment.encode()
     }
@@ -61,6 +83,12 @@ impl Numbering {
     pub fn on_sent(&mut self) {
         self.next = self.next.wrapping_add(1);
     }
+}
+
+/// Returns a lifetime in milliseconds, rounded up: at least 1, at most 49 days.
+fn in_ms(lifetime: Duration) -> u32 {
+    let ms = lifetime.as_nanos().div_ceil(1_000_000).max(1);
+    u32::try_from(ms).unwrap_or(u32::MAX)
 }
 
 /// The publishers that a program has used.
@@ -100,6 +128,7 @@ mod tests {
             topic: Topic::new(&format!("t{topic}")).expect("valid topic"),
             recipient: recipient.map(|name| Name::new(name).expect("valid name")),
             urgency: Urgency::Normal,
+            expires: false,
         }
     }
 
@@ -107,7 +136,7 @@ mod tests {
     fn numbers_count_the_messages_that_were_sent() {
         let mut numbering = Numbering::new(7);
         let number = |numbering: &Numbering| {
-            let attachment = Attachment::decode(&numbering.attachment(1000));
+            let attachment = Attachment::decode(&numbering.attachment(1000, None));
             attachment.expect("an attachment").sequence
         };
         assert_eq!(number(&numbering), 0);

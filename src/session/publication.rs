@@ -1,5 +1,8 @@
 //! Publishes the messages of one topic: holds the Zenoh publisher and the numbering of its messages.
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
 
 use tokio::runtime::Handle;
 use zenoh::{bytes::Encoding as ZenohEncoding, pubsub::Publisher, Session, Wait};
@@ -43,12 +46,13 @@ impl Publication {
     pub(super) async fn put(
         self: Arc<Self>,
         payload: Payload,
+        lifetime: Option<Duration>,
         runtime: &Handle,
     ) -> Result<(), Error> {
         if payload.bytes.len() < LARGE_BYTES {
-            return self.put_now(payload);
+            return self.put_now(payload, lifetime);
         }
-        let put = runtime.spawn_blocking(move || self.put_now(payload));
+        let put = runtime.spawn_blocking(move || self.put_now(payload, lifetime));
         put.await.map_err(|_| Error::Closed)?
     }
 
@@ -57,7 +61,7 @@ impl Publication {
         &self.publisher
     }
 
-    fn put_now(&self, payload: Payload) -> Result<(), Error> {
+    fn put_now(&self, payload: Payload, lifetime: Option<Duration>) -> Result<(), Error> {
         // Locked while the message is sent, so that messages of two threads are sent in the order of their numbers.
         let mut state = self.state();
         if state.encoding.0 != payload.encoding {
@@ -68,7 +72,7 @@ impl Publication {
             .publisher
             .put(payload.bytes)
             .encoding(state.encoding.1.clone())
-            .attachment(state.numbering.attachment(now_ms()));
+            .attachment(state.numbering.attachment(now_ms(), lifetime));
         put.wait()
             .map_err(Error::zenoh("cannot send the message"))?;
         state.numbering.on_sent();

@@ -24,7 +24,7 @@ pub struct Publisher {
 }
 
 impl Robot {
-    /// Declares a publisher of `topic`, with the urgency and codec of this handle.
+    /// Declares a publisher of `topic`, with the urgency, codec and expiry of this handle.
     ///
     /// ```no_run
     /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -40,11 +40,7 @@ impl Robot {
     where
         Error: From<T::Error>,
     {
-        let key = PublicationKey {
-            topic: topic.try_into()?,
-            recipient: None,
-            urgency: self.urgency(),
-        };
+        let key = self.publication_key(topic.try_into()?, None);
         let publication = self.publication(key.clone()).await?;
         let refused = || Error::zenoh("cannot observe the subscribers");
         let (sender, matching) = watch::channel(None);

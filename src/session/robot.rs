@@ -2,7 +2,7 @@
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use tokio::runtime::Handle;
@@ -42,6 +42,8 @@ pub struct Robot {
     pub(super) inner: Arc<Inner>,
     urgency: Urgency,
     codec: Option<Arc<dyn Codec>>,
+    /// The time after which messages expire.
+    lifetime: Option<Duration>,
 }
 
 pub(super) struct Inner {
@@ -93,6 +95,7 @@ impl Robot {
             inner: Arc::new(inner),
             urgency: Urgency::default(),
             codec: None,
+            lifetime: None,
         })
     }
 
@@ -137,6 +140,28 @@ impl Robot {
     #[must_use]
     pub fn bulk(&self) -> Self {
         self.with_urgency(Urgency::Bulk)
+    }
+
+    /// Returns a handle whose messages expire: they are dropped rather than delivered later than this after they were sent. For
+    /// commands such as steering, of which an old one is worse than none.
+    ///
+    /// Such a message never waits where another one would: a link or queue without room drops it. A receiver drops it if it was
+    /// on the way for longer, or has waited for longer in the receive queue; [`Counters::expired`](crate::Counters) counts it there.
+    /// The time on the way is measured against the fastest message of this program and topic, so the bound is the lifetime and
+    /// what that message took. A stock Zenoh program gets a plain message. Requests and streams are not affected.
+    ///
+    /// ```no_run
+    /// # async fn drive(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let steering = robot.expires_after(std::time::Duration::from_millis(200));
+    /// steering.send("wombat-2", "drive", rect::Json([0.5, 0.5])).await?;
+    /// # Ok(()) }
+    /// ```
+    #[must_use]
+    pub fn expires_after(&self, lifetime: Duration) -> Self {
+        Self {
+            lifetime: Some(lifetime),
+            ..self.clone()
+        }
     }
 
     /// Returns a handle that encodes the payloads of messages and requests with `codec`; receivers decode them
@@ -260,13 +285,18 @@ impl Robot {
         recipient: Option<Name>,
         payload: Payload,
     ) -> Result<(), Error> {
-        let key = PublicationKey {
+        let key = self.publication_key(topic, recipient);
+        let publication = self.publication(key).await?;
+        self.put(&publication, payload).await
+    }
+
+    pub(super) fn publication_key(&self, topic: Topic, recipient: Option<Name>) -> PublicationKey {
+        PublicationKey {
             topic,
             recipient,
             urgency: self.urgency,
-        };
-        let publication = self.publication(key).await?;
-        self.put(&publication, payload).await
+            expires: self.lifetime.is_some(),
+        }
     }
 
     pub(super) async fn put(
@@ -275,7 +305,7 @@ impl Robot {
         payload: Payload,
     ) -> Result<(), Error> {
         let bytes = payload.bytes.len();
-        let put = publication.clone().put(payload, &self.inner.runtime);
+        let put = (publication.clone()).put(payload, self.lifetime, &self.inner.runtime);
         put.await?;
         self.inner.counting.on_sent(bytes);
         Ok(())
@@ -291,8 +321,8 @@ impl Robot {
         if let Some(cached) = publications.get(&key) {
             return Ok(cached.clone());
         }
-        let qos = key.urgency.qos();
-        let publication = Publication::declare(session, key.key(&self.inner.place), qos)?;
+        let zenoh_key = key.key(&self.inner.place);
+        let publication = Publication::declare(session, zenoh_key, key.qos())?;
         let publication = Arc::new(publication);
         publications.add(key, publication.clone());
         Ok(publication)

@@ -7,7 +7,7 @@ use std::{
     pin::Pin,
     sync::{Arc, Mutex, PoisonError},
     task::{Context, Poll},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use futures_core::Stream;
@@ -23,9 +23,10 @@ use super::{
 };
 use crate::{
     core::{
+        counters::AtomicCounters,
         gaps::SenderCounts,
         key::AddressError,
-        message::{Delivery, Inbound, Message},
+        message::{Delivery, Inbound, Message, Undelivered},
         name::Name,
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
         topic::Pattern,
@@ -63,6 +64,7 @@ pub struct Subscriber {
     queue: Arc<ReceiveQueue<Message>>,
     inbound: Arc<Mutex<Inbound>>,
     decoder: Arc<Decoder>,
+    counting: Arc<AtomicCounters>,
     /// The pending read of the [`Stream`]. The mutex only makes the type `Sync`; it is never locked.
     next: Mutex<Option<Next>>,
     _declared: Declared,
@@ -119,7 +121,7 @@ impl Robot {
     fn subscribed(&self, pattern: &Pattern, queue: QueueOptions) -> Result<Subscriber, Error> {
         let place = &self.inner.place;
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
-        let inbound = Arc::new(Mutex::new(Inbound::new(place.clone())));
+        let inbound = Arc::new(Mutex::new(Inbound::new(place.clone(), Instant::now())));
         let [all, mine] = place.subscriptions(pattern);
         let declare = |key: String, directed: bool| {
             let (writer, inbound) = (QueueWriter::new(&queue), inbound.clone());
@@ -128,8 +130,11 @@ impl Robot {
             let on_sample = move |sample: Sample| {
                 let mut message = match on_sample(&inbound, &sample, directed) {
                     Ok(message) => message,
-                    Err(AddressError::NotForThisRobot) => return,
-                    Err(AddressError::InvalidTopic { .. }) => return counting.on_rejected(),
+                    Err(Undelivered::Expired { missed }) => return counting.on_expired(missed),
+                    Err(Undelivered::Address(AddressError::NotForThisRobot)) => return,
+                    Err(Undelivered::Address(AddressError::InvalidTopic { .. })) => {
+                        return counting.on_rejected()
+                    }
                 };
                 let links = links.as_ref();
                 message.method = links.and_then(|links| links.method(&message.sender));
@@ -150,6 +155,7 @@ impl Robot {
             queue,
             inbound,
             decoder: self.inner.decoder.clone(),
+            counting: self.inner.counting.clone(),
             next: Mutex::default(),
             _declared: declared,
         })
@@ -224,13 +230,17 @@ impl Subscriber {
     /// If a message is compressed with a dictionary that is not known yet, the call also waits for the dictionary, at
     /// most 5 s. Dropping the future at that point loses the message.
     pub async fn next(&self) -> Option<Message> {
-        decoded(&self.queue, &self.decoder).await
+        decoded(&self.queue, &self.decoder, &self.counting).await
     }
 
     /// Returns the next message if one is queued. If the message is compressed with a dictionary that is not known yet,
     /// its payload stays encoded, and [`Message::problem`] gives the reason.
     pub fn try_next(&self) -> Option<Message> {
         let mut message = self.queue.try_pop()?;
+        while message.is_expired(Instant::now()) {
+            self.counting.on_expired(0);
+            message = self.queue.try_pop()?;
+        }
         self.decoder.decode_message_now(&mut message);
         Some(message)
     }
@@ -255,10 +265,22 @@ impl Subscriber {
     }
 }
 
-async fn decoded(queue: &ReceiveQueue<Message>, decoder: &Decoder) -> Option<Message> {
-    let mut message = queue.pop().await?;
-    decoder.decode_message(&mut message).await;
-    Some(message)
+async fn decoded(
+    queue: &ReceiveQueue<Message>,
+    decoder: &Decoder,
+    counting: &AtomicCounters,
+) -> Option<Message> {
+    loop {
+        let mut message = queue.pop().await?;
+        if !message.is_expired(Instant::now()) {
+            decoder.decode_message(&mut message).await;
+            // Decoding may wait for a dictionary.
+            if !message.is_expired(Instant::now()) {
+                return Some(message);
+            }
+        }
+        counting.on_expired(0);
+    }
 }
 
 impl Stream for Subscriber {
@@ -266,9 +288,11 @@ impl Stream for Subscriber {
 
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Message>> {
         let (queue, decoder) = (self.queue.clone(), self.decoder.clone());
+        let counting = self.counting.clone();
         let next = self.next.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let waiting =
-            next.get_or_insert_with(|| Box::pin(async move { decoded(&queue, &decoder).await }));
+        let waiting = next.get_or_insert_with(|| {
+            Box::pin(async move { decoded(&queue, &decoder, &counting).await })
+        });
         let polled = waiting.as_mut().poll(context);
         if polled.is_ready() {
             *next = None;
@@ -309,15 +333,16 @@ fn on_sample(
     inbound: &Mutex<Inbound>,
     sample: &Sample,
     directed: bool,
-) -> Result<Message, AddressError> {
+) -> Result<Message, Undelivered> {
     let attachment = sample.attachment().map(ZBytes::to_bytes);
-    lock(inbound).on_delivery(Delivery {
+    let delivery = Delivery {
         key: sample.key_expr().as_str(),
         payload: payload(sample.payload(), sample.encoding()),
         attachment: attachment.as_deref(),
         priority: sample.priority() as u8,
         directed,
-    })
+    };
+    lock(inbound).on_delivery(delivery, Instant::now())
 }
 
 fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {

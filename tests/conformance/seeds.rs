@@ -165,6 +165,7 @@ pub fn attachments() -> Vec<Value> {
             source,
             sequence,
             sent,
+            lifetime_ms: None,
         };
         hex(&attachment.encode())
     });

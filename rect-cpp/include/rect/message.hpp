@@ -90,6 +90,10 @@ public:
     }
     /// Returns how many messages of the same publisher, directly before this one, did not arrive.
     [[nodiscard]] std::uint32_t missed() const noexcept { return raw_.missed; }
+    /// Returns the time until the message expires, when it was delivered; nothing if it does not expire.
+    [[nodiscard]] std::optional<std::chrono::milliseconds> expires_in() const {
+        return raw_.expires_in_ms < 0 ? std::nullopt : std::optional<std::chrono::milliseconds>(raw_.expires_in_ms);
+    }
     /// Returns whether the message arrived after one with a higher sequence number of the same publisher.
     [[nodiscard]] bool late() const noexcept { return raw_.late; }
     /// Returns the reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or

@@ -67,6 +67,14 @@ public:
         });
     }
 
+    /// Returns a handle of the same robot whose messages expire: they are dropped rather than delivered later than this after
+    /// they were sent. For commands such as steering: `robot.expires_after(std::chrono::milliseconds(200))`.
+    [[nodiscard]] expected<Robot> expires_after(Milliseconds lifetime) const {
+        return derive([&](rect_robot* derived, rect_error* error) {
+            return rect_robot_expires_after(raw(), detail::ms(lifetime), derived, error);
+        });
+    }
+
     /// Returns a handle of the same robot that encodes the payloads of its messages and requests:
     /// `robot.with_codec("zstd:9")`. Receivers decode them automatically. Fails with Code::codec if the codec is unknown.
     [[nodiscard]] expected<Robot> with_codec(const Text& codec) const {

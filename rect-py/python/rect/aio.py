@@ -24,6 +24,7 @@ import zenoh as stock
 from rect import _rect
 from rect import robot as blocking
 from rect.choices import Urgency, WhenFull
+from rect.deadline import Deadline
 from rect.errors import CodecError, NoService, TimedOut
 from rect.events import Counters, Event
 from rect.events import Events as BlockingEvents
@@ -120,15 +121,30 @@ class Robot:
         """Whether the robot was closed."""
         return self._robot.is_closed
 
-    async def publish(self, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
+    async def publish(
+        self,
+        topic: str,
+        value: Any,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> None:
         """Publishes `value` on `topic` to every subscriber; see `rect.Robot.publish`."""
-        await self._publish(topic, None, value, urgency, codec)
+        await self._publish(topic, None, value, urgency, codec, expires_after)
 
     async def send(
-        self, robot: str, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None
+        self,
+        robot: str,
+        topic: str,
+        value: Any,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
     ) -> None:
         """Sends `value` on `topic` to one robot only; see `rect.Robot.send`."""
-        await self._publish(topic, text("robot", robot), value, urgency, codec)
+        await self._publish(topic, text("robot", robot), value, urgency, codec, expires_after)
 
     @overload
     def subscribe(
@@ -276,9 +292,17 @@ class Robot:
         """Shares a dictionary with all robots, and returns its codec; see `rect.Robot.share_dictionary`."""
         return self._robot.share_dictionary(dictionary)
 
-    def publisher(self, topic: str, *, urgency: Urgency = "normal", codec: CodecLike = None) -> Publisher:
+    def publisher(
+        self,
+        topic: str,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> Publisher:
         """Returns a publisher of `topic`, which can wait for a subscriber; see `rect.Robot.publisher`."""
-        return Publisher(self._robot.publisher(topic, urgency=urgency, codec=codec))
+        publisher = self._robot.publisher(topic, urgency=urgency, codec=codec, expires_after=expires_after)
+        return Publisher(publisher)
 
     async def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable; see `rect.Robot.wait_for_peer`."""
@@ -350,13 +374,21 @@ class Robot:
         if isinstance(error, Exception):
             _LOG.error("a task of %r failed", self, exc_info=error)
 
-    async def _publish(self, topic: str, recipient: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
+    async def _publish(
+        self,
+        topic: str,
+        recipient: str | None,
+        value: Any,
+        urgency: str,
+        codec: CodecLike,
+        expires_after: float | None,
+    ) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
         if len(payload.bytes) < _rect.LARGE_BYTES and self._session.urgency_sessions.is_open(urgency):
-            self._robot._publish(topic, recipient, payload, urgency, None)
+            self._robot._publish(topic, recipient, payload, urgency, None, expires_after)
         else:
-            await asyncio.to_thread(self._robot._publish, topic, recipient, payload, urgency, None)
+            await asyncio.to_thread(self._robot._publish, topic, recipient, payload, urgency, None, expires_after)
 
 
 class _Handle:
@@ -456,7 +488,14 @@ class Subscriber(_Source[Message]):
         self.close()
 
     async def _take(self, timeout: float | None) -> Message:
-        message = undecoded(await self._subscriber._queue.pop_async(timeout))
+        deadline = Deadline(timeout)
+        while True:
+            message = undecoded(await self._subscriber._queue.pop_async(deadline.remaining()))
+            if not message.is_expired and not (await self._decoded(message)).is_expired:
+                return message
+            self._subscriber._session.counters.on_expired()
+
+    async def _decoded(self, message: Message) -> Message:
         decoder = self._subscriber._session.decoder
         try:
             message.payload = decoder.payload_now(message.sender, message.payload)

@@ -48,6 +48,8 @@ class Counters:
     received_bytes: int
     #: Messages that did not arrive, according to the sequence numbers.
     missed: int
+    #: Messages that had expired on arrival, or before the program has read them.
+    expired: int
     #: Messages of other Zenoh programs that were dropped because their topic is invalid in RECT: it contains control
     #: characters or reserved parts, or is longer than 200 bytes.
     rejected: int

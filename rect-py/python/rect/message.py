@@ -91,6 +91,11 @@ class Message:
         """Whether a message of the same source with a higher sequence number arrived before this one."""
         return self._metadata.late
 
+    @property
+    def is_expired(self) -> bool:
+        """Whether the message is older than the sender's `expires_after` by now. It was not when it was delivered."""
+        return self._metadata.is_expired
+
     def __repr__(self) -> str:
         return f"Message({self.sender}/{self.topic}, {self._shown()})"
 

@@ -192,6 +192,11 @@ def seconds(name: str, value: object) -> float:
     return float(value)
 
 
+def lifetime_of(expires_after: object) -> float | None:
+    """Returns the time in seconds after which a message expires, or `None`. Raises `TypeError` and `OptionError`."""
+    return None if expires_after is None else seconds("expires_after", expires_after)
+
+
 def whole(name: str, value: object, minimum: int) -> int:
     """Returns `value` if it is an integer of at least `minimum`. Raises `TypeError` and `OptionError`."""
     if isinstance(value, bool) or not isinstance(value, int):

@@ -10,17 +10,17 @@ from typing import Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import qos, zenoh_error
+from rect._zenoh import zenoh_error
 from rect.values import Payload
 
 
 class Publication:
     """A Zenoh publisher whose messages carry a source and a sequence number."""
 
-    def __init__(self, session: zenoh.Session, key: str, urgency: str, check: Callable[[], None]) -> None:
+    def __init__(self, session: zenoh.Session, key: str, qos: dict[str, Any], check: Callable[[], None]) -> None:
         try:
             #: The publisher of Zenoh.
-            self.publisher = session.declare_publisher(key, **qos(_rect.qos(urgency)))
+            self.publisher = session.declare_publisher(key, **qos)
         except zenoh.ZError as error:
             raise zenoh_error("cannot declare the publisher", error) from error
         self._check = check
@@ -28,12 +28,12 @@ class Publication:
         self._lock = threading.Lock()
         self._encoding: tuple[str, zenoh.Encoding | None] = ("", None)
 
-    def put(self, payload: Payload) -> None:
-        """Publishes a payload. Waits if the link is congested."""
+    def put(self, payload: Payload, lifetime: float | None) -> None:
+        """Publishes a payload, which expires after `lifetime` seconds or never. Waits if the link is congested."""
         # The lock is held while sending, so that messages of several threads are sent in order of their numbers.
         with self._lock:
             self._check()
-            attachment = self._numbering.attachment()
+            attachment = self._numbering.attachment(lifetime)
             try:
                 self.publisher.put(payload.bytes, encoding=self._convert(payload.encoding), attachment=attachment)
             except zenoh.ZError as error:

@@ -27,14 +27,17 @@ class Publisher:
     work while nobody subscribes.
     """
 
-    def __init__(self, session: Session, topic: str, urgency: str, codec: _rect.Codec | None) -> None:
+    def __init__(
+        self, session: Session, topic: str, urgency: str, codec: _rect.Codec | None, lifetime: float | None
+    ) -> None:
         self._session = session
         self._topic = topic
         self._urgency = urgency
         self._codec = codec
+        self._lifetime = lifetime
         matching = self._matching = _Matching()
         self._declared = Declared(session, on_end=matching.close)
-        publisher = session.publication(topic, None, urgency).publisher
+        publisher = session.publication(topic, None, urgency, lifetime is not None).publisher
         try:
             listener = publisher.declare_matching_listener(direct(lambda status: matching.set(status.matching)))
             self._declared.add(listener)
@@ -62,7 +65,8 @@ class Publisher:
         Raises `PayloadError`, `CodecError` and `Closed`.
         """
         self._session.check()
-        self._session.publish(self._topic, None, payload_of(value, self._codec), self._urgency)
+        payload = payload_of(value, self._codec)
+        self._session.publish(self._topic, None, payload, self._urgency, self._lifetime)
 
     def wait_for_subscriber(self, timeout: float) -> None:
         """Waits until a subscriber receives the messages. `timeout` is in seconds.

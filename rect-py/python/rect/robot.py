@@ -15,7 +15,7 @@ from rect.errors import NoService, OptionError
 from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.opening import open_session
-from rect.options import Options, seconds, text, whole
+from rect.options import Options, lifetime_of, seconds, text, whole
 from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
 from rect.registry import Connections
@@ -112,7 +112,15 @@ class Robot:
         """Whether the robot was closed."""
         return self._session.is_closed
 
-    def publish(self, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
+    def publish(
+        self,
+        topic: str,
+        value: Any,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> None:
         """Publishes `value` on `topic` to every subscriber.
 
         - `value`: text, bytes, a picture, a numpy array, or a value that JSON can represent: dicts, lists, numbers,
@@ -120,22 +128,36 @@ class Robot:
         - `urgency`: `urgent` overtakes all other messages, and `bulk` is overtaken by them. Default: `normal`.
         - `codec`: codec that compresses the value: a name such as `zstd:9` or `jpeg:60`, a `Codec`, or the result of
           `share_dictionary`. Default: no compression.
+        - `expires_after`: time in seconds after which the message is dropped rather than delivered late, for commands
+          such as steering. Where another message would wait for room, this one is dropped. A receiver drops it if it
+          was on the way for longer, or has waited for longer in the receive queue, and counts it (`counters`). Default:
+          the message never expires.
 
         Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `OptionError` and `Closed`.
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     robot.publish("arm/angle", {"degrees": 12.5}, urgency="urgent")
+        ...     robot.publish("drive", [0.5, 0.5], expires_after=0.2)
         """
-        self._publish(topic, None, value, urgency, codec)
+        self._publish(topic, None, value, urgency, codec, expires_after)
 
-    def send(self, robot: str, topic: str, value: Any, *, urgency: Urgency = "normal", codec: CodecLike = None) -> None:
+    def send(
+        self,
+        robot: str,
+        topic: str,
+        value: Any,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> None:
         """Sends `value` on `topic` to one robot only.
 
         This method does not check whether that robot is reachable; `request` does.
 
         Raises the same errors as `publish`, and `InvalidNameError`.
         """
-        self._publish(topic, text("robot", robot), value, urgency, codec)
+        self._publish(topic, text("robot", robot), value, urgency, codec, expires_after)
 
     @overload
     def subscribe(
@@ -183,10 +205,17 @@ class Robot:
         subscriber = Subscriber(self._session, text("pattern", pattern), capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
 
-    def publisher(self, topic: str, *, urgency: Urgency = "normal", codec: CodecLike = None) -> Publisher:
+    def publisher(
+        self,
+        topic: str,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> Publisher:
         """Returns a publisher of `topic`, which knows whether there are subscribers and can wait for one.
 
-        For `urgency` and `codec` see `publish`.
+        For `urgency`, `codec` and `expires_after` see `publish`.
 
         Raises `InvalidTopicError`, `CodecError`, `OptionError` and `Closed`.
 
@@ -196,7 +225,8 @@ class Robot:
         False
         """
         self._session.check()
-        return Publisher(self._session, text("topic", topic), text("urgency", urgency), codec_of(codec))
+        lifetime = lifetime_of(expires_after)
+        return Publisher(self._session, text("topic", topic), text("urgency", urgency), codec_of(codec), lifetime)
 
     def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable. Returns at once if it is. `timeout` is in seconds.
@@ -621,10 +651,19 @@ class Robot:
     def __repr__(self) -> str:
         return f"Robot({self.fleet}/{self.name}{', closed' if self.is_closed else ''})"
 
-    def _publish(self, topic: str, recipient: str | None, value: Any, urgency: str, codec: CodecLike) -> None:
+    def _publish(
+        self,
+        topic: str,
+        recipient: str | None,
+        value: Any,
+        urgency: str,
+        codec: CodecLike,
+        expires_after: float | None,
+    ) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
-        self._session.publish(text("topic", topic), recipient, payload, text("urgency", urgency))
+        lifetime = lifetime_of(expires_after)
+        self._session.publish(text("topic", topic), recipient, payload, text("urgency", urgency), lifetime)
 
     def _request(
         self, robot: str | None, topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import zenoh
 
 from rect import _rect
-from rect._zenoh import call_interruptibly, zenoh_error
+from rect._zenoh import call_interruptibly, qos, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
 from rect.publication import Publication
@@ -86,7 +86,7 @@ class Session:
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
-        self._publications: dict[tuple[str, str | None, str], Publication] = {}
+        self._publications: dict[tuple[str, str | None, str, bool], Publication] = {}
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)
@@ -107,26 +107,32 @@ class Session:
             with contextlib.suppress(IndexError):
                 self.abandoned.popleft().end()
 
-    def publication(self, topic: str, recipient: str | None, urgency: str) -> Publication:
-        """Returns the publisher of a topic, for all robots or one recipient, and declares it if necessary."""
-        key_parts = (topic, recipient, urgency)
+    def publication(self, topic: str, recipient: str | None, urgency: str, expires: bool) -> Publication:
+        """Returns the publisher of a topic, for all robots or one recipient, and declares it if necessary.
+
+        `expires`: whether the messages expire.
+        """
+        key_parts = (topic, recipient, urgency, expires)
         publication = self._publications.get(key_parts)
         if publication is not None:
             return publication
         key = self.key_space.publication(topic, recipient)
-        publication = Publication(self.urgency_sessions.of(urgency), key, urgency, self.check)
+        service = qos(_rect.qos(urgency, expires))
+        publication = Publication(self.urgency_sessions.of(urgency), key, service, self.check)
         with self._lock:
             if len(self._publications) >= _rect.MAX_PUBLICATIONS:
                 self._publications.clear()
             return self._publications.setdefault(key_parts, publication)
 
-    def publish(self, topic: str, recipient: str | None, payload: Payload, urgency: str) -> None:
-        """Publishes a payload to all robots or one recipient, and counts it."""
-        publication = self.publication(topic, recipient, urgency)
+    def publish(
+        self, topic: str, recipient: str | None, payload: Payload, urgency: str, lifetime: float | None
+    ) -> None:
+        """Publishes a payload to all robots or one recipient, and counts it. It expires after `lifetime` seconds."""
+        publication = self.publication(topic, recipient, urgency, lifetime is not None)
         if len(payload.bytes) < _rect.LARGE_BYTES:
-            publication.put(payload)
+            publication.put(payload, lifetime)
         else:
-            call_interruptibly(lambda: publication.put(payload))
+            call_interruptibly(lambda: publication.put(payload, lifetime))
         self.counters.on_sent(len(payload.bytes))
 
     def close(self) -> None:

@@ -12,6 +12,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, zenoh_error
+from rect.deadline import Deadline
 from rect.declared import Declared
 from rect.errors import CodecError, TimedOut
 from rect.message import Message
@@ -77,7 +78,7 @@ class Subscriber:
         Raises `TimedOut` if no message arrives in time, and `Closed` if the subscriber or the robot is closed.
         """
         try:
-            return self._decoded(undecoded(self._queue.pop(timeout)))
+            return self._take(timeout)
         except Ended:
             raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
@@ -88,7 +89,7 @@ class Subscriber:
 
     def __next__(self) -> Message:
         try:
-            return self._decoded(undecoded(self._queue.pop()))
+            return self._take(None)
         except Ended:
             raise StopIteration from None
 
@@ -114,6 +115,16 @@ class Subscriber:
 
     def __repr__(self) -> str:
         return f"Subscriber({self._pattern}, dropped={self.dropped})"
+
+    def _take(self, timeout: float | None) -> Message:
+        """Waits for the next message that has not expired."""
+        deadline = Deadline(timeout)
+        while True:
+            message = undecoded(self._queue.pop(deadline.remaining()))
+            # Decoding may wait for a dictionary.
+            if not message.is_expired and not self._decoded(message).is_expired:
+                return message
+            self._session.counters.on_expired()
 
     def _decoded(self, message: Message) -> Message:
         """Decodes the payload of the message, or sets `problem`."""

@@ -125,6 +125,7 @@ impl Receiver {
             source,
             sequence: number,
             sent,
+            ..
         }) = attachment
         else {
             return Some(self.on_foreign_frame(bytes, now));
@@ -336,6 +337,7 @@ mod tests {
             source,
             sequence: number,
             sent: Sent::Low(sent_ms as u16),
+            lifetime_ms: None,
         })
     }
 

@@ -172,6 +172,7 @@ impl Sender {
             source: output.source,
             sequence,
             sent: Sent::Low(self.clock.low(now)),
+            lifetime_ms: None,
         }
     }
 

@@ -102,6 +102,7 @@ fn publish(
                 source,
                 sequence,
                 sent: Sent::At((now_s() * 1000.0) as u64),
+                lifetime_ms: None,
             };
             let put = publisher.put(json!({ "degrees": degrees.round() as i64 }).to_string());
             let put = put
