@@ -4,101 +4,46 @@
 //! clocks' offset and the time in transit. The smallest such difference of a source belongs to its fastest message; what
 //! another message took longer is its age, except for the time that the fastest one took. Both clocks are those of processes:
 //! no clock is compared with that of another robot.
-use std::{
-    collections::{HashMap, VecDeque},
-    time::{Duration, Instant},
-};
+use std::{collections::VecDeque, time::Duration};
 
-use super::name::Name;
-
-/// The duration of a part of the window, of which only the smallest difference is stored.
-const PART: Duration = Duration::from_secs(10);
+/// The duration of a part of the window, of which only the smallest difference is stored, in milliseconds.
+const PART_MS: u64 = 10_000;
 /// Number of parts in which messages have arrived. After a step of the sender's clock that was not noticed, the estimate is
 /// correct again when as many new ones have passed.
 const PARTS: usize = 6;
-/// The largest number of sources that are remembered.
-const MAX_SOURCES: usize = 256;
-
-/// The fastest messages of each source.
-#[derive(Debug)]
-pub struct Expiry {
-    start: Instant,
-    sources: HashMap<(Name, u16), Fastest>,
-}
 
 /// The fastest messages of one source.
 #[derive(Debug, Default)]
-struct Fastest {
-    /// The beginning of each part of the window, and its smallest difference in milliseconds.
-    parts: VecDeque<(Instant, i64)>,
+pub struct Fastest {
+    /// The beginning of each part of the window on the receiver's clock, and its smallest difference, in milliseconds.
+    parts: VecDeque<(u64, i64)>,
     /// When the last message was sent, in milliseconds of the sender's clock.
     last_sent_ms: u64,
-    last_used: u64,
-}
-
-impl Expiry {
-    /// Creates the state of a subscription, without any measurement.
-    pub fn new(now: Instant) -> Self {
-        Self {
-            start: now,
-            sources: HashMap::new(),
-        }
-    }
-
-    /// Returns the age of a message that has arrived, less the time that the fastest message of its source took: zero for the
-    /// first one. `is_late`: a message that was sent later has arrived before.
-    pub fn age(
-        &mut self,
-        robot: &Name,
-        source: u16,
-        sent_ms: u64,
-        is_late: bool,
-        now: Instant,
-    ) -> Duration {
-        let own_ms = now.saturating_duration_since(self.start).as_millis() as u64;
-        let key = (robot.clone(), source);
-        if self.sources.len() >= MAX_SOURCES && !self.sources.contains_key(&key) {
-            self.forget_oldest();
-        }
-        let fastest = self.sources.entry(key).or_default();
-        fastest.last_used = own_ms;
-        // Messages are sent one after another, so the sender's clock was set.
-        if !is_late && sent_ms < fastest.last_sent_ms {
-            fastest.parts.clear();
-        }
-        fastest.last_sent_ms = fastest.last_sent_ms.max(sent_ms);
-        if fastest.parts.is_empty() {
-            fastest.last_sent_ms = sent_ms;
-        }
-        let difference = (own_ms as i64).wrapping_sub(sent_ms as i64);
-        fastest.add(difference, now);
-        let smallest = fastest.parts.iter().map(|(_, smallest)| *smallest).min();
-        let age_ms = difference.saturating_sub(smallest.unwrap_or(difference));
-        Duration::from_millis(u64::try_from(age_ms).unwrap_or(0))
-    }
-
-    fn forget_oldest(&mut self) {
-        let oldest = self
-            .sources
-            .iter()
-            .min_by_key(|(_, source)| source.last_used);
-        if let Some(oldest) = oldest.map(|(key, _)| key.clone()) {
-            self.sources.remove(&oldest);
-        }
-    }
 }
 
 impl Fastest {
-    fn add(&mut self, difference: i64, now: Instant) {
+    /// Returns the age of a message that has arrived at `own_ms` of the receiver's clock, less the time that the fastest message
+    /// took: zero for the first one. `is_late`: a message that was sent later has arrived before.
+    pub fn age(&mut self, sent_ms: u64, is_late: bool, own_ms: u64) -> Duration {
+        // Messages are sent one after another, so the sender's clock was set.
+        if !is_late && sent_ms < self.last_sent_ms {
+            self.parts.clear();
+            self.last_sent_ms = sent_ms;
+        }
+        self.last_sent_ms = self.last_sent_ms.max(sent_ms);
+        let difference = (own_ms as i64).wrapping_sub(sent_ms as i64);
         match self.parts.back_mut() {
-            Some((at, smallest)) if now.saturating_duration_since(*at) < PART => {
+            Some((at, smallest)) if own_ms.saturating_sub(*at) < PART_MS => {
                 *smallest = difference.min(*smallest);
             }
-            _ => self.parts.push_back((now, difference)),
+            _ => self.parts.push_back((own_ms, difference)),
         }
         if self.parts.len() > PARTS {
             self.parts.pop_front();
         }
+        let smallest = self.parts.iter().map(|(_, smallest)| *smallest).min();
+        let age_ms = difference.saturating_sub(smallest.unwrap_or(difference));
+        Duration::from_millis(u64::try_from(age_ms).unwrap_or(0))
     }
 }
 
@@ -112,33 +57,20 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    struct Messages {
-        expiry: Expiry,
-        start: Instant,
-        robot: Name,
-    }
+    #[derive(Default)]
+    struct Messages(Fastest);
 
     impl Messages {
-        fn new() -> Self {
-            let start = Instant::now();
-            Self {
-                expiry: Expiry::new(start),
-                start,
-                robot: Name::new("base").expect("valid name"),
-            }
-        }
-
         /// Returns the age of a message by the time of the test, whose sender's clock is `clock_ms` ahead.
         fn age(&mut self, sent: u64, arrived: u64, clock_ms: i64) -> Duration {
             let sent_ms = SENT_MS.wrapping_add_signed(clock_ms) + sent;
-            let at = self.start + ms(arrived);
-            self.expiry.age(&self.robot, 1, sent_ms, false, at)
+            self.0.age(sent_ms, false, arrived)
         }
     }
 
     #[test]
     fn age_is_what_a_message_took_longer_than_the_fastest_one() {
-        let mut messages = Messages::new();
+        let mut messages = Messages::default();
         assert_eq!(messages.age(0, 50, 0), ms(0), "nothing is known yet");
         assert_eq!(messages.age(100, 110, 0), ms(0), "the fastest one");
         assert_eq!(messages.age(200, 230, 0), ms(20));
@@ -153,7 +85,7 @@ mod tests {
 
     #[test]
     fn step_of_the_senders_clock_is_noticed_or_forgotten() {
-        let mut messages = Messages::new();
+        let mut messages = Messages::default();
         messages.age(0, 10, 0);
         // Forwards by years, and back again.
         assert_eq!(messages.age(100, 110, 100_000_000_000), ms(0));
@@ -164,15 +96,5 @@ mod tests {
             .collect();
         assert_eq!(ages[0], ms(500));
         assert_eq!(ages.pop(), Some(ms(0)));
-    }
-
-    #[test]
-    fn memory_is_bounded() {
-        let mut messages = Messages::new();
-        for source in 0..10_000 {
-            let at = messages.start + ms(source.into());
-            (messages.expiry).age(&messages.robot, source, SENT_MS, false, at);
-        }
-        assert_eq!(messages.expiry.sources.len(), MAX_SOURCES);
     }
 }

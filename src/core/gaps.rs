@@ -1,21 +1,30 @@
 //! Counts messages that did not arrive. Each publisher numbers its messages; a gap in the numbers means that messages
 //! were lost in transit (over UDP) or while a link was down. Lost messages are not requested again.
-use std::collections::{BTreeMap, HashMap};
+use std::{
+    collections::{BTreeMap, HashMap},
+    time::{Duration, Instant},
+};
 
-use super::name::Name;
+use super::{
+    attachment::{Attachment, Sent},
+    expiry::Fastest,
+    name::Name,
+};
 
 /// The maximum number of publishers that are tracked. Beyond it, the ones that have been inactive for longest are
 /// forgotten.
 pub const MAX_SOURCES: usize = 1024;
 
-/// The information that the sequence number of a message provides.
+/// The information that the attachment of a message provides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Gap {
+pub struct Arrival {
     /// The number of messages directly before this one that have not arrived.
     pub missed: u32,
     /// Whether a message that was sent later arrived before this one (possible over UDP). It had been counted as
     /// missed.
     pub late: bool,
+    /// How much longer the message was on the way than the fastest one of its publisher.
+    pub age: Duration,
 }
 
 /// How many messages of one sender were received and missed.
@@ -31,89 +40,117 @@ pub struct SenderCounts {
 struct Source {
     last: u32,
     last_used: u64,
+    fastest: Fastest,
+}
+
+#[derive(Debug, Default)]
+struct Sender {
+    counts: SenderCounts,
+    sources: HashMap<u16, Source>,
 }
 
 /// Tracks the sequence numbers of all publishers.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Gaps {
-    sources: HashMap<(Name, u16), Source>,
-    counts_by_sender: BTreeMap<Name, SenderCounts>,
+    start: Instant,
+    senders: BTreeMap<Name, Sender>,
+    /// Number of sources of all senders.
+    sources: usize,
     clock: u64,
 }
 
 impl Gaps {
-    /// Handles the message with number `sequence` of publisher `source` on `robot`.
-    pub fn on_message(&mut self, robot: &Name, source: u16, sequence: u32) -> Gap {
+    /// Creates the state of a subscription that begins now.
+    pub fn new(now: Instant) -> Self {
+        Self {
+            start: now,
+            senders: BTreeMap::new(),
+            sources: 0,
+            clock: 0,
+        }
+    }
+
+    /// Handles a message of `robot` with that attachment.
+    pub fn on_message(&mut self, robot: &Name, attachment: &Attachment, now: Instant) -> Arrival {
         self.clock += 1;
         let last_used = self.clock;
-        let gap = match self.sources.get_mut(&(robot.clone(), source)) {
-            None => {
+        let own_ms = now.saturating_duration_since(self.start).as_millis() as u64;
+        if self.sources >= MAX_SOURCES {
+            self.make_room();
+        }
+        let sender = sender_of(&mut self.senders, &mut self.sources, robot);
+        let sequence = attachment.sequence;
+        let mut arrival = Arrival::default();
+        let source = sender.sources.entry(attachment.source).or_insert_with(|| {
+            self.sources += 1;
+            Source {
                 // Messages that were sent before the subscription are not missed.
-                self.make_room();
-                let last = sequence;
-                let key = (robot.clone(), source);
-                self.sources.insert(key, Source { last, last_used });
-                Gap::default()
+                last: sequence.wrapping_sub(1),
+                last_used,
+                fastest: Fastest::default(),
             }
-            Some(source) => {
-                source.last_used = last_used;
-                let ahead = sequence.wrapping_sub(source.last);
-                if ahead == 0 || ahead > u32::MAX / 2 {
-                    Gap {
-                        missed: 0,
-                        late: true,
-                    }
-                } else {
-                    source.last = sequence;
-                    Gap {
-                        missed: ahead - 1,
-                        late: false,
-                    }
-                }
-            }
-        };
-        let counts = self.counts_of(robot);
+        });
+        source.last_used = last_used;
+        let ahead = sequence.wrapping_sub(source.last);
+        if ahead == 0 || ahead > u32::MAX / 2 {
+            arrival.late = true;
+        } else {
+            source.last = sequence;
+            arrival.missed = ahead - 1;
+        }
+        if let Sent::At(sent_ms) = attachment.sent {
+            arrival.age = source.fastest.age(sent_ms, arrival.late, own_ms);
+        }
+        let counts = &mut sender.counts;
         counts.received += 1;
-        if gap.late {
+        if arrival.late {
             counts.missed = counts.missed.saturating_sub(1);
         }
-        counts.missed += u64::from(gap.missed);
-        gap
+        counts.missed += u64::from(arrival.missed);
+        arrival
     }
 
     /// Handles a message without a sequence number, from a program that does not use RECT.
     pub fn on_unnumbered(&mut self, robot: &Name) {
-        self.counts_of(robot).received += 1;
+        let sender = sender_of(&mut self.senders, &mut self.sources, robot);
+        sender.counts.received += 1;
     }
 
     /// Returns how many messages of each robot were received and missed.
     pub fn counts_by_sender(&self) -> impl Iterator<Item = (&Name, SenderCounts)> {
-        self.counts_by_sender
-            .iter()
-            .map(|(robot, counts)| (robot, *counts))
+        let senders = self.senders.iter();
+        senders.map(|(robot, sender)| (robot, sender.counts))
     }
 
-    fn counts_of(&mut self, robot: &Name) -> &mut SenderCounts {
-        if self.counts_by_sender.len() >= MAX_SOURCES && !self.counts_by_sender.contains_key(robot)
-        {
-            self.counts_by_sender.pop_first();
-        }
-        self.counts_by_sender.entry(robot.clone()).or_default()
-    }
-
+    /// Forgets the half of the sources that were inactive for longest.
     fn make_room(&mut self) {
-        if self.sources.len() < MAX_SOURCES {
-            return;
-        }
-        let mut last_used: Vec<u64> = self
-            .sources
-            .values()
-            .map(|source| source.last_used)
-            .collect();
+        let sources = || {
+            self.senders
+                .values()
+                .flat_map(|sender| sender.sources.values())
+        };
+        let mut last_used: Vec<u64> = sources().map(|source| source.last_used).collect();
         let (_, middle, _) = last_used.select_nth_unstable(MAX_SOURCES / 2);
         let middle = *middle;
-        self.sources.retain(|_, source| source.last_used > middle);
+        self.sources = 0;
+        for sender in self.senders.values_mut() {
+            sender.sources.retain(|_, source| source.last_used > middle);
+            self.sources += sender.sources.len();
+        }
     }
+}
+
+/// Returns what is known about a robot. Of too many ones, another one is forgotten.
+fn sender_of<'a>(
+    senders: &'a mut BTreeMap<Name, Sender>,
+    sources: &mut usize,
+    robot: &Name,
+) -> &'a mut Sender {
+    if senders.len() >= MAX_SOURCES && !senders.contains_key(robot) {
+        let first = senders.pop_first();
+        *sources -= first.map_or(0, |(_, sender)| sender.sources.len());
+    }
+    senders.entry(robot.clone()).or_default()
 }
 
 #[cfg(test)]
@@ -124,29 +161,47 @@ mod tests {
         Name::new(text).expect("valid name")
     }
 
+    fn gaps() -> Gaps {
+        Gaps::new(Instant::now())
+    }
+
+    fn on_message(gaps: &mut Gaps, robot: &Name, source: u16, sequence: u32) -> Arrival {
+        let attachment = Attachment {
+            source,
+            sequence,
+            sent: Sent::Unknown,
+            lifetime_ms: None,
+        };
+        gaps.on_message(robot, &attachment, Instant::now())
+    }
+
     #[test]
     fn counts_gaps_as_missed_and_late_messages_as_received() {
-        let (mut gaps, a) = (Gaps::default(), name("a"));
-        let missed = |missed| Gap {
+        let (mut gaps, a) = (gaps(), name("a"));
+        let missed = |missed| Arrival {
             missed,
-            late: false,
+            ..Arrival::default()
         };
         assert_eq!(
-            gaps.on_message(&a, 1, 7),
+            on_message(&mut gaps, &a, 1, 7),
             missed(0),
             "the first received message"
         );
-        assert_eq!(gaps.on_message(&a, 1, 8), missed(0));
-        assert_eq!(gaps.on_message(&a, 1, 11), missed(2));
+        assert_eq!(on_message(&mut gaps, &a, 1, 8), missed(0));
+        assert_eq!(on_message(&mut gaps, &a, 1, 11), missed(2));
         assert_eq!(
-            gaps.on_message(&a, 1, 10),
-            Gap {
-                missed: 0,
-                late: true
+            on_message(&mut gaps, &a, 1, 10),
+            Arrival {
+                late: true,
+                ..Arrival::default()
             }
         );
-        assert_eq!(gaps.on_message(&a, 1, 12), missed(0));
-        assert_eq!(gaps.on_message(&a, 2, 900), missed(0), "another publisher");
+        assert_eq!(on_message(&mut gaps, &a, 1, 12), missed(0));
+        assert_eq!(
+            on_message(&mut gaps, &a, 2, 900),
+            missed(0),
+            "another publisher"
+        );
         let counts_by_sender: Vec<_> = gaps.counts_by_sender().map(|(_, counts)| counts).collect();
         assert_eq!(
             counts_by_sender,
@@ -159,19 +214,21 @@ mod tests {
 
     #[test]
     fn sequence_numbers_wrap_around() {
-        let (mut gaps, a) = (Gaps::default(), name("a"));
-        gaps.on_message(&a, 1, u32::MAX - 1);
-        assert_eq!(gaps.on_message(&a, 1, 1).missed, 2);
+        let (mut gaps, a) = (gaps(), name("a"));
+        on_message(&mut gaps, &a, 1, u32::MAX - 1);
+        assert_eq!(on_message(&mut gaps, &a, 1, 1).missed, 2);
     }
 
     #[test]
     fn memory_is_bounded_with_invented_publishers() {
-        let mut gaps = Gaps::default();
+        let mut gaps = gaps();
         for n in 0..100_000u32 {
             let robot = name(&format!("r{}", n / 60_000));
-            gaps.on_message(&robot, n as u16, n);
-            gaps.on_message(&name(&format!("x{n}")), 0, 0);
+            on_message(&mut gaps, &robot, n as u16, n);
+            on_message(&mut gaps, &name(&format!("x{n}")), 0, 0);
+            assert!(gaps.sources <= MAX_SOURCES + 1 && gaps.senders.len() <= MAX_SOURCES);
         }
-        assert!(gaps.sources.len() <= MAX_SOURCES && gaps.counts_by_sender.len() <= MAX_SOURCES);
+        let sources = gaps.senders.values().map(|sender| sender.sources.len());
+        assert_eq!(sources.sum::<usize>(), gaps.sources);
     }
 }

@@ -4,9 +4,8 @@ use std::time::{Duration, Instant};
 use super::{
     attachment::{Attachment, Sent},
     codec::CodecError,
-    expiry::Expiry,
     gaps::{Gaps, SenderCounts},
-    key::{AddressError, KeySpace},
+    key::{Address, AddressError, KeySpace},
     name::Name,
     payload::Payload,
     topic::Topic,
@@ -86,7 +85,8 @@ pub enum Undelivered {
 pub struct Inbound {
     keys: KeySpace,
     gaps: Gaps,
-    expiry: Expiry,
+    /// The key of the last message and its parts: most subscriptions receive few keys.
+    last: Option<(String, Address)>,
 }
 
 impl Inbound {
@@ -94,8 +94,8 @@ impl Inbound {
     pub fn new(keys: KeySpace, now: Instant) -> Self {
         Self {
             keys,
-            gaps: Gaps::default(),
-            expiry: Expiry::new(now),
+            gaps: Gaps::new(now),
+            last: None,
         }
     }
 
@@ -108,7 +108,7 @@ impl Inbound {
         delivered: Delivery<'_>,
         now: Instant,
     ) -> Result<Message, Undelivered> {
-        let address = match self.keys.parse(delivered.key) {
+        let address = match self.parse(delivered.key) {
             Ok(address) if address.recipient.is_some() == delivered.directed => address,
             Err(AddressError::InvalidTopic { directed }) if directed == delivered.directed => {
                 return Err(Undelivered::Address(AddressError::InvalidTopic {
@@ -135,22 +135,14 @@ impl Inbound {
         match attachment {
             None => self.gaps.on_unnumbered(&message.sender),
             Some(attachment) => {
-                let Attachment {
-                    source,
-                    sequence,
-                    sent,
-                    lifetime_ms,
-                } = attachment;
-                let gap = self.gaps.on_message(&message.sender, source, sequence);
-                message.sequence = Some(sequence);
-                (message.missed, message.late) = (gap.missed, gap.late);
-                let mut age = Duration::ZERO;
-                if let Sent::At(at_ms) = sent {
+                let arrival = (self.gaps).on_message(&message.sender, &attachment, now);
+                message.sequence = Some(attachment.sequence);
+                (message.missed, message.late) = (arrival.missed, arrival.late);
+                if let Sent::At(at_ms) = attachment.sent {
                     message.sent_ms = Some(at_ms);
-                    age = (self.expiry).age(&message.sender, source, at_ms, gap.late, now);
                 }
-                if let Some(lifetime_ms) = lifetime_ms {
-                    let rest = Duration::from_millis(lifetime_ms.into()).checked_sub(age);
+                if let Some(lifetime_ms) = attachment.lifetime_ms {
+                    let rest = Duration::from_millis(lifetime_ms.into()).checked_sub(arrival.age);
                     let rest = rest.filter(|rest| !rest.is_zero());
                     let missed = message.missed;
                     message.expires_at = Some(now + rest.ok_or(Undelivered::Expired { missed })?);
@@ -158,6 +150,17 @@ impl Inbound {
             }
         }
         Ok(message)
+    }
+
+    fn parse(&mut self, key: &str) -> Result<Address, AddressError> {
+        match &self.last {
+            Some((last, address)) if last == key => Ok(address.clone()),
+            _ => {
+                let address = self.keys.parse(key)?;
+                self.last = Some((key.to_owned(), address.clone()));
+                Ok(address)
+            }
+        }
     }
 
     /// Returns how many messages of each robot were received and missed.

@@ -73,6 +73,11 @@ impl<T> Queue<T> {
         }
     }
 
+    /// Returns whether at most half of the room is taken.
+    pub fn is_half_empty(&self) -> bool {
+        self.waiting.len() <= self.capacity / 2
+    }
+
     /// Removes and returns the oldest item.
     pub fn pop(&mut self) -> Option<T> {
         self.waiting.pop_front()

@@ -67,6 +67,9 @@ impl<T> ReceiveQueue<T> {
     /// Waits for the oldest item and removes it; returns `None` once the queue is closed and empty.
     pub(super) async fn pop(&self) -> Option<T> {
         loop {
+            if let Some(item) = self.try_pop() {
+                return Some(item);
+            }
             let arrived = self.arrived.notified();
             if let Some(item) = self.try_pop() {
                 return Some(item);
@@ -82,7 +85,8 @@ impl<T> ReceiveQueue<T> {
     pub(super) fn try_pop(&self) -> Option<T> {
         let mut state = self.state();
         let item = state.queue.pop();
-        let is_awaited = state.waiting > 0;
+        // One wake-up for several items: a blocked thread continues when the queue is half empty.
+        let is_awaited = state.waiting > 0 && state.queue.is_half_empty();
         drop(state);
         if item.is_some() && is_awaited {
             self.taken.notify_one();

@@ -237,7 +237,7 @@ impl Subscriber {
     /// its payload stays encoded, and [`Message::problem`] gives the reason.
     pub fn try_next(&self) -> Option<Message> {
         let mut message = self.queue.try_pop()?;
-        while message.is_expired(Instant::now()) {
+        while has_expired(&message) {
             self.counting.on_expired(0);
             message = self.queue.try_pop()?;
         }
@@ -265,6 +265,11 @@ impl Subscriber {
     }
 }
 
+/// Returns whether the message has expired by now. The time is only asked for if it matters.
+fn has_expired(message: &Message) -> bool {
+    message.expires_at.is_some_and(|at| at <= Instant::now())
+}
+
 async fn decoded(
     queue: &ReceiveQueue<Message>,
     decoder: &Decoder,
@@ -272,10 +277,10 @@ async fn decoded(
 ) -> Option<Message> {
     loop {
         let mut message = queue.pop().await?;
-        if !message.is_expired(Instant::now()) {
+        if !has_expired(&message) {
             decoder.decode_message(&mut message).await;
             // Decoding may wait for a dictionary.
-            if !message.is_expired(Instant::now()) {
+            if !has_expired(&message) {
                 return Some(message);
             }
         }

@@ -2,7 +2,7 @@
 use std::{sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use rect::{QueueOptions, Robot, Subscriber, WhenFull};
+use rect::{Publisher, QueueOptions, Robot, Subscriber, WhenFull};
 
 use super::{
     arrivals::ArrivalCounter,
@@ -14,6 +14,8 @@ const TIMEOUT: Duration = Duration::from_secs(10);
 
 pub struct Rect {
     robot: Robot,
+    echo: Publisher,
+    flood: Publisher,
     echoes: Subscriber,
 }
 
@@ -43,9 +45,10 @@ impl Peer for Rect {
                 arrivals.on_message();
             }
         });
+        let back = robot.publisher("back").await?;
         let echo = robot.subscribe("client/echo").await?;
         while let Some(message) = echo.next().await {
-            robot.publish("back", message.payload).await?;
+            back.publish(message.payload).await?;
         }
         Ok(())
     }
@@ -58,15 +61,20 @@ impl Peer for Rect {
             false => options.endpoint(at).connect().await?,
         };
         let echoes = robot.subscribe("server/back").await?;
-        Ok(Self { robot, echoes })
+        Ok(Self {
+            echo: robot.publisher("echo").await?,
+            flood: robot.publisher("flood").await?,
+            robot,
+            echoes,
+        })
     }
 
     async fn publish(&self, about: About, payload: Bytes) -> Outcome<()> {
-        let topic = match about {
-            About::Echo => "echo",
-            About::Flood => "flood",
+        let publisher = match about {
+            About::Echo => &self.echo,
+            About::Flood => &self.flood,
         };
-        Ok(self.robot.publish(topic, payload).await?)
+        Ok(publisher.publish(payload).await?)
     }
 
     async fn next_echo(&mut self) -> Outcome<Bytes> {
