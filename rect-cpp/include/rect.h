@@ -517,7 +517,7 @@ typedef struct rect_counters {
     uint64_t received_bytes;
     // Number of messages that did not arrive, according to their sequence numbers.
     uint64_t missed;
-    // Number of messages that had expired on arrival, or before the program has read them.
+    // Number of messages that had expired on arrival, before the program has read them, or before they could be sent.
     uint64_t expired;
     // Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     // control characters, is longer than 200 bytes, or is reserved.

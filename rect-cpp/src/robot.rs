@@ -50,7 +50,7 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Number of messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
-    /// Number of messages that had expired on arrival, or before the program has read them.
+    /// Number of messages that had expired on arrival, before the program has read them, or before they could be sent.
     pub expired: u64,
     /// Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     /// control characters, is longer than 200 bytes, or is reserved.

@@ -16,7 +16,7 @@ pub struct Counters {
     pub received_bytes: u64,
     /// Messages that did not arrive, according to their sequence numbers.
     pub missed: u64,
-    /// Messages that had expired on arrival, or before the program has read them.
+    /// Messages that had expired on arrival, before the program has read them, or before they could be sent.
     pub expired: u64,
     /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
     /// more than 200 bytes, reserved parts).

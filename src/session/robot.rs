@@ -286,8 +286,11 @@ impl Robot {
         payload: Payload,
     ) -> Result<(), Error> {
         let key = self.publication_key(topic, recipient);
+        let called = self.lifetime.map(|_| Instant::now());
         let publication = self.publication(key).await?;
-        self.put(&publication, payload).await
+        // The first message of an urgency waits for its session.
+        let waited = called.map_or(Duration::ZERO, |called| called.elapsed());
+        self.put_after(&publication, payload, waited).await
     }
 
     pub(super) fn publication_key(&self, topic: Topic, recipient: Option<Name>) -> PublicationKey {
@@ -304,8 +307,23 @@ impl Robot {
         publication: &Arc<Publication>,
         payload: Payload,
     ) -> Result<(), Error> {
+        self.put_after(publication, payload, Duration::ZERO).await
+    }
+
+    /// Publishes a payload that has waited for that time.
+    async fn put_after(
+        &self,
+        publication: &Arc<Publication>,
+        payload: Payload,
+        waited: Duration,
+    ) -> Result<(), Error> {
         let bytes = payload.bytes.len();
-        let put = (publication.clone()).put(payload, self.lifetime, &self.inner.runtime);
+        let lifetime = self.lifetime.map(|all| all.saturating_sub(waited));
+        if lifetime.is_some_and(|rest| rest.is_zero()) {
+            self.inner.counting.on_expired(0);
+            return Ok(());
+        }
+        let put = (publication.clone()).put(payload, lifetime, &self.inner.runtime);
         put.await?;
         self.inner.counting.on_sent(bytes);
         Ok(())

@@ -48,7 +48,7 @@ class Counters:
     received_bytes: int
     #: Messages that did not arrive, according to the sequence numbers.
     missed: int
-    #: Messages that had expired on arrival, or before the program has read them.
+    #: Messages that had expired on arrival, before the program has read them, or before they could be sent.
     expired: int
     #: Messages of other Zenoh programs that were dropped because their topic is invalid in RECT: it contains control
     #: characters or reserved parts, or is longer than 200 bytes.

@@ -6,6 +6,7 @@ import atexit
 import contextlib
 import os
 import threading
+import time
 import weakref
 from collections import deque
 from collections.abc import Callable
@@ -128,7 +129,14 @@ class Session:
         self, topic: str, recipient: str | None, payload: Payload, urgency: str, lifetime: float | None
     ) -> None:
         """Publishes a payload to all robots or one recipient, and counts it. It expires after `lifetime` seconds."""
+        called = time.monotonic()
         publication = self.publication(topic, recipient, urgency, lifetime is not None)
+        if lifetime is not None:
+            # The first message of an urgency waits for its session.
+            lifetime -= time.monotonic() - called
+            if lifetime <= 0:
+                self.counters.on_expired()
+                return
         if len(payload.bytes) < _rect.LARGE_BYTES:
             publication.put(payload, lifetime)
         else:
