@@ -9,10 +9,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 import zenoh
-from comparison import ratio
+from comparison import alternate, ratio
 from robots import RobotError, open_client, wait_until
 from routers import own_kb
 from table import Table
@@ -20,7 +21,6 @@ from zenoh import CongestionControl, Priority
 
 NEAR, FAR, PORT = "10.77.0.1", "10.77.0.2", 7460
 NETWORKS = {"100 Mbit/s": "100mbit", "unlimited": None}
-LINKS = ["any", "tcp"]
 SIZES = [1000, 8000, 100_000]
 ROUNDS = 5
 SECONDS = 2.0
@@ -39,22 +39,14 @@ def run() -> Table:
     ]
     table = Table("The network path of an `any` link compared with a `tcp` link", columns)
     for network, rate in NETWORKS.items():
-        figures: dict[str, list[list[float]]] = {link: [] for link in LINKS}
-        for n in range(ROUNDS):
-            # They alternate in going first, because the first one may find a cooler or a hotter machine.
-            for link in LINKS if n % 2 else reversed(LINKS):
-                with pair(link, rate) as (near, far, pid):
-                    rates = [goodput(near, far, size) for size in SIZES]
-                    figures[link].append([*rates, round_trip(near, far), own_kb(pid), idle_us(pid)])
-            print(f"  {network}: round {n + 1} of {ROUNDS}", flush=True)
-        for link in LINKS:
-            medians = [statistics.median(column) for column in zip(*figures[link], strict=True)]
+        print(f"  {network}", flush=True)
+        rounds = alternate(ROUNDS, partial(figures, "any", rate), partial(figures, "tcp", rate))
+        ours, theirs = ([list(column) for column in zip(*found, strict=True)] for found in rounds)
+        for link, found in (("any", ours), ("tcp", theirs)):
+            medians = [statistics.median(column) for column in found]
             rates, others = medians[: len(SIZES)], medians[len(SIZES) :]
             table.add(network, link, *(f"{value:.1f}" for value in rates), *(f"{value:.0f}" for value in others))
-        columns_of = [list(zip(*figures[link], strict=True)) for link in LINKS]
-        table.add(
-            network, "ratio", *(ratio(list(ours), list(others)) for ours, others in zip(*columns_of, strict=True))
-        )
+        table.add(network, "ratio", *map(ratio, ours, theirs))
     table.notes = [
         f"Medians of {ROUNDS} rounds, in each of which both links run. Ratio: any to tcp, median of the rounds, with "
         "the range of the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
@@ -63,6 +55,13 @@ def run() -> Table:
         "memory of the dialling router afterwards. Idle processor: its processor time while nothing is published.",
     ]
     return table
+
+
+def figures(link: str, rate: str | None) -> list[float]:
+    """Returns the figures of a link, in the order of the table's columns."""
+    with pair(link, rate) as (near, far, pid):
+        rates = [goodput(near, far, size) for size in SIZES]
+        return [*rates, round_trip(near, far), own_kb(pid), idle_us(pid)]
 
 
 @contextmanager

@@ -14,6 +14,7 @@ pub mod driver;
 pub mod encoding;
 pub mod endpoint;
 pub mod expiry;
+pub mod fastest;
 pub mod gaps;
 pub mod humanize;
 pub mod inquiry;

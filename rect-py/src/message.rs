@@ -129,7 +129,7 @@ impl MessageMetadata {
     /// Whether the message has expired.
     #[getter]
     fn is_expired(&self) -> bool {
-        self.0.expires_at.is_some_and(|at| at <= Instant::now())
+        self.0.is_expired(Instant::now())
     }
 
     #[getter]

@@ -13,7 +13,7 @@ mod uptime;
 use std::{
     collections::HashMap,
     net::SocketAddr,
-    sync::{mpsc, Arc},
+    sync::{mpsc, Arc, Weak},
     thread,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
@@ -94,10 +94,7 @@ impl Registry {
         let on_robots = on_change(&changed, Change::Robots);
         let on_change = on_change(&changed, Change::Links);
         let of_paths = Arc::downgrade(&changed);
-        observers::observe(move || {
-            let changed = of_paths.upgrade();
-            changed.is_some_and(|changed| changed.send(Change::Links).is_ok())
-        });
+        observers::observe(move || notify(&of_paths, Change::Links));
         let presence = Presence::start(session, &settings.fleet, &settings.robot, on_robots)?;
         let uptime = Uptime::start([session].into_iter().chain(&host), &on_change)?;
         if let Some(connections) = &connections {
@@ -376,10 +373,14 @@ fn on_change(
 ) -> impl Fn() + Clone + Send + Sync + 'static {
     let changed = Arc::downgrade(changed);
     move || {
-        if let Some(changed) = changed.upgrade() {
-            let _ = changed.send(change);
-        }
+        notify(&changed, change);
     }
+}
+
+/// Notifies the publishing thread of a change. Returns whether it still runs.
+fn notify(changed: &Weak<mpsc::Sender<Change>>, change: Change) -> bool {
+    let changed = changed.upgrade();
+    changed.is_some_and(|changed| changed.send(change).is_ok())
 }
 
 /// Returns the time in seconds since 1970-01-01 UTC.

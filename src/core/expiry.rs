@@ -4,46 +4,44 @@
 //! clocks' offset and the time in transit. The smallest such difference of a source belongs to its fastest message; what
 //! another message took longer is its age, except for the time that the fastest one took. Both clocks are those of processes:
 //! no clock is compared with that of another robot.
-use std::{collections::VecDeque, time::Duration};
+use std::time::{Duration, Instant};
 
-/// The duration of a part of the window, of which only the smallest difference is stored, in milliseconds.
-const PART_MS: u64 = 10_000;
-/// Number of parts in which messages have arrived. After a step of the sender's clock that was not noticed, the estimate is
-/// correct again when as many new ones have passed.
+use super::{fastest::Fastest, stream::offset::MillisecondClock};
+
+/// Number of parts of the window in which messages have arrived. After a step of the sender's clock that was not noticed, the
+/// estimate is correct again when as many new ones have passed. A time would be wrong: the fastest message from before a cut is
+/// what those that waited during it are compared with.
 const PARTS: usize = 6;
 
-/// The fastest messages of one source.
+/// The ages of the messages of one source.
 #[derive(Debug, Default)]
-pub struct Fastest {
-    /// The beginning of each part of the window on the receiver's clock, and its smallest difference, in milliseconds.
-    parts: VecDeque<(u64, i64)>,
+pub struct Ages {
+    fastest: Fastest,
     /// When the last message was sent, in milliseconds of the sender's clock.
     last_sent_ms: u64,
 }
 
-impl Fastest {
-    /// Returns the age of a message that has arrived at `own_ms` of the receiver's clock, less the time that the fastest message
-    /// took: zero for the first one. `is_late`: a message that was sent later has arrived before.
-    pub fn age(&mut self, sent_ms: u64, is_late: bool, own_ms: u64) -> Duration {
-        // Messages are sent one after another, so the sender's clock was set.
+impl Ages {
+    /// Returns the age of a message that has arrived, less the time that the fastest message took: zero for the first one. `own` is
+    /// the receiver's clock. `is_late`: a message that was sent later has arrived before.
+    pub fn on_message(
+        &mut self,
+        sent_ms: u64,
+        is_late: bool,
+        own: MillisecondClock,
+        now: Instant,
+    ) -> Duration {
         if !is_late && sent_ms < self.last_sent_ms {
-            self.parts.clear();
+            // Messages are sent one after another, so the sender's clock was set.
+            self.fastest.clear();
             self.last_sent_ms = sent_ms;
         }
         self.last_sent_ms = self.last_sent_ms.max(sent_ms);
-        let difference = (own_ms as i64).wrapping_sub(sent_ms as i64);
-        match self.parts.back_mut() {
-            Some((at, smallest)) if own_ms.saturating_sub(*at) < PART_MS => {
-                *smallest = difference.min(*smallest);
-            }
-            _ => self.parts.push_back((own_ms, difference)),
-        }
-        if self.parts.len() > PARTS {
-            self.parts.pop_front();
-        }
-        let smallest = self.parts.iter().map(|(_, smallest)| *smallest).min();
-        let age_ms = difference.saturating_sub(smallest.unwrap_or(difference));
-        Duration::from_millis(u64::try_from(age_ms).unwrap_or(0))
+        let difference = (own.at(now) as i64).wrapping_sub(sent_ms as i64);
+        self.fastest.add(difference, now);
+        self.fastest.keep_last(PARTS);
+        let smallest = self.fastest.smallest().unwrap_or(difference);
+        Duration::from_millis(u64::try_from(difference.saturating_sub(smallest)).unwrap_or(0))
     }
 }
 
@@ -57,20 +55,30 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    #[derive(Default)]
-    struct Messages(Fastest);
+    struct Messages {
+        ages: Ages,
+        start: Instant,
+    }
 
     impl Messages {
+        fn new() -> Self {
+            Self {
+                ages: Ages::default(),
+                start: Instant::now(),
+            }
+        }
+
         /// Returns the age of a message by the time of the test, whose sender's clock is `clock_ms` ahead.
         fn age(&mut self, sent: u64, arrived: u64, clock_ms: i64) -> Duration {
             let sent_ms = SENT_MS.wrapping_add_signed(clock_ms) + sent;
-            self.0.age(sent_ms, false, arrived)
+            let own = MillisecondClock::new(self.start, 0);
+            (self.ages).on_message(sent_ms, false, own, self.start + ms(arrived))
         }
     }
 
     #[test]
     fn age_is_what_a_message_took_longer_than_the_fastest_one() {
-        let mut messages = Messages::default();
+        let mut messages = Messages::new();
         assert_eq!(messages.age(0, 50, 0), ms(0), "nothing is known yet");
         assert_eq!(messages.age(100, 110, 0), ms(0), "the fastest one");
         assert_eq!(messages.age(200, 230, 0), ms(20));
@@ -85,7 +93,7 @@ mod tests {
 
     #[test]
     fn step_of_the_senders_clock_is_noticed_or_forgotten() {
-        let mut messages = Messages::default();
+        let mut messages = Messages::new();
         messages.age(0, 10, 0);
         // Forwards by years, and back again.
         assert_eq!(messages.age(100, 110, 100_000_000_000), ms(0));

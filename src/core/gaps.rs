@@ -7,8 +7,9 @@ use std::{
 
 use super::{
     attachment::{Attachment, Sent},
-    expiry::Fastest,
+    expiry::Ages,
     name::Name,
+    stream::offset::MillisecondClock,
 };
 
 /// The maximum number of publishers that are tracked. Beyond it, the ones that have been inactive for longest are
@@ -40,7 +41,7 @@ pub struct SenderCounts {
 struct Source {
     last: u32,
     last_used: u64,
-    fastest: Fastest,
+    ages: Ages,
 }
 
 #[derive(Debug, Default)]
@@ -52,7 +53,7 @@ struct Sender {
 /// Tracks the sequence numbers of all publishers.
 #[derive(Debug)]
 pub struct Gaps {
-    start: Instant,
+    own: MillisecondClock,
     senders: BTreeMap<Name, Sender>,
     /// Number of sources of all senders.
     sources: usize,
@@ -63,7 +64,7 @@ impl Gaps {
     /// Creates the state of a subscription that begins now.
     pub fn new(now: Instant) -> Self {
         Self {
-            start: now,
+            own: MillisecondClock::new(now, 0),
             senders: BTreeMap::new(),
             sources: 0,
             clock: 0,
@@ -74,8 +75,7 @@ impl Gaps {
     pub fn on_message(&mut self, robot: &Name, attachment: &Attachment, now: Instant) -> Arrival {
         self.clock += 1;
         let last_used = self.clock;
-        let own_ms = now.saturating_duration_since(self.start).as_millis() as u64;
-        if self.sources >= MAX_SOURCES {
+        if self.sources >= MAX_SOURCES && !self.knows(robot, attachment.source) {
             self.make_room();
         }
         let sender = sender_of(&mut self.senders, &mut self.sources, robot);
@@ -87,7 +87,7 @@ impl Gaps {
                 // Messages that were sent before the subscription are not missed.
                 last: sequence.wrapping_sub(1),
                 last_used,
-                fastest: Fastest::default(),
+                ages: Ages::default(),
             }
         });
         source.last_used = last_used;
@@ -99,7 +99,7 @@ impl Gaps {
             arrival.missed = ahead - 1;
         }
         if let Sent::At(sent_ms) = attachment.sent {
-            arrival.age = source.fastest.age(sent_ms, arrival.late, own_ms);
+            arrival.age = (source.ages).on_message(sent_ms, arrival.late, self.own, now);
         }
         let counts = &mut sender.counts;
         counts.received += 1;
@@ -120,6 +120,11 @@ impl Gaps {
     pub fn counts_by_sender(&self) -> impl Iterator<Item = (&Name, SenderCounts)> {
         let senders = self.senders.iter();
         senders.map(|(robot, sender)| (robot, sender.counts))
+    }
+
+    fn knows(&self, robot: &Name, source: u16) -> bool {
+        let sender = self.senders.get(robot);
+        sender.is_some_and(|sender| sender.sources.contains_key(&source))
     }
 
     /// Forgets the half of the sources that were inactive for longest.
@@ -226,7 +231,7 @@ mod tests {
             let robot = name(&format!("r{}", n / 60_000));
             on_message(&mut gaps, &robot, n as u16, n);
             on_message(&mut gaps, &name(&format!("x{n}")), 0, 0);
-            assert!(gaps.sources <= MAX_SOURCES + 1 && gaps.senders.len() <= MAX_SOURCES);
+            assert!(gaps.sources <= MAX_SOURCES && gaps.senders.len() <= MAX_SOURCES);
         }
         let sources = gaps.senders.values().map(|sender| sender.sources.len());
         assert_eq!(sources.sum::<usize>(), gaps.sources);

@@ -290,7 +290,7 @@ impl Robot {
         let publication = self.publication(key).await?;
         // The first message of an urgency waits for its session.
         let waited = called.map_or(Duration::ZERO, |called| called.elapsed());
-        self.put_after(&publication, payload, waited).await
+        self.put(&publication, payload, waited).await
     }
 
     pub(super) fn publication_key(&self, topic: Topic, recipient: Option<Name>) -> PublicationKey {
@@ -302,16 +302,8 @@ impl Robot {
         }
     }
 
-    pub(super) async fn put(
-        &self,
-        publication: &Arc<Publication>,
-        payload: Payload,
-    ) -> Result<(), Error> {
-        self.put_after(publication, payload, Duration::ZERO).await
-    }
-
     /// Publishes a payload that has waited for that time.
-    async fn put_after(
+    pub(super) async fn put(
         &self,
         publication: &Arc<Publication>,
         payload: Payload,

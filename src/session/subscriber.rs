@@ -267,7 +267,7 @@ impl Subscriber {
 
 /// Returns whether the message has expired by now. The time is only asked for if it matters.
 fn has_expired(message: &Message) -> bool {
-    message.expires_at.is_some_and(|at| at <= Instant::now())
+    message.expires_at.is_some() && message.is_expired(Instant::now())
 }
 
 async fn decoded(

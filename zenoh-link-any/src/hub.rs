@@ -264,8 +264,11 @@ impl Hub {
                 }) => return shared.fail(AnyError::Replaced(shared.peer.clone())),
                 Err(error) => {
                     tracing::debug!("any: no Bluetooth path to {}: {error}", shared.peer);
-                    let full = Refusal::Full;
-                    if matches!(&error, BleError::Refused { refusal, .. } if *refusal == full) {
+                    if let BleError::Refused {
+                        refusal: Refusal::Full,
+                        ..
+                    } = error
+                    {
                         retry = RETRY.1;
                     }
                     shared.unless_ended(tokio::time::sleep(retry)).await;

@@ -155,10 +155,8 @@ impl Shared {
     /// while: the old connection, and the one that should have replaced it.
     pub(crate) fn end_spare_paths(&self) {
         let state = self.state.lock();
-        let is_live =
-            |path: &PathReport| path.medium == Medium::Network && path.state == PathState::Live;
         let live: Vec<_> = (state.multipath.paths())
-            .filter(|(_, path)| is_live(path))
+            .filter(|(_, path)| path.is_live_network())
             .collect();
         let kept = live.iter().find(|(_, path)| path.is_primary);
         let Some((kept, _)) = kept.or(live.last()) else {
@@ -186,8 +184,7 @@ impl Shared {
     pub(crate) fn end_bluetooth(&self) {
         let state = self.state.lock();
         let mut paths = state.multipath.paths();
-        let is_bluetooth = |path: &PathReport| path.medium == Medium::Bluetooth;
-        let found = paths.find(|(_, path)| is_bluetooth(path));
+        let found = paths.find(|(_, path)| path.medium == Medium::Bluetooth);
         if let Some(task) = found.and_then(|(id, _)| state.tasks.get(&id)) {
             task.end.cancel();
         }
@@ -195,9 +192,7 @@ impl Shared {
 
     /// Returns whether the link has a network path that works.
     pub(crate) fn has_live_network(&self) -> bool {
-        let is_live =
-            |path: &PathReport| path.medium == Medium::Network && path.state == PathState::Live;
-        self.paths().iter().any(is_live)
+        self.paths().iter().any(PathReport::is_live_network)
     }
 
     /// Returns whether the link has a Bluetooth path.

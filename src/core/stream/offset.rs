@@ -4,15 +4,12 @@
 //! of the clock offset and the time in transit, modulo 2^16. The receiver measures the offset with a small query to
 //! which the sender replies with its time; the error is at most half a round trip. Until there is a reply, the fastest
 //! frame of the last minute is assumed to have taken no time.
-use std::{
-    collections::VecDeque,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
+
+use crate::core::fastest::Fastest;
 
 /// How long the fastest frame is remembered. Longer would be wrong, because clocks drift.
 const WINDOW: Duration = Duration::from_secs(60);
-/// The duration of each part of the window, of which only the smallest difference is stored.
-const PART: Duration = Duration::from_secs(10);
 /// The maximum drift between two clocks: 100 ppm, twice what crystals are specified for.
 const DRIFT_MS_PER_S: f64 = 0.1;
 /// A frame that is younger than this would have arrived before it was sent: the sender's clock was set.
@@ -56,8 +53,7 @@ pub struct Offset {
     own: MillisecondClock,
     /// The last difference, unwrapped. The next ones are close to it.
     near: Option<i64>,
-    /// The smallest difference in each part of the window.
-    fastest: VecDeque<(Instant, i64)>,
+    fastest: Fastest,
     reply: Option<Reply>,
 }
 
@@ -67,7 +63,7 @@ impl Offset {
         Self {
             own: MillisecondClock::new(now, 0),
             near: None,
-            fastest: VecDeque::new(),
+            fastest: Fastest::default(),
             reply: None,
         }
     }
@@ -98,7 +94,8 @@ impl Offset {
     /// Handles a frame that was sent at `sent_low`, and returns its age.
     pub fn on_frame(&mut self, sent_low: u16, now: Instant) -> Age {
         let difference = self.unwrapped(self.own.low(now).wrapping_sub(sent_low));
-        self.on_difference(difference, now);
+        self.fastest.forget_older(WINDOW, now);
+        self.fastest.add(difference, now);
         if let Some(reply) = self.reply {
             let age_ms = difference as f64 - reply.difference_ms;
             let error_ms = reply.round_trip.as_secs_f64() * 500.0;
@@ -110,8 +107,7 @@ impl Offset {
             }
             self.reply = None;
         }
-        let fastest = self.fastest.iter().map(|&(_, fastest)| fastest).min();
-        let age_ms = difference - fastest.unwrap_or(difference);
+        let age_ms = difference - self.fastest.smallest().unwrap_or(difference);
         Age {
             age: Duration::from_millis(age_ms.max(0) as u64),
             min_delay: None,
@@ -126,20 +122,6 @@ impl Offset {
     /// Returns the round trip of a query, if there was a reply.
     pub fn round_trip(&self) -> Option<Duration> {
         self.reply.map(|reply| reply.round_trip)
-    }
-
-    /// Updates the fastest frames.
-    fn on_difference(&mut self, difference: i64, now: Instant) {
-        let is_old = |at: Instant| now.saturating_duration_since(at) > WINDOW;
-        while self.fastest.front().is_some_and(|&(at, _)| is_old(at)) {
-            self.fastest.pop_front();
-        }
-        match self.fastest.back_mut() {
-            Some((at, fastest)) if now.saturating_duration_since(*at) < PART => {
-                *fastest = difference.min(*fastest);
-            }
-            _ => self.fastest.push_back((now, difference)),
-        }
     }
 
     /// Extends the low 16 bits of a difference to the value that is closest to the previous difference.

@@ -97,3 +97,10 @@ pub struct PathReport {
     /// Number of bytes among them that another path had carried before.
     pub resent_bytes: u64,
 }
+
+impl PathReport {
+    /// Returns whether this is a network path that works.
+    pub(crate) fn is_live_network(&self) -> bool {
+        self.medium == Medium::Network && self.state == PathState::Live
+    }
+}
