@@ -18,7 +18,7 @@ pub mod multipath;
 mod network_events;
 mod networks;
 pub mod observers;
-mod offer;
+pub mod offer;
 mod out_lane;
 pub mod path;
 mod proof;
