@@ -36,6 +36,7 @@ pub mod router;
 pub mod service;
 pub mod settings;
 pub mod stream;
+pub mod threads;
 pub mod topic;
 pub mod topics;
 pub mod transfer;

@@ -21,6 +21,8 @@ pub mod storage;
 pub mod blocking;
 #[cfg(feature = "session")]
 mod error;
+#[cfg(feature = "recording")]
+pub mod recording;
 #[cfg(feature = "session")]
 mod session;
 #[cfg(feature = "terminal")]

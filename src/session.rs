@@ -20,6 +20,7 @@ mod shared;
 mod signal;
 mod stream;
 mod subscriber;
+mod threads;
 mod transfer;
 mod urgency_sessions;
 mod waiting;
@@ -33,6 +34,7 @@ pub use service::{Request, Requests, Service};
 pub use stream::{Frame, Stream, Watch};
 pub(crate) use subscriber::call;
 pub use subscriber::{QueueOptions, Subscriber, Subscription};
+pub use threads::use_one_thread;
 pub use transfer::{
     Destination, IncomingTransfer, ReceiveOptions, Received, Transfer, TransferSource, Transfers,
 };

@@ -1024,6 +1024,13 @@ enum rect_code rect_replies_next(struct rect_replies replies,
 // Returns the version of the library, e.g. `0.1.0`. May be called on any thread.
 const char *rect_version(void);
 
+// Lets Zenoh do all its work on one thread in place of five pools, unless the environment variable ZENOH_RUNTIME is set.
+//
+// That saves a wake-up for each message. It is only safe for a program without receive queues of RECT_WHEN_FULL_BLOCK, services and
+// dictionaries: a thread that waits for room there would stop all other messages. Call it at the start of main, before
+// other threads run.
+void rect_use_one_thread(void);
+
 // Connects as a program of the robot `name`, and writes the handle to `robot`. `options` may be NULL for the defaults: the
 // program uses the router of this computer.
 //

@@ -80,6 +80,16 @@ pub extern "C" fn rect_version() -> *const c_char {
     VERSION.as_ptr()
 }
 
+/// Lets Zenoh do all its work on one thread in place of five pools, unless the environment variable ZENOH_RUNTIME is set.
+///
+/// That saves a wake-up for each message. It is only safe for a program without receive queues of RECT_WHEN_FULL_BLOCK, services and
+/// dictionaries: a thread that waits for room there would stop all other messages. Call it at the start of main, before
+/// other threads run.
+#[no_mangle]
+pub extern "C" fn rect_use_one_thread() {
+    rect::use_one_thread();
+}
+
 /// Connects as a program of the robot `name`, and writes the handle to `robot`. `options` may be NULL for the defaults: the
 /// program uses the router of this computer.
 ///

@@ -7,13 +7,15 @@
 //! and 1 threads that stops the whole router. An idle thread costs 17 kB of memory.
 use std::env;
 
-/// The environment variable from which Zenoh reads the number of its threads, once, when it starts the first one.
-const VARIABLE: &str = "ZENOH_RUNTIME";
+use rect::core::threads::{ONE_THREAD, VARIABLE};
+
 const THREADS: &str = "(rx: (worker_threads: 32), tx: (worker_threads: 4))";
 
 /// Sets the number of threads unless the user has set it. Call it before any other thread runs and before Zenoh is used.
+///
+/// A program that uses one thread passes its choice on to a router that it starts. It is none for a router.
 pub fn set() {
-    if env::var_os(VARIABLE).is_none() {
+    if env::var_os(VARIABLE).is_none_or(|chosen| chosen == ONE_THREAD) {
         env::set_var(VARIABLE, THREADS);
     }
 }

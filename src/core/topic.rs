@@ -151,6 +151,13 @@ impl Pattern {
         Ok(Self { robot, topic })
     }
 
+    /// Returns whether a message of `topic`, as `<robot>/<topic>`, matches.
+    pub fn matches(&self, topic: &str) -> bool {
+        let pattern = self.to_string();
+        let (pattern, topic) = (keyexpr::new(&pattern), keyexpr::new(topic));
+        matches!((pattern, topic), (Ok(pattern), Ok(topic)) if pattern.intersects(topic))
+    }
+
     /// Returns the sender that the pattern selects. `None` if it selects any robot.
     pub fn robot(&self) -> Option<&Name> {
         self.robot.as_ref()

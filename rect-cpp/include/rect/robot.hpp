@@ -459,6 +459,13 @@ private:
 /// Returns the version of the library, e.g. `0.1.0`.
 [[nodiscard]] inline const char* version() noexcept { return rect_version(); }
 
+/// Lets Zenoh do all its work on one thread in place of five pools, unless the environment variable ZENOH_RUNTIME is set.
+///
+/// That saves a wake-up for each message. It is only safe for a program without receive queues of WhenFull::block, services
+/// and dictionaries: a thread that waits for room there would stop all other messages. Call it at the start of main, before
+/// other threads run.
+inline void use_one_thread() noexcept { rect_use_one_thread(); }
+
 }  // namespace RECT_ABI
 }  // namespace rect
 

@@ -5,32 +5,42 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub fn time_of_day(at: SystemTime) -> String {
     let since = at.duration_since(UNIX_EPOCH).unwrap_or_default();
     let seconds = i64::try_from(since.as_secs()).unwrap_or(i64::MAX);
-    let (hours, minutes, seconds) = local(seconds).unwrap_or_else(|| {
-        let of_day = seconds.rem_euclid(24 * 3600);
-        (of_day / 3600, of_day / 60 % 60, of_day % 60)
-    });
+    let (hours, minutes, seconds) = match local(seconds) {
+        Some(time) => (time.tm_hour.into(), time.tm_min.into(), time.tm_sec.into()),
+        None => {
+            let of_day = seconds.rem_euclid(24 * 3600);
+            (of_day / 3600, of_day / 60 % 60, of_day % 60)
+        }
+    };
     format!(
         "{hours:02}:{minutes:02}:{seconds:02}.{:03}",
         since.subsec_millis()
     )
 }
 
-/// Returns hours, minutes and seconds in the local time zone; `None` if the system does not know it.
-fn local(unix_s: i64) -> Option<(i64, i64, i64)> {
+/// Returns date and time for a file name, such as `2026-11-26-14-03-07`, in the local time zone, or the seconds since 1970
+/// if the time zone is unknown.
+pub fn file_name(at: SystemTime) -> String {
+    let since = at.duration_since(UNIX_EPOCH).unwrap_or_default();
+    let seconds = i64::try_from(since.as_secs()).unwrap_or(i64::MAX);
+    let Some(time) = local(seconds) else {
+        return seconds.to_string();
+    };
+    let date = [1900 + time.tm_year, time.tm_mon + 1, time.tm_mday];
+    let [hours, minutes, seconds] = [time.tm_hour, time.tm_min, time.tm_sec];
+    let [year, month, day] = date;
+    format!("{year}-{month:02}-{day:02}-{hours:02}-{minutes:02}-{seconds:02}")
+}
+
+/// Returns date and time in the local time zone; `None` if the system does not know it.
+fn local(unix_s: i64) -> Option<libc::tm> {
     let time = libc::time_t::try_from(unix_s).ok()?;
     // SAFETY: all fields of `tm` are integers or a pointer that may be null, so zeroes are a valid value.
     let mut parts: libc::tm = unsafe { std::mem::zeroed() };
-    // SAFETY: both pointers are to live values of this function, and this program never changes its environment, in which
-    // the function looks for the time zone.
+    // SAFETY: both pointers are to live values of this function, and this program changes its environment, in which the
+    // function looks for the time zone, only before it starts a thread.
     let filled = unsafe { libc::localtime_r(&time, &mut parts) };
-    let is_filled = !filled.is_null();
-    is_filled.then(|| {
-        (
-            parts.tm_hour.into(),
-            parts.tm_min.into(),
-            parts.tm_sec.into(),
-        )
-    })
+    (!filled.is_null()).then_some(parts)
 }
 
 #[cfg(test)]
@@ -44,5 +54,10 @@ mod tests {
         let shown = time_of_day(UNIX_EPOCH + Duration::from_millis(1_795_000_007_045));
         let parts: Vec<_> = shown.split([':', '.']).collect();
         assert!(matches!(parts[..], [_, _, "47", "045"]), "{shown}");
+        let name = file_name(UNIX_EPOCH + Duration::from_secs(1_795_000_007));
+        assert!(
+            name.starts_with("2026-11-1") && name.ends_with("-47"),
+            "{name}"
+        );
     }
 }

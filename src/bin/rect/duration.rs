@@ -1,13 +1,13 @@
 //! Parses durations on the command line.
 use std::{str::FromStr, time::Duration};
 
-/// A duration on the command line: a number with the unit `us`, `ms` or `s`.
+/// A duration on the command line: a number with the unit `us`, `ms`, `s`, `m` or `h`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DurationArgument(pub Duration);
 
 /// The text is not a valid duration.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[error("{0:?} is not a valid duration; write a number with a unit, such as 7.5ms, 30ms or 2s")]
+#[error("{0:?} is not a valid duration; write a number with a unit, such as 7.5ms, 2s or 10m")]
 pub struct ParseDurationError(String);
 
 impl FromStr for DurationArgument {
@@ -23,6 +23,8 @@ impl FromStr for DurationArgument {
             "us" => 1e-6,
             "ms" => 1e-3,
             "s" => 1.0,
+            "m" => 60.0,
+            "h" => 3600.0,
             _ => return Err(wrong()),
         };
         let number: f64 = number.parse().map_err(|_| wrong())?;
@@ -43,6 +45,8 @@ mod tests {
             ("7.5ms", 7500),
             ("2s", 2_000_000),
             ("50us", 50),
+            ("1.5m", 90_000_000),
+            ("1h", 3_600_000_000),
         ] {
             assert_eq!(
                 text.parse(),
@@ -50,7 +54,7 @@ mod tests {
                 "{text}"
             );
         }
-        for text in ["", "30", "ms", "-1s", "1m", "nans", "infs"] {
+        for text in ["", "30", "ms", "-1s", "1d", "nans", "infs"] {
             assert!(text.parse::<DurationArgument>().is_err(), "{text}");
         }
     }

@@ -11,7 +11,10 @@ mod duration;
 mod manual;
 mod payload;
 mod publish;
+mod record;
+mod recording;
 mod registry;
+mod replay;
 mod request;
 mod router;
 mod session;
@@ -43,6 +46,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
   rect stream watch wombat-2 camera        # receives a stream of pictures
   rect transfer send wombat-2 map.bin      # sends a file of any size
+  rect record                              # records what this robot publishes; `rect replay` plays it
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection
   rect bench wombat-2                      # measures the link (run `rect bench --serve` on wombat-2)
   rect doctor                              # finds problems and suggests solutions";
@@ -78,6 +82,9 @@ enum Command {
     Stream(stream::StreamArguments),
     Topic(topic::TopicArguments),
     Transfer(transfer::TransferArguments),
+    Record(record::RecordArguments),
+    Replay(replay::ReplayArguments),
+    Recording(recording::RecordingArguments),
     Peers(registry::PeersArguments),
     Status(router::StatusArguments),
     Connections(registry::ConnectionsArguments),
@@ -125,16 +132,19 @@ fn main() -> ExitCode {
         Command::Dictionary(arguments) => dictionary::run(arguments),
         Command::Pub(arguments) => wait(publish::publish(arguments)),
         Command::Send(arguments) => wait(publish::send(arguments)),
-        Command::Sub(arguments) => wait(subscribe::run(arguments)),
-        Command::Request(arguments) => wait(request::request(arguments)),
+        Command::Sub(arguments) => wait_on_one_thread(subscribe::run(arguments)),
+        Command::Request(arguments) => wait_on_one_thread(request::request(arguments)),
         Command::Serve(arguments) => wait(request::serve(arguments)),
         Command::Stream(arguments) => wait(stream::run(arguments)),
-        Command::Topic(arguments) => wait(topic::run(arguments)),
+        Command::Topic(arguments) => wait_on_one_thread(topic::run(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
-        Command::Peers(arguments) => wait(registry::peers(arguments)),
-        Command::Connections(arguments) => wait(registry::connections(arguments)),
-        Command::Connect(arguments) => wait(configure::connect(arguments)),
-        Command::Disconnect(arguments) => wait(configure::disconnect(arguments)),
+        Command::Record(arguments) => record::run(arguments),
+        Command::Replay(arguments) => wait(replay::run(arguments)),
+        Command::Recording(arguments) => recording::run(arguments),
+        Command::Peers(arguments) => wait_on_one_thread(registry::peers(arguments)),
+        Command::Connections(arguments) => wait_on_one_thread(registry::connections(arguments)),
+        Command::Connect(arguments) => wait_on_one_thread(configure::connect(arguments)),
+        Command::Disconnect(arguments) => wait_on_one_thread(configure::disconnect(arguments)),
         Command::Bench(arguments) => wait(bench::run(arguments)),
         Command::Sim(arguments) => router::sim(arguments),
         Command::Wifi(arguments) => router::wifi(arguments),
@@ -153,12 +163,22 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs a command until it ends or Ctrl-C interrupts it.
-fn wait(command: impl Future<Output = Done>) -> Done {
-    let runtime = tokio::runtime::Builder::new_multi_thread()
+/// Runs a command that answers no queries, for which one thread of Zenoh is enough.
+fn wait_on_one_thread(command: impl Future<Output = Done>) -> Done {
+    rect::use_one_thread();
+    wait(command)
+}
+
+fn runtime() -> std::io::Result<tokio::runtime::Runtime> {
+    tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
-        .build()?;
+        .build()
+}
+
+/// Runs a command until it ends or Ctrl-C interrupts it.
+fn wait(command: impl Future<Output = Done>) -> Done {
+    let runtime = runtime()?;
     let done = runtime.block_on(async {
         tokio::select! {
             done = command => done,

@@ -1,0 +1,131 @@
+"""Tests that stock readers open the files of `rect record`, also of a killed one: `scripts/test-python -k recording`"""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rect
+from conftest import free_port
+from mcap.reader import make_reader
+from programs import DEADLINE, program
+
+#: How many recorders are killed.
+KILLED = 20
+
+
+def tool(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [program("RECT_TOOL", "rect"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE)
+
+
+@contextmanager
+def recorder(endpoint: str, output: Path) -> Iterator[subprocess.Popen[str]]:
+    """Runs `rect record` at a program of wombat-1."""
+    options = ["--as", "recorder", "--router", endpoint, "--output", str(output)]
+    command = [program("RECT_TOOL", "rect"), "record", "wombat-1/**", *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def until_recording(process: subprocess.Popen[str]) -> None:
+    assert process.stderr
+    for line in process.stderr:
+        if "recording wombat-1/**" in line:
+            return
+    raise AssertionError("rect record has ended")
+
+
+@contextmanager
+def publishing(robot: rect.Robot) -> Iterator[None]:
+    """Publishes numbered messages, and a picture now and then, on a thread."""
+    ends = threading.Event()
+
+    def publish() -> None:
+        number = 0
+        while not ends.wait(0.005):
+            robot.publish("pose", {"n": number, "at": {"x": number / 2}})
+            if number % 50 == 0:
+                robot.publish("camera", rect.Payload(b"\xff\xd8" + bytes(5000), "image/jpeg"))
+            number += 1
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
+
+
+def messages(file: Path) -> list[tuple[Any, Any, Any]]:
+    """Reads a file with the stock reader, which seeks to the summary at its end."""
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_summary() is not None, "it has no summary"
+        return list(reader.iter_messages())
+
+
+def test_stock_reader_opens_a_recording(tmp_path: Path) -> None:
+    endpoint, file = f"tcp/127.0.0.1:{free_port()}", tmp_path / "match.mcap"
+    with rect.connect("wombat-1", listen=[endpoint]) as robot, recorder(endpoint, file) as process:
+        until_recording(process)
+        publisher = robot.publisher("pose")
+        publisher.wait_for_subscriber(DEADLINE)
+        with publishing(robot):
+            time.sleep(2)
+        time.sleep(0.5)
+        process.terminate()
+        assert process.wait(DEADLINE) == 0
+    read = messages(file)
+    poses = [(channel, message) for schema, channel, message in read if channel.topic == "wombat-1/pose"]
+    assert len(poses) > 100
+    numbers = [json.loads(message.data)["n"] for _, message in poses]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    (schema,) = {schema.data for schema, channel, _ in read if channel.topic == "wombat-1/pose"}
+    fields = json.loads(schema)["properties"]
+    assert fields["at"]["properties"] == {"x": {"type": "number"}}
+    assert poses[0][0].message_encoding == "json"
+    pictures = [message.data for _, channel, message in read if channel.topic == "wombat-1/camera"]
+    assert pictures and all(picture == b"\xff\xd8" + bytes(5000) for picture in pictures)
+
+
+def test_killed_recorders_leave_files_that_stock_readers_open(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    finished = 0
+    with rect.connect("wombat-1", listen=[endpoint]) as robot, publishing(robot):
+        recorders = [recorder(endpoint, tmp_path / f"{number}.mcap") for number in range(KILLED)]
+        processes = [running.__enter__() for running in recorders]
+        for process in processes:
+            until_recording(process)
+        started = time.monotonic()
+        # Within the first, the second and the third file of a recording.
+        chosen = random.Random(1)
+        times = sorted(chosen.uniform(0.1, 12) for _ in processes)
+        for process, at in zip(processes, times):
+            time.sleep(max(0, started + at - time.monotonic()))
+            process.kill()
+        for running in recorders:
+            running.__exit__(None, None, None)
+    for number in range(KILLED):
+        parts = tmp_path / f"{number}.segments"
+        for segment in parts.glob("*.mcap"):
+            finished += 1
+            assert messages(segment)
+        merged = tmp_path / f"{number}-merged.mcap"
+        result = tool("recording", "merge", str(parts), "--output", str(merged))
+        assert result.returncode == 0, result.stderr
+        poses = [message for _, channel, message in messages(merged) if channel.topic == "wombat-1/pose"]
+        numbers = [json.loads(pose.data)["n"] for pose in poses]
+        assert numbers == list(range(min(numbers, default=0), min(numbers, default=0) + len(numbers)))
+    assert finished >= KILLED / 2

@@ -1,0 +1,22 @@
+//! Records messages in MCAP files, and reads them back.
+//!
+//! While a [`Recorder`] runs, a recording is a folder of short files ([`segments`]). Each one is complete, synced and renamed
+//! before the next one begins, so that after a power cut only the last seconds are missing. When the recorder stops, they
+//! become one file. [`Reader`] reads the folder as well as the file.
+pub mod backlog;
+pub mod channel;
+pub mod entry;
+pub mod export;
+pub mod file;
+pub mod reader;
+pub mod recorder;
+pub mod replay;
+pub mod schema;
+pub mod segments;
+pub mod summary;
+
+pub use entry::Entry;
+pub use reader::{ReadError, Reader};
+pub use recorder::{Progress, Recorder, RecorderError, Settings};
+pub use replay::{by_time, Replay, Selection};
+pub use summary::Summary;

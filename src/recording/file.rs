@@ -1,0 +1,167 @@
+//! Writes entries to one MCAP file, under a temporary name until it is complete and on the disk.
+use std::{
+    collections::{BTreeMap, HashMap},
+    fs::{self, File},
+    io::{self, BufWriter, Write},
+    path::{Path, PathBuf},
+};
+
+use mcap::{records::MessageHeader, records::Metadata, McapError, WriteOptions, Writer};
+use serde_json::Value;
+
+use super::{channel::Channel, entry::Entry, schema};
+
+/// The ending of a complete file.
+pub const COMPLETE: &str = "mcap";
+/// The ending of a file that is being written.
+pub const PART: &str = "part";
+/// The name of the metadata that describe a recording.
+pub const ABOUT: &str = "rect";
+/// The compression of chunks: the fastest levels cost little, and text shrinks to a third.
+const LEVEL: u32 = 1;
+const PROFILE: &str = "rect";
+
+/// The description of a recording: names and values.
+pub type About = BTreeMap<String, String>;
+
+/// An MCAP file that is being written.
+pub struct OpenFile {
+    /// The name that it gets when it is complete.
+    path: PathBuf,
+    writer: Writer<BufWriter<File>>,
+    channels: HashMap<Channel, u16>,
+}
+
+impl OpenFile {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// Fails if the file or its unfinished form exists, or cannot be written.
+    pub fn create(path: PathBuf, about: &About) -> io::Result<Self> {
+        if path.exists() {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        let file = File::create_new(part_of(&path))?;
+        let options = WriteOptions::new()
+            .profile(PROFILE)
+            .library(concat!("rect ", env!("CARGO_PKG_VERSION")))
+            .compression_level(LEVEL)
+            .compression_threads(0);
+        let writer = options.create(BufWriter::new(file)).map_err(into_io)?;
+        let mut file = Self {
+            path,
+            writer,
+            channels: HashMap::new(),
+        };
+        let about = Metadata {
+            name: ABOUT.to_owned(),
+            metadata: about.clone(),
+        };
+        file.writer.write_metadata(&about).map_err(into_io)?;
+        Ok(file)
+    }
+
+    /// Adds an entry.
+    ///
+    /// # Errors
+    /// Fails if the disk does.
+    pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
+        let channel = Channel::of(entry);
+        let channel_id = match self.channels.get(&channel) {
+            Some(id) => *id,
+            None => self.add_channel(channel, entry).map_err(into_io)?,
+        };
+        let header = MessageHeader {
+            channel_id,
+            sequence: entry.sequence,
+            log_time: nanoseconds(entry.logged),
+            publish_time: nanoseconds(entry.sent),
+        };
+        let bytes = &entry.payload.bytes;
+        let written = self.writer.write_to_known_channel(&header, bytes);
+        written.map_err(into_io)
+    }
+
+    fn add_channel(&mut self, channel: Channel, first: &Entry) -> Result<u16, McapError> {
+        let schema_id = match entry_schema(first) {
+            Some(schema) => {
+                let text = schema.to_string();
+                let name = channel.topic.replace('/', ".");
+                (self.writer).add_schema(&name, "jsonschema", text.as_bytes())?
+            }
+            None => 0,
+        };
+        let (encoding, metadata) = (channel.message_encoding(), channel.metadata());
+        let id = (self.writer).add_channel(schema_id, &channel.topic, encoding, &metadata)?;
+        self.channels.insert(channel, id);
+        Ok(id)
+    }
+
+    /// Ends the chunk, so that a reader finds everything up to here if the file is never completed.
+    ///
+    /// # Errors
+    /// Fails if the disk does.
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.writer.flush().map_err(into_io)
+    }
+
+    /// Completes the file, waits until it is on the disk, and gives it its name.
+    ///
+    /// # Errors
+    /// Fails if the disk does. The unfinished file is removed then.
+    pub fn finish(mut self) -> io::Result<PathBuf> {
+        let part = part_of(&self.path);
+        let finished = self.writer.finish().map_err(into_io).and_then(|_| {
+            let mut buffer = self.writer.into_inner();
+            buffer.flush()?;
+            buffer.get_ref().sync_all()?;
+            fs::rename(&part, &self.path)?;
+            sync_folder_of(&self.path)
+        });
+        if finished.is_err() {
+            // If that fails as well, the next attempt has another name, and the file can be removed by hand.
+            let _ = fs::remove_file(part);
+        }
+        finished.map(|()| self.path)
+    }
+
+    /// Removes the unfinished file.
+    pub fn abandon(self) {
+        // Without the destructors, which would write once more.
+        drop(self.writer.into_inner().into_parts());
+        let _ = fs::remove_file(part_of(&self.path));
+    }
+}
+
+fn entry_schema(entry: &Entry) -> Option<Value> {
+    let is_json = entry.is_json();
+    let value = is_json.then(|| serde_json::from_slice(&entry.payload.bytes));
+    value?.ok().map(|value| schema::infer(&value))
+}
+
+/// Returns the name of the unfinished form of a file.
+pub fn part_of(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(PART);
+    name.into()
+}
+
+/// Makes new names in the folder of a file survive a power cut.
+fn sync_folder_of(path: &Path) -> io::Result<()> {
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+}
+
+fn nanoseconds(time: std::time::Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
+fn into_io(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(error) => error,
+        error => io::Error::other(error),
+    }
+}

@@ -1,0 +1,227 @@
+//! Reads recordings: a file, also of another program, or the folder of a recording that runs or was interrupted.
+use std::{
+    collections::{HashMap, VecDeque},
+    fs::{self, File},
+    io::{self, Read},
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use bytes::Bytes;
+use mcap::{
+    records::Record,
+    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+    McapError,
+};
+
+use super::{
+    channel::Channel,
+    entry::Entry,
+    file::{About, ABOUT, COMPLETE, PART},
+};
+use crate::core::payload::Payload;
+
+/// The largest record that is read, in bytes. Recordings of RECT have chunks of about 1 MB.
+const MAX_RECORD: usize = 256 * 1024 * 1024;
+/// How many channels a file may have: more than any robot has.
+const MAX_CHANNELS: usize = 10_000;
+
+/// A recording cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file or folder cannot be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: io::Error,
+    },
+    /// The folder contains no recording.
+    #[error("the folder {} contains no recording (no file *.{COMPLETE})", .0.display())]
+    Empty(PathBuf),
+    /// The file is damaged, or is no MCAP file.
+    #[error("{} is damaged after {entries} messages: {source}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// How many messages were read before.
+        entries: u64,
+        /// The cause.
+        source: McapError,
+    },
+}
+
+/// Reads the messages of a recording in the order in which they were recorded.
+pub struct Reader {
+    /// The files that are still to be read.
+    files: VecDeque<PathBuf>,
+    open: Option<OpenFile>,
+    about: About,
+    is_complete: bool,
+}
+
+struct OpenFile {
+    path: PathBuf,
+    file: File,
+    reader: LinearReader,
+    channels: HashMap<u16, Channel>,
+    entries: u64,
+}
+
+impl Reader {
+    /// Opens a file, or a folder of segments.
+    ///
+    /// # Errors
+    /// Fails if there is nothing to read.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let failed = |source| ReadError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let mut files = VecDeque::from([path.to_owned()]);
+        if fs::metadata(path).map_err(failed)?.is_dir() {
+            let mut found = Vec::new();
+            for entry in fs::read_dir(path).map_err(failed)? {
+                let file = entry.map_err(failed)?.path();
+                let ending = file.extension().unwrap_or_default();
+                if ending == COMPLETE || ending == PART {
+                    found.push(file);
+                }
+            }
+            if found.is_empty() {
+                return Err(ReadError::Empty(path.to_owned()));
+            }
+            // The names are numbers of the same length.
+            found.sort();
+            files = found.into();
+        }
+        Ok(Self {
+            files,
+            open: None,
+            about: About::new(),
+            is_complete: true,
+        })
+    }
+
+    /// Returns the description of the recording, if it has been read already.
+    pub fn about(&self) -> &About {
+        &self.about
+    }
+
+    /// Returns whether all files that have been read so far were complete.
+    pub fn is_complete(&self) -> bool {
+        self.is_complete
+    }
+
+    fn read(&mut self) -> Result<Option<Entry>, ReadError> {
+        loop {
+            let open = match &mut self.open {
+                Some(open) => open,
+                None => match self.files.pop_front() {
+                    Some(path) => self.open.insert(OpenFile::open(path)?),
+                    None => return Ok(None),
+                },
+            };
+            match open.read(&mut self.about) {
+                Ok(Some(entry)) => return Ok(Some(entry)),
+                Ok(None) => self.open = None,
+                // It was not completed, and everything up to here is whole.
+                Err(ReadError::Damaged { .. }) if open.is_part() => {
+                    self.is_complete = false;
+                    self.open = None;
+                }
+                Err(error) => {
+                    self.is_complete = false;
+                    self.open = None;
+                    return Err(error);
+                }
+            }
+        }
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Result<Entry, ReadError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
+}
+
+impl OpenFile {
+    fn open(path: PathBuf) -> Result<Self, ReadError> {
+        let file = File::open(&path).map_err(|source| ReadError::Io {
+            path: path.clone(),
+            source,
+        })?;
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(MAX_RECORD);
+        Ok(Self {
+            path,
+            file,
+            reader: LinearReader::new_with_options(options),
+            channels: HashMap::new(),
+            entries: 0,
+        })
+    }
+
+    fn is_part(&self) -> bool {
+        self.path.extension().is_some_and(|ending| ending == PART)
+    }
+
+    /// Returns the next message; `None` at the end of the file.
+    fn read(&mut self, about: &mut About) -> Result<Option<Entry>, ReadError> {
+        let entries = self.entries;
+        let damaged = |path: &Path, source| ReadError::Damaged {
+            path: path.to_owned(),
+            entries,
+            source,
+        };
+        while let Some(event) = self.reader.next_event() {
+            let event = event.map_err(|error| damaged(&self.path, error))?;
+            let (opcode, data) = match event {
+                LinearReadEvent::ReadRequest(bytes) => {
+                    let read = self.file.read(self.reader.insert(bytes));
+                    let read = read.map_err(|source| ReadError::Io {
+                        path: self.path.clone(),
+                        source,
+                    })?;
+                    self.reader.notify_read(read);
+                    continue;
+                }
+                LinearReadEvent::Record { opcode, data } => (opcode, data),
+            };
+            let record = mcap::parse_record(opcode, data);
+            match record.map_err(|error| damaged(&self.path, error))? {
+                Record::Channel(channel) if self.channels.len() < MAX_CHANNELS => {
+                    self.channels.insert(channel.id, Channel::read(channel));
+                }
+                Record::Metadata(metadata) if metadata.name == ABOUT && about.is_empty() => {
+                    *about = metadata.metadata;
+                }
+                Record::Message { header, data } => {
+                    let channel = self.channels.get(&header.channel_id);
+                    let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
+                    let channel = channel.ok_or_else(|| damaged(&self.path, unknown))?;
+                    self.entries += 1;
+                    return Ok(Some(Entry {
+                        topic: channel.topic.clone(),
+                        recipient: channel.recipient.clone(),
+                        payload: Payload::new(
+                            Bytes::copy_from_slice(&data),
+                            channel.encoding.clone(),
+                        ),
+                        urgency: channel.urgency,
+                        sequence: header.sequence,
+                        logged: Duration::from_nanos(header.log_time),
+                        sent: Duration::from_nanos(header.publish_time),
+                    }));
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,298 @@
+//! Writes messages to a recording on a thread of its own, because a disk may stand still for seconds.
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use super::{
+    backlog::Backlog,
+    entry::{since_1970, Entry},
+    file::{About, OpenFile},
+    reader::{ReadError, Reader},
+    segments::{folder_of, Segments},
+};
+use crate::core::message::Message;
+
+/// How many bytes wait for the disk at most.
+const BACKLOG_BYTES: usize = 8 * 1024 * 1024;
+/// The pause after a failure of the disk.
+const RETRY_AFTER: Duration = Duration::from_secs(1);
+/// The interval at which the thread looks whether a chunk or a file is due.
+const TICK: Duration = Duration::from_millis(250);
+
+/// The settings of a recorder.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The file that the recording becomes when it stops.
+    pub path: PathBuf,
+    /// The description of the recording.
+    pub about: About,
+    /// How much of the past to keep; default: everything.
+    pub keep: Option<Duration>,
+}
+
+/// Why a recording cannot start, or not become one file.
+#[derive(Debug, thiserror::Error)]
+pub enum RecorderError {
+    /// There is a recording of that name.
+    #[error(
+        "{} exists already: choose another name. If it is a recording that was interrupted, `rect recording merge` makes a file of it",
+        .0.display()
+    )]
+    Exists(PathBuf),
+    /// The folder cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: io::Error,
+    },
+    /// The parts of the recording cannot be read back.
+    #[error("cannot merge the parts of the recording: {0}")]
+    Read(#[from] ReadError),
+}
+
+/// How a recording goes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// How many messages are in the recording.
+    pub written: u64,
+    /// The bytes of their payloads.
+    pub bytes: u64,
+    /// How many messages were dropped, because the disk was too slow or full.
+    pub dropped: u64,
+    /// Why the disk does not take anything at the moment.
+    pub problem: Option<String>,
+}
+
+/// Records messages. They are never waited for: what the disk cannot take is dropped and counted, urgent messages last.
+pub struct Recorder {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+    path: PathBuf,
+    about: About,
+    clock: Clock,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+struct State {
+    backlog: Backlog,
+    progress: Progress,
+    is_stopped: bool,
+}
+
+/// The time since 1970, without the jumps of the computer's clock.
+#[derive(Clone, Copy)]
+struct Clock {
+    started: Instant,
+    since_1970: Duration,
+}
+
+impl Clock {
+    fn now(&self) -> Duration {
+        self.since_1970 + self.started.elapsed()
+    }
+}
+
+impl Recorder {
+    /// Starts a recording.
+    ///
+    /// # Errors
+    /// Fails if there is a recording of that name, or the folder cannot be written.
+    pub fn start(settings: Settings) -> Result<Self, RecorderError> {
+        let Settings { path, about, keep } = settings;
+        let folder = folder_of(&path);
+        if path.exists() {
+            return Err(RecorderError::Exists(path));
+        }
+        let created = Segments::create(folder.clone(), about.clone(), keep);
+        let segments = created.map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => RecorderError::Exists(folder.clone()),
+            _ => RecorderError::Write {
+                path: folder.clone(),
+                source,
+            },
+        })?;
+        let shared = Arc::new(Shared {
+            state: Mutex::new(State {
+                backlog: Backlog::new(BACKLOG_BYTES),
+                progress: Progress::default(),
+                is_stopped: false,
+            }),
+            changed: Condvar::new(),
+        });
+        let clock = Clock {
+            started: Instant::now(),
+            since_1970: since_1970(),
+        };
+        let writing = shared.clone();
+        let thread = std::thread::Builder::new().name("recorder".to_owned());
+        let thread = thread.spawn(move || write(&writing, segments, clock));
+        let thread = thread.map_err(|source| RecorderError::Write {
+            path: folder,
+            source,
+        })?;
+        Ok(Self {
+            shared,
+            thread: Some(thread),
+            path,
+            about,
+            clock,
+        })
+    }
+
+    /// Records a message, which arrived now. Never blocks for the disk.
+    pub fn on_message(&self, message: Message) {
+        let entry = Entry::of(message, self.clock.now());
+        self.shared.state().backlog.push(entry);
+        self.shared.changed.notify_one();
+    }
+
+    /// Returns how the recording goes.
+    pub fn progress(&self) -> Progress {
+        let state = self.shared.state();
+        let mut progress = state.progress.clone();
+        progress.dropped += state.backlog.dropped();
+        progress
+    }
+
+    /// Stops, and makes one file of the recording. Its folder remains if there is no room for that.
+    ///
+    /// # Errors
+    /// Fails if the disk does; then the parts remain, and can be read.
+    pub fn finish(mut self) -> Result<(PathBuf, Progress), RecorderError> {
+        self.stop();
+        let folder = folder_of(&self.path);
+        let progress = self.progress();
+        if progress.written > 0 {
+            merge(Reader::open(&folder)?, &self.path, &self.about)?;
+        }
+        let removed = fs::remove_dir_all(&folder);
+        removed.map_err(|source| RecorderError::Write {
+            path: folder,
+            source,
+        })?;
+        Ok((self.path.clone(), progress))
+    }
+
+    fn stop(&mut self) {
+        self.shared.state().is_stopped = true;
+        self.shared.changed.notify_one();
+        if let Some(thread) = self.thread.take() {
+            // It does not panic, and there is nothing to do if it did.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for messages, at most for a tick. Returns them, and whether the recorder was stopped.
+    fn take(&self) -> (Vec<Entry>, bool) {
+        let state = self.state();
+        let waited = self.changed.wait_timeout_while(state, TICK, |state| {
+            state.backlog.is_empty() && !state.is_stopped
+        });
+        let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let entries = std::iter::from_fn(|| state.backlog.pop()).collect();
+        (entries, state.is_stopped)
+    }
+}
+
+/// Writes until the recorder is stopped.
+fn write(shared: &Shared, mut segments: Segments, clock: Clock) {
+    loop {
+        let (entries, is_stopped) = shared.take();
+        let mut entries = entries.into_iter();
+        let (mut count, mut bytes) = (0, 0);
+        let written = entries.by_ref().try_for_each(|entry| {
+            count += 1;
+            bytes += entry.payload.bytes.len() as u64;
+            let logged = entry.logged;
+            segments.write(entry)?;
+            // A long series does not make a file too long.
+            segments.on_time(logged)
+        });
+        let written = written.and_then(|()| match is_stopped {
+            true => segments.finish(clock.now()),
+            false => segments.on_time(clock.now()),
+        });
+        let mut state = shared.state();
+        state.progress.written += count;
+        state.progress.bytes += bytes;
+        let Err(error) = written else {
+            state.progress.problem = None;
+            if is_stopped {
+                return;
+            }
+            continue;
+        };
+        state.progress.problem = Some(error.to_string());
+        let returned = segments.abandon();
+        for entry in &returned {
+            state.progress.written -= 1;
+            state.progress.bytes -= entry.payload.bytes.len() as u64;
+        }
+        // Everything waits again, in its order, where the oldest ones are dropped if there are too many.
+        let newer: Vec<_> = std::iter::from_fn(|| state.backlog.pop()).collect();
+        for entry in returned.into_iter().chain(entries).chain(newer) {
+            state.backlog.push(entry);
+        }
+        if is_stopped {
+            let left = std::iter::from_fn(|| state.backlog.pop()).count();
+            state.progress.dropped += left as u64;
+            return;
+        }
+        let until_stopped = |state: &mut State| !state.is_stopped;
+        drop((shared.changed).wait_timeout_while(state, RETRY_AFTER, until_stopped));
+    }
+}
+
+/// Writes entries to a file, which is complete and on the disk when this returns.
+///
+/// # Errors
+/// Fails if the recording cannot be read, or the file exists or cannot be written. No unfinished file remains.
+pub fn merge(
+    entries: impl Iterator<Item = Result<Entry, ReadError>>,
+    path: &Path,
+    about: &About,
+) -> Result<u64, RecorderError> {
+    let failed = |source: io::Error| match source.kind() {
+        io::ErrorKind::AlreadyExists => RecorderError::Exists(path.to_owned()),
+        _ => RecorderError::Write {
+            path: path.to_owned(),
+            source,
+        },
+    };
+    let mut file = OpenFile::create(path.to_owned(), about).map_err(failed)?;
+    let mut count = 0;
+    for entry in entries {
+        let added = entry
+            .map_err(RecorderError::from)
+            .and_then(|entry| file.add(&entry).map_err(failed));
+        if let Err(error) = added {
+            file.abandon();
+            return Err(error);
+        }
+        count += 1;
+    }
+    file.finish().map_err(failed)?;
+    Ok(count)
+}
