@@ -30,6 +30,9 @@ pub struct Message {
     pub sent_ms: Option<u64>,
     /// The sequence number of the message at its publisher. `None` if the sender does not use RECT.
     pub sequence: Option<u32>,
+    /// A random number that identifies the publisher: two programs of a robot may publish the same topic. `None` if the sender
+    /// does not use RECT.
+    pub publisher: Option<u16>,
     /// The number of messages that the publisher sent directly before this one and that did not arrive.
     pub missed: u32,
     /// Whether a message that was published later arrived before this one.
@@ -126,6 +129,7 @@ impl Inbound {
             urgency: Urgency::from_priority(delivered.priority),
             sent_ms: None,
             sequence: None,
+            publisher: None,
             missed: 0,
             late: false,
             expires_at: None,
@@ -137,6 +141,7 @@ impl Inbound {
             Some(attachment) => {
                 let arrival = (self.gaps).on_message(&message.sender, &attachment, now);
                 message.sequence = Some(attachment.sequence);
+                message.publisher = Some(attachment.source);
                 (message.missed, message.late) = (arrival.missed, arrival.late);
                 if let Sent::At(at_ms) = attachment.sent {
                     message.sent_ms = Some(at_ms);

@@ -89,6 +89,7 @@ mod tests {
             payload: Payload::new(vec![0; 100], Encoding::BYTES),
             urgency,
             sequence,
+            publisher: None,
             logged: Duration::ZERO,
             sent: Duration::ZERO,
         }

@@ -1,4 +1,5 @@
-//! Translates between entries and the channels of MCAP: a channel has a topic, an encoding, an urgency and a recipient.
+//! Translates between entries and the channels of MCAP: a channel has a topic, an encoding, an urgency, a recipient and a
+//! publisher.
 use std::collections::BTreeMap;
 
 use super::entry::Entry;
@@ -10,6 +11,7 @@ const KNOWN: [(&str, Encoding); 2] = [("json", Encoding::JSON), ("cbor", Encodin
 const ENCODING: &str = "encoding";
 const URGENCY: &str = "urgency";
 const RECIPIENT: &str = "recipient";
+const PUBLISHER: &str = "publisher";
 
 /// The properties that the messages of one MCAP channel share.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -22,6 +24,8 @@ pub struct Channel {
     pub urgency: Urgency,
     /// The recipient, if the messages were sent to one robot.
     pub recipient: Option<String>,
+    /// The number that identifies the publisher, if it uses RECT.
+    pub publisher: Option<u16>,
 }
 
 impl Channel {
@@ -32,6 +36,7 @@ impl Channel {
             encoding: entry.payload.encoding.clone(),
             urgency: entry.urgency,
             recipient: entry.recipient.clone(),
+            publisher: entry.publisher,
         }
     }
 
@@ -51,6 +56,9 @@ impl Channel {
         ]);
         if let Some(recipient) = &self.recipient {
             metadata.insert(RECIPIENT.to_owned(), recipient.clone());
+        }
+        if let Some(publisher) = self.publisher {
+            metadata.insert(PUBLISHER.to_owned(), publisher.to_string());
         }
         metadata
     }
@@ -74,6 +82,9 @@ impl Channel {
                 .get(URGENCY)
                 .map_or(Urgency::Normal, |name| urgency(name)),
             recipient: metadata.remove(RECIPIENT),
+            publisher: metadata
+                .get(PUBLISHER)
+                .and_then(|number| number.parse().ok()),
         }
     }
 }

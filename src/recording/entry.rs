@@ -19,6 +19,8 @@ pub struct Entry {
     pub urgency: Urgency,
     /// The number of the message at its publisher. 0 if the publisher does not count.
     pub sequence: u32,
+    /// The number that identifies the publisher. `None`: it does not use RECT.
+    pub publisher: Option<u16>,
     /// When it was recorded, since 1970 by the recorder's clock. The clock is read once, at the start of the recording, so
     /// that it cannot jump.
     pub logged: Duration,
@@ -35,6 +37,7 @@ impl Entry {
             payload: message.payload,
             urgency: message.urgency,
             sequence: message.sequence.unwrap_or(0),
+            publisher: message.publisher,
             logged,
             sent: message.sent_ms.map_or(logged, Duration::from_millis),
         }

@@ -148,6 +148,7 @@ mod tests {
             payload,
             urgency: Urgency::Normal,
             sequence: 7,
+            publisher: Some(1),
             logged: Duration::from_millis(1500),
             sent: Duration::from_millis(1400),
         };

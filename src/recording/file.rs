@@ -20,6 +20,8 @@ pub const ABOUT: &str = "rect";
 /// The compression of chunks: the fastest levels cost little, and text shrinks to a third.
 const LEVEL: u32 = 1;
 const PROFILE: &str = "rect";
+/// How many channels a file may have. Their ids have 16 bits.
+const MAX_CHANNELS: usize = 60_000;
 
 /// The description of a recording: names and values.
 pub type About = BTreeMap<String, String>;
@@ -82,7 +84,16 @@ impl OpenFile {
         written.map_err(into_io)
     }
 
+    /// Returns the number of channels.
+    pub fn channels(&self) -> usize {
+        self.channels.len()
+    }
+
     fn add_channel(&mut self, channel: Channel, first: &Entry) -> Result<u16, McapError> {
+        if self.channels.len() >= MAX_CHANNELS {
+            let many = format!("the messages have more than {MAX_CHANNELS} topics and publishers");
+            return Err(io::Error::other(many).into());
+        }
         let schema_id = match entry_schema(first) {
             Some(schema) => {
                 let text = schema.to_string();

@@ -23,8 +23,6 @@ use crate::core::payload::Payload;
 
 /// The largest record that is read, in bytes. Recordings of RECT have chunks of about 1 MB.
 const MAX_RECORD: usize = 256 * 1024 * 1024;
-/// How many channels a file may have: more than any robot has.
-const MAX_CHANNELS: usize = 10_000;
 
 /// A recording cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -195,7 +193,7 @@ impl OpenFile {
             };
             let record = mcap::parse_record(opcode, data);
             match record.map_err(|error| damaged(&self.path, error))? {
-                Record::Channel(channel) if self.channels.len() < MAX_CHANNELS => {
+                Record::Channel(channel) => {
                     self.channels.insert(channel.id, Channel::read(channel));
                 }
                 Record::Metadata(metadata) if metadata.name == ABOUT && about.is_empty() => {
@@ -215,6 +213,7 @@ impl OpenFile {
                         ),
                         urgency: channel.urgency,
                         sequence: header.sequence,
+                        publisher: channel.publisher,
                         logged: Duration::from_nanos(header.log_time),
                         sent: Duration::from_nanos(header.publish_time),
                     }));

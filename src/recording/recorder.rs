@@ -37,12 +37,16 @@ pub struct Settings {
 /// Why a recording cannot start, or not become one file.
 #[derive(Debug, thiserror::Error)]
 pub enum RecorderError {
-    /// There is a recording of that name.
+    /// There is a file of that name.
+    #[error("{} exists already: choose another name", .0.display())]
+    Exists(PathBuf),
+    /// There is a recording of that name that is not one file.
     #[error(
-        "{} exists already: choose another name. If it is a recording that was interrupted, `rect recording merge` makes a file of it",
+        "{} exists already: another recorder writes it, or one was interrupted. Choose another name, or make a file of it with \
+         `rect recording merge`",
         .0.display()
     )]
-    Exists(PathBuf),
+    Unfinished(PathBuf),
     /// The folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {
@@ -115,7 +119,7 @@ impl Recorder {
         }
         let created = Segments::create(folder.clone(), about.clone(), keep);
         let segments = created.map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => RecorderError::Exists(folder.clone()),
+            io::ErrorKind::AlreadyExists => RecorderError::Unfinished(folder.clone()),
             _ => RecorderError::Write {
                 path: folder.clone(),
                 source,

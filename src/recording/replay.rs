@@ -185,6 +185,7 @@ mod tests {
             payload: Payload::new(ms.to_string(), Encoding::TEXT),
             urgency: Urgency::Normal,
             sequence: 0,
+            publisher: None,
             logged: Duration::from_millis(1_000_000 + ms),
             sent: Duration::ZERO,
         })

@@ -15,6 +15,8 @@ use super::{
 pub const SEGMENT: Duration = Duration::from_secs(5);
 /// The number of bytes after which that happens earlier: they are kept in memory until then, in case the disk is full.
 pub const SEGMENT_BYTES: usize = 8 * 1024 * 1024;
+/// The number of channels after which that happens, so that a flood of topics does not exhaust the ids of a file.
+const SEGMENT_CHANNELS: usize = 10_000;
 /// The interval at which a chunk is ended. An unfinished file can be read up to its last chunk.
 const CHUNK: Duration = Duration::from_secs(1);
 /// The ending of the folder.
@@ -110,7 +112,10 @@ impl Segments {
         let Some(open) = &mut self.open else {
             return Ok(());
         };
-        if now.saturating_sub(open.started) >= SEGMENT || open.bytes >= SEGMENT_BYTES {
+        if now.saturating_sub(open.started) >= SEGMENT
+            || open.bytes >= SEGMENT_BYTES
+            || open.file.channels() >= SEGMENT_CHANNELS
+        {
             return self.finish(now);
         }
         if now.saturating_sub(open.chunk_started) >= CHUNK {

@@ -37,10 +37,11 @@ pub struct TopicSummary {
     pub messages: u64,
     /// The bytes of their payloads.
     pub bytes: u64,
-    /// The number of messages that are missing between the first and the last one of the topic, by their numbers.
+    /// The number of messages that are missing between the first and the last one of each publisher, by their numbers.
     pub missed: u64,
+    /// The last number of each publisher.
     #[serde(skip)]
-    last: Option<u32>,
+    last: BTreeMap<Option<u16>, u32>,
 }
 
 impl Summary {
@@ -84,9 +85,9 @@ impl Summary {
         if topic.encoding != entry.payload.encoding.as_str() {
             topic.encoding = entry.payload.encoding.as_str().to_owned();
         }
-        // A publisher that starts again counts from 0.
-        let missed = topic.last.and_then(|last| entry.sequence.checked_sub(last));
-        topic.missed += u64::from(missed.unwrap_or(1).saturating_sub(1));
-        topic.last = Some(entry.sequence);
+        let last = topic.last.insert(entry.publisher, entry.sequence);
+        // Two recordings that were merged may have the same messages.
+        let after = last.and_then(|last| entry.sequence.checked_sub(last));
+        topic.missed += u64::from(after.unwrap_or(1).saturating_sub(1));
     }
 }

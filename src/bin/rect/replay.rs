@@ -262,6 +262,7 @@ async fn router(listen: &str) -> Result<Session, Failure> {
     }
     let opened = zenoh::open(config).await;
     opened.map_err(|error| {
-        format!("cannot listen at {listen} ({error}); is another replay running? --listen selects another endpoint").into()
+        let reason = humanize::short_reason(&error.to_string());
+        format!("cannot listen at {listen}: {reason}. --listen selects another endpoint").into()
     })
 }
