@@ -8,6 +8,7 @@ pub mod channel;
 pub mod entry;
 pub mod export;
 pub mod file;
+pub mod picture;
 pub mod reader;
 pub mod recorder;
 pub mod replay;

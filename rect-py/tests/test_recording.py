@@ -15,6 +15,7 @@ from typing import Any
 import rect
 from conftest import free_port
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from programs import DEADLINE, program
 
 #: How many recorders are killed.
@@ -96,8 +97,11 @@ def test_stock_reader_opens_a_recording(tmp_path: Path) -> None:
     fields = json.loads(schema)["properties"]
     assert fields["at"]["properties"] == {"x": {"type": "number"}}
     assert poses[0][0].message_encoding == "json"
-    pictures = [message.data for _, channel, message in read if channel.topic == "wombat-1/camera"]
-    assert pictures and all(picture == b"\xff\xd8" + bytes(5000) for picture in pictures)
+    # As viewers do: the schema in the file describes the pictures.
+    with file.open("rb") as stream:
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["wombat-1/camera"])
+        pictures = [(schema and schema.name, picture.format, picture.data) for schema, _, _, picture in decoded]
+    assert pictures and set(pictures) == {("foxglove.CompressedImage", "jpeg", b"\xff\xd8" + bytes(5000))}
 
 
 def test_killed_recorders_leave_files_that_stock_readers_open(tmp_path: Path) -> None:

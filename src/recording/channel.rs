@@ -2,7 +2,7 @@
 //! publisher.
 use std::collections::BTreeMap;
 
-use super::entry::Entry;
+use super::{entry::Entry, picture};
 use crate::core::{encoding::Encoding, urgency::Urgency};
 
 /// The names of MCAP for the encodings that it knows, see <https://mcap.dev/spec/registry>.
@@ -42,6 +42,9 @@ impl Channel {
 
     /// Returns MCAP's name of the encoding.
     pub fn message_encoding(&self) -> &str {
+        if picture::is_picture(&self.encoding) {
+            return picture::PROTOBUF;
+        }
         let known = KNOWN
             .iter()
             .find(|(_, encoding)| encoding == &self.encoding);

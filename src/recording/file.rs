@@ -9,7 +9,7 @@ use std::{
 use mcap::{records::MessageHeader, records::Metadata, McapError, WriteOptions, Writer};
 use serde_json::Value;
 
-use super::{channel::Channel, entry::Entry, schema};
+use super::{channel::Channel, entry::Entry, picture, schema};
 
 /// The ending of a complete file.
 pub const COMPLETE: &str = "mcap";
@@ -79,8 +79,10 @@ impl OpenFile {
             log_time: nanoseconds(entry.logged),
             publish_time: nanoseconds(entry.sent),
         };
-        let bytes = &entry.payload.bytes;
-        let written = self.writer.write_to_known_channel(&header, bytes);
+        let written = match picture::is_picture(&entry.payload.encoding) {
+            true => (self.writer).write_to_known_channel(&header, &picture::wrap(entry)),
+            false => (self.writer).write_to_known_channel(&header, &entry.payload.bytes),
+        };
         written.map_err(into_io)
     }
 
@@ -94,13 +96,14 @@ impl OpenFile {
             let many = format!("the messages have more than {MAX_CHANNELS} topics and publishers");
             return Err(io::Error::other(many).into());
         }
-        let schema_id = match entry_schema(first) {
-            Some(schema) => {
-                let text = schema.to_string();
-                let name = channel.topic.replace('/', ".");
-                (self.writer).add_schema(&name, "jsonschema", text.as_bytes())?
-            }
-            None => 0,
+        let schema_id = if picture::is_picture(&channel.encoding) {
+            (self.writer).add_schema(picture::SCHEMA, picture::PROTOBUF, &picture::schema())?
+        } else if let Some(schema) = entry_schema(first) {
+            let name = channel.topic.replace('/', ".");
+            let text = schema.to_string();
+            (self.writer).add_schema(&name, "jsonschema", text.as_bytes())?
+        } else {
+            0
         };
         let (encoding, metadata) = (channel.message_encoding(), channel.metadata());
         let id = (self.writer).add_channel(schema_id, &channel.topic, encoding, &metadata)?;

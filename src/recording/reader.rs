@@ -18,6 +18,7 @@ use super::{
     channel::Channel,
     entry::Entry,
     file::{About, ABOUT, COMPLETE, PART},
+    picture,
 };
 use crate::core::payload::Payload;
 
@@ -204,13 +205,13 @@ impl OpenFile {
                     let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
                     let channel = channel.ok_or_else(|| damaged(&self.path, unknown))?;
                     self.entries += 1;
+                    let wrapped = picture::is_picture(&channel.encoding);
+                    let picture = wrapped.then(|| picture::unwrap(&data)).flatten();
+                    let bytes = picture.unwrap_or_else(|| Bytes::copy_from_slice(&data));
                     return Ok(Some(Entry {
                         topic: channel.topic.clone(),
                         recipient: channel.recipient.clone(),
-                        payload: Payload::new(
-                            Bytes::copy_from_slice(&data),
-                            channel.encoding.clone(),
-                        ),
+                        payload: Payload::new(bytes, channel.encoding.clone()),
                         urgency: channel.urgency,
                         sequence: header.sequence,
                         publisher: channel.publisher,
