@@ -36,6 +36,7 @@ BENCHES = {
     "transfer": "a file of 5 MB over a slow link, without and with three cuts; concurrent urgent messages",
     "python": "the Python package compared with plain eclipse-zenoh: latency, frames, import time, memory",
     "cpp": "the C++ library compared with the Rust library, micro-benchmarks, allocations, size of a static program",
+    "recording": "`rect record` and `rect replay`: processor time, memory, size beside the reference writer, timing",
     "idle": "memory, threads and size compared with stock zenohd",
 }
 #: The benches that also run in the VM's steady time. They need only loopback.
