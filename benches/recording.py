@@ -138,7 +138,7 @@ def run() -> Table:
     shift = again[first] - original[first]
     off_ms = [abs(again[key] - original[key] - shift) / 1e6 for key in original if key in again]
     table.notes = [
-        f"Published: {published} messages in {SECONDS} s; {published - len(original)} of them are not in the recording. "
+        f"Published: {published} messages in {SECONDS} s; {published - len(original)} of them were not recorded. "
         f"Replayed messages arrive {percentile(off_ms, 0.5):.2f} ms (p50) and {percentile(off_ms, 0.99):.2f} ms (p99) "
         "from their place in the recording, measured by a second recording; target: 2 ms (p99)."
     ]
