@@ -1,8 +1,12 @@
-"""Tests that stock readers open the files of `rect record`, also of a killed one: `scripts/test-python -k recording`"""
+"""Tests that stock readers open the files of `rect record`, also of a killed one: `scripts/test-python -k recording`
+
+RECT_KILLS=1000 kills a thousand recorders in place of 20, which takes a quarter of an hour.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import subprocess
 import threading
@@ -12,14 +16,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 import rect
 from conftest import free_port
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from programs import DEADLINE, program
 
-#: How many recorders are killed.
+#: How many recorders are killed in one round.
 KILLED = 20
+#: The rounds of this run.
+ROUNDS = max(1, int(os.environ.get("RECT_KILLS", KILLED)) // KILLED)
 
 
 def tool(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -104,7 +111,8 @@ def test_stock_reader_opens_a_recording(tmp_path: Path) -> None:
     assert pictures and set(pictures) == {("foxglove.CompressedImage", "jpeg", b"\xff\xd8" + bytes(5000))}
 
 
-def test_killed_recorders_leave_files_that_stock_readers_open(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", range(ROUNDS))
+def test_killed_recorders_leave_files_that_stock_readers_open(tmp_path: Path, seed: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     finished = 0
     with rect.connect("wombat-1", listen=[endpoint]) as robot, publishing(robot):
@@ -114,7 +122,7 @@ def test_killed_recorders_leave_files_that_stock_readers_open(tmp_path: Path) ->
             until_recording(process)
         started = time.monotonic()
         # Within the first, the second and the third file of a recording.
-        chosen = random.Random(1)
+        chosen = random.Random(seed)
         times = sorted(chosen.uniform(0.1, 12) for _ in processes)
         for process, at in zip(processes, times):
             time.sleep(max(0, started + at - time.monotonic()))

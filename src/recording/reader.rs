@@ -23,7 +23,7 @@ use super::{
 use crate::core::payload::Payload;
 
 /// The largest record that is read, in bytes. Recordings of RECT have chunks of about 1 MB.
-const MAX_RECORD: usize = 256 * 1024 * 1024;
+const MAX_RECORD: usize = 64 * 1024 * 1024;
 
 /// A recording cannot be read.
 #[derive(Debug, thiserror::Error)]

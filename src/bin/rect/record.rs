@@ -11,7 +11,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use rect::{
     core::{display::line, humanize},
-    recording::{Progress, Recorder, Settings},
+    recording::{file::COMPLETE, Progress, Recorder, Settings},
     Pattern, QueueOptions, Robot, Subscriber,
 };
 use tokio::{
@@ -36,7 +36,7 @@ pub struct RecordArguments {
     /// The messages to record, <robot>/<topic> with wildcards [default: everything that this robot publishes]
     patterns: Vec<Pattern>,
     /// The file [default: <robot>-<date>-<time>.mcap]
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", value_parser = recording_path)]
     output: Option<PathBuf>,
     /// Stop after this time, such as 10m
     #[arg(long = "for", value_name = "DURATION")]
@@ -46,6 +46,15 @@ pub struct RecordArguments {
     keep: Option<DurationArgument>,
     #[command(flatten)]
     join: JoinArguments,
+}
+
+/// Parses the name of a recording. The folder of its parts has the same name with another ending.
+fn recording_path(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let is_complete = path.extension().is_some_and(|ending| ending == COMPLETE);
+    is_complete
+        .then_some(path)
+        .ok_or_else(|| format!("a recording ends in .{COMPLETE}: write {text}.{COMPLETE}"))
 }
 
 /// Runs `rect record`.
@@ -61,7 +70,11 @@ async fn record(arguments: RecordArguments) -> Done {
     // Before the first message is recorded, so that no signal ends the process without completing the file.
     let mut interrupted = signal(SignalKind::interrupt())?;
     let mut terminated = signal(SignalKind::terminate())?;
-    let robot = arguments.join.join_unnamed().await?;
+    // Without a robot there is nothing that is recorded by default.
+    let robot = match arguments.patterns.is_empty() {
+        true => arguments.join.join().await?,
+        false => arguments.join.join_unnamed().await?,
+    };
     let patterns = patterns(&robot, arguments.patterns)?;
     let path = arguments.output.unwrap_or_else(|| {
         let now = clock::file_name(SystemTime::now());
@@ -104,7 +117,7 @@ async fn record(arguments: RecordArguments) -> Done {
     let finished = tokio::task::spawn_blocking(|| recorder.finish()).await?;
     let (path, progress) = finished?;
     if progress.written == 0 {
-        rect::errln!("rect: no message arrived, so there is no recording");
+        rect::errln!("rect: there is no recording: {}", text(&progress, unread));
         return Ok(ExitCode::FAILURE);
     }
     rect::outln!("{}: {}", path.display(), text(&progress, unread));
