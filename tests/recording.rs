@@ -5,7 +5,7 @@ mod pair;
 use std::{
     collections::BTreeMap,
     fs,
-    io::{BufRead, BufReader},
+    io::{BufRead, BufReader, Cursor},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Output, Stdio},
     time::{Duration, Instant},
@@ -136,6 +136,27 @@ fn other_files_are_refused() {
     for content in [&b""[..], b"no recording", &[0x89; 100_000]] {
         fs::write(&path, content).expect("written");
         assert!(text(read(&path).1).contains("damaged after 0 messages"));
+    }
+}
+
+/// Found by fuzzing: a parser that believes the length of a string reserves 4 GB for it.
+#[test]
+fn file_that_promises_a_long_string_is_damaged() {
+    let magic = b"\x89MCAP0\r\n";
+    let channel = [
+        &[4, 12, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0][..],
+        &[0xff; 4],
+        &[0; 4],
+    ];
+    let metadata = [&[12, 8, 0, 0, 0, 0, 0, 0, 0][..], &[0; 4], &[0xff; 4]];
+    for record in [channel, metadata] {
+        let file = [&magic[..], &record.concat()].concat();
+        let mut reader = Reader::of("x.mcap".into(), Cursor::new(file));
+        assert!(matches!(
+            reader.next(),
+            Some(Err(ReadError::Damaged { .. }))
+        ));
+        assert!(reader.next().is_none());
     }
 }
 

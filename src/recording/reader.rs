@@ -9,7 +9,7 @@ use std::{
 
 use bytes::Bytes;
 use mcap::{
-    records::Record,
+    records::{op, Record},
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
     McapError,
 };
@@ -62,7 +62,7 @@ pub struct Reader {
 
 struct OpenFile {
     path: PathBuf,
-    file: File,
+    file: Box<dyn Read + Send>,
     reader: LinearReader,
     channels: HashMap<u16, Channel>,
     entries: u64,
@@ -101,6 +101,16 @@ impl Reader {
             about: About::new(),
             is_complete: true,
         })
+    }
+
+    /// Reads a complete file from anywhere. Errors call it `path`.
+    pub fn of(path: PathBuf, file: impl Read + Send + 'static) -> Self {
+        Self {
+            files: VecDeque::new(),
+            open: Some(OpenFile::new(path, Box::new(file))),
+            about: About::new(),
+            is_complete: true,
+        }
     }
 
     /// Returns the description of the recording, if it has been read already.
@@ -154,16 +164,20 @@ impl OpenFile {
             path: path.clone(),
             source,
         })?;
+        Ok(Self::new(path, Box::new(file)))
+    }
+
+    fn new(path: PathBuf, file: Box<dyn Read + Send>) -> Self {
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)
             .with_record_length_limit(MAX_RECORD);
-        Ok(Self {
+        Self {
             path,
             file,
             reader: LinearReader::new_with_options(options),
             channels: HashMap::new(),
             entries: 0,
-        })
+        }
     }
 
     fn is_part(&self) -> bool {
@@ -192,6 +206,13 @@ impl OpenFile {
                 }
                 LinearReadEvent::Record { opcode, data } => (opcode, data),
             };
+            // The others are not needed, and the library's parser believes the lengths of their strings.
+            if !matches!(opcode, op::CHANNEL | op::METADATA | op::MESSAGE) {
+                continue;
+            }
+            if !strings_fit(opcode, data) {
+                return Err(damaged(&self.path, McapError::UnexpectedEoc));
+            }
             let record = mcap::parse_record(opcode, data);
             match record.map_err(|error| damaged(&self.path, error))? {
                 Record::Channel(channel) => {
@@ -224,4 +245,34 @@ impl OpenFile {
         }
         Ok(None)
     }
+}
+
+/// Returns whether the strings of a record are no longer than the record, since a parser would reserve memory for them.
+fn strings_fit(opcode: u8, data: &[u8]) -> bool {
+    let rest = match opcode {
+        // The numbers of the channel and its schema, the topic, and the encoding.
+        op::CHANNEL => data
+            .get(4..)
+            .and_then(without_string)
+            .and_then(without_string),
+        op::METADATA => without_string(data),
+        _ => return true,
+    };
+    // Names and values, after their length in bytes.
+    let rest = rest.and_then(|rest| rest.split_first_chunk());
+    let map = rest.and_then(|(length, rest)| rest.get(..u32::from_le_bytes(*length) as usize));
+    let Some(mut rest) = map else { return false };
+    while !rest.is_empty() {
+        match without_string(rest) {
+            Some(after) => rest = after,
+            None => return false,
+        }
+    }
+    true
+}
+
+/// Returns the bytes after a string and its length.
+fn without_string(bytes: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.get(u32::from_le_bytes(*length) as usize..)
 }
