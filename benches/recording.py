@@ -15,6 +15,7 @@ import rect
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from robots import free_port
+from routers import own_kb
 from table import Table
 from traffic import percentile
 
@@ -65,11 +66,6 @@ def processor_ms(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) * 1000 / TICKS
 
 
-def private_kb(process: int) -> int:
-    lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
-    return sum(int(line.split()[1]) for line in lines if line.startswith(("Private_Clean", "Private_Dirty")))
-
-
 def times(file: Path) -> dict[tuple[str, int], int]:
     """Returns when each message was recorded, in nanoseconds, by its topic and its place among those of the topic."""
     found: dict[tuple[str, int], int] = {}
@@ -116,7 +112,7 @@ def run() -> Table:
             published = publish(robot)
             time.sleep(1)
             used = (processor_ms(process.pid) - before) / (SECONDS + 1)
-            memory = private_kb(process.pid)
+            memory = own_kb(process.pid)
         original = times(file)
         size = file.stat().st_size
         table.add("rect record", len(original), f"{used:.1f} ms/s", f"{memory / 1000:.1f} MB", per_hour(size))

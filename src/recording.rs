@@ -16,7 +16,7 @@ pub mod schema;
 pub mod segments;
 pub mod summary;
 
-pub use entry::Entry;
+pub use entry::{address, Entry};
 pub use reader::{ReadError, Reader};
 pub use recorder::{Progress, Recorder, RecorderError, Settings};
 pub use replay::{by_time, Replay, Selection};

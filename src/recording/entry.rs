@@ -45,8 +45,7 @@ impl Entry {
 
     /// Returns the robot that sent the message, and the topic. `None` if the file's topic is not that of a robot.
     pub fn address(&self) -> Option<(Name, Topic)> {
-        let (robot, topic) = self.topic.trim_start_matches('/').split_once('/')?;
-        Some((Name::new(robot).ok()?, Topic::new(topic).ok()?))
+        address(&self.topic)
     }
 
     /// Returns about how many bytes the entry takes in memory.
@@ -58,6 +57,12 @@ impl Entry {
     pub fn is_json(&self) -> bool {
         self.payload.encoding.media_type() == Encoding::JSON.as_str()
     }
+}
+
+/// Returns the robot and the topic in the topic of a file; `None` if there is no robot in it.
+pub fn address(topic: &str) -> Option<(Name, Topic)> {
+    let (robot, topic) = topic.trim_start_matches('/').split_once('/')?;
+    Some((Name::new(robot).ok()?, Topic::new(topic).ok()?))
 }
 
 /// Returns the time since 1970, by this computer's clock.

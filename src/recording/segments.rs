@@ -160,11 +160,6 @@ impl Segments {
             None => std::mem::take(&mut self.returned),
         }
     }
-
-    /// Returns the folder.
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
 }
 
 /// Returns the folder in which a recording is written until it becomes the file `path`.

@@ -11,6 +11,7 @@ use rect::{
     core::{display::line, humanize},
     recording::{
         export::{Exporter, Format},
+        file::About,
         recorder::merge,
         Entry, ReadError, Reader, Selection, Summary,
     },
@@ -124,21 +125,29 @@ pub fn run(arguments: RecordingArguments) -> Done {
             part,
         } => {
             let reader = Reader::open(&recording)?;
-            let about = Summary::read(Reader::open(&recording)?).0.about;
+            let about = about(&recording)?;
             let selected = part.selection().of(reader);
             written(merge(selected, &output, &about)?, &output)
         }
         RecordingCommand::Merge { recordings, output } => {
-            let mut about = rect::recording::file::About::new();
+            let mut merged = About::new();
             let mut readers = Vec::new();
             for recording in &recordings {
-                about.extend(Summary::read(Reader::open(recording)?).0.about);
+                merged.extend(about(recording)?);
                 readers.push(Reader::open(recording)?);
             }
             let entries = rect::recording::by_time(readers);
-            written(merge(entries, &output, &about)?, &output)
+            written(merge(entries, &output, &merged)?, &output)
         }
     }
+}
+
+/// Returns the description of a recording, which comes before its first message.
+fn about(recording: &Path) -> Result<About, ReadError> {
+    let mut reader = Reader::open(recording)?;
+    // Damage is reported where the messages are read.
+    let _ = reader.next();
+    Ok(reader.about().clone())
 }
 
 fn written(count: u64, output: &Path) -> Done {

@@ -9,7 +9,7 @@ use std::{
 use clap::Args;
 use rect::{
     core::{display::line, humanize},
-    recording::{replay::Due, Reader, Replay, Summary},
+    recording::{address, replay::Due, Reader, Replay, Summary},
     Name, Options, Publisher, Robot, Urgency,
 };
 use tokio::time::sleep_until;
@@ -194,10 +194,7 @@ impl Robots {
     ) -> Result<(), Failure> {
         let mut publishers: Vec<Publisher> = Vec::new();
         for topic in summary.topics.keys().take(MAX_WATCHED) {
-            let Some((robot, topic)) = topic.split_once('/') else {
-                continue;
-            };
-            let Ok(robot) = Name::new(robot) else {
+            let Some((robot, topic)) = address(topic) else {
                 continue;
             };
             let robot = arguments.robot.clone().unwrap_or(robot);
@@ -241,11 +238,10 @@ impl Robots {
 
 /// Returns the names of the robots of a recording.
 fn robots_of(summary: &Summary) -> BTreeSet<String> {
-    let robots = summary.topics.keys().filter_map(|topic| {
-        let (robot, _) = topic.trim_start_matches('/').split_once('/')?;
-        Name::new(robot).ok().map(|name| name.as_str().to_owned())
-    });
-    robots.collect()
+    let addresses = summary.topics.keys().filter_map(|topic| address(topic));
+    addresses
+        .map(|(robot, _)| robot.as_str().to_owned())
+        .collect()
 }
 
 /// Starts a router that only programs of this replay use.
