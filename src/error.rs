@@ -110,6 +110,16 @@ pub enum Error {
         /// The reason that Zenoh reports.
         source: zenoh::Error,
     },
+    /// The call runs outside of tokio's runtime with several threads, which Zenoh requires. `#[tokio::main]` provides it, and
+    /// `#[tokio::test(flavor = "multi_thread")]`.
+    #[error(
+        "Zenoh requires tokio's runtime with several threads, and {found}: use `#[tokio::main]` without \
+         `flavor = \"current_thread\"`, or `#[tokio::test(flavor = \"multi_thread\")]`"
+    )]
+    Runtime {
+        /// The situation of the call, as a clause such as "this one has a single thread".
+        found: &'static str,
+    },
     /// A thread cannot be started. Has the computer too many processes, or too little memory?
     #[error("cannot start a thread: {source}")]
     Thread {

@@ -3,6 +3,7 @@
 mod pair;
 
 use std::{
+    future::Future,
     io::Read,
     net::TcpListener,
     path::Path,
@@ -170,4 +171,31 @@ async fn connect_waits_for_a_router_that_starts_later() {
     assert!(!joining.is_finished());
     let _router = router(&endpoint, &[]);
     joining.await.expect("no panic").expect("connected");
+}
+
+#[tokio::test]
+async fn runtime_with_a_single_thread_is_refused_with_advice() {
+    for options in [
+        options("wombat-1", &free_endpoint()),
+        options("wombat-1", "").listen(free_endpoint()),
+    ] {
+        let error = refused(options).await;
+        assert!(matches!(error, Error::Runtime { .. }), "{error:?}");
+        let text = error.to_string();
+        assert!(text.contains("this one has a single thread"), "{text}");
+    }
+}
+
+#[test]
+fn program_without_a_runtime_is_refused_with_advice() {
+    let refused = std::pin::pin!(refused(options("wombat-1", &free_endpoint())));
+    let waker = std::task::Waker::noop();
+    let polled = refused.poll(&mut std::task::Context::from_waker(waker));
+    let std::task::Poll::Ready(error) = polled else {
+        panic!("the call waits");
+    };
+    assert!(
+        error.to_string().contains("there is none here"),
+        "{error:?}"
+    );
 }

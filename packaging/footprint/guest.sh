@@ -3,7 +3,8 @@
 # routers. Results are written to the console, one line `@rect {JSON}` each, which `run` reads. The last line is always
 # {"end": ...}; then the board is switched off.
 #
-# IDLE_S is given on the kernel's command line: parameters unknown to the kernel become environment variables of init.
+# IDLE_S and METHOD, the method of the link, are given on the kernel's command line: parameters unknown to the kernel become
+# environment variables of init.
 b=/bin/busybox
 $b mount -t proc proc /proc
 $b mount -t sysfs sys /sys
@@ -13,6 +14,7 @@ $b mount -t cgroup2 groups /sys/fs/cgroup
 $b --install -s /bin
 export PATH=/bin HOME=/tmp RECT_AIR=/tmp/air.sock RUST_LOG=warn NO_COLOR=1
 one_port=7447 two_port=7448
+few=100 many=1100
 
 report() { echo "@rect $*"; }
 end() { # REASON: empty on success; must not contain quotes, because it becomes a JSON string
@@ -48,10 +50,12 @@ listens() { # PORT, in hexadecimal as in /proc/net/tcp
   return 1
 }
 no_program_is_connected() { # to any router; the state 01 is ESTABLISHED
-  while read -r _ _ _ state _; do
-    [ "$state" != 01 ] || return 1
+  while read -r _ address _ state _; do
+    case "$address $state" in *":$one_hex 01" | *":$two_hex 01") return 1 ;; esac
   done </proc/net/tcp
 }
+
+one_hex=$(hex $one_port) two_hex=$(hex $two_port)
 
 start_router() { # NAME PORT MORE...: sets pid
   name=$1 port=$2 hex_port=$(hex "$2")
@@ -60,7 +64,7 @@ start_router() { # NAME PORT MORE...: sets pid
   {
     echo 0 >"/sys/fs/cgroup/$name/cgroup.procs"
     exec rect-router -c /simulation.json5 --cfg "plugins/rect/robot:\"$name\"" \
-      -l "ble/sim-$name#name=$name" -l "tcp/127.0.0.1:$port" "$@"
+      -l "$METHOD/sim-$name#name=$name;secret=/tmp/secret" -l "tcp/127.0.0.1:$port" "$@"
   } >"/tmp/$name.log" 2>&1 &
   pid=$!
   within 60 "the router of $name accepts" listens "$hex_port"
@@ -80,6 +84,9 @@ linked() {
   rect air status | grep -q 'channel(s)' && rect-router status --router "tcp/127.0.0.1:$1" | grep -q wombat-1 &&
     rect-router status --router "tcp/127.0.0.1:$1" | grep -q wombat-2
 }
+paths_are_ready() { # PORT: both paths of an `any` link
+  rect connections --router "tcp/127.0.0.1:$1" | grep -q 'paths: .*ble.*tcp'
+}
 request_is_answered() { rect request wombat-2 battery --timeout 2s --router "tcp/127.0.0.1:$1" 2>/dev/null | grep -q 'wombat-2: 83'; }
 # Spare threads end after they have been idle for 10 s.
 thread_counts_are_stable() {
@@ -98,6 +105,9 @@ head -c 1 /dev/random >/dev/null
 report "{\"cores\": $(nproc), \"memory_kb\": $(number /proc/meminfo MemTotal), \"release\": \"$(uname -r)\"}"
 available_kb nothing
 
+echo 'team:the secret of the team' >/tmp/secret
+chmod 600 /tmp/secret
+
 ciphers >/tmp/ciphers.log 2>&1 || end 'cannot measure the ciphers'
 while read -r line; do report "$line"; done </tmp/ciphers.log
 
@@ -105,14 +115,22 @@ rect air serve --condition room --pdu 27 >/tmp/air.log 2>&1 &
 # shellcheck disable=SC2317,SC2329 # called by within
 air_answers() { rect air status >/dev/null 2>&1; }
 within 60 'the air answers' air_answers
+if [ "$METHOD" = any ]; then
+  rect wifi serve >/tmp/wifi.log 2>&1 &
+  within 60 'the Wi-Fi answers' rect wifi on
+fi
 available_kb air
 
 start_router wombat-1 $one_port
 one=$pid
-start_router wombat-2 $two_port -e 'ble/wombat-1#adapter=sim-wombat-2'
+start_router wombat-2 $two_port -e "$METHOD/wombat-1#adapter=sim-wombat-2;secret=/tmp/secret"
 two=$pid
 within 120 'the first router knows the second' linked $one_port
 within 120 'the second router knows the first' linked $two_port
+
+if [ "$METHOD" = any ]; then
+  within 120 'the link has both paths' paths_are_ready $one_port
+fi
 
 rect serve battery --router "tcp/127.0.0.1:$two_port" -- echo 83 >/tmp/serve.log 2>&1 &
 service=$!
@@ -143,4 +161,23 @@ sleep "$IDLE_S"
 measure wombat-1 "$one" "$one_us" "$one_wakeups"
 measure wombat-2 "$two" "$two_us" "$two_wakeups"
 linked $one_port || end 'the link was lost during the measurement'
+
+# Messages between two programs of the first robot, one after the other. The router's share is the difference between many and
+# few messages, so that the connecting of the programs does not count.
+exchange() { # LIBRARY MESSAGES: sets router_us, the processor time of the router
+  before_us=$(cpu_us wombat-1)
+  message_cost "$1" receive "tcp/127.0.0.1:$one_port" "$2" >/tmp/receive.log 2>&1 &
+  receiver=$!
+  message_cost "$1" publish "tcp/127.0.0.1:$one_port" "$2" >/tmp/publish.log 2>&1 || end "$1 cannot publish"
+  wait "$receiver" || end "$1 cannot receive"
+  within 30 'no program is connected any more' no_program_is_connected
+  router_us=$(($(cpu_us wombat-1) - before_us))
+}
+for library in rect zenoh; do
+  exchange $library $few
+  few_us=$router_us
+  exchange $library $many
+  cat /tmp/receive.log /tmp/publish.log | while read -r line; do report "$line"; done
+  report "{\"library\": \"$library\", \"role\": \"router\", \"us\": $(((router_us - few_us) / (many - few)))}"
+done
 end ''

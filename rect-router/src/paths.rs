@@ -1,10 +1,13 @@
 //! Describes the paths of `any` links for the registry and the admin space.
-use rect::core::connection::{LinkPath, LinkPathState, PathSwitch, SwitchReason};
+use rect::core::connection::{LinkPath, LinkPathState, PathSwitch, SwitchReason, Traffic};
 use serde::Serialize;
-use zenoh_link::any::{
-    multipath::SwitchReason as Reason,
-    path::{Medium, PathState},
-    status::{self, LinkStatus},
+use zenoh_link::{
+    any::{
+        multipath::SwitchReason as Reason,
+        path::{Medium, PathState},
+        status::{self, LinkStatus},
+    },
+    ble::status::Count,
 };
 
 /// A link, as the admin space reports it.
@@ -16,10 +19,10 @@ pub struct LinkDocument {
     up_s: f64,
     /// Whether all its paths are encrypted.
     is_encrypted: bool,
-    /// The number of batches sent, and of their bytes.
-    sent: (u64, u64),
-    /// The number of batches received, and of their bytes.
-    received: (u64, u64),
+    /// The batches sent.
+    sent: Traffic,
+    /// The batches received.
+    received: Traffic,
     paths: Vec<LinkPath>,
     /// How often the path that carries the bulk was replaced.
     switches: u64,
@@ -32,8 +35,8 @@ pub fn links() -> Vec<LinkDocument> {
         peer: link.peer.clone(),
         up_s: link.up.as_secs_f64(),
         is_encrypted: link.is_encrypted,
-        sent: link.sent,
-        received: link.received,
+        sent: traffic(link.sent),
+        received: traffic(link.received),
         paths: paths_of(link),
         switches: link.switches,
         last_switch: last_switch_of(link),
@@ -72,6 +75,14 @@ pub fn last_switch_of(link: &LinkStatus) -> Option<PathSwitch> {
         gap_ms: switch.gap.as_secs_f64() * 1000.0,
         ago_s: switch.at.elapsed().as_secs_f64(),
     })
+}
+
+/// Describes what a link has carried.
+pub fn traffic(count: Count) -> Traffic {
+    Traffic {
+        batches: Some(count.sdus),
+        bytes: count.bytes,
+    }
 }
 
 fn method(medium: Medium) -> &'static str {

@@ -1,7 +1,10 @@
 //! Opens a session with a router within a time limit, and queries the router for the name of its robot.
 use std::{thread, time::Duration};
 
-use tokio::sync::oneshot;
+use tokio::{
+    runtime::{Handle, RuntimeFlavor},
+    sync::oneshot,
+};
 use zenoh::{Config, Session, Wait};
 
 use crate::{
@@ -18,6 +21,17 @@ pub(super) enum NotOpened {
     Zenoh(zenoh::Error),
     /// It took longer than the limit.
     TimedOut,
+}
+
+/// Checks the runtime of the caller. In another one, Zenoh panics.
+pub(super) fn check_runtime() -> Result<(), Error> {
+    let flavor = Handle::try_current().map(|runtime| runtime.runtime_flavor());
+    let found = match flavor {
+        Ok(RuntimeFlavor::CurrentThread) => "this one has a single thread",
+        Ok(_) => return Ok(()),
+        Err(_) => "there is none here",
+    };
+    Err(Error::Runtime { found })
 }
 
 /// Makes one attempt to open a session.

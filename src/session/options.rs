@@ -185,9 +185,10 @@ impl Options {
     /// # Errors
     /// [`Error::NoRouter`] if no router replies within the [timeout](Self::timeout), [`Error::LoginRefused`] if the
     /// router rejects the login, [`Error::WrongRobot`] if it serves another robot, [`Error::Option`] if Zenoh rejects
-    /// one of the options, [`Error::Thread`] if no thread can be started, and [`Error::Zenoh`] if the session ends while
-    /// it is being set up.
+    /// one of the options, [`Error::Runtime`] without tokio's runtime with several threads, [`Error::Thread`] if no thread
+    /// can be started, and [`Error::Zenoh`] if the session ends while it is being set up.
     pub async fn connect(self) -> Result<Robot, Error> {
+        connect::check_runtime()?;
         if self.links().is_direct() {
             let config = self.config(self.login_or_file().credentials())?;
             let opened = zenoh::open(config).await;

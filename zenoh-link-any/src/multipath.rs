@@ -17,6 +17,7 @@ use std::{
 use zenoh_link_ble::protocol::lanes::{
     backlog::{self, Limits},
     batch_kind::BatchKind,
+    report::Count,
     scheduler::RESERVED_BYTES_PER_LANE,
     Lane, LANES,
 };
@@ -97,8 +98,8 @@ pub struct Multipath {
     last_switch: Option<Switch>,
     wakeups: u64,
     /// Number of batches and bytes that were accepted, and taken.
-    sent: (u64, u64),
-    received: (u64, u64),
+    sent: Count,
+    received: Count,
 }
 
 impl Multipath {
@@ -122,8 +123,8 @@ impl Multipath {
             switches: 0,
             last_switch: None,
             wakeups: 0,
-            sent: (0, 0),
-            received: (0, 0),
+            sent: Count::default(),
+            received: Count::default(),
         }
     }
 
@@ -178,7 +179,7 @@ impl Multipath {
             return false;
         }
         out.push(batch, kind, is_copied(lane, batch), now);
-        self.sent = (self.sent.0 + 1, self.sent.1 + batch.len() as u64);
+        self.sent.count(batch.len());
         true
     }
 
@@ -191,7 +192,7 @@ impl Multipath {
     /// Takes the next batch of a lane.
     pub fn take(&mut self, lane: Lane, now: Instant) -> Option<Vec<u8>> {
         let batch = self.into[lane.index()].take()?;
-        self.received = (self.received.0 + 1, self.received.1 + batch.len() as u64);
+        self.received.count(batch.len());
         self.update_stopped(lane, now);
         Some(batch)
     }
@@ -457,8 +458,8 @@ impl Multipath {
         self.last_switch
     }
 
-    /// Returns the numbers of batches and bytes, sent and received.
-    pub fn traffic(&self) -> ((u64, u64), (u64, u64)) {
+    /// Returns the batches sent and received.
+    pub fn traffic(&self) -> (Count, Count) {
         (self.sent, self.received)
     }
 

@@ -15,7 +15,7 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use zenoh_link_ble::protocol::{
     hello::NodeId,
-    lanes::{Lane, LANES},
+    lanes::{report::Count, Lane, LANES},
 };
 
 use crate::{
@@ -220,8 +220,8 @@ impl Shared {
         paths.map(|(_, report)| report).collect()
     }
 
-    /// Returns the numbers of batches and bytes, sent and received.
-    pub(crate) fn traffic(&self) -> ((u64, u64), (u64, u64)) {
+    /// Returns the batches sent and received.
+    pub(crate) fn traffic(&self) -> (Count, Count) {
         self.state.lock().multipath.traffic()
     }
 

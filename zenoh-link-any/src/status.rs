@@ -1,6 +1,8 @@
 //! Reports the state of all `any` links of the process.
 use std::time::Duration;
 
+use zenoh_link_ble::status::Count;
+
 use crate::{
     hub::Hub,
     multipath::{PathReport, Switch},
@@ -19,10 +21,10 @@ pub struct LinkStatus {
     pub is_encrypted: bool,
     /// Its paths.
     pub paths: Vec<PathReport>,
-    /// Number of sent batches and their bytes.
-    pub sent: (u64, u64),
-    /// Number of received batches and their bytes.
-    pub received: (u64, u64),
+    /// The batches sent.
+    pub sent: Count,
+    /// The batches received.
+    pub received: Count,
     /// How often the path that carries the bulk was replaced: by another one, or by itself after it had been silent.
     pub switches: u64,
     /// The last time it was.

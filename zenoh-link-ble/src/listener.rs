@@ -23,7 +23,7 @@ use crate::{
     locator::ListenLocator,
     name_conflict::{NameConflictCheck, NameSearch},
     pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
-    protocol::hello::{HandshakeMessage, Hello, VERSION},
+    protocol::hello::{HandshakeMessage, Hello, Refusal, VERSION},
     protocol::secret::Secret,
     radio::{
         AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
@@ -323,7 +323,8 @@ impl Listener {
             Instant::now().into_std(),
             replaced.clone(),
         );
-        if let Some(acceptor) = acceptor.filter(|_| free_places <= 1) {
+        let takes_place = matches!(verdict, Verdict::Accept | Verdict::Refuse(Refusal::Full));
+        if let Some(acceptor) = acceptor.filter(|_| takes_place && free_places <= 1) {
             acceptor.make_room();
         }
         let number = match (verdict, number) {

@@ -1,5 +1,5 @@
 //! Collects the links over Bluetooth, those over several paths, and the discovered robots for the registry.
-use rect::core::connection::{LinkPath, PathSwitch, Traffic};
+use rect::core::connection::{LinkPath, PathSwitch};
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link::{
@@ -8,11 +8,11 @@ use zenoh_link::{
         status::{self as any, LinkStatus as AnyStatus},
         ANY_LOCATOR_PREFIX as ANY,
     },
-    ble::status::{nodes, Count, DiscoveredStatus, LinkStatus},
+    ble::status::{nodes, DiscoveredStatus, LinkStatus},
 };
 
 use super::LinkTraffic;
-use crate::paths;
+use crate::paths::{self, traffic};
 
 /// The status of all links of which Bluetooth is a part.
 pub struct Radio {
@@ -85,10 +85,6 @@ impl Radio {
         if let Some(any) = self.any(link) {
             let primary = any.paths.iter().find(|path| path.is_primary);
             let round_trip = primary.and_then(|path| path.round_trip);
-            let traffic = |(batches, bytes)| Traffic {
-                batches: Some(batches),
-                bytes,
-            };
             return Some(LinkTraffic {
                 sent: traffic(any.sent),
                 received: traffic(any.received),
@@ -126,12 +122,5 @@ impl Radio {
             robot.address == peer || robot.name.as_deref() == Some(peer)
         };
         self.discovered.iter().find(is_peer)?.rssi_dbm
-    }
-}
-
-fn traffic(count: Count) -> Traffic {
-    Traffic {
-        batches: Some(count.sdus),
-        bytes: count.bytes,
     }
 }
