@@ -15,6 +15,7 @@ pub mod replay;
 pub mod schema;
 pub mod segments;
 pub mod summary;
+pub mod view;
 
 pub use entry::{address, Entry};
 pub use reader::{ReadError, Reader};

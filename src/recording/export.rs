@@ -3,8 +3,7 @@ use std::io::{self, Write};
 
 use serde_json::{json, Value};
 
-use super::entry::Entry;
-use crate::core::encoding::Encoding;
+use super::{entry::Entry, view::json_value};
 
 /// The form of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,11 +111,7 @@ fn as_json(entry: &Entry) -> Value {
 
 /// Returns the value of a message as JSON. Bytes that are neither a value nor text become null.
 fn value(entry: &Entry) -> Value {
-    let payload = &entry.payload;
-    if entry.is_json() || payload.encoding.media_type() == Encoding::CBOR.as_str() {
-        return payload.value().unwrap_or(Value::Null);
-    }
-    payload.text().map_or(Value::Null, Value::from)
+    json_value(&entry.payload).unwrap_or(Value::Null)
 }
 
 /// Returns a cell of a CSV file (RFC 4180). A text that a spreadsheet would take for a formula is marked as text.
@@ -137,7 +132,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::core::{payload::Payload, urgency::Urgency};
+    use crate::core::{encoding::Encoding, payload::Payload, urgency::Urgency};
 
     fn exported(format: Format, payload: Payload) -> String {
         let mut to = Vec::new();

@@ -101,7 +101,7 @@ impl OpenFile {
         } else if let Some(schema) = entry_schema(first) {
             let name = channel.topic.replace('/', ".");
             let text = schema.to_string();
-            (self.writer).add_schema(&name, "jsonschema", text.as_bytes())?
+            (self.writer).add_schema(&name, schema::ENCODING, text.as_bytes())?
         } else {
             0
         };

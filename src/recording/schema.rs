@@ -1,6 +1,8 @@
 //! Infers a JSON Schema from a JSON value, because viewers offer the fields that a schema lists.
 use serde_json::{json, Map, Value};
 
+/// MCAP's name of the form.
+pub const ENCODING: &str = "jsonschema";
 /// How deeply nested values are described.
 const MAX_DEPTH: usize = 8;
 /// How many fields of one object are described.

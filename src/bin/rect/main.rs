@@ -8,6 +8,7 @@ mod configure;
 mod dictionary;
 mod display;
 mod duration;
+mod foxglove;
 mod manual;
 mod payload;
 mod publish;
@@ -85,6 +86,7 @@ enum Command {
     Record(record::RecordArguments),
     Replay(replay::ReplayArguments),
     Recording(recording::RecordingArguments),
+    Foxglove(foxglove::FoxgloveArguments),
     Peers(registry::PeersArguments),
     Status(router::StatusArguments),
     Connections(registry::ConnectionsArguments),
@@ -141,6 +143,7 @@ fn main() -> ExitCode {
         Command::Record(arguments) => record::run(arguments),
         Command::Replay(arguments) => wait(replay::run(arguments)),
         Command::Recording(arguments) => recording::run(arguments),
+        Command::Foxglove(arguments) => wait(foxglove::run(arguments)),
         Command::Peers(arguments) => wait_on_one_thread(registry::peers(arguments)),
         Command::Connections(arguments) => wait_on_one_thread(registry::connections(arguments)),
         Command::Connect(arguments) => wait_on_one_thread(configure::connect(arguments)),

@@ -84,12 +84,15 @@ struct MeasuredArguments {
 
 /// A topic of one robot.
 #[derive(Clone, Debug)]
-struct RobotTopic {
-    robot: Name,
-    topic: String,
+pub struct RobotTopic {
+    /// The robot.
+    pub robot: Name,
+    /// The topic.
+    pub topic: String,
 }
 
-fn robot_topic(text: &str) -> Result<RobotTopic, String> {
+/// Parses the topic of a robot on the command line.
+pub fn robot_topic(text: &str) -> Result<RobotTopic, String> {
     let parts = text.split_once('/').filter(|(_, topic)| !topic.is_empty());
     let (robot, topic) = parts.ok_or("write <robot>/<topic>, such as wombat-2/arm/angle")?;
     if topic.contains(['*', '?', '#', ';', '$']) {
@@ -182,7 +185,7 @@ async fn measure(
 }
 
 /// Queries the routers and returns their replies, ordered by the robot's name.
-async fn query(
+pub async fn query(
     robot: &Robot,
     publisher: Option<&Name>,
     topic: Option<&str>,

@@ -1,0 +1,270 @@
+"""Tests `rect foxglove` with a client of the Foxglove WebSocket protocol: `scripts/test-python -k foxglove`"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+import rect
+from conftest import DEADLINE, until_served
+from google.protobuf import (  # type: ignore[import-untyped, unused-ignore]
+    descriptor_pb2,
+    descriptor_pool,
+    message_factory,
+)
+from programs import Routers
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+JPEG = b"\xff\xd8" + bytes(2000)
+#: The first byte of binary messages: of the server, and of the viewer.
+DATA, ANSWER = 1, 3
+PUBLISH, CALL = 1, 2
+
+
+class Viewer:
+    """A viewer. `channels` are the offered ones by their topics, as the server last described them."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self.info: dict[str, Any] = {}
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.services: dict[str, int] = {}
+        self.status: list[str] = []
+        self._shown: dict[str, int] = {}
+        self._next = 1
+
+    def show(self, topic: str) -> None:
+        """Shows a topic, as soon as it is offered."""
+        while topic not in self.channels:
+            self._receive()
+        self._subscribe(topic)
+
+    def hide(self, topic: str) -> None:
+        self._send(op="unsubscribe", subscriptionIds=[self._shown.pop(topic)])
+
+    def message(self, topic: str) -> bytes:
+        """Returns the next message of a topic that is shown."""
+        while True:
+            data = self._receive()
+            if data and data[0] == DATA and struct.unpack_from("<I", data, 1)[0] == self._shown[topic]:
+                return data[13:]
+
+    def value(self, topic: str) -> Any:
+        return json.loads(self.message(topic))
+
+    def publish(self, topic: str, text: bytes) -> None:
+        self._send(op="advertise", channels=[{"id": 1, "topic": topic, "encoding": "json", "schemaName": ""}])
+        self._socket.send(struct.pack("<BI", PUBLISH, 1) + text)
+        self._send(op="unadvertise", channelIds=[1])
+
+    def call(self, service: str, text: bytes) -> Any:
+        while service not in self.services:
+            self._receive()
+        self._socket.send(struct.pack("<BIII", CALL, self.services[service], 7, 4) + b"json" + text)
+        while True:
+            answer = self._receive()
+            if answer and answer[0] == ANSWER:
+                return json.loads(answer[17:])
+
+    def until_status(self, expected: str) -> None:
+        while not any(expected in text for text in self.status):
+            self._receive()
+
+    def _subscribe(self, topic: str) -> None:
+        number = self._next
+        self._next += 1
+        self._shown[topic] = number
+        self._send(op="subscribe", subscriptions=[{"id": number, "channelId": self.channels[topic]["id"]}])
+
+    def _receive(self) -> bytes:
+        """Handles a text message, or returns a binary one."""
+        received = self._socket.recv(DEADLINE)
+        if isinstance(received, bytes):
+            return received
+        message = json.loads(received)
+        if message["op"] == "serverInfo":
+            self.info = message
+        elif message["op"] == "advertise":
+            for channel in message["channels"]:
+                self.channels[channel["topic"]] = channel
+                # A viewer shows a topic again whose channel has been replaced.
+                if channel["topic"] in self._shown:
+                    self._subscribe(channel["topic"])
+        elif message["op"] == "advertiseServices":
+            self.services |= {service["name"]: service["id"] for service in message["services"]}
+        elif message["op"] in ("status", "serviceCallFailure"):
+            self.status.append(message["message"])
+        return b""
+
+    def _send(self, **message: Any) -> None:
+        self._socket.send(json.dumps(message))
+
+
+@contextmanager
+def serving(routers: Routers, *options: str) -> Iterator[str]:
+    """Runs `rect foxglove` at wombat-2, and yields its address."""
+    with routers.tool("wombat-2", "foxglove", "--listen", "127.0.0.1:0", *options) as tool:
+        yield tool.until("open ws://").split()[2]
+
+
+@contextmanager
+def viewer(address: str) -> Iterator[Viewer]:
+    with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as socket:
+        yield Viewer(socket)
+
+
+@contextmanager
+def publishing(robot: rect.Robot) -> Iterator[Callable[[], int]]:
+    """Publishes a pose, an angle and a picture, again and again, on a thread.
+
+    Yields a function that waits for ten more of each, and returns how many bytes the robot sends to others meanwhile.
+    """
+    ends, rounds = threading.Event(), threading.Semaphore(0)
+
+    def publish() -> None:
+        while not ends.wait(0.1):
+            robot.publish("pose", {"at": {"x": 1.5}})
+            robot.publish("arm/angle", 12.5)
+            robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
+            rounds.release()
+
+    def sent_bytes() -> int:
+        sent = [link.sent for link in robot.connections(filter="method=ble")]
+        return sum(traffic["bytes"] or 0 for traffic in sent if traffic)
+
+    def sent_meanwhile() -> int:
+        before = sent_bytes()
+        while rounds.acquire(blocking=False):
+            pass
+        for _ in range(10):
+            assert rounds.acquire(timeout=DEADLINE)
+        return sent_bytes() - before
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield sent_meanwhile
+    finally:
+        ends.set()
+        thread.join()
+
+
+def test_viewer_shows_values_and_pictures(routers: Routers) -> None:
+    with (
+        routers.connect("wombat-1") as robot,
+        publishing(robot),
+        serving(routers) as address,
+        viewer(address) as shown,
+    ):
+        shown.show("/wombat-1/pose")
+        assert shown.value("/wombat-1/pose") == {"at": {"x": 1.5}}
+        channel = shown.channels["/wombat-1/pose"]
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("json", "jsonschema")
+        assert json.loads(channel["schema"])["properties"]["at"]["properties"] == {"x": {"type": "number"}}
+
+        shown.show("/wombat-1/arm/angle")
+        assert shown.value("/wombat-1/arm/angle") == {"value": 12.5}
+
+        shown.show("/wombat-1/camera")
+        picture = decoded(shown.message("/wombat-1/camera"), shown.channels["/wombat-1/camera"])
+        assert (picture.data, picture.format) == (JPEG, "jpeg")
+        assert shown.info["name"] == "RECT, fleet rect"
+        assert "clientPublish" not in shown.info["capabilities"]
+
+
+def decoded(message: bytes, channel: dict[str, Any]) -> Any:
+    """Decodes a message with the schema that the server gives for it."""
+    assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.CompressedImage")
+    files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)  # type: ignore[no-untyped-call, unused-ignore]
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
+    return kind.FromString(message)
+
+
+def test_topic_is_transmitted_only_while_it_is_shown(routers: Routers) -> None:
+    pictures = 10 * len(JPEG)
+    with routers.connect("wombat-1") as robot, publishing(robot) as sent, serving(routers) as address:
+        with viewer(address) as shown:
+            shown.show("/wombat-1/arm/angle")
+            shown.value("/wombat-1/arm/angle")
+            assert sent() < pictures / 2
+            shown.show("/wombat-1/camera")
+            shown.message("/wombat-1/camera")
+            assert sent() >= pictures / 2
+            shown.hide("/wombat-1/camera")
+            until(lambda: sent() < pictures / 2)
+            shown.show("/wombat-1/camera")
+            shown.message("/wombat-1/camera")
+        # A viewer that leaves shows nothing any more.
+        until(lambda: sent() < pictures / 2)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < deadline
+
+
+def test_viewer_publishes_and_sends_requests_only_if_permitted(routers: Routers) -> None:
+    options = ("--publish", "--service", "wombat-1/double")
+    with routers.connect("wombat-1") as robot, robot.subscribe("wombat-2/**") as messages:
+        with robot.serve("double", lambda request: request.value * 2), serving(routers, *options) as address:
+            with routers.connect("wombat-2") as other:
+                until_served(other, "wombat-1", "double")
+            with viewer(address) as shown:
+                shown.publish("/arm/angle", b'{"value": 3}')
+                message = messages.next(DEADLINE)
+                assert (message.topic, message.value, message.recipient) == ("arm/angle", 3, None)
+                shown.publish("/wombat-2/note", b'{"text": "hello"}')
+                message = messages.next(DEADLINE)
+                assert (message.topic, message.value) == ("note", {"text": "hello"})
+                shown.publish("/to/wombat-1/drive", b'{"left": 1}')
+                message = messages.next(DEADLINE)
+                assert (message.topic, message.value, message.recipient) == ("drive", {"left": 1}, "wombat-1")
+
+                assert shown.call("/wombat-1/double", b'{"value": 21}') == {"value": 42}
+
+                for topic, text, problem in [
+                    ("/arm/angle", b"{", "not JSON"),
+                    ("/arm/*", b"1", "wildcard"),
+                    ("/arm/angle", b'"' + bytes(70_000) + b'"', "too many"),
+                ]:
+                    shown.publish(topic, text)
+                    shown.until_status(problem)
+        with serving(routers) as address, viewer(address) as shown:
+            shown.publish("/arm/angle", b"1")
+            shown.until_status("")
+            with routers.connect("wombat-2") as other:
+                other.publish("after", "")
+            assert messages.next(DEADLINE).topic == "after"
+
+
+def test_stalled_viewer_does_not_delay_another(routers: Routers) -> None:
+    with (
+        routers.connect("wombat-1") as robot,
+        publishing(robot),
+        serving(routers) as address,
+        viewer(address) as stalled,
+        viewer(address) as other,
+    ):
+        stalled.show("/wombat-1/camera")
+        other.show("/wombat-1/camera")
+        # More than the kernel's buffers hold.
+        for _ in range(100):
+            other.message("/wombat-1/camera")
+
+
+def test_viewer_of_another_protocol_is_refused(routers: Routers) -> None:
+    with serving(routers) as address, pytest.raises(InvalidStatus):
+        connect(address, subprotocols=[Subprotocol("graphql-ws")])
