@@ -5,6 +5,7 @@
 //! become one file. [`Reader`] reads the folder as well as the file.
 pub mod backlog;
 pub mod channel;
+mod chunk;
 pub mod entry;
 pub mod export;
 pub mod file;

@@ -1,7 +1,7 @@
 //! Exposes the core of the Rust library to the Python package `rect`.
 //!
-//! Most classes wrap one type of the core, which makes all decisions and does no I/O. Only transfers also use the
-//! library's storage. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
+//! Most classes wrap one type of the core, which makes all decisions and does no I/O. Only transfers and
+//! recordings also use the library's files. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
 mod attachment;
 mod callback;
 mod clock;
@@ -17,6 +17,7 @@ mod message;
 mod picture;
 mod publication;
 mod queue;
+mod recording;
 mod request;
 mod router;
 mod settings;
@@ -51,6 +52,7 @@ mod _rect {
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
         publication::Numbering,
         queue::{Ended, Queue},
+        recording::{Recorder, RecordingReader},
         request::{busy_reply, error_encoding, requester, Inquiry},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},

@@ -84,6 +84,16 @@ impl Inbound {
 }
 
 impl MessageMetadata {
+    /// Wraps a message, whose payload is not used.
+    pub fn of(message: Message) -> Self {
+        Self(message)
+    }
+
+    /// Returns the message without its payload.
+    pub fn message(&self) -> Message {
+        self.0.clone()
+    }
+
     pub fn sender_name(&self) -> &Name {
         &self.0.sender
     }

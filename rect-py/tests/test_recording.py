@@ -1,4 +1,5 @@
-"""Tests that stock readers open the files of `rect record`, also of a killed one: `scripts/test-python -k recording`
+"""Tests that stock readers open the files of `rect record`, also of a killed one, and recordings of the library:
+`scripts/test-python -k recording`
 
 RECT_KILLS=1000 kills a thousand recorders in place of 20, which takes a quarter of an hour.
 """
@@ -23,6 +24,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from programs import DEADLINE, program
 
+JPEG = b"\xff\xd8" + bytes(5000)
 #: How many recorders are killed in one round.
 KILLED = 20
 #: The rounds of this run.
@@ -64,7 +66,7 @@ def publishing(robot: rect.Robot) -> Iterator[None]:
         while not ends.wait(0.005):
             robot.publish("pose", {"n": number, "at": {"x": number / 2}})
             if number % 50 == 0:
-                robot.publish("camera", rect.Payload(b"\xff\xd8" + bytes(5000), "image/jpeg"))
+                robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
             number += 1
 
     thread = threading.Thread(target=publish)
@@ -108,7 +110,7 @@ def test_stock_reader_opens_a_recording(tmp_path: Path) -> None:
     with file.open("rb") as stream:
         decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["wombat-1/camera"])
         pictures = [(schema and schema.name, picture.format, picture.data) for schema, _, _, picture in decoded]
-    assert pictures and set(pictures) == {("foxglove.CompressedImage", "jpeg", b"\xff\xd8" + bytes(5000))}
+    assert pictures and set(pictures) == {("foxglove.CompressedImage", "jpeg", JPEG)}
 
 
 @pytest.mark.parametrize("seed", range(ROUNDS))
@@ -141,3 +143,61 @@ def test_killed_recorders_leave_files_that_stock_readers_open(tmp_path: Path, se
         numbers = [json.loads(pose.data)["n"] for pose in poses]
         assert numbers == list(range(min(numbers, default=0), min(numbers, default=0) + len(numbers)))
     assert finished >= KILLED / 2
+
+
+def test_library_records_and_reads(tmp_path: Path) -> None:
+    file = tmp_path / "match.mcap"
+    with rect.connect("wombat-1", listen=[f"tcp/127.0.0.1:{free_port()}"]) as robot:
+        with robot.record(file, "wombat-1/**") as recorder:
+            for number in range(100):
+                robot.publish("pose", {"n": number, "at": {"x": number / 2}}, urgency="urgent")
+                robot.publish("angle", float(number))
+            robot.publish("note", "hello")
+            robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
+            until_recorded(recorder, 202)
+            # While it runs, the recording is a folder.
+            with pytest.raises(rect.RecordingError, match="exists already"):
+                robot.record(file)
+        assert (recorder.recorded, recorder.dropped, recorder.problem) == (202, 0, None)
+        with pytest.raises(rect.RecordingError, match="exists already"):
+            robot.record(file)
+    recording = rect.Recording(file)
+    poses = list(recording.messages("*/pose"))
+    assert [message.value["n"] for message in poses] == list(range(100))
+    first = poses[0]
+    assert (first.sender, first.topic, first.urgency, first.recipient) == ("wombat-1", "pose", "urgent", None)
+    assert first.sequence is not None and first.sent_at is not None
+    assert abs(first.recorded_at - first.sent_at) < 5
+    others = {message.topic: message for message in recording.messages("wombat-1/note", "wombat-1/camera")}
+    assert others["note"].value == "hello"
+    assert others["camera"].payload == rect.Payload(JPEG, "image/jpeg")
+    assert len(list(recording)) == 202
+    table = recording.numbers("wombat-1/pose")
+    assert list(table) == ["time_s", "n", "at.x"]
+    assert table["at.x"].tolist() == [number / 2 for number in range(100)]
+    assert table["time_s"].tolist() == sorted(table["time_s"].tolist())
+    assert recording.numbers("*/angle")["value"].tolist() == [float(number) for number in range(100)]
+
+
+def until_recorded(recorder: rect.Recorder, count: int) -> None:
+    deadline = time.monotonic() + DEADLINE
+    while recorder.recorded < count:
+        assert time.monotonic() < deadline, recorder.recorded
+
+
+def test_recording_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(rect.RecordingError, match="cannot read"):
+        rect.Recording(tmp_path / "nothing.mcap")
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(b"no recording at all")
+    with pytest.raises(rect.RecordingError, match="damaged"):
+        list(rect.Recording(damaged))
+    with pytest.raises(rect.InvalidTopicError):
+        list(rect.Recording(damaged).messages("no pattern"))
+    with rect.connect("wombat-1", listen=[f"tcp/127.0.0.1:{free_port()}"]) as robot:
+        with pytest.raises(rect.RecordingError, match="cannot write"):
+            robot.record(tmp_path / "no folder" / "match.mcap")
+        with pytest.raises(rect.OptionError):
+            robot.record(tmp_path / "match.mcap", keep=-1)
+        with pytest.raises(rect.InvalidTopicError):
+            robot.record(tmp_path / "match.mcap", "no pattern")

@@ -16,6 +16,7 @@ use mcap::{
 
 use super::{
     channel::Channel,
+    chunk::Chunk,
     entry::Entry,
     file::{About, ABOUT, COMPLETE, PART},
     picture,
@@ -64,6 +65,14 @@ struct OpenFile {
     path: PathBuf,
     file: Box<dyn Read + Send>,
     reader: LinearReader,
+    /// The chunk whose records are being read.
+    chunk: Chunk,
+    contents: Contents,
+}
+
+/// The part of a file that has been read.
+#[derive(Default)]
+struct Contents {
     channels: HashMap<u16, Channel>,
     entries: u64,
 }
@@ -169,14 +178,14 @@ impl OpenFile {
 
     fn new(path: PathBuf, file: Box<dyn Read + Send>) -> Self {
         let options = LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
+            .with_emit_chunks(true)
             .with_record_length_limit(MAX_RECORD);
         Self {
             path,
             file,
             reader: LinearReader::new_with_options(options),
-            channels: HashMap::new(),
-            entries: 0,
+            chunk: Chunk::default(),
+            contents: Contents::default(),
         }
     }
 
@@ -186,65 +195,100 @@ impl OpenFile {
 
     /// Returns the next message; `None` at the end of the file.
     fn read(&mut self, about: &mut About) -> Result<Option<Entry>, ReadError> {
-        let entries = self.entries;
-        let damaged = |path: &Path, source| ReadError::Damaged {
-            path: path.to_owned(),
-            entries,
-            source,
-        };
-        while let Some(event) = self.reader.next_event() {
-            let event = event.map_err(|error| damaged(&self.path, error))?;
-            let (opcode, data) = match event {
-                LinearReadEvent::ReadRequest(bytes) => {
-                    let read = self.file.read(self.reader.insert(bytes));
-                    let read = read.map_err(|source| ReadError::Io {
+        loop {
+            match self.step(about) {
+                Ok(Step::Entry(entry)) => return Ok(Some(entry)),
+                Ok(Step::End) => return Ok(None),
+                Ok(Step::Continue) => {}
+                Err(McapError::Io(source)) => {
+                    let path = self.path.clone();
+                    return Err(ReadError::Io { path, source });
+                }
+                Err(source) => {
+                    return Err(ReadError::Damaged {
                         path: self.path.clone(),
+                        entries: self.contents.entries,
                         source,
-                    })?;
-                    self.reader.notify_read(read);
-                    continue;
+                    })
                 }
-                LinearReadEvent::Record { opcode, data } => (opcode, data),
-            };
-            // The others are not needed, and the library's parser believes the lengths of their strings.
-            if !matches!(opcode, op::CHANNEL | op::METADATA | op::MESSAGE) {
-                continue;
-            }
-            if !strings_fit(opcode, data) {
-                return Err(damaged(&self.path, McapError::UnexpectedEoc));
-            }
-            let record = mcap::parse_record(opcode, data);
-            match record.map_err(|error| damaged(&self.path, error))? {
-                Record::Channel(channel) => {
-                    self.channels.insert(channel.id, Channel::read(channel));
-                }
-                Record::Metadata(metadata) if metadata.name == ABOUT && about.is_empty() => {
-                    *about = metadata.metadata;
-                }
-                Record::Message { header, data } => {
-                    let channel = self.channels.get(&header.channel_id);
-                    let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
-                    let channel = channel.ok_or_else(|| damaged(&self.path, unknown))?;
-                    self.entries += 1;
-                    let wrapped = picture::is_picture(&channel.encoding);
-                    let picture = wrapped.then(|| picture::unwrap(&data)).flatten();
-                    let bytes = picture.unwrap_or_else(|| Bytes::copy_from_slice(&data));
-                    return Ok(Some(Entry {
-                        topic: channel.topic.clone(),
-                        recipient: channel.recipient.clone(),
-                        payload: Payload::new(bytes, channel.encoding.clone()),
-                        urgency: channel.urgency,
-                        sequence: header.sequence,
-                        publisher: channel.publisher,
-                        logged: Duration::from_nanos(header.log_time),
-                        sent: Duration::from_nanos(header.publish_time),
-                    }));
-                }
-                _ => {}
             }
         }
-        Ok(None)
     }
+
+    fn step(&mut self, about: &mut About) -> Result<Step, McapError> {
+        if let Some((kind, data)) = self.chunk.next()? {
+            return self.contents.on_record(kind, data, about);
+        }
+        match self.reader.next_event().transpose()? {
+            None => Ok(Step::End),
+            Some(LinearReadEvent::ReadRequest(bytes)) => {
+                let read = self.file.read(self.reader.insert(bytes))?;
+                self.reader.notify_read(read);
+                Ok(Step::Continue)
+            }
+            Some(LinearReadEvent::Record { opcode, data }) if opcode == op::CHUNK => {
+                if let Record::Chunk { header, data } = parsed(opcode, data)? {
+                    self.chunk = Chunk::read(&header, &data, MAX_RECORD)?;
+                }
+                Ok(Step::Continue)
+            }
+            Some(LinearReadEvent::Record { opcode, data }) => {
+                self.contents.on_record(opcode, data, about)
+            }
+        }
+    }
+}
+
+/// The result of reading a little.
+enum Step {
+    Entry(Entry),
+    Continue,
+    End,
+}
+
+impl Contents {
+    fn on_record(&mut self, kind: u8, data: &[u8], about: &mut About) -> Result<Step, McapError> {
+        if !matches!(kind, op::CHANNEL | op::METADATA | op::MESSAGE) {
+            return Ok(Step::Continue);
+        }
+        match parsed(kind, data)? {
+            Record::Channel(channel) => {
+                self.channels.insert(channel.id, Channel::read(channel));
+            }
+            Record::Metadata(metadata) if metadata.name == ABOUT && about.is_empty() => {
+                *about = metadata.metadata;
+            }
+            Record::Message { header, data } => {
+                let channel = self.channels.get(&header.channel_id);
+                let unknown = || McapError::UnknownChannel(header.sequence, header.channel_id);
+                let channel = channel.ok_or_else(unknown)?;
+                self.entries += 1;
+                let wrapped = picture::is_picture(&channel.encoding);
+                let picture = wrapped.then(|| picture::unwrap(&data)).flatten();
+                let bytes = picture.unwrap_or_else(|| Bytes::copy_from_slice(&data));
+                return Ok(Step::Entry(Entry {
+                    topic: channel.topic.clone(),
+                    recipient: channel.recipient.clone(),
+                    payload: Payload::new(bytes, channel.encoding.clone()),
+                    urgency: channel.urgency,
+                    sequence: header.sequence,
+                    publisher: channel.publisher,
+                    logged: Duration::from_nanos(header.log_time),
+                    sent: Duration::from_nanos(header.publish_time),
+                }));
+            }
+            _ => {}
+        }
+        Ok(Step::Continue)
+    }
+}
+
+/// Parses a record. The library's parser believes the lengths of strings, and reserves memory for them.
+fn parsed(kind: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
+    if !strings_fit(kind, data) {
+        return Err(McapError::UnexpectedEoc);
+    }
+    mcap::parse_record(kind, data)
 }
 
 /// Returns whether the strings of a record are no longer than the record, since a parser would reserve memory for them.
@@ -256,6 +300,8 @@ fn strings_fit(opcode: u8, data: &[u8]) -> bool {
             .and_then(without_string)
             .and_then(without_string),
         op::METADATA => without_string(data),
+        // The times, the size and the checksum, and the compression; then the records.
+        op::CHUNK => return data.get(28..).and_then(without_string).is_some(),
         _ => return true,
     };
     // Names and values, after their length in bytes.

@@ -25,6 +25,7 @@ from rect.errors import (
     NoService,
     OptionError,
     PayloadError,
+    RecordingError,
     RectError,
     ServiceError,
     ThreadError,
@@ -38,6 +39,7 @@ from rect.errors import (
 from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.publisher import Publisher
+from rect.recording import RecordedMessage, Recorder, Recording
 from rect.registry import Connection, Connections, LinkPath, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
@@ -81,6 +83,10 @@ __all__ = [
     "Progress",
     "Publisher",
     "Received",
+    "RecordedMessage",
+    "Recorder",
+    "Recording",
+    "RecordingError",
     "RectError",
     "Refusal",
     "Replies",

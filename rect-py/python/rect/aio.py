@@ -7,7 +7,7 @@
 
 A robot belongs to the event loop in which it was connected. Callbacks and handlers may be plain functions or
 `async def`; they run in that loop. The classes of the same names in `rect` document parameters, defaults and errors.
-`Robot.outgoing_transfer` and `Stream.send_with` exist only there.
+`Robot.outgoing_transfer`, `Robot.record` and `Stream.send_with` exist only there.
 """
 
 from __future__ import annotations

@@ -51,6 +51,10 @@ class DictionaryError(RectError, ValueError):
     """A dictionary cannot be trained from these samples, or the bytes are not a zstd dictionary."""
 
 
+class RecordingError(RectError):
+    """A recording cannot be written, or is damaged or not there. The text names the file."""
+
+
 class NoRouter(RectError, ConnectionError):
     """No router answers at the endpoint. Start one, or select another one."""
 

@@ -18,6 +18,7 @@ from rect.opening import open_session
 from rect.options import Options, lifetime_of, seconds, text, whole
 from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
+from rect.recording import Recorder
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
@@ -530,6 +531,23 @@ class Robot:
             timeout=seconds("timeout", timeout),
             on_progress=on_progress,
         )
+
+    def record(self, path: str | os.PathLike[str], *patterns: str, keep: float | None = None) -> Recorder:
+        """Records the messages that match the patterns to an MCAP file, until the returned `Recorder` is closed.
+
+        - `path`: the file, such as `match.mcap`.
+        - `patterns`: for example `wombat-1/arm/*`. Default: everything that this robot publishes. Messages of other
+          robots travel over their links to this robot only because they are recorded.
+        - `keep`: only about this many seconds of the past are kept. Default: everything.
+
+        Raises `RecordingError` if there is a recording of that name or the folder cannot be written,
+        `InvalidTopicError`, `OptionError` and `Closed`. Example:
+
+            with robot.record("match.mcap", "wombat-1/**", "*/stop"):
+                drive()
+        """
+        self._session.check()
+        return Recorder(self, path, patterns, keep)
 
     def share_dictionary(self, dictionary: _rect.Dictionary) -> _rect.Codec:
         """Shares a dictionary with all robots, and returns the codec that compresses with it.

@@ -1,0 +1,169 @@
+//! Writes and reads recordings.
+use std::{
+    collections::BTreeMap,
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+    time::Duration,
+};
+
+use bytes::Bytes;
+use pyo3::{prelude::*, types::PyBytes};
+use rect::{
+    core::{encoding::Encoding, message::Message, name::Name, payload::Payload, topic::Pattern},
+    recording::{self, Entry, ReadError, Reader, RecorderError, Selection, Settings},
+};
+
+use crate::{
+    errors::{raised, OrRaise, Raised},
+    message::MessageMetadata,
+};
+
+/// Records messages to a file, on a thread of its own.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Recorder(Mutex<Option<recording::Recorder>>);
+
+/// The number of messages in a recording, of their bytes, and of those that were dropped.
+type Counts = (u64, u64, u64);
+
+#[pymethods]
+impl Recorder {
+    /// Starts a recording. `about` describes it. `keep_s`: only about this much of the past is kept.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        path: PathBuf,
+        about: BTreeMap<String, String>,
+        keep_s: Option<f64>,
+    ) -> PyResult<Self> {
+        let keep = keep_s.map(Duration::try_from_secs_f64).transpose();
+        let keep =
+            keep.map_err(|error| raised(py, "OptionError", ("keep_s", keep_s, error.to_string())))?;
+        let settings = Settings { path, about, keep };
+        let recorder = py.detach(|| recording::Recorder::start(settings));
+        Ok(Self(Mutex::new(Some(recorder.or_raise()?))))
+    }
+
+    /// Records a message, which has arrived now.
+    fn add(&self, metadata: &MessageMetadata, payload: &[u8], encoding: String) {
+        if let Some(recorder) = &*self.recorder() {
+            let payload = Payload::new(Bytes::copy_from_slice(payload), Encoding::new(encoding));
+            recorder.on_message(Message {
+                payload,
+                ..metadata.message()
+            });
+        }
+    }
+
+    /// Returns the counts, and why the disk takes nothing at the moment. `None` after the end.
+    fn progress(&self) -> Option<(Counts, Option<String>)> {
+        let recorder = self.recorder();
+        let progress = recorder.as_ref()?.progress();
+        let counts = (progress.written, progress.bytes, progress.dropped);
+        Some((counts, progress.problem))
+    }
+
+    /// Stops, and makes one file of the recording. Returns the counts. `None` if it had been stopped before.
+    fn finish(&self, py: Python<'_>) -> PyResult<Option<Counts>> {
+        let Some(recorder) = self.recorder().take() else {
+            return Ok(None);
+        };
+        let (_, progress) = py.detach(|| recorder.finish()).or_raise()?;
+        Ok(Some((progress.written, progress.bytes, progress.dropped)))
+    }
+}
+
+impl Recorder {
+    fn recorder(&self) -> std::sync::MutexGuard<'_, Option<recording::Recorder>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Reads a recording.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct RecordingReader {
+    reader: Mutex<Reader>,
+    selection: Selection,
+}
+
+/// A message without its payload, the payload and its encoding, and the time of recording in seconds since 1970.
+type Recorded<'py> = (MessageMetadata, Bound<'py, PyBytes>, String, f64);
+
+#[pymethods]
+impl RecordingReader {
+    /// Opens a file, or the folder of a recording that runs or was interrupted. Without patterns, all messages are read.
+    #[new]
+    fn new(path: PathBuf, patterns: Vec<String>) -> PyResult<Self> {
+        let patterns = patterns.iter().map(|pattern| Pattern::new(pattern));
+        let patterns = patterns.collect::<Result<_, _>>().or_raise()?;
+        let selection = Selection {
+            patterns,
+            ..Selection::default()
+        };
+        let reader = Mutex::new(Reader::open(&path).or_raise()?);
+        Ok(Self { reader, selection })
+    }
+
+    /// Returns the next message; `None` at the end. Messages of other programs, whose topics have no robot, are skipped.
+    fn next<'py>(&self, py: Python<'py>) -> PyResult<Option<Recorded<'py>>> {
+        let found = py.detach(|| {
+            let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            reader.find_map(|entry| match entry {
+                Ok(entry) if !self.selection.matches(&entry) => None,
+                Ok(entry) => message(&entry).map(|message| Ok((message, entry))),
+                Err(error) => Some(Err(error)),
+            })
+        });
+        let Some((message, entry)) = found.transpose().or_raise()? else {
+            return Ok(None);
+        };
+        let payload = PyBytes::new(py, &entry.payload.bytes);
+        let encoding = entry.payload.encoding.as_str().to_owned();
+        let recorded_s = entry.logged.as_secs_f64();
+        Ok(Some((
+            MessageMetadata::of(message),
+            payload,
+            encoding,
+            recorded_s,
+        )))
+    }
+
+    /// Whether the recording was completed, as far as it has been read.
+    #[getter]
+    fn is_complete(&self) -> bool {
+        let reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+        reader.is_complete()
+    }
+}
+
+/// Returns the recorded message without its payload; `None` if its topic has no robot.
+fn message(entry: &Entry) -> Option<Message> {
+    let (sender, topic) = entry.address()?;
+    let recipient = entry.recipient.as_deref();
+    Some(Message {
+        sender,
+        recipient: recipient.and_then(|name| Name::new(name).ok()),
+        topic,
+        payload: Payload::new(Bytes::new(), Encoding::BYTES),
+        urgency: entry.urgency,
+        sent_ms: u64::try_from(entry.sent.as_millis()).ok(),
+        sequence: Some(entry.sequence),
+        publisher: entry.publisher,
+        missed: 0,
+        late: false,
+        expires_at: None,
+        problem: None,
+        method: None,
+    })
+}
+
+impl Raised for RecorderError {
+    fn raised(self) -> PyErr {
+        Python::attach(|py| raised(py, "RecordingError", (self.to_string(),)))
+    }
+}
+
+impl Raised for ReadError {
+    fn raised(self) -> PyErr {
+        Python::attach(|py| raised(py, "RecordingError", (self.to_string(),)))
+    }
+}
