@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, Union
 from rect import _rect
 from rect.errors import PayloadError
 from rect.message import Message
+from rect.options import text
+from rect.subscriber import Subscriber, Subscription
 from rect.values import Payload
 
 if TYPE_CHECKING:
     import numpy
 
-    from rect.robot import Robot
+    from rect.session import Session
 
 _Path = Union[str, "os.PathLike[str]"]
 #: How many messages wait for the recorder at most, for each pattern.
@@ -30,16 +32,21 @@ class Recorder:
     is completed every five seconds; `Recording` reads it, too.
     """
 
-    def __init__(self, robot: Robot, path: _Path, patterns: tuple[str, ...], keep: float | None) -> None:
-        patterns = patterns or (f"{robot.name}/**",)
-        about = {"robot": robot.name, "fleet": robot.fleet, "patterns": " ".join(patterns), "rect": _rect.__version__}
+    def __init__(self, session: Session, path: _Path, patterns: tuple[str, ...], keep: float | None) -> None:
+        place = session.key_space
+        patterns = patterns or (f"{place.robot}/**",)
+        about = {"robot": place.robot, "fleet": place.fleet, "patterns": " ".join(patterns), "rect": _rect.__version__}
         self._recorder = _rect.Recorder(os.fspath(path), about, keep)
         self._counts = (0, 0, 0)
         try:
-            self._subscriptions = [robot.subscribe(pattern, self._add, capacity=_CAPACITY) for pattern in patterns]
+            self._subscriptions = [self._subscribe(session, pattern) for pattern in patterns]
         except BaseException:
             self._recorder.finish()
             raise
+
+    def _subscribe(self, session: Session, pattern: str) -> Subscription[Message]:
+        subscriber = Subscriber(session, text("pattern", pattern), _CAPACITY, "drop_oldest")
+        return Subscription(subscriber, self._add, pattern)
 
     def _add(self, message: Message) -> None:
         self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)

@@ -547,7 +547,7 @@ class Robot:
                 drive()
         """
         self._session.check()
-        return Recorder(self, path, patterns, keep)
+        return Recorder(self._session, path, patterns, keep)
 
     def share_dictionary(self, dictionary: _rect.Dictionary) -> _rect.Codec:
         """Shares a dictionary with all robots, and returns the codec that compresses with it.
