@@ -26,8 +26,9 @@ const ALIVE: &str = "alive/*";
 const CLOCK: &str = "clock";
 /// The maximum number of robots in an answer.
 const MAX_PEERS: usize = 4096;
-/// How often [`PeersQuery`] asks.
-const QUESTIONS: u8 = 2;
+/// How often [`PeersQuery`] asks at once, and the pauses before it asks again while nobody has answered.
+const QUESTIONS: usize = 2;
+const PAUSES: [Duration; 2] = [Duration::from_millis(50), Duration::from_millis(200)];
 const QUERY: Id = Id(0);
 const TOKENS: Id = Id(1);
 const OWN_TOKEN: Id = Id(0);
@@ -47,14 +48,24 @@ fn token(place: &KeySpace, id: &str) -> String {
 ///
 /// The question is sent twice, which costs one more round trip to the program's own router. If the session has just
 /// declared a liveliness subscriber, Zenoh 1.10 delivers the tokens to that subscriber and ends the first question without
-/// an answer (`tests/upstream/missing_tokens.py`); the second question follows the tokens on the same connection.
+/// an answer (`tests/upstream/missing_tokens.py`); the second question follows the tokens on the same connection. On a busy
+/// computer the second one can be lost in the same way, so the question is repeated after pauses while nobody has answered.
 #[derive(Debug)]
 pub struct PeersQuery {
     place: KeySpace,
     peers: BTreeSet<Name>,
-    unsent: u8,
-    unanswered: u8,
-    is_closed: bool,
+    next: NextQuestion,
+    ended: usize,
+}
+
+/// The next step of a [`PeersQuery`].
+#[derive(Clone, Copy, Debug)]
+enum NextQuestion {
+    Now,
+    At(Instant),
+    /// A question has been sent.
+    Sent,
+    Never,
 }
 
 impl PeersQuery {
@@ -63,9 +74,20 @@ impl PeersQuery {
         Self {
             place,
             peers: BTreeSet::new(),
-            unsent: 1,
-            unanswered: QUESTIONS,
-            is_closed: false,
+            next: NextQuestion::Now,
+            ended: 0,
+        }
+    }
+
+    /// Decides what follows the end of a question.
+    fn after_question(&self, now: Instant) -> NextQuestion {
+        if self.ended < QUESTIONS {
+            return NextQuestion::Now;
+        }
+        let pause = PAUSES.get(self.ended - QUESTIONS);
+        match pause.filter(|_| self.peers.is_empty()) {
+            Some(pause) => NextQuestion::At(now + *pause),
+            None => NextQuestion::Never,
         }
     }
 }
@@ -74,7 +96,7 @@ impl Driver for PeersQuery {
     type Item = std::convert::Infallible;
     type Output = Vec<Name>;
 
-    fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Self::Item> {
+    fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Self::Item> {
         match event {
             Event::Reply { reply, .. } => {
                 let robot = reply
@@ -87,27 +109,31 @@ impl Driver for PeersQuery {
                 Reaction::NONE
             }
             Event::Ended { .. } => {
-                self.unanswered = self.unanswered.saturating_sub(1);
-                self.unsent = self.unanswered.min(1);
+                self.ended += 1;
+                self.next = self.after_question(now);
                 Reaction::POLL
             }
             Event::Closed => {
-                self.is_closed = true;
+                self.next = NextQuestion::Never;
                 Reaction::POLL
             }
             _ => Reaction::NONE,
         }
     }
 
-    fn poll(&mut self, _now: Instant) -> Step<Self::Item, Self::Output> {
-        if self.is_closed || self.unanswered == 0 {
-            return Step::Finished(std::mem::take(&mut self.peers).into_iter().collect());
+    fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
+        match self.next {
+            NextQuestion::Never => {
+                Step::Finished(std::mem::take(&mut self.peers).into_iter().collect())
+            }
+            NextQuestion::Sent => Step::Wait(None),
+            NextQuestion::At(at) if now < at => Step::Wait(Some(at)),
+            NextQuestion::Now | NextQuestion::At(_) => {
+                self.next = NextQuestion::Sent;
+                let get = Get::liveliness(tokens(&self.place, None), TIMEOUT);
+                Step::Act(Action::Get { id: QUERY, get })
+            }
         }
-        if std::mem::take(&mut self.unsent) == 0 {
-            return Step::Wait(None);
-        }
-        let get = Get::liveliness(tokens(&self.place, None), TIMEOUT);
-        Step::Act(Action::Get { id: QUERY, get })
     }
 }
 
