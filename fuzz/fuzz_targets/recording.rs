@@ -40,6 +40,6 @@ fuzz_target!(|input: (u8, &[u8])| {
     };
     for entry in Reader::of("fuzzed.mcap".into(), Cursor::new(file)) {
         let Ok(entry) = entry else { break };
-        assert!(!View::of(&entry).bytes().is_empty());
+        assert!(!View::of(&entry).into_bytes().is_empty());
     }
 });

@@ -22,8 +22,8 @@ use crate::{
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Recorder(Mutex<Option<recording::Recorder>>);
 
-/// The number of messages in a recording, of their bytes, and of those that were dropped.
-type Counts = (u64, u64, u64);
+/// The number of messages in a recording, and of those that were dropped.
+type Counts = (u64, u64);
 
 #[pymethods]
 impl Recorder {
@@ -58,8 +58,7 @@ impl Recorder {
     fn progress(&self) -> Option<(Counts, Option<String>)> {
         let recorder = self.recorder();
         let progress = recorder.as_ref()?.progress();
-        let counts = (progress.written, progress.bytes, progress.dropped);
-        Some((counts, progress.problem))
+        Some(((progress.written, progress.dropped), progress.problem))
     }
 
     /// Stops, and makes one file of the recording. Returns the counts. `None` if it had been stopped before.
@@ -68,7 +67,7 @@ impl Recorder {
             return Ok(None);
         };
         let (_, progress) = py.detach(|| recorder.finish()).or_raise()?;
-        Ok(Some((progress.written, progress.bytes, progress.dropped)))
+        Ok(Some((progress.written, progress.dropped)))
     }
 }
 
@@ -125,13 +124,6 @@ impl RecordingReader {
             encoding,
             recorded_s,
         )))
-    }
-
-    /// Whether the recording was completed, as far as it has been read.
-    #[getter]
-    fn is_complete(&self) -> bool {
-        let reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
-        reader.is_complete()
     }
 }
 

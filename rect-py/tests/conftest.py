@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import queue
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -36,6 +38,24 @@ def routers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Routers]:
     """Starts the routers of `wombat-1` and `wombat-2`, linked on the simulated air."""
     with linked_routers(tmp_path_factory.mktemp("connections")) as routers:
         yield routers
+
+
+@contextmanager
+def repeating(seconds: float, action: Callable[[], object]) -> Iterator[None]:
+    """Calls a function on a thread, again and again with this pause."""
+    ends = threading.Event()
+
+    def repeat() -> None:
+        while not ends.wait(seconds):
+            action()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
 
 
 def until_peer(robot: rect.Robot) -> None:

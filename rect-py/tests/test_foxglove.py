@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import rect
-from conftest import DEADLINE, until_served
+from conftest import DEADLINE, repeating, until_served
 from google.protobuf import (  # type: ignore[import-untyped, unused-ignore]
     descriptor_pb2,
     descriptor_pool,
@@ -128,14 +128,13 @@ def publishing(robot: rect.Robot) -> Iterator[Callable[[], int]]:
 
     Yields a function that waits for ten more of each, and returns how many bytes the robot sends to others meanwhile.
     """
-    ends, rounds = threading.Event(), threading.Semaphore(0)
+    rounds = threading.Semaphore(0)
 
     def publish() -> None:
-        while not ends.wait(0.1):
-            robot.publish("pose", {"at": {"x": 1.5}})
-            robot.publish("arm/angle", 12.5)
-            robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
-            rounds.release()
+        robot.publish("pose", {"at": {"x": 1.5}})
+        robot.publish("arm/angle", 12.5)
+        robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
+        rounds.release()
 
     def sent_bytes() -> int:
         sent = [link.sent for link in robot.connections(filter="method=ble")]
@@ -149,13 +148,8 @@ def publishing(robot: rect.Robot) -> Iterator[Callable[[], int]]:
             assert rounds.acquire(timeout=DEADLINE)
         return sent_bytes() - before
 
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
+    with repeating(0.1, publish):
         yield sent_meanwhile
-    finally:
-        ends.set()
-        thread.join()
 
 
 def test_viewer_shows_values_and_pictures(routers: Routers) -> None:
@@ -251,18 +245,22 @@ def test_viewer_publishes_and_sends_requests_only_if_permitted(routers: Routers)
 
 
 def test_stalled_viewer_does_not_delay_another(routers: Routers) -> None:
+    # Together more than the kernel's buffers and those of the stalled viewer hold.
+    large = rect.Payload(JPEG + bytes(500_000), "image/jpeg")
     with (
-        routers.connect("wombat-1") as robot,
-        publishing(robot),
+        routers.connect("wombat-2") as robot,
         serving(routers) as address,
         viewer(address) as stalled,
         viewer(address) as other,
     ):
-        stalled.show("/wombat-1/camera")
-        other.show("/wombat-1/camera")
-        # More than the kernel's buffers hold.
+        with publishing(robot):
+            for shown in (stalled, other):
+                shown.show("/wombat-2/camera")
+                shown.message("/wombat-2/camera")
         for _ in range(100):
-            other.message("/wombat-1/camera")
+            robot.publish("camera", large)
+            while len(other.message("/wombat-2/camera")) < len(large.bytes):
+                pass
 
 
 def test_viewer_of_another_protocol_is_refused(routers: Routers) -> None:

@@ -6,11 +6,11 @@ RECT_KILLS=1000 kills a thousand recorders in place of 20, which takes a quarter
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import random
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 import rect
-from conftest import free_port
+from conftest import free_port, repeating
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from programs import DEADLINE, program
@@ -59,23 +59,16 @@ def until_recording(process: subprocess.Popen[str]) -> None:
 @contextmanager
 def publishing(robot: rect.Robot) -> Iterator[None]:
     """Publishes numbered messages, and a picture now and then, on a thread."""
-    ends = threading.Event()
+    numbers = itertools.count()
 
     def publish() -> None:
-        number = 0
-        while not ends.wait(0.005):
-            robot.publish("pose", {"n": number, "at": {"x": number / 2}})
-            if number % 50 == 0:
-                robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
-            number += 1
+        number = next(numbers)
+        robot.publish("pose", {"n": number, "at": {"x": number / 2}})
+        if number % 50 == 0:
+            robot.publish("camera", rect.Payload(JPEG, "image/jpeg"))
 
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
+    with repeating(0.005, publish):
         yield
-    finally:
-        ends.set()
-        thread.join()
 
 
 def messages(file: Path) -> list[tuple[Any, Any, Any]]:

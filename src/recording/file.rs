@@ -9,7 +9,7 @@ use std::{
 use mcap::{records::MessageHeader, records::Metadata, McapError, WriteOptions, Writer};
 use serde_json::Value;
 
-use super::{channel::Channel, entry::Entry, picture, schema};
+use super::{channel::Channel, entry::Entry, picture, schema::Schema};
 
 /// The ending of a complete file.
 pub const COMPLETE: &str = "mcap";
@@ -96,14 +96,15 @@ impl OpenFile {
             let many = format!("the messages have more than {MAX_CHANNELS} topics and publishers");
             return Err(io::Error::other(many).into());
         }
-        let schema_id = if picture::is_picture(&channel.encoding) {
-            (self.writer).add_schema(picture::SCHEMA, picture::PROTOBUF, &picture::schema())?
-        } else if let Some(schema) = entry_schema(first) {
-            let name = channel.topic.replace('/', ".");
-            let text = schema.to_string();
-            (self.writer).add_schema(&name, schema::ENCODING, text.as_bytes())?
-        } else {
-            0
+        let schema = match picture::is_picture(&channel.encoding) {
+            true => Some(Schema::of_picture()),
+            false => entry_schema(first),
+        };
+        let schema_id = match schema {
+            Some(schema) => {
+                (self.writer).add_schema(&schema.name, schema.encoding, &schema.text)?
+            }
+            None => 0,
         };
         let (encoding, metadata) = (channel.message_encoding(), channel.metadata());
         let id = (self.writer).add_channel(schema_id, &channel.topic, encoding, &metadata)?;
@@ -147,10 +148,11 @@ impl OpenFile {
     }
 }
 
-fn entry_schema(entry: &Entry) -> Option<Value> {
+fn entry_schema(entry: &Entry) -> Option<Schema> {
     let is_json = entry.is_json();
     let value = is_json.then(|| serde_json::from_slice(&entry.payload.bytes));
-    value?.ok().map(|value| schema::infer(&value))
+    let value: Value = value?.ok()?;
+    Some(Schema::of_value(&entry.topic, &value))
 }
 
 /// Returns the name of the unfinished form of a file.

@@ -1,12 +1,45 @@
 //! Infers a JSON Schema from a JSON value, because viewers offer the fields that a schema lists.
 use serde_json::{json, Map, Value};
 
+use super::picture;
+
 /// MCAP's name of the form.
-pub const ENCODING: &str = "jsonschema";
+const ENCODING: &str = "jsonschema";
 /// How deeply nested values are described.
 const MAX_DEPTH: usize = 8;
 /// How many fields of one object are described.
 const MAX_FIELDS: usize = 256;
+
+/// A schema, as MCAP and viewers take it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Schema {
+    /// Its name.
+    pub name: String,
+    /// MCAP's name of its form.
+    pub encoding: &'static str,
+    /// Its definition.
+    pub text: Vec<u8>,
+}
+
+impl Schema {
+    /// Returns the schema of a topic whose messages are like this value.
+    pub fn of_value(topic: &str, value: &Value) -> Self {
+        Self {
+            name: topic.replace('/', "."),
+            encoding: ENCODING,
+            text: infer(value).to_string().into_bytes(),
+        }
+    }
+
+    /// Returns the schema of pictures.
+    pub fn of_picture() -> Self {
+        Self {
+            name: picture::SCHEMA.to_owned(),
+            encoding: picture::PROTOBUF,
+            text: picture::schema(),
+        }
+    }
+}
 
 /// Returns a schema that the value fulfils.
 pub fn infer(value: &Value) -> Value {

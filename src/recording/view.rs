@@ -1,7 +1,7 @@
 //! Decides what a viewer is shown of a message: pictures as such, and everything else as a JSON object.
 use serde_json::{json, Map, Value};
 
-use super::{entry::Entry, picture, schema};
+use super::{entry::Entry, picture, schema::Schema};
 use crate::core::{encoding::Encoding, payload::Payload};
 
 /// The field of a value that is not an object: viewers select values by the names of fields.
@@ -33,26 +33,18 @@ impl View {
         }
     }
 
-    /// Returns the name, the encoding and the text of a schema that describes the message.
-    pub fn schema(&self, topic: &str) -> (String, &'static str, Vec<u8>) {
+    /// Returns a schema of messages like this one.
+    pub fn schema(&self, topic: &str) -> Schema {
         match self {
-            Self::Picture(_) => (
-                picture::SCHEMA.to_owned(),
-                picture::PROTOBUF,
-                picture::schema(),
-            ),
-            Self::Object(value) => (
-                topic.replace('/', "."),
-                schema::ENCODING,
-                schema::infer(value).to_string().into_bytes(),
-            ),
+            Self::Picture(_) => Schema::of_picture(),
+            Self::Object(value) => Schema::of_value(topic, value),
         }
     }
 
     /// Returns the encoded message.
-    pub fn bytes(&self) -> Vec<u8> {
+    pub fn into_bytes(self) -> Vec<u8> {
         match self {
-            Self::Picture(message) => message.clone(),
+            Self::Picture(message) => message,
             Self::Object(value) => value.to_string().into_bytes(),
         }
     }

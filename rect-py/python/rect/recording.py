@@ -37,7 +37,7 @@ class Recorder:
         patterns = patterns or (f"{place.robot}/**",)
         about = {"robot": place.robot, "fleet": place.fleet, "patterns": " ".join(patterns), "rect": _rect.__version__}
         self._recorder = _rect.Recorder(os.fspath(path), about, keep)
-        self._counts = (0, 0, 0)
+        self._counts = (0, 0)
         try:
             self._subscriptions = [self._subscribe(session, pattern) for pattern in patterns]
         except BaseException:
@@ -59,7 +59,7 @@ class Recorder:
     @property
     def dropped(self) -> int:
         """Number of messages that the disk did not take."""
-        return self._current()[2]
+        return self._current()[1]
 
     @property
     def problem(self) -> str | None:
@@ -82,7 +82,7 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _current(self) -> tuple[int, int, int]:
+    def _current(self) -> tuple[int, int]:
         progress = self._recorder.progress()
         return progress[0] if progress else self._counts
 

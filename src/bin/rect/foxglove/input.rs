@@ -43,29 +43,27 @@ impl Input {
 
     /// Takes a message of a viewer, and tells the viewer if that is not possible.
     pub fn on_message(&self, client: Client, channel: &ClientChannel, payload: &[u8]) {
-        let topic = channel.topic.clone();
-        let problem = if payload.len() > MAX_BYTES {
-            format!(
-                "{} bytes are too many; at most {MAX_BYTES} are published",
-                payload.len()
-            )
-        } else {
-            match view::payload(payload) {
-                Ok(payload) => {
-                    let incoming = InputMessage {
-                        client: client.clone(),
-                        topic,
-                        payload,
-                    };
-                    match self.queue.try_send(incoming) {
-                        Ok(()) => return,
-                        Err(_) => "too many messages at once: this one is dropped".to_owned(),
-                    }
-                }
-                Err(error) => format!("the message is not JSON: {error}"),
-            }
+        if let Err(problem) = self.take(&client, &channel.topic, payload) {
+            warn(&client, &channel.topic, &problem);
+        }
+    }
+
+    fn take(&self, client: &Client, topic: &str, payload: &[u8]) -> Result<(), String> {
+        let size = payload.len();
+        if size > MAX_BYTES {
+            return Err(format!(
+                "{size} bytes are too many; at most {MAX_BYTES} are published"
+            ));
+        }
+        let payload =
+            view::payload(payload).map_err(|error| format!("the message is not JSON: {error}"))?;
+        let message = InputMessage {
+            client: client.clone(),
+            topic: topic.to_owned(),
+            payload,
         };
-        warn(&client, &channel.topic, &problem);
+        (self.queue.try_send(message))
+            .map_err(|_| "too many messages at once: this one is dropped".to_owned())
     }
 }
 

@@ -76,11 +76,7 @@ impl Live {
             return;
         };
         let is_picture = picture::is_picture(&Encoding::new(encoding.to_owned()));
-        let form = Form {
-            is_picture,
-            has_schema: is_picture,
-        };
-        let Some(shown) = Shown::new(&self.context, &topic, form) else {
+        let Some(shown) = Shown::new(&self.context, &topic, is_picture) else {
             return;
         };
         let offered = Offered {
@@ -149,32 +145,23 @@ fn lock(shown: &Mutex<Shown>) -> MutexGuard<'_, Shown> {
     shown.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The form of a topic's messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Form {
-    is_picture: bool,
-    has_schema: bool,
-}
-
 /// The channel of a topic, whose form is that of its messages.
 struct Shown {
     context: Arc<Context>,
     topic: String,
     channel: Arc<RawChannel>,
-    form: Form,
     changed: Option<Instant>,
     last: Option<Vec<u8>>,
 }
 
 impl Shown {
     /// Creates the channel of a topic, whose messages are not known yet.
-    fn new(context: &Arc<Context>, topic: &str, form: Form) -> Option<Self> {
-        let view = form.is_picture.then(|| View::Picture(Vec::new()));
+    fn new(context: &Arc<Context>, topic: &str, is_picture: bool) -> Option<Self> {
+        let view = is_picture.then(|| View::Picture(Vec::new()));
         Some(Self {
             channel: channel(context, topic, view.as_ref())?,
             context: context.clone(),
             topic: topic.to_owned(),
-            form,
             changed: None,
             last: None,
         })
@@ -183,11 +170,8 @@ impl Shown {
     /// Shows a message. Its form may require another channel, which viewers select by themselves.
     fn show(&mut self, entry: &Entry) {
         let view = View::of(entry);
-        let form = Form {
-            is_picture: matches!(view, View::Picture(_)),
-            has_schema: true,
-        };
-        if form != self.form {
+        let fits = self.channel.message_encoding() == view.encoding();
+        if !fits || self.channel.schema().is_none() {
             let now = Instant::now();
             let is_late = |at| now.duration_since(at) >= CHANGED_AT_MOST_EVERY;
             let changes = self.changed.is_none_or(is_late);
@@ -196,9 +180,9 @@ impl Shown {
                 return;
             };
             self.channel.close();
-            (self.channel, self.form, self.changed) = (channel, form, Some(now));
+            (self.channel, self.changed) = (channel, Some(now));
         }
-        let bytes = view.bytes();
+        let bytes = view.into_bytes();
         self.channel.log(&bytes);
         self.last = Some(bytes);
     }
@@ -214,8 +198,8 @@ impl Shown {
 /// Creates the channel of a topic for messages in the form of `view`; without one, for JSON of unknown form.
 fn channel(context: &Arc<Context>, topic: &str, view: Option<&View>) -> Option<Arc<RawChannel>> {
     let schema = view.map(|view| {
-        let (name, encoding, text) = view.schema(topic);
-        Schema::new(name, encoding, text)
+        let schema = view.schema(topic);
+        Schema::new(schema.name, schema.encoding, schema.text)
     });
     let channel = ChannelBuilder::new(format!("/{topic}"))
         .context(context)
