@@ -74,7 +74,7 @@ impl Inbound {
             priority,
             directed,
         };
-        let delivered = self.inbound().on_delivery(delivered, Instant::now());
+        let delivered = self.inbound().on_delivery(delivered, Instant::now);
         delivered.map(MessageMetadata)
     }
 

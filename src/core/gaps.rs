@@ -1,7 +1,7 @@
 //! Counts messages that did not arrive. Each publisher numbers its messages; a gap in the numbers means that messages
 //! were lost in transit (over UDP) or while a link was down. Lost messages are not requested again.
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::BTreeMap,
     time::{Duration, Instant},
 };
 
@@ -24,7 +24,7 @@ pub struct Arrival {
     /// Whether a message that was sent later arrived before this one (possible over UDP). It had been counted as
     /// missed.
     pub late: bool,
-    /// How much longer the message was on the way than the fastest one of its publisher.
+    /// How much longer the message was on the way than the fastest one of its publisher; zero for a message that never expires.
     pub age: Duration,
 }
 
@@ -47,7 +47,7 @@ struct Source {
 #[derive(Debug, Default)]
 struct Sender {
     counts: SenderCounts,
-    sources: HashMap<u16, Source>,
+    sources: BTreeMap<u16, Source>,
 }
 
 /// Tracks the sequence numbers of all publishers.
@@ -71,8 +71,14 @@ impl Gaps {
         }
     }
 
-    /// Handles a message of `robot` with that attachment.
-    pub fn on_message(&mut self, robot: &Name, attachment: &Attachment, now: Instant) -> Arrival {
+    /// Handles a message of `robot` with that attachment. `now` is the time if the message expires, and `None` if it never does: only
+    /// then its age matters. The messages of a publisher all expire, or none does.
+    pub fn on_message(
+        &mut self,
+        robot: &Name,
+        attachment: &Attachment,
+        now: Option<Instant>,
+    ) -> Arrival {
         self.clock += 1;
         let last_used = self.clock;
         if self.sources >= MAX_SOURCES && !self.knows(robot, attachment.source) {
@@ -98,7 +104,7 @@ impl Gaps {
             source.last = sequence;
             arrival.missed = ahead - 1;
         }
-        if let Sent::At(sent_ms) = attachment.sent {
+        if let (Sent::At(sent_ms), Some(now)) = (attachment.sent, now) {
             arrival.age = (source.ages).on_message(sent_ms, arrival.late, self.own, now);
         }
         let counts = &mut sender.counts;
@@ -177,7 +183,7 @@ mod tests {
             sent: Sent::Unknown,
             lifetime_ms: None,
         };
-        gaps.on_message(robot, &attachment, Instant::now())
+        gaps.on_message(robot, &attachment, None)
     }
 
     #[test]

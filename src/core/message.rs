@@ -102,14 +102,14 @@ impl Inbound {
         }
     }
 
-    /// Returns the message that a sample contains.
+    /// Returns the message that a sample contains. `now` is only called if the message expires.
     ///
     /// # Errors
     /// Returns why the sample is not delivered.
     pub fn on_delivery(
         &mut self,
         delivered: Delivery<'_>,
-        now: Instant,
+        now: impl FnOnce() -> Instant,
     ) -> Result<Message, Undelivered> {
         let address = match self.parse(delivered.key) {
             Ok(address) if address.recipient.is_some() == delivered.directed => address,
@@ -139,6 +139,10 @@ impl Inbound {
         match attachment {
             None => self.gaps.on_unnumbered(&message.sender),
             Some(attachment) => {
+                let lifetime = attachment
+                    .lifetime_ms
+                    .map(|ms| (now(), Duration::from_millis(ms.into())));
+                let now = lifetime.map(|(now, _)| now);
                 let arrival = (self.gaps).on_message(&message.sender, &attachment, now);
                 message.sequence = Some(attachment.sequence);
                 message.publisher = Some(attachment.source);
@@ -146,8 +150,8 @@ impl Inbound {
                 if let Sent::At(at_ms) = attachment.sent {
                     message.sent_ms = Some(at_ms);
                 }
-                if let Some(lifetime_ms) = attachment.lifetime_ms {
-                    let rest = Duration::from_millis(lifetime_ms.into()).checked_sub(arrival.age);
+                if let Some((now, lifetime)) = lifetime {
+                    let rest = lifetime.checked_sub(arrival.age);
                     let rest = rest.filter(|rest| !rest.is_zero());
                     let missed = message.missed;
                     message.expires_at = Some(now + rest.ok_or(Undelivered::Expired { missed })?);
@@ -209,18 +213,13 @@ mod tests {
             .encode()
         };
         let mut inbound = inbound();
-        let first = inbound.on_delivery(
-            delivered("rect/a/x/y", Some(&attachment(3))),
-            Instant::now(),
-        );
+        let first =
+            inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(3))), Instant::now);
         let first = first.expect("a message");
         assert_eq!((first.sender.as_str(), first.topic.as_str()), ("a", "x/y"));
         assert_eq!((first.sequence, first.missed), (Some(3), 0));
         assert_eq!(first.sent_ms, Some(1_795_000_000_000));
-        let next = inbound.on_delivery(
-            delivered("rect/a/x/y", Some(&attachment(6))),
-            Instant::now(),
-        );
+        let next = inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(6))), Instant::now);
         assert_eq!(next.expect("a message").missed, 2);
     }
 
@@ -237,7 +236,7 @@ mod tests {
             };
             let attachment = attachment.encode();
             let delivered = delivered("rect/a/drive", Some(&attachment));
-            inbound.on_delivery(delivered, start + ms(arrived))
+            inbound.on_delivery(delivered, || start + ms(arrived))
         };
         let fresh = on_message(0, 0, 10).expect("delivered");
         assert!(!fresh.is_expired(start + ms(209)));
@@ -254,10 +253,8 @@ mod tests {
     fn messages_of_other_zenoh_programs_have_no_sequence_number() {
         let mut inbound = inbound();
         for attachment in [None, Some(b"mine".as_slice())] {
-            let message = inbound.on_delivery(
-                delivered("rect/a/to/wombat-1/x", attachment),
-                Instant::now(),
-            );
+            let message =
+                inbound.on_delivery(delivered("rect/a/to/wombat-1/x", attachment), Instant::now);
             let message = message.expect("a message");
             assert_eq!((message.sequence, message.sent_ms), (None, None));
             assert_eq!(message.recipient.expect("to me"), "wombat-1");
@@ -270,7 +267,7 @@ mod tests {
     fn delivers_a_message_once_if_both_subscriptions_match() {
         let mut twice = delivered("rect/a/to/wombat-1/x", None);
         twice.directed = false;
-        assert!(inbound().on_delivery(twice, Instant::now()).is_err());
+        assert!(inbound().on_delivery(twice, Instant::now).is_err());
     }
 
     #[test]
@@ -282,11 +279,11 @@ mod tests {
         ] {
             let mut inbound = inbound();
             let rejected = Undelivered::Address(AddressError::InvalidTopic { directed });
-            let first = inbound.on_delivery(delivered(&key, None), Instant::now());
+            let first = inbound.on_delivery(delivered(&key, None), Instant::now);
             assert_eq!(first.expect_err("rejected"), rejected);
             let mut twice = delivered(&key, None);
             twice.directed = !directed;
-            let second = inbound.on_delivery(twice, Instant::now());
+            let second = inbound.on_delivery(twice, Instant::now);
             assert_eq!(
                 second.expect_err("rejected"),
                 Undelivered::Address(AddressError::NotForThisRobot)

@@ -241,7 +241,11 @@ impl ToPayload for Vec<u8> {
 
 impl ToPayload for Bytes {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
-        Ok(Payload::new(self.clone(), Encoding::BYTES))
+        self.clone().into_payload()
+    }
+
+    fn into_payload(self) -> Result<Payload, PayloadError> {
+        Ok(Payload::new(self, Encoding::BYTES))
     }
 }
 

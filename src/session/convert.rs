@@ -23,7 +23,19 @@ pub(super) fn congestion_control(qos: Qos) -> CongestionControl {
 }
 
 pub(super) fn payload(bytes: &ZBytes, encoding: &ZenohEncoding) -> Payload {
-    Payload::new(owned(bytes), Encoding::new(encoding))
+    Payload::new(owned(bytes), self::encoding(encoding))
+}
+
+/// Returns Zenoh's encoding as RECT's. Zenoh looks the text up in a table, so the encodings of most messages are compared first.
+fn encoding(encoding: &ZenohEncoding) -> Encoding {
+    const COMMON: [(ZenohEncoding, Encoding); 4] = [
+        (ZenohEncoding::ZENOH_BYTES, Encoding::BYTES),
+        (ZenohEncoding::APPLICATION_JSON, Encoding::JSON),
+        (ZenohEncoding::TEXT_PLAIN, Encoding::TEXT),
+        (ZenohEncoding::APPLICATION_CBOR, Encoding::CBOR),
+    ];
+    let known = COMMON.iter().find(|(common, _)| common == encoding);
+    known.map_or_else(|| Encoding::new(encoding), |(_, known)| known.clone())
 }
 
 pub(super) fn sample(sample: &zenoh::sample::Sample) -> Sample {

@@ -24,7 +24,8 @@ pub(super) struct ReceiveQueue<T> {
 #[derive(Debug)]
 struct State<T> {
     queue: Queue<T>,
-    /// Number of threads that wait for room; if it is 0, the system call that wakes one is skipped.
+    /// Number of threads that wait for room and that no call of `try_pop` has woken; if it is 0, the system call that wakes one is
+    /// skipped.
     waiting: usize,
 }
 
@@ -53,7 +54,6 @@ impl<T> ReceiveQueue<T> {
                     state.waiting += 1;
                     let waited = self.taken.wait(state);
                     state = waited.unwrap_or_else(PoisonError::into_inner);
-                    state.waiting -= 1;
                 }
                 Pushed::Kept | Pushed::DroppedOldest(_) => break true,
                 Pushed::DroppedNewest(_) => break false,
@@ -86,9 +86,11 @@ impl<T> ReceiveQueue<T> {
         let mut state = self.state();
         let item = state.queue.pop();
         // One wake-up for several items: a blocked thread continues when the queue is half empty.
-        let is_awaited = state.waiting > 0 && state.queue.is_half_empty();
+        let is_awaited = item.is_some() && state.waiting > 0 && state.queue.is_half_empty();
+        // Counted here, because the thread may wait long for a processor, and is not woken again for each item meanwhile.
+        state.waiting -= usize::from(is_awaited);
         drop(state);
-        if item.is_some() && is_awaited {
+        if is_awaited {
             self.taken.notify_one();
         }
         item

@@ -347,7 +347,7 @@ fn on_sample(
         priority: sample.priority() as u8,
         directed,
     };
-    lock(inbound).on_delivery(delivery, Instant::now())
+    lock(inbound).on_delivery(delivery, Instant::now)
 }
 
 fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {
