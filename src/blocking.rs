@@ -14,6 +14,8 @@
 //! # Ok::<(), rect::Error>(())
 //! ```
 mod publisher;
+#[cfg(feature = "recording")]
+mod recorder;
 mod runtime;
 mod stream;
 mod subscription;
@@ -21,6 +23,8 @@ mod transfer;
 
 use std::{sync::Arc, time::Duration};
 
+#[cfg(feature = "recording")]
+pub use self::recorder::RobotRecorder;
 pub use self::{
     publisher::Publisher, runtime::Runtime, stream::Frames, subscription::Subscription,
     transfer::Transfers,
@@ -269,6 +273,22 @@ impl Robot {
     {
         Ok(Publisher {
             publisher: self.runtime.wait(self.robot.publisher(topic))?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::record`].
+    #[cfg(feature = "recording")]
+    pub fn record(
+        &self,
+        path: impl Into<std::path::PathBuf>,
+        options: crate::RecordOptions,
+    ) -> Result<RobotRecorder, Error> {
+        Ok(RobotRecorder {
+            recorder: self.runtime.wait(self.robot.record(path, options))?,
             runtime: self.runtime.clone(),
         })
     }

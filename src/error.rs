@@ -164,6 +164,11 @@ pub enum Error {
     /// The file name of a transfer is invalid. Choose another name.
     #[error(transparent)]
     Offer(#[from] OfferError),
+    /// A recording cannot start, or not become a file. Choose another name, or make room on the disk; `rect recording merge` makes a
+    /// file of what was recorded.
+    #[cfg(feature = "recording")]
+    #[error(transparent)]
+    Recording(#[from] crate::recording::RecorderError),
     /// The session was closed. Connect again to continue.
     #[error("the session is closed")]
     Closed,

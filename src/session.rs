@@ -11,6 +11,8 @@ mod publication;
 mod publisher;
 mod queries;
 mod receive_queue;
+#[cfg(feature = "recording")]
+mod recording;
 mod registry;
 mod request;
 mod robot;
@@ -28,6 +30,8 @@ mod waiting;
 pub use events::Events;
 pub use options::{connect, Options};
 pub use publisher::Publisher;
+#[cfg(feature = "recording")]
+pub use recording::{RecordOptions, RobotRecorder};
 pub use request::{Replies, Reply};
 pub use robot::Robot;
 pub use service::{Request, Requests, Service};

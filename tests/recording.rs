@@ -5,7 +5,7 @@ mod pair;
 use std::{
     collections::BTreeMap,
     fs,
-    io::{BufRead, BufReader, Cursor},
+    io::{BufRead, BufReader, Cursor, Write},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Output, Stdio},
     time::{Duration, Instant},
@@ -15,7 +15,9 @@ use pair::{free_endpoint, TIMEOUT};
 use rect::{
     blocking,
     core::encoding::Encoding,
-    recording::{file, file::OpenFile, segments, Entry, ReadError, Reader, Recorder, Settings},
+    recording::{
+        file, file::OpenFile, segments, Entry, ReadError, Reader, Recorder, Settings, Split,
+    },
     Json, Message, Name, Options, Payload, QueueOptions, Topic, Urgency, WhenFull,
 };
 
@@ -172,6 +174,7 @@ fn message(number: u32, urgency: Urgency) -> Message {
         publisher: Some(7),
         missed: 0,
         late: false,
+        replayed: false,
         expires_at: None,
         problem: None,
         method: None,
@@ -194,6 +197,7 @@ fn nothing_is_lost_while_the_disk_fails_for_a_while() {
         path: path.clone(),
         about: about(),
         keep: None,
+        split: Split::default(),
     })
     .expect("started");
     // Nothing can be created in a folder that does not exist.
@@ -209,13 +213,58 @@ fn nothing_is_lost_while_the_disk_fails_for_a_while() {
     fs::create_dir(&parts).expect("created");
     wait_until("it is written again", || recorder.progress().written == 500);
     assert_eq!(recorder.progress().problem, None);
-    let (file, progress) = recorder.finish().expect("one file");
+    let (files, progress) = recorder.finish().expect("one file");
     assert_eq!((progress.written, progress.dropped), (500, 0));
-    let (entries, error) = read(&file);
+    assert_eq!(files, [path]);
+    let (entries, error) = read(&files[0]);
     assert!(error.is_none(), "{error:?}");
     let numbers: Vec<_> = entries.iter().map(|entry| entry.sequence).collect();
     assert_eq!(numbers, (0..500).collect::<Vec<_>>());
     assert!(!parts.exists(), "the parts are removed");
+}
+
+#[test]
+fn long_recording_is_split_into_files() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // A name that is taken is skipped.
+    fs::write(folder.path().join("match-2.mcap"), "mine").expect("written");
+    let recorder = Recorder::start(Settings {
+        path: folder.path().join("match.mcap"),
+        about: about(),
+        keep: None,
+        split: Split {
+            bytes: Some(1000),
+            ..Split::default()
+        },
+    })
+    .expect("started");
+    // Two of them fill a segment, after which a part is complete.
+    let large = |number| Message {
+        payload: Payload::new(vec![7; segments::SEGMENT_BYTES / 2], Encoding::BYTES),
+        ..message(number, Urgency::Urgent)
+    };
+    for number in 0..6 {
+        recorder.on_message(large(number));
+        wait_until("it is written", || {
+            recorder.progress().written == u64::from(number) + 1
+        });
+    }
+    recorder.on_message(message(6, Urgency::Normal));
+    let (files, progress) = recorder.finish().expect("files");
+    assert_eq!((progress.written, progress.dropped), (7, 0));
+    let names = [
+        "match-1.mcap",
+        "match-3.mcap",
+        "match-4.mcap",
+        "match-5.mcap",
+    ];
+    let expected: Vec<_> = names.iter().map(|name| folder.path().join(name)).collect();
+    assert_eq!(files, expected);
+    let numbers = files.iter().flat_map(|file| read(file).0);
+    let numbers: Vec<_> = numbers.map(|entry| entry.sequence).collect();
+    assert_eq!(numbers, [0, 1, 2, 3, 4, 5, 6]);
+    let left = fs::read_dir(folder.path()).expect("readable").count();
+    assert_eq!(left, 5, "no folder remains");
 }
 
 #[test]
@@ -225,6 +274,7 @@ fn two_recorders_of_one_file_are_refused() {
         path: folder.path().join("match.mcap"),
         about: about(),
         keep: None,
+        split: Split::default(),
     };
     let _first = Recorder::start(settings.clone()).expect("started");
     let second = Recorder::start(settings)
@@ -368,7 +418,7 @@ fn recorded_messages_are_replayed() {
     let mut replayed = Vec::new();
     while replayed.len() < 111 {
         let message = messages.next_timeout(TIMEOUT).expect("replayed");
-        assert_eq!(message.missed, 0);
+        assert!(message.replayed && message.missed == 0, "{message:?}");
         replayed.push((
             format!("a/{}", message.topic),
             message.urgency,
@@ -392,6 +442,55 @@ fn recorded_messages_are_replayed() {
         found.len()
     };
     assert_eq!([of("a/n"), of("a/camera"), of("a/end")], [100, 10, 1]);
+}
+
+#[test]
+fn replay_is_paused_and_stepped_by_keys() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut file = OpenFile::create(folder.path().join("match.mcap"), &about()).expect("created");
+    for sequence in 0..4 {
+        let mut entry = entry(3 * sequence);
+        entry.logged = Duration::from_secs(1000 + 2 * u64::from(sequence));
+        file.add(&entry).expect("written");
+    }
+    file.finish().expect("on the disk");
+    let listen = free_endpoint();
+    let replay = format!(
+        "'{}' replay match.mcap --wait --paused --remap a=z --listen {listen}",
+        env!("CARGO_BIN_EXE_rect")
+    );
+    // `script` gives the program a terminal.
+    let mut command = Command::new("script");
+    command.args(["-qec", &replay, "/dev/null"]);
+    command.current_dir(folder.path()).stdout(Stdio::null());
+    let child = command.stdin(Stdio::piped()).spawn();
+    let mut replaying = Killed(child.expect("util-linux has `script`"));
+    let mut keyboard = replaying.0.stdin.take().expect("piped");
+    let mut press = |keys: &str| keyboard.write_all(keys.as_bytes()).expect("it runs");
+
+    let options = Options::new("viewer").expect("a name").login_file("/none");
+    let options = options.router(&listen).timeout(TIMEOUT);
+    let viewer = blocking::Robot::connect(options).expect("connected");
+    let mut messages = viewer.subscribe("z/**").expect("subscribed");
+    let short = Duration::from_millis(300);
+    assert!(messages.next_timeout(short).is_none(), "paused");
+    let n =
+        |message: Message| message.payload.value::<serde_json::Value>().expect("JSON")["n"].clone();
+    for expected in [0, 3] {
+        press("n");
+        let message = messages.next_timeout(TIMEOUT).expect("stepped");
+        assert_eq!(n(message), expected);
+        assert!(messages.next_timeout(short).is_none(), "one message");
+    }
+    let continued = Instant::now();
+    press("++ ");
+    for expected in [6, 9] {
+        let message = messages.next_timeout(TIMEOUT).expect("continued");
+        assert_eq!(n(message), expected);
+    }
+    // Two messages, 2 s apart, at four times the rate.
+    assert!(continued.elapsed() >= Duration::from_millis(990));
+    assert!(replaying.end().success());
 }
 
 /// A power cut cannot be tested here, but what it leaves is what the other tests read: whole files, and one that breaks off.
@@ -423,7 +522,8 @@ fn killed_recorder_leaves_whole_files() {
     }
     let (entries, error) = read(&parts);
     assert!(error.is_none(), "{error:?}");
-    let numbers: Vec<_> = entries.iter().map(|entry| entry.sequence).collect();
+    let messages = entries.iter().filter(|entry| !entry.is_report());
+    let numbers: Vec<_> = messages.map(|entry| entry.sequence).collect();
     assert!(numbers.windows(2).all(|pair| pair[1] == pair[0] + 1));
     let again = ran(
         folder.path(),

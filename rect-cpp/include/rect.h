@@ -88,6 +88,8 @@ typedef enum rect_code {
     RECT_CODE_WRONG_ROBOT = 22,
     // The operating system does not start another thread. Close other programs, or raise the limit of threads.
     RECT_CODE_THREAD = 23,
+    // A recording cannot start, or not become a file. Choose another name, or make room on the disk.
+    RECT_CODE_RECORDING = 24,
 } rect_code;
 
 // The state of a connection.
@@ -403,6 +405,41 @@ typedef struct rect_publisher {
     uint64_t id;
 } rect_publisher;
 
+// What to record. Fields that are 0 or NULL keep their defaults, so `rect_record_options options = {0};` are the defaults, and so is
+// NULL.
+typedef struct rect_record_options {
+    // The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish. Messages of
+    // other robots travel over the links to this robot only because they are recorded.
+    const char *const *patterns;
+    // Number of patterns.
+    size_t patterns_len;
+    // How much of the past to keep, in milliseconds. Default: everything.
+    uint64_t keep_ms;
+    // The time after which the recording continues in another file, in milliseconds. Default: never.
+    uint64_t split_ms;
+    // The size of a file in bytes at which the recording continues in another one. Default: any.
+    uint64_t split_bytes;
+} rect_record_options;
+
+// A recording that runs. `rect_drop(&recorder.id, ..)` without `rect_recorder_finish` leaves a folder, which `rect recording merge`
+// makes a file of.
+typedef struct rect_recorder {
+    // The handle.
+    uint64_t id;
+} rect_recorder;
+
+// How a recording goes.
+typedef struct rect_recording_progress {
+    // Number of messages in the recording.
+    uint64_t recorded;
+    // Bytes of their payloads.
+    uint64_t bytes;
+    // Number of messages that were dropped, because the disk was too slow or full.
+    uint64_t dropped;
+    // Why the disk does not take anything at the moment; empty if it does.
+    char problem[RECT_PROBLEM_BYTES];
+} rect_recording_progress;
+
 // A reply. It is valid until `rect_drop(&reply.id, ..)`.
 typedef struct rect_reply {
     // The handle.
@@ -487,6 +524,8 @@ typedef struct rect_message {
     uint32_t urgency;
     // Whether the message arrived after one with a higher sequence number of the same publisher.
     bool late;
+    // Whether the message repeats one of a recording. `sent_ms` is the time of that one.
+    bool replayed;
     // The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
     // not available. Empty if the payload is complete.
     struct rect_text problem;
@@ -977,6 +1016,35 @@ enum rect_code rect_publisher_has_subscribers(struct rect_publisher publisher,
 enum rect_code rect_publisher_wait_for_subscriber(struct rect_publisher publisher,
                                                   uint32_t timeout_ms,
                                                   struct rect_error *error);
+
+// Records messages to the file `path`, which ends in `.mcap`, until `rect_recorder_finish` is called, with the events of this robot
+// and, once a second, the state of its router's links. Until then, the recording is a folder of short files, so that a power cut
+// costs at most its last seconds. Requests and the frames of streams are not recorded.
+//
+// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
+// counted, urgent messages last.
+//
+// Returns `RECT_CODE_RECORDING` if there is a recording of that name or the folder cannot be written, and `RECT_CODE_TOPIC` if a
+// pattern is invalid. May be called on any thread.
+enum rect_code rect_robot_record(struct rect_robot robot,
+                                 const char *path,
+                                 const struct rect_record_options *options,
+                                 struct rect_recorder *recorder,
+                                 struct rect_error *error);
+
+// Writes to `progress` how the recording goes. Returns `RECT_CODE_CLOSED` if it was finished. May be called on any thread.
+enum rect_code rect_recorder_progress(struct rect_recorder recorder,
+                                      struct rect_recording_progress *progress,
+                                      struct rect_error *error);
+
+// Stops, and makes one file of the recording, or several with numbers if it is split; none if nothing was recorded. Writes the
+// final counts to `progress` unless it is NULL.
+//
+// Returns `RECT_CODE_RECORDING` if the disk fails; the folder remains then, and can be read. Returns `RECT_CODE_CLOSED` if the recording
+// was finished before. May be called on any thread.
+enum rect_code rect_recorder_finish(struct rect_recorder recorder,
+                                    struct rect_recording_progress *progress,
+                                    struct rect_error *error);
 
 // Sends a request to the service `topic` of the robot `recipient`, waits for the first reply and writes it to `reply`.
 //

@@ -60,6 +60,8 @@ pub enum Code {
     WrongRobot = 22,
     /// The operating system does not start another thread. Close other programs, or raise the limit of threads.
     Thread = 23,
+    /// A recording cannot start, or not become a file. Choose another name, or make room on the disk.
+    Recording = 24,
 }
 
 /// The reason why a call failed.
@@ -145,6 +147,7 @@ fn code(error: &Error) -> Code {
         Error::Service { .. } => Code::Service,
         Error::Zenoh { .. } => Code::Zenoh,
         Error::Thread { .. } => Code::Thread,
+        Error::Recording(_) => Code::Recording,
         Error::Dictionary(_) => Code::Dictionary,
         Error::TransferRefused { .. } => Code::TransferRefused,
         Error::TransferFailed { .. } => Code::TransferFailed,

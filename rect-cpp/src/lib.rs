@@ -24,6 +24,7 @@ mod payload;
 mod picture;
 mod program;
 mod publisher;
+mod recorder;
 mod reply;
 mod robot;
 mod sender_counts;

@@ -39,6 +39,8 @@ pub struct Message {
     pub urgency: u32,
     /// Whether the message arrived after one with a higher sequence number of the same publisher.
     pub late: bool,
+    /// Whether the message repeats one of a recording. `sent_ms` is the time of that one.
+    pub replayed: bool,
     /// The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
     /// not available. Empty if the payload is complete.
     pub problem: Text,
@@ -82,6 +84,7 @@ pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
         }),
         urgency: number(&URGENCIES, &message.urgency),
         late: message.late,
+        replayed: message.replayed,
         problem: Text::of_some(problem),
         method: Text::of_some(message.method.as_deref()),
     }

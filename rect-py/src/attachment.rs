@@ -45,7 +45,7 @@ pub fn read_attachment(bytes: &[u8]) -> Option<Fields> {
     let attachment = Attachment::decode(bytes)?;
     let (at_ms, low) = match attachment.sent {
         Sent::Unknown => (None, None),
-        Sent::At(at_ms) => (Some(at_ms), None),
+        Sent::At(at_ms) | Sent::Replayed(at_ms) => (Some(at_ms), None),
         Sent::Low(low) => (None, Some(low)),
     };
     Some((attachment.source, attachment.sequence, at_ms, low))

@@ -146,4 +146,9 @@ impl MessageMetadata {
     fn late(&self) -> bool {
         self.0.late
     }
+
+    #[getter]
+    fn replayed(&self) -> bool {
+        self.0.replayed
+    }
 }

@@ -2,7 +2,7 @@
 use std::{sync::Mutex, time::Duration};
 
 use pyo3::{prelude::*, types::PyBytes};
-use rect::core::publication;
+use rect::core::{attachment::Sent, publication};
 
 use crate::{attachment::now_ms, driver::lock};
 
@@ -22,7 +22,7 @@ impl Numbering {
     #[pyo3(signature = (lifetime=None))]
     fn attachment<'py>(&self, py: Python<'py>, lifetime: Option<f64>) -> Bound<'py, PyBytes> {
         let lifetime = lifetime.map(|s| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX));
-        PyBytes::new(py, &lock(&self.0).attachment(now_ms(), lifetime))
+        PyBytes::new(py, &lock(&self.0).attachment(Sent::At(now_ms()), lifetime))
     }
 
     /// Handles that the message was sent.

@@ -142,6 +142,7 @@ fn message(entry: &Entry) -> Option<Message> {
         publisher: entry.publisher,
         missed: 0,
         late: false,
+        replayed: false,
         expires_at: None,
         problem: None,
         method: None,

@@ -6,12 +6,14 @@
 //! | 2 | the source: a random number that each publisher chooses when it starts, little endian |
 //! | 1 to 5 | the sequence number of the message at that source, LEB128 |
 //! | 6 | with flag 1: the time of sending in milliseconds since 1970 by the sender's clock, little endian |
-//! | 2 | with flag 2 instead: the low 16 bits of that time; for frames of a stream, of which only the age matters |
+//! | 6 | with flags 1 and 2: the same time of the message of a recording that this one repeats |
+//! | 2 | with flag 2 alone: the low 16 bits of that time; for frames of a stream, of which only the age matters |
 //! | 1 to 5 | with flag 4: the time in milliseconds after which the message expires, LEB128 |
 
 const MARK: u8 = 0xF8;
 const TIME: u8 = 1;
 const SHORT_TIME: u8 = 2;
+const RECORDED_TIME: u8 = TIME | SHORT_TIME;
 const LIFETIME: u8 = 4;
 
 /// The maximum length of an attachment, in bytes.
@@ -26,6 +28,8 @@ pub enum Sent {
     At(u64),
     /// The low 16 bits of the same number.
     Low(u16),
+    /// The message repeats one of a recording, which was sent at this time: milliseconds since 1970, 48 bits.
+    Replayed(u64),
 }
 
 /// The metadata that is sent with the payload of a message.
@@ -50,6 +54,7 @@ impl Attachment {
             Sent::Unknown => 0,
             Sent::At(_) => TIME,
             Sent::Low(_) => SHORT_TIME,
+            Sent::Replayed(_) => RECORDED_TIME,
         };
         let lifetime = self.lifetime_ms.map_or(0, |_| LIFETIME);
         bytes.push(MARK | time | lifetime);
@@ -57,7 +62,9 @@ impl Attachment {
         write_leb128(self.sequence, &mut bytes);
         match self.sent {
             Sent::Unknown => {}
-            Sent::At(at_ms) => bytes.extend_from_slice(&at_ms.to_le_bytes()[..6]),
+            Sent::At(at_ms) | Sent::Replayed(at_ms) => {
+                bytes.extend_from_slice(&at_ms.to_le_bytes()[..6]);
+            }
             Sent::Low(low) => bytes.extend_from_slice(&low.to_le_bytes()),
         }
         if let Some(lifetime_ms) = self.lifetime_ms {
@@ -75,11 +82,16 @@ impl Attachment {
         let flags = flags ^ MARK;
         let (sent, rest) = match flags & !LIFETIME {
             0 => (Sent::Unknown, rest),
-            TIME => {
+            time @ (TIME | RECORDED_TIME) => {
                 let (low, rest) = rest.split_first_chunk::<6>()?;
                 let mut all = [0; 8];
                 all[..6].copy_from_slice(low);
-                (Sent::At(u64::from_le_bytes(all)), rest)
+                let at_ms = u64::from_le_bytes(all);
+                let sent = match time {
+                    TIME => Sent::At(at_ms),
+                    _ => Sent::Replayed(at_ms),
+                };
+                (sent, rest)
             }
             SHORT_TIME => {
                 let (low, rest) = rest.split_first_chunk()?;
@@ -134,6 +146,7 @@ mod tests {
             (127, Sent::Low(65535), None, 6),
             (128, Sent::At(1_795_000_000_000), None, 11),
             (5, Sent::At(1_795_000_000_000), Some(100), 11),
+            (5, Sent::Replayed(1_795_000_000_000), None, 10),
             (u32::MAX, Sent::At((1 << 48) - 1), Some(u32::MAX), MAX_BYTES),
         ];
         for (sequence, sent, lifetime_ms, bytes) in cases {

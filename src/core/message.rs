@@ -37,6 +37,8 @@ pub struct Message {
     pub missed: u32,
     /// Whether a message that was published later arrived before this one.
     pub late: bool,
+    /// Whether the message repeats one of a recording. [`sent_ms`](Self::sent_ms) is the time of that one.
+    pub replayed: bool,
     /// When the message expires, on this computer's clock. `None`: it never does. A program that is busy for long may look again
     /// before it acts on the message.
     pub expires_at: Option<Instant>,
@@ -132,6 +134,7 @@ impl Inbound {
             publisher: None,
             missed: 0,
             late: false,
+            replayed: false,
             expires_at: None,
             problem: None,
             method: None,
@@ -147,9 +150,11 @@ impl Inbound {
                 message.sequence = Some(attachment.sequence);
                 message.publisher = Some(attachment.source);
                 (message.missed, message.late) = (arrival.missed, arrival.late);
-                if let Sent::At(at_ms) = attachment.sent {
-                    message.sent_ms = Some(at_ms);
-                }
+                (message.sent_ms, message.replayed) = match attachment.sent {
+                    Sent::At(at_ms) => (Some(at_ms), false),
+                    Sent::Replayed(at_ms) => (Some(at_ms), true),
+                    Sent::Low(_) | Sent::Unknown => (None, false),
+                };
                 if let Some((now, lifetime)) = lifetime {
                     let rest = lifetime.checked_sub(arrival.age);
                     let rest = rest.filter(|rest| !rest.is_zero());
@@ -219,8 +224,24 @@ mod tests {
         assert_eq!((first.sender.as_str(), first.topic.as_str()), ("a", "x/y"));
         assert_eq!((first.sequence, first.missed), (Some(3), 0));
         assert_eq!(first.sent_ms, Some(1_795_000_000_000));
+        assert!(!first.replayed);
         let next = inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(6))), Instant::now);
         assert_eq!(next.expect("a message").missed, 2);
+    }
+
+    #[test]
+    fn message_of_a_recording_has_the_time_of_that_one() {
+        let attachment = Attachment {
+            source: 7,
+            sequence: 0,
+            sent: Sent::Replayed(5000),
+            lifetime_ms: None,
+        };
+        let attachment = attachment.encode();
+        let delivered = delivered("rect/a/x", Some(&attachment));
+        let message = inbound().on_delivery(delivered, Instant::now);
+        let message = message.expect("a message");
+        assert_eq!((message.sent_ms, message.replayed), (Some(5000), true));
     }
 
     #[test]

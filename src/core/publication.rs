@@ -67,13 +67,12 @@ impl Numbering {
         Self { source, next: 0 }
     }
 
-    /// Returns the attachment of the next message. `unix_ms` is the time of sending in milliseconds since 1970, and `lifetime` the
-    /// time after which the message expires, if it does.
-    pub fn attachment(&self, unix_ms: u64, lifetime: Option<Duration>) -> Vec<u8> {
+    /// Returns the attachment of the next message. `lifetime` is the time after which the message expires, if it does.
+    pub fn attachment(&self, sent: Sent, lifetime: Option<Duration>) -> Vec<u8> {
         let attachment = Attachment {
             source: self.source,
             sequence: self.next,
-            sent: Sent::At(unix_ms),
+            sent,
             lifetime_ms: lifetime.map(in_ms),
         };
         attachment.encode()
@@ -136,7 +135,7 @@ mod tests {
     fn numbers_count_the_messages_that_were_sent() {
         let mut numbering = Numbering::new(7);
         let number = |numbering: &Numbering| {
-            let attachment = Attachment::decode(&numbering.attachment(1000, None));
+            let attachment = Attachment::decode(&numbering.attachment(Sent::At(1000), None));
             attachment.expect("an attachment").sequence
         };
         assert_eq!(number(&numbering), 0);

@@ -2,7 +2,7 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::core::{
-    encoding::Encoding, message::Message, name::Name, payload::Payload, topic::Topic,
+    encoding::Encoding, key::OWN, message::Message, name::Name, payload::Payload, topic::Topic,
     urgency::Urgency,
 };
 
@@ -41,6 +41,26 @@ impl Entry {
             logged,
             sent: message.sent_ms.map_or(logged, Duration::from_millis),
         }
+    }
+
+    /// Returns the entry of a report of a robot about itself, a value in JSON. No message has such a topic.
+    pub fn of_report(robot: &Name, subject: &str, json: Vec<u8>, logged: Duration) -> Self {
+        Self {
+            topic: format!("{robot}/{OWN}/{subject}"),
+            recipient: None,
+            payload: Payload::new(json, Encoding::JSON),
+            urgency: Urgency::Normal,
+            sequence: 0,
+            publisher: None,
+            logged,
+            sent: logged,
+        }
+    }
+
+    /// Returns whether the entry is a report of a robot about itself, which no robot has published.
+    pub fn is_report(&self) -> bool {
+        let topic = self.topic.split_once('/').map(|(_, topic)| topic);
+        topic.is_some_and(|topic| topic.split('/').next() == Some(OWN))
     }
 
     /// Returns the robot that sent the message, and the topic. `None` if the file's topic is not that of a robot.

@@ -1,6 +1,6 @@
 //! Writes messages to a recording on a thread of its own, because a disk may stand still for seconds.
 use std::{
-    fs, io,
+    io,
     path::{Path, PathBuf},
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread::JoinHandle,
@@ -11,10 +11,11 @@ use super::{
     backlog::Backlog,
     entry::{since_1970, Entry},
     file::{About, OpenFile},
-    reader::{ReadError, Reader},
+    parts::{Parts, Split},
+    reader::ReadError,
     segments::{folder_of, Segments},
 };
-use crate::core::message::Message;
+use crate::core::{message::Message, name::Name};
 
 /// How many bytes wait for the disk at most.
 const BACKLOG_BYTES: usize = 8 * 1024 * 1024;
@@ -32,6 +33,8 @@ pub struct Settings {
     pub about: About,
     /// How much of the past to keep; default: everything.
     pub keep: Option<Duration>,
+    /// When the recording continues in another file, whose name has a number; default: never.
+    pub split: Split,
 }
 
 /// Why a recording cannot start, or not become one file.
@@ -76,9 +79,7 @@ pub struct Progress {
 /// Records messages. They are never waited for: what the disk cannot take is dropped and counted, urgent messages last.
 pub struct Recorder {
     shared: Arc<Shared>,
-    thread: Option<JoinHandle<()>>,
-    path: PathBuf,
-    about: About,
+    thread: Option<JoinHandle<Parts>>,
     clock: Clock,
 }
 
@@ -112,7 +113,12 @@ impl Recorder {
     /// # Errors
     /// Fails if there is a recording of that name, or the folder cannot be written.
     pub fn start(settings: Settings) -> Result<Self, RecorderError> {
-        let Settings { path, about, keep } = settings;
+        let Settings {
+            path,
+            about,
+            keep,
+            split,
+        } = settings;
         let folder = folder_of(&path);
         if path.exists() {
             return Err(RecorderError::Exists(path));
@@ -139,7 +145,8 @@ impl Recorder {
         };
         let writing = shared.clone();
         let thread = std::thread::Builder::new().name("recorder".to_owned());
-        let thread = thread.spawn(move || write(&writing, segments, clock));
+        let parts = Parts::new(path, about, split);
+        let thread = thread.spawn(move || write(&writing, segments, parts, clock));
         let thread = thread.map_err(|source| RecorderError::Write {
             path: folder,
             source,
@@ -147,15 +154,21 @@ impl Recorder {
         Ok(Self {
             shared,
             thread: Some(thread),
-            path,
-            about,
             clock,
         })
     }
 
     /// Records a message, which arrived now. Never blocks for the disk.
     pub fn on_message(&self, message: Message) {
-        let entry = Entry::of(message, self.clock.now());
+        self.add(Entry::of(message, self.clock.now()));
+    }
+
+    /// Records a report of `robot` about itself, such as the state of a link. It is a value in JSON.
+    pub fn on_report(&self, robot: &Name, subject: &str, json: Vec<u8>) {
+        self.add(Entry::of_report(robot, subject, json, self.clock.now()));
+    }
+
+    fn add(&self, entry: Entry) {
         self.shared.state().backlog.push(entry);
         self.shared.changed.notify_one();
     }
@@ -168,32 +181,23 @@ impl Recorder {
         progress
     }
 
-    /// Stops, and makes one file of the recording. Its folder remains if there is no room for that.
+    /// Stops, and makes one file of the recording, or several if it is split; none if nothing was recorded. Its folder remains if
+    /// there is no room for that.
     ///
     /// # Errors
-    /// Fails if the disk does; then the parts remain, and can be read.
-    pub fn finish(mut self) -> Result<(PathBuf, Progress), RecorderError> {
-        self.stop();
-        let folder = folder_of(&self.path);
-        let progress = self.progress();
-        if progress.written > 0 {
-            merge(Reader::open(&folder)?, &self.path, &self.about)?;
-        }
-        let removed = fs::remove_dir_all(&folder);
-        removed.map_err(|source| RecorderError::Write {
-            path: folder,
-            source,
-        })?;
-        Ok((self.path.clone(), progress))
+    /// Fails if the disk does; then the folder remains, and can be read.
+    pub fn finish(mut self) -> Result<(Vec<PathBuf>, Progress), RecorderError> {
+        let parts = self.stop();
+        let files = parts.map_or(Ok(Vec::new()), Parts::finish)?;
+        Ok((files, self.progress()))
     }
 
-    fn stop(&mut self) {
+    /// Stops writing. Returns `None` if that was done before.
+    fn stop(&mut self) -> Option<Parts> {
         self.shared.state().is_stopped = true;
         self.shared.changed.notify_one();
-        if let Some(thread) = self.thread.take() {
-            // It does not panic, and there is nothing to do if it did.
-            let _ = thread.join();
-        }
+        // It does not panic, and there is nothing to do if it did.
+        self.thread.take()?.join().ok()
     }
 }
 
@@ -220,23 +224,29 @@ impl Shared {
     }
 }
 
-/// Writes until the recorder is stopped.
-fn write(shared: &Shared, mut segments: Segments, clock: Clock) {
+/// Writes until the recorder is stopped. Returns what is to be made files of.
+fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock) -> Parts {
     loop {
         let (entries, is_stopped) = shared.take();
         let mut entries = entries.into_iter();
         let (mut count, mut bytes) = (0, 0);
         let written = entries.by_ref().try_for_each(|entry| {
-            count += 1;
-            bytes += entry.payload.bytes.len() as u64;
+            if !entry.is_report() {
+                count += 1;
+                bytes += entry.payload.bytes.len() as u64;
+            }
             let logged = entry.logged;
             segments.write(entry)?;
             // A long series does not make a file too long.
-            segments.on_time(logged)
+            segments.on_time(logged)?;
+            parts.on_time(&mut segments)
         });
-        let written = written.and_then(|()| match is_stopped {
-            true => segments.finish(clock.now()),
-            false => segments.on_time(clock.now()),
+        let written = written.and_then(|()| {
+            if is_stopped {
+                return segments.finish(clock.now());
+            }
+            segments.on_time(clock.now())?;
+            parts.on_time(&mut segments)
         });
         let mut state = shared.state();
         state.progress.written += count;
@@ -244,13 +254,13 @@ fn write(shared: &Shared, mut segments: Segments, clock: Clock) {
         let Err(error) = written else {
             state.progress.problem = None;
             if is_stopped {
-                return;
+                return parts;
             }
             continue;
         };
         state.progress.problem = Some(error.to_string());
         let returned = segments.abandon();
-        for entry in &returned {
+        for entry in returned.iter().filter(|entry| !entry.is_report()) {
             state.progress.written -= 1;
             state.progress.bytes -= entry.payload.bytes.len() as u64;
         }
@@ -262,7 +272,7 @@ fn write(shared: &Shared, mut segments: Segments, clock: Clock) {
         if is_stopped {
             let left = std::iter::from_fn(|| state.backlog.pop()).count();
             state.progress.dropped += left as u64;
-            return;
+            return parts;
         }
         let until_stopped = |state: &mut State| !state.is_stopped;
         drop((shared.changed).wait_timeout_while(state, RETRY_AFTER, until_stopped));

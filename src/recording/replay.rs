@@ -1,7 +1,10 @@
 //! Decides what of a recording is replayed, and when.
 use std::{collections::BTreeMap, time::Duration};
 
-use super::entry::Entry;
+use super::{
+    entry::{address, Entry},
+    remap::{remapped, Remap},
+};
 use crate::core::{name::Name, topic::Pattern, topic::Topic};
 
 /// The part of a recording that is replayed, exported or copied.
@@ -64,7 +67,7 @@ pub fn by_time<E, I: Iterator<Item = Result<Entry, E>>>(
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Due {
-    /// When, after the start of the replay.
+    /// When, after the beginning of the replay, at the rate of the recording.
     pub at: Duration,
     /// The robot that publishes it.
     pub robot: Name,
@@ -78,7 +81,7 @@ pub struct Due {
 pub struct Replay<I> {
     entries: I,
     selection: Selection,
-    rate: f64,
+    remaps: Vec<Remap>,
     /// The robot that publishes everything. `None`: those of the recording.
     robot: Option<Name>,
     started: Option<Duration>,
@@ -90,12 +93,12 @@ pub struct Replay<I> {
 }
 
 impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
-    /// Replays `entries`, `rate` times as fast as they were recorded.
-    pub fn new(entries: I, selection: Selection, rate: f64, robot: Option<Name>) -> Self {
+    /// Replays `entries` under the names that `remaps` gives them, or as messages of `robot`.
+    pub fn new(entries: I, selection: Selection, remaps: Vec<Remap>, robot: Option<Name>) -> Self {
         Self {
             entries,
             selection,
-            rate,
+            remaps,
             robot,
             started: None,
             earlier: BTreeMap::new(),
@@ -122,7 +125,7 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
                 return Ok(None);
             };
             let started = *self.started.get_or_insert(entry.logged);
-            if !self.selection.matches(&entry) {
+            if entry.is_report() || !self.selection.matches(&entry) {
                 continue;
             }
             let after = entry.logged.saturating_sub(started);
@@ -138,14 +141,12 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
 
     fn due(&self, entry: Entry) -> Option<Due> {
         let started = self.started.unwrap_or_default() + self.selection.begin;
-        let at = entry.logged.saturating_sub(started).div_f64(self.rate);
-        let (robot, topic) = match (&self.robot, entry.address()) {
+        let at = entry.logged.saturating_sub(started);
+        let name = remapped(&self.remaps, &entry.topic);
+        let (robot, topic) = match (&self.robot, address(&name)) {
             (None, address) => address?,
             (Some(robot), Some((_, topic))) => (robot.clone(), topic),
-            (Some(robot), None) => {
-                let topic = Topic::new(entry.topic.trim_start_matches('/')).ok()?;
-                (robot.clone(), topic)
-            }
+            (Some(robot), None) => (robot.clone(), Topic::new(&name).ok()?),
         };
         Some(Due {
             at,
@@ -193,7 +194,7 @@ mod tests {
 
     fn replayed(
         selection: Selection,
-        rate: f64,
+        remap: &str,
         robot: Option<&str>,
     ) -> Vec<(String, u64, String)> {
         let recorded = [
@@ -205,7 +206,8 @@ mod tests {
             entry("a/x", 400),
         ];
         let robot = robot.map(|name| Name::new(name).expect("a name"));
-        let replay = Replay::new(recorded.into_iter(), selection, rate, robot);
+        let remaps = remap.parse().into_iter().collect();
+        let replay = Replay::new(recorded.into_iter(), selection, remaps, robot);
         replay
             .map(|due| due.expect("no error"))
             .map(|due| {
@@ -223,13 +225,13 @@ mod tests {
 
     #[test]
     fn messages_keep_their_distances_and_robots() {
-        let all = replayed(Selection::default(), 2.0, None);
+        let all = replayed(Selection::default(), "b=c", None);
         let rows = [
             ("a/x", 0, "0"),
-            ("a/y", 50, "100"),
-            ("b/x", 100, "200"),
-            ("a/x", 150, "300"),
-            ("a/x", 200, "400"),
+            ("a/y", 100, "100"),
+            ("c/x", 200, "200"),
+            ("a/x", 300, "300"),
+            ("a/x", 400, "400"),
         ];
         assert_eq!(all, expected(&rows));
     }
@@ -243,12 +245,12 @@ mod tests {
             end: Some(ms(350)),
         };
         let rows = [("a/x", 0, "0"), ("a/y", 0, "100"), ("a/x", 50, "300")];
-        assert_eq!(replayed(selection, 1.0, None), expected(&rows));
+        assert_eq!(replayed(selection, "", None), expected(&rows));
     }
 
     #[test]
     fn another_robot_publishes_everything() {
-        let all = replayed(Selection::default(), 1.0, Some("replay"));
+        let all = replayed(Selection::default(), "", Some("replay"));
         let topics: Vec<_> = all.iter().map(|(topic, ..)| topic.as_str()).collect();
         let x = "replay/x";
         assert_eq!(topics, [x, "replay/y", x, "replay/no-robot", x, x]);

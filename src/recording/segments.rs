@@ -48,7 +48,9 @@ struct Open {
 
 struct Complete {
     path: PathBuf,
+    started: Duration,
     ended: Duration,
+    bytes: u64,
 }
 
 impl Segments {
@@ -130,9 +132,20 @@ impl Segments {
     /// # Errors
     /// Fails if the disk does. [`abandon`](Self::abandon) returns the entries of the file then.
     pub fn finish(&mut self, now: Duration) -> io::Result<()> {
-        if let Some(Open { file, entries, .. }) = self.open.take() {
+        if let Some(Open {
+            file,
+            entries,
+            started,
+            ..
+        }) = self.open.take()
+        {
             match file.finish() {
-                Ok(path) => self.complete.push_back(Complete { path, ended: now }),
+                Ok(path) => self.complete.push_back(Complete {
+                    bytes: fs::metadata(&path)?.len(),
+                    path,
+                    started,
+                    ended: now,
+                }),
                 Err(error) => {
                     self.returned = entries;
                     return Err(error);
@@ -148,6 +161,24 @@ impl Segments {
             self.complete.pop_front();
         }
         Ok(())
+    }
+
+    /// Returns how long the complete files last and how many bytes they have; `None` while a file is being written.
+    pub fn complete_extent(&self) -> Option<(Duration, u64)> {
+        let (first, last) = (self.complete.front()?, self.complete.back()?);
+        let bytes = self.complete.iter().map(|complete| complete.bytes).sum();
+        let lasted = last.ended.saturating_sub(first.started);
+        self.open.is_none().then_some((lasted, bytes))
+    }
+
+    /// Gives the folder, in which no file is being written, another name, and continues in a new one.
+    ///
+    /// # Errors
+    /// Fails if the disk does.
+    pub fn continue_elsewhere(&mut self, renamed: &Path) -> io::Result<()> {
+        fs::rename(&self.folder, renamed)?;
+        self.complete.clear();
+        fs::create_dir(&self.folder)
     }
 
     /// Removes the unfinished file, which the disk did not take, and returns its entries.

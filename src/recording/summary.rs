@@ -24,6 +24,8 @@ pub struct Summary {
     pub messages: u64,
     /// The bytes of their payloads.
     pub bytes: u64,
+    /// The number of reports of robots about events and links, which are not among the messages and topics.
+    pub reports: u64,
     /// The topics, as `<robot>/<topic>`.
     pub topics: BTreeMap<String, TopicSummary>,
 }
@@ -76,6 +78,10 @@ impl Summary {
     }
 
     fn on_entry(&mut self, entry: &Entry) {
+        if entry.is_report() {
+            self.reports += 1;
+            return;
+        }
         let bytes = entry.payload.bytes.len() as u64;
         self.messages += 1;
         self.bytes += bytes;

@@ -315,7 +315,31 @@ impl Robot {
             self.inner.counting.on_expired(0);
             return Ok(());
         }
-        let put = (publication.clone()).put(payload, lifetime, &self.inner.runtime);
+        let put = (publication.clone()).put(payload, None, lifetime, &self.inner.runtime);
+        put.await?;
+        self.inner.counting.on_sent(bytes);
+        Ok(())
+    }
+
+    /// Publishes a message of a recording again, on its own topic or another one, with its urgency and to its recipient. Receivers
+    /// can tell it from live messages by [`Message::replayed`](crate::Message::replayed).
+    ///
+    /// # Errors
+    /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if the recipient is not a valid name.
+    #[cfg(feature = "recording")]
+    pub async fn replay(&self, topic: Topic, entry: crate::recording::Entry) -> Result<(), Error> {
+        let recipient = entry.recipient.as_deref().map(Name::new).transpose()?;
+        let key = PublicationKey {
+            topic,
+            recipient,
+            urgency: entry.urgency,
+            expires: false,
+        };
+        let publication = self.publication(key).await?;
+        let sent_ms = u64::try_from(entry.sent.as_millis()).unwrap_or(0);
+        let payload = entry.payload.sendable()?;
+        let bytes = payload.bytes.len();
+        let put = publication.put(payload, Some(sent_ms), None, &self.inner.runtime);
         put.await?;
         self.inner.counting.on_sent(bytes);
         Ok(())

@@ -71,6 +71,8 @@ enum class Code {
     wrong_robot = RECT_CODE_WRONG_ROBOT,
     /// The operating system does not start another thread. Close other programs, or raise the limit of threads.
     thread = RECT_CODE_THREAD,
+    /// A recording cannot start, or not become a file. Choose another name, or make room on the disk.
+    recording = RECT_CODE_RECORDING,
 };
 
 /// The reason why a call failed.

@@ -96,6 +96,8 @@ public:
     }
     /// Returns whether the message arrived after one with a higher sequence number of the same publisher.
     [[nodiscard]] bool late() const noexcept { return raw_.late; }
+    /// Returns whether the message repeats one of a recording. sent() is the time of that one.
+    [[nodiscard]] bool replayed() const noexcept { return raw_.replayed; }
     /// Returns the reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or
     /// dictionary is not available. Empty if the payload is complete.
     [[nodiscard]] std::string_view problem() const noexcept { return detail::view(raw_.problem); }

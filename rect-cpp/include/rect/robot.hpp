@@ -17,6 +17,7 @@
 #include "numbers.hpp"
 #include "options.hpp"
 #include "publisher.hpp"
+#include "recorder.hpp"
 #include "service.hpp"
 #include "stream.hpp"
 #include "transfer.hpp"
@@ -107,6 +108,29 @@ public:
         rect_error error;
         const auto code = rect_robot_publisher(raw(), topic.c_str(), &publisher, &error);
         return detail::value_or_error<Publisher>(code, error, [&] { return Publisher(publisher.id); });
+    }
+
+    /// Records messages to the file `path`, which ends in `.mcap`, until Recorder::finish is called, with the events of this robot
+    /// and, once a second, the state of its router's links. Until then, the recording is a folder of short files, so that a power
+    /// cut costs at most its last seconds. Requests and the frames of streams are not recorded.
+    ///
+    /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
+    /// counted, urgent messages last.
+    ///
+    /// Fails with Code::recording if there is a recording of that name or the folder cannot be written, and with Code::topic if a
+    /// pattern is invalid.
+    [[nodiscard]] expected<Recorder> record(const Text& path, const RecordOptions& options = {}) const {
+        const auto patterns = detail::pointers(options.patterns);
+        rect_record_options raw{};
+        raw.patterns = patterns.data();
+        raw.patterns_len = patterns.size();
+        raw.keep_ms = static_cast<std::uint64_t>(options.keep.count());
+        raw.split_ms = static_cast<std::uint64_t>(options.split.count());
+        raw.split_bytes = options.split_bytes;
+        rect_recorder recorder;
+        rect_error error;
+        const auto code = rect_robot_record(this->raw(), path.c_str(), &raw, &recorder, &error);
+        return detail::value_or_error<Recorder>(code, error, [&] { return Recorder(recorder.id); });
     }
 
     /// Sends a value on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use

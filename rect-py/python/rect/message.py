@@ -92,6 +92,11 @@ class Message:
         return self._metadata.late
 
     @property
+    def replayed(self) -> bool:
+        """Whether the message repeats one of a recording (`rect replay`). `sent_at` is the time of that one."""
+        return self._metadata.replayed
+
+    @property
     def is_expired(self) -> bool:
         """Whether the message is older than the sender's `expires_after` by now. It was not when it was delivered."""
         return self._metadata.is_expired

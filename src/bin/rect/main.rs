@@ -9,6 +9,7 @@ mod dictionary;
 mod display;
 mod duration;
 mod foxglove;
+mod keyboard;
 mod manual;
 mod payload;
 mod publish;

@@ -1,9 +1,8 @@
 //! Implements `rect record`.
 use std::{
-    collections::BTreeMap,
     path::PathBuf,
     process::ExitCode,
-    sync::Arc,
+    str::FromStr,
     time::{Duration, SystemTime},
 };
 
@@ -11,19 +10,18 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use rect::{
     core::{display::line, humanize},
-    recording::{file::COMPLETE, Progress, Recorder, Settings},
-    Pattern, QueueOptions, Robot, Subscriber,
+    recording::{file::COMPLETE, Progress, Split},
+    Name, Pattern, RecordOptions, RobotRecorder,
 };
 use tokio::{
     signal::unix::{signal, SignalKind},
-    task::JoinSet,
     time::{interval, sleep},
 };
 
-use crate::{clock, duration::DurationArgument, runtime, session::JoinArguments, Done, Failure};
+use crate::{clock, duration::DurationArgument, runtime, session::JoinArguments, Done};
 
-/// How many messages wait for the recorder at most, for each pattern.
-const QUEUE: usize = 4096;
+/// The units of sizes, in bytes.
+const UNITS: [(&str, u64); 3] = [("kB", 1000), ("MB", 1_000_000), ("GB", 1_000_000_000)];
 /// Interval at which the number of messages is shown.
 const SHOWN_EVERY: Duration = Duration::from_millis(500);
 
@@ -42,8 +40,11 @@ pub struct RecordArguments {
     #[arg(long = "for", value_name = "DURATION")]
     duration: Option<DurationArgument>,
     /// Keep only about this much of the past, such as 5m
-    #[arg(long, value_name = "DURATION")]
+    #[arg(long, value_name = "DURATION", conflicts_with = "split")]
     keep: Option<DurationArgument>,
+    /// Continue in another file after this time or size, such as 10m or 500MB; may be given twice
+    #[arg(long, value_name = "DURATION|SIZE")]
+    split: Vec<SplitArgument>,
     #[command(flatten)]
     join: JoinArguments,
 }
@@ -75,92 +76,58 @@ async fn record(arguments: RecordArguments) -> Done {
         true => arguments.join.join().await?,
         false => arguments.join.join_unnamed().await?,
     };
-    let patterns = patterns(&robot, arguments.patterns)?;
+    let mut patterns = arguments.patterns;
+    if patterns.is_empty() {
+        patterns.push(Pattern::of(Some(robot.name().clone()), "**")?);
+    }
+    warn_of_others(robot.name(), &patterns);
     let path = arguments.output.unwrap_or_else(|| {
         let now = clock::file_name(SystemTime::now());
         format!("{}-{now}.mcap", robot.name()).into()
     });
-    let recorder = Recorder::start(Settings {
-        path: path.clone(),
-        about: about(&robot, &patterns),
-        keep: arguments.keep.map(|keep| keep.0),
-    })?;
-    let recorder = Arc::new(recorder);
-    let mut subscribers = Vec::new();
-    let mut tasks = JoinSet::new();
-    for pattern in &patterns {
-        let subscriber = Arc::new(robot.subscribe_with(pattern, queue()).await?);
-        subscribers.push(subscriber.clone());
-        tasks.spawn(forward(subscriber, recorder.clone()));
-    }
     let names: Vec<_> = patterns.iter().map(Pattern::to_string).collect();
+    let options = RecordOptions {
+        patterns,
+        keep: arguments.keep.map(|keep| keep.0),
+        split: split(&arguments.split),
+    };
+    let mut recording = robot.record(&path, options).await?;
     rect::errln!(
         "rect: recording {} to {}; press Ctrl-C to stop",
         line(&names.join(", ")),
         path.display()
     );
+    let until = async {
+        tokio::select! {
+            _ = interrupted.recv() => {}
+            _ = terminated.recv() => {}
+            _ = ended(arguments.duration) => {}
+        }
+    };
     tokio::select! {
-        _ = interrupted.recv() => {}
-        _ = terminated.recv() => {}
-        _ = ended(arguments.duration) => {}
-        // The connection to the router has ended.
-        _ = tasks.join_next() => rect::errln!("rect: the router has ended the connection"),
-        () = show(&recorder) => {}
+        () = until => {}
+        () = show(&mut recording) => rect::errln!("rect: the router has ended the connection"),
     }
-    tasks.shutdown().await;
-    let unread: u64 = subscribers
-        .iter()
-        .map(|subscriber| subscriber.dropped())
-        .sum();
-    drop(subscribers);
-    let recorder = Arc::into_inner(recorder).ok_or("the recorder is still in use")?;
-    let finished = tokio::task::spawn_blocking(|| recorder.finish()).await?;
-    let (path, progress) = finished?;
-    if progress.written == 0 {
-        rect::errln!("rect: there is no recording: {}", text(&progress, unread));
-        return Ok(ExitCode::FAILURE);
+    let (files, progress) = recording.finish().await?;
+    let text = text(&progress);
+    match files.as_slice() {
+        [] => {
+            rect::errln!("rect: there is no recording: {text}");
+            return Ok(ExitCode::FAILURE);
+        }
+        [file] => rect::outln!("{}: {text}", file.display()),
+        [first, .., last] => rect::outln!("{} to {}: {text}", first.display(), last.display()),
     }
-    rect::outln!("{}: {}", path.display(), text(&progress, unread));
     Ok(ExitCode::SUCCESS)
 }
 
-fn queue() -> QueueOptions {
-    QueueOptions {
-        capacity: QUEUE,
-        ..QueueOptions::default()
-    }
-}
-
-/// Returns what to record: the patterns, or everything that the robot publishes.
-fn patterns(robot: &Robot, given: Vec<Pattern>) -> Result<Vec<Pattern>, Failure> {
-    let own = robot.name();
-    if given.is_empty() {
-        return Ok(vec![Pattern::of(Some(own.clone()), "**")?]);
-    }
-    if given.iter().any(|pattern| pattern.robot() != Some(own)) {
+/// Warns of the cost of messages of other robots than `own`.
+fn warn_of_others(own: &Name, patterns: &[Pattern]) {
+    if patterns.iter().any(|pattern| pattern.robot() != Some(own)) {
         rect::errln!(
             "rect: messages of other robots travel over their links to this robot only because they are recorded here. \
              Record on each robot if the links are slow"
         );
-    }
-    Ok(given)
-}
-
-fn about(robot: &Robot, patterns: &[Pattern]) -> BTreeMap<String, String> {
-    let patterns: Vec<_> = patterns.iter().map(Pattern::to_string).collect();
-    [
-        ("robot", robot.name().to_string()),
-        ("fleet", robot.fleet().to_string()),
-        ("patterns", patterns.join(" ")),
-        ("rect", env!("CARGO_PKG_VERSION").to_owned()),
-    ]
-    .map(|(name, value)| (name.to_owned(), value))
-    .into()
-}
-
-async fn forward(subscriber: Arc<Subscriber>, recorder: Arc<Recorder>) {
-    while let Some(message) = subscriber.next().await {
-        recorder.on_message(message);
     }
 }
 
@@ -171,8 +138,8 @@ async fn ended(after: Option<DurationArgument>) {
     }
 }
 
-/// Shows how the recording goes, until the future is dropped.
-async fn show(recorder: &Recorder) {
+/// Shows how the recording goes, until the session has ended.
+async fn show(recording: &mut RobotRecorder) {
     let bar = ProgressBar::new_spinner();
     if let Ok(style) = ProgressStyle::with_template("{elapsed} {msg}") {
         bar.set_style(style);
@@ -180,9 +147,12 @@ async fn show(recorder: &Recorder) {
     let mut tick = interval(SHOWN_EVERY);
     let mut known_problem = None;
     loop {
-        tick.tick().await;
-        let progress = recorder.progress();
-        bar.set_message(text(&progress, 0));
+        tokio::select! {
+            _ = tick.tick() => {}
+            () = recording.ended() => return,
+        }
+        let progress = recording.progress();
+        bar.set_message(text(&progress));
         if progress.problem == known_problem {
             continue;
         }
@@ -197,12 +167,51 @@ async fn show(recorder: &Recorder) {
     }
 }
 
-fn text(progress: &Progress, unread: u64) -> String {
+fn text(progress: &Progress) -> String {
     let size = humanize::bytes(progress.bytes);
     let mut text = format!("{} messages, {size}", progress.written);
-    let dropped = progress.dropped + unread;
-    if dropped > 0 {
-        text += &format!(", {dropped} dropped");
+    if progress.dropped > 0 {
+        text += &format!(", {} dropped", progress.dropped);
     }
     text
+}
+
+/// The time or the size after which a recording continues in another file.
+#[derive(Clone, Copy, Debug)]
+enum SplitArgument {
+    After(Duration),
+    Bytes(u64),
+}
+
+impl FromStr for SplitArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let size = UNITS.iter().find_map(|(unit, bytes)| {
+            let number = text.strip_suffix(unit)?.trim_end().parse::<u32>().ok()?;
+            Some(u64::from(number) * bytes)
+        });
+        if let Some(bytes) = size {
+            return match bytes {
+                0 => Err("a file has at least 1 kB".to_owned()),
+                bytes => Ok(Self::Bytes(bytes)),
+            };
+        }
+        let after = text.parse::<DurationArgument>().ok();
+        after
+            .filter(|after| !after.0.is_zero())
+            .map(|after| Self::After(after.0))
+            .ok_or_else(|| "write a time such as 10m, or a size such as 500MB".to_owned())
+    }
+}
+
+fn split(arguments: &[SplitArgument]) -> Split {
+    let mut split = Split::default();
+    for argument in arguments {
+        match *argument {
+            SplitArgument::After(after) => split.after = Some(after),
+            SplitArgument::Bytes(bytes) => split.bytes = Some(bytes),
+        }
+    }
+    split
 }

@@ -171,7 +171,14 @@ fn print(summary: &Summary) {
     }
     let duration = humanize::duration_of_s(summary.duration_s);
     let size = humanize::bytes(summary.bytes);
-    rect::outln!("{} messages in {duration}, {size}", summary.messages);
+    let reports = match summary.reports {
+        0 => String::new(),
+        reports => format!(", and {reports} reports of events and links"),
+    };
+    rect::outln!(
+        "{} messages in {duration}, {size}{reports}",
+        summary.messages
+    );
     let mut table = Table::new(&["TOPIC", "ENCODING", "MESSAGES", "BYTES", "RATE", "MISSED"]);
     for (topic, of_topic) in &summary.topics {
         let rate = match summary.duration_s > 0.0 {

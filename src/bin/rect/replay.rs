@@ -7,20 +7,34 @@ use std::{
 };
 
 use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
 use rect::{
     core::{display::line, humanize},
-    recording::{address, replay::Due, Reader, Replay, Summary},
-    Name, Options, Publisher, Robot, Urgency,
+    recording::{
+        address,
+        pace::{self, Pace, RATES},
+        remap::{remapped, Remap},
+        replay::Due,
+        Reader, Replay, Summary,
+    },
+    Name, Options, Publisher, Robot,
 };
-use tokio::time::sleep_until;
+use tokio::{
+    signal::unix::{signal, Signal, SignalKind},
+    time::{interval, sleep_until, Interval},
+};
 use zenoh::Session;
 
-use crate::{endpoint, recording::PartArguments, session::name, Done, Failure};
+use crate::{endpoint, keyboard::Keyboard, recording::PartArguments, session::name, Done, Failure};
 
 /// Where the recorded robots are reached, unless the user says otherwise.
 const LISTEN: &str = "tcp/127.0.0.1:7450";
 /// How many robots a recording may have.
 const MAX_ROBOTS: usize = 100;
+/// Interval at which the position is shown.
+const SHOWN_EVERY: Duration = Duration::from_millis(200);
+/// What a key changes the rate by.
+const RATE_STEP: f64 = 2.0;
 /// How many topics are looked at for `--wait`.
 const MAX_WATCHED: usize = 200;
 /// Interval at which that is done.
@@ -30,6 +44,8 @@ const WATCHED_EVERY: Duration = Duration::from_millis(50);
 ///
 /// By default the command starts a router of its own, at which the recorded robots appear as if they were running. The
 /// robots of a fleet are not affected: `rect sub --router tcp/127.0.0.1:7450 '*/**'` shows what is replayed.
+///
+/// Keys: space pauses and continues, `n` publishes the next message, `+` and `-` change the rate, `q` ends the replay.
 #[derive(Args)]
 pub struct ReplayArguments {
     /// The file, or the folder of an interrupted recording
@@ -54,6 +70,12 @@ pub struct ReplayArguments {
     /// Publish at this router instead, under the name of --as: no router lets a program publish for other robots
     #[arg(long, value_name = "ENDPOINT", value_parser = endpoint, requires = "robot")]
     router: Option<String>,
+    /// Replace a robot, or the beginning of a topic: wombat-1=wombat-9, wombat-1/arm=wombat-1/gripper
+    #[arg(long, value_name = "FROM=TO")]
+    remap: Vec<Remap>,
+    /// Begin paused; a key continues
+    #[arg(long)]
+    paused: bool,
     /// Publish everything as a program of this robot
     #[arg(long = "as", value_name = "ROBOT", value_parser = name)]
     robot: Option<Name>,
@@ -66,7 +88,7 @@ pub struct ReplayArguments {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    let rate = text.parse().ok().filter(|rate| (0.1..=10.0).contains(rate));
+    let rate = text.parse().ok().filter(|rate| RATES.contains(rate));
     rate.ok_or_else(|| "write a number from 0.1 to 10".to_owned())
 }
 
@@ -79,21 +101,25 @@ pub async fn run(arguments: ReplayArguments) -> Done {
     if arguments.dry_run {
         return dry_run(&arguments);
     }
-    let mut robots = Robots::start(&arguments, &summary).await?;
+    let mut player = Player::new(&arguments, &summary)?;
+    let robots = Robots::start(&arguments, &summary).await?;
     if arguments.wait {
         robots.wait_for_subscriber(&arguments, &summary).await?;
     }
     loop {
         let mut due = replayed(&arguments)?;
-        let started = Instant::now();
-        let mut count = 0u64;
+        let (started, mut count) = (Instant::now(), 0u64);
+        player.begin(&arguments);
         for message in due.by_ref() {
             // The file is damaged here, which was reported.
             let Ok(message) = message else { break };
-            sleep_until((started + message.at).into()).await;
+            if !player.wait(message.at).await {
+                break;
+            }
             robots.publish(message).await?;
             count += 1;
         }
+        player.bar.finish_and_clear();
         let took = humanize::duration(started.elapsed());
         rect::errln!("rect: replayed {count} messages in {took}");
         if due.skipped() > 0 {
@@ -102,12 +128,112 @@ pub async fn run(arguments: ReplayArguments) -> Done {
                 due.skipped()
             );
         }
-        if !arguments.repeat || count == 0 {
+        if !arguments.repeat || count == 0 || player.is_ended {
             break;
         }
     }
+    drop(player);
     robots.close().await?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Waits until messages are due, and follows the keys meanwhile.
+struct Player {
+    pace: Pace,
+    keyboard: Option<Keyboard>,
+    bar: ProgressBar,
+    shown: Interval,
+    interrupted: Signal,
+    is_ended: bool,
+}
+
+impl Player {
+    fn new(arguments: &ReplayArguments, summary: &Summary) -> Result<Self, Failure> {
+        let keyboard = Keyboard::open();
+        if arguments.paused && keyboard.is_none() {
+            return Err(
+                "--paused waits for a key, and the standard input is not a terminal".into(),
+            );
+        }
+        let part = arguments.part.selection();
+        let all = Duration::from_secs_f64(summary.duration_s);
+        let length = part.end.map_or(all, |end| end.min(all));
+        let length = length.saturating_sub(part.begin);
+        let bar = ProgressBar::new(u64::try_from(length.as_millis()).unwrap_or(u64::MAX));
+        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {
+            bar.set_style(style);
+        }
+        Ok(Self {
+            pace: Pace::new(arguments.rate, Instant::now()),
+            keyboard,
+            bar,
+            shown: interval(SHOWN_EVERY),
+            interrupted: signal(SignalKind::interrupt())?,
+            is_ended: false,
+        })
+    }
+
+    fn begin(&mut self, arguments: &ReplayArguments) {
+        let (is_first, now) = (self.bar.position() == 0, Instant::now());
+        self.pace = Pace::new(self.pace.rate(), now);
+        self.bar.reset();
+        if arguments.paused && is_first {
+            self.pace.pause_or_continue(now);
+        }
+    }
+
+    /// Waits until the message at a position is due. Returns whether the replay goes on.
+    async fn wait(&mut self, at: Duration) -> bool {
+        while !self.is_ended {
+            let due = self.pace.due(at, Instant::now());
+            let is_due = async {
+                match due {
+                    pace::Due::At(time) => sleep_until(time.into()).await,
+                    pace::Due::Paused => std::future::pending().await,
+                }
+            };
+            let key = async {
+                match &mut self.keyboard {
+                    Some(keyboard) => keyboard.next().await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                () = is_due => {
+                    self.pace.on_published(at);
+                    return true;
+                }
+                key = key => self.on_key(key),
+                _ = self.shown.tick() => self.show(),
+                _ = self.interrupted.recv() => self.is_ended = true,
+            }
+        }
+        false
+    }
+
+    fn on_key(&mut self, key: u8) {
+        let now = Instant::now();
+        match key {
+            b' ' => self.pace.pause_or_continue(now),
+            b'n' => self.pace.step(now),
+            b'+' => self.pace.change_rate(RATE_STEP, now),
+            b'-' => self.pace.change_rate(1.0 / RATE_STEP, now),
+            b'q' => self.is_ended = true,
+            _ => {}
+        }
+        self.show();
+    }
+
+    fn show(&self) {
+        let position = self.pace.position(Instant::now());
+        let state = match self.pace.is_paused() {
+            true => "paused: space continues, n is the next message".to_owned(),
+            false => format!("rate {}", self.pace.rate()),
+        };
+        (self.bar).set_position(u64::try_from(position.as_millis()).unwrap_or(u64::MAX));
+        self.bar
+            .set_message(format!("{:.1} s, {state}", position.as_secs_f64()));
+    }
 }
 
 fn replayed(arguments: &ReplayArguments) -> Result<Replay<Reader>, Failure> {
@@ -116,7 +242,7 @@ fn replayed(arguments: &ReplayArguments) -> Result<Replay<Reader>, Failure> {
     Ok(Replay::new(
         reader,
         selection,
-        arguments.rate,
+        arguments.remap.clone(),
         arguments.robot.clone(),
     ))
 }
@@ -141,7 +267,7 @@ fn dry_run(arguments: &ReplayArguments) -> Done {
 
 /// The robots that publish, and the router at which they do.
 struct Robots {
-    robots: HashMap<(Name, Urgency), Robot>,
+    robots: HashMap<Name, Robot>,
     router: Option<Session>,
 }
 
@@ -154,7 +280,7 @@ impl Robots {
         let at = arguments.router.as_ref().unwrap_or(&arguments.listen);
         let names = match &arguments.robot {
             Some(robot) => BTreeSet::from([robot.as_str().to_owned()]),
-            None => robots_of(summary),
+            None => robots_of(summary, &arguments.remap),
         };
         if names.len() > MAX_ROBOTS {
             return Err(format!(
@@ -171,9 +297,7 @@ impl Robots {
                 None => options,
             };
             let robot = options.connect().await?;
-            for urgency in [Urgency::Bulk, Urgency::Normal, Urgency::Urgent] {
-                robots.insert((robot.name().clone(), urgency), robot.with_urgency(urgency));
-            }
+            robots.insert(robot.name().clone(), robot);
         }
         let names: Vec<_> = names.into_iter().collect();
         rect::errln!(
@@ -194,11 +318,11 @@ impl Robots {
     ) -> Result<(), Failure> {
         let mut publishers: Vec<Publisher> = Vec::new();
         for topic in summary.topics.keys().take(MAX_WATCHED) {
-            let Some((robot, topic)) = address(topic) else {
+            let Some((robot, topic)) = address(&remapped(&arguments.remap, topic)) else {
                 continue;
             };
             let robot = arguments.robot.clone().unwrap_or(robot);
-            if let Some(robot) = self.robots.get(&(robot, Urgency::Normal)) {
+            if let Some(robot) = self.robots.get(&robot) {
                 publishers.push(robot.publisher(topic).await?);
             }
         }
@@ -208,19 +332,9 @@ impl Robots {
         Ok(())
     }
 
-    async fn publish(&mut self, due: Due) -> Result<(), Failure> {
-        let Due {
-            robot,
-            topic,
-            entry,
-            ..
-        } = due;
-        let Some(robot) = self.robots.get(&(robot, entry.urgency)) else {
-            return Ok(());
-        };
-        match &entry.recipient {
-            Some(recipient) => robot.send(recipient.as_str(), topic, entry.payload).await?,
-            None => robot.publish(topic, entry.payload).await?,
+    async fn publish(&self, due: Due) -> Result<(), Failure> {
+        if let Some(robot) = self.robots.get(&due.robot) {
+            robot.replay(due.topic, due.entry).await?;
         }
         Ok(())
     }
@@ -237,8 +351,9 @@ impl Robots {
 }
 
 /// Returns the names of the robots of a recording.
-fn robots_of(summary: &Summary) -> BTreeSet<String> {
-    let addresses = summary.topics.keys().filter_map(|topic| address(topic));
+fn robots_of(summary: &Summary, remaps: &[Remap]) -> BTreeSet<String> {
+    let topics = summary.topics.keys();
+    let addresses = topics.filter_map(|topic| address(&remapped(remaps, topic)));
     addresses
         .map(|(robot, _)| robot.as_str().to_owned())
         .collect()

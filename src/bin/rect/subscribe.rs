@@ -93,6 +93,9 @@ fn as_text(message: &Message) -> String {
     if message.recipient.is_some() {
         text += " (to this robot)";
     }
+    if message.replayed {
+        text += " (replayed)";
+    }
     if let Some(method) = &message.method {
         text += &format!(" (over {})", line(method));
     }
@@ -120,6 +123,7 @@ fn as_json(message: &Message) -> serde_json::Value {
         "sequence": message.sequence,
         "missed": message.missed,
         "late": message.late,
+        "replayed": message.replayed,
         "method": message.method,
         "problem": message.problem.as_ref().map(ToString::to_string),
     })

@@ -133,7 +133,7 @@ impl Receiver {
         let sent = match sent {
             Sent::Low(low) => Some(low),
             Sent::At(at_ms) => Some(at_ms as u16),
-            Sent::Unknown => None,
+            Sent::Unknown | Sent::Replayed(_) => None,
         };
         let skipped = match self.last {
             Some(last) if last.source == source => {

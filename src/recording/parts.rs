@@ -1,0 +1,133 @@
+//! Makes files of the folders in which a recorder writes: one at the end, or several if the recording is split.
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    thread::JoinHandle,
+    time::Duration,
+};
+
+use super::{
+    file::{About, COMPLETE},
+    reader::{ReadError, Reader},
+    recorder::{merge, RecorderError},
+    segments::{folder_of, Segments},
+};
+
+/// When a recording continues in another file; by default never.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Split {
+    /// After this time.
+    pub after: Option<Duration>,
+    /// When the file has this many bytes.
+    pub bytes: Option<u64>,
+}
+
+impl Split {
+    /// Returns whether a recording is ever split.
+    pub fn is_set(&self) -> bool {
+        *self != Self::default()
+    }
+
+    /// Returns whether a part that has lasted so long and has so many bytes is complete.
+    fn is_due(&self, lasted: Duration, bytes: u64) -> bool {
+        self.after.is_some_and(|after| lasted >= after)
+            || self.bytes.is_some_and(|limit| bytes >= limit)
+    }
+}
+
+/// The parts of a recording. Each one has a folder of its own until it is a file, so that a power cut leaves all of them readable.
+pub(super) struct Parts {
+    path: PathBuf,
+    about: About,
+    split: Split,
+    /// The number of the current part.
+    number: u32,
+    merging: Vec<JoinHandle<Result<PathBuf, RecorderError>>>,
+}
+
+impl Parts {
+    pub(super) fn new(path: PathBuf, about: About, split: Split) -> Self {
+        Self {
+            path,
+            about,
+            split,
+            number: 1,
+            merging: Vec::new(),
+        }
+    }
+
+    /// Begins the next part if the current one is complete. The complete one becomes a file on a thread of its own.
+    ///
+    /// # Errors
+    /// Fails if the disk does. The part continues then.
+    pub(super) fn on_time(&mut self, segments: &mut Segments) -> io::Result<()> {
+        let is_due = (segments.complete_extent())
+            .is_some_and(|(lasted, bytes)| self.split.is_due(lasted, bytes));
+        if !is_due {
+            return Ok(());
+        }
+        let path = self.next_path();
+        let folder = folder_of(&path);
+        segments.continue_elsewhere(&folder)?;
+        self.number += 1;
+        let about = self.about.clone();
+        let merging = std::thread::Builder::new().name("recording part".to_owned());
+        let merging =
+            merging.spawn(move || file_of(&folder, path, &about).map(|(path, _)| path))?;
+        self.merging.push(merging);
+        Ok(())
+    }
+
+    /// Makes a file of the last part, and waits for the others. Returns the files.
+    ///
+    /// # Errors
+    /// Fails if the disk does. The folders of the parts that are not files remain, and can be read.
+    pub(super) fn finish(self) -> Result<Vec<PathBuf>, RecorderError> {
+        let last = match self.split.is_set() {
+            true => self.next_path(),
+            false => self.path.clone(),
+        };
+        let last = file_of(&folder_of(&self.path), last, &self.about);
+        let mut files = Vec::new();
+        for merging in self.merging {
+            let lost = || RecorderError::Write {
+                path: self.path.clone(),
+                source: io::Error::other("the thread that writes a part has panicked"),
+            };
+            files.push(merging.join().map_err(|_| lost())??);
+        }
+        let (last, count) = last?;
+        if count > 0 {
+            files.push(last);
+        }
+        Ok(files)
+    }
+
+    /// Returns the name of the current part. Numbers that other files have are skipped.
+    fn next_path(&self) -> PathBuf {
+        let paths = (self.number..).map(|number| part(&self.path, number));
+        let mut free = paths.filter(|path| !path.exists() && !folder_of(path).exists());
+        free.next().unwrap_or_else(|| self.path.clone())
+    }
+}
+
+/// Returns the name of a part: `match-1.mcap`.
+fn part(path: &Path, number: u32) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!("{stem}-{number}.{COMPLETE}"))
+}
+
+/// Makes a file of a folder, and removes the folder. Returns the file and how many messages it has; without any there is no file.
+fn file_of(folder: &Path, path: PathBuf, about: &About) -> Result<(PathBuf, u64), RecorderError> {
+    let count = match Reader::open(folder) {
+        Ok(entries) => merge(entries, &path, about)?,
+        Err(ReadError::Empty(_)) => 0,
+        Err(error) => return Err(error.into()),
+    };
+    let removed = fs::remove_dir_all(folder);
+    removed.map_err(|source| RecorderError::Write {
+        path: folder.to_owned(),
+        source,
+    })?;
+    Ok((path, count))
+}

@@ -1,0 +1,177 @@
+//! Records the messages that a program receives, with its events and the state of its router's links.
+use std::{path::PathBuf, sync::Arc, time::Duration};
+
+use tokio::{
+    task::JoinSet,
+    time::{interval, MissedTickBehavior},
+};
+
+use super::{robot::Robot, Events, QueueOptions, Subscriber};
+use crate::{
+    core::topic::Pattern,
+    error::Error,
+    recording::{Progress, Recorder, Settings, Split},
+};
+
+/// How many messages wait for the recorder at most, for each pattern.
+const QUEUE: usize = 4096;
+/// The interval at which the state of the links is recorded.
+const LINKS_EVERY: Duration = Duration::from_secs(1);
+
+/// What [`Robot::record`] records.
+#[derive(Clone, Debug, Default)]
+pub struct RecordOptions {
+    /// The messages; default: everything that the programs of this robot publish. Messages of other robots travel over the links
+    /// to this robot only because they are recorded.
+    pub patterns: Vec<Pattern>,
+    /// How much of the past to keep; default: everything.
+    pub keep: Option<Duration>,
+    /// When the recording continues in another file; default: never.
+    pub split: Split,
+}
+
+/// A recording that runs; created by [`Robot::record`]. Dropping it leaves a folder, which `rect recording merge` makes a file of.
+pub struct RobotRecorder {
+    recorder: Arc<Recorder>,
+    subscribers: Vec<Arc<Subscriber>>,
+    messages: JoinSet<()>,
+    reports: JoinSet<()>,
+}
+
+impl Robot {
+    /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called, with the events of this robot and, once a
+    /// second, the state of its router's links. Requests and the frames of streams are not recorded.
+    ///
+    /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
+    /// counted, urgent messages last.
+    ///
+    /// ```no_run
+    /// # async fn record(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let recorder = robot.record("match.mcap", rect::RecordOptions::default()).await?;
+    /// // The match.
+    /// let (files, progress) = recorder.finish().await?;
+    /// println!("{files:?}: {} messages", progress.written);
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Recording`] if there is a recording of that name, or the folder cannot be written; [`Error::Closed`] if the session
+    /// is closed.
+    pub async fn record(
+        &self,
+        path: impl Into<PathBuf>,
+        options: RecordOptions,
+    ) -> Result<RobotRecorder, Error> {
+        let patterns = match options.patterns.is_empty() {
+            true => vec![Pattern::of(Some(self.name().clone()), "**")?],
+            false => options.patterns,
+        };
+        let names: Vec<_> = patterns.iter().map(Pattern::to_string).collect();
+        let about = [
+            ("robot", self.name().to_string()),
+            ("fleet", self.fleet().to_string()),
+            ("patterns", names.join(" ")),
+            ("rect", env!("CARGO_PKG_VERSION").to_owned()),
+        ];
+        let about = about.map(|(name, value)| (name.to_owned(), value)).into();
+        let recorder = Arc::new(Recorder::start(Settings {
+            path: path.into(),
+            about,
+            keep: options.keep,
+            split: options.split,
+        })?);
+        let mut recording = RobotRecorder {
+            recorder,
+            subscribers: Vec::new(),
+            messages: JoinSet::new(),
+            reports: JoinSet::new(),
+        };
+        for pattern in patterns {
+            let queue = QueueOptions {
+                capacity: QUEUE,
+                ..QueueOptions::default()
+            };
+            let subscriber = Arc::new(self.subscribe_with(pattern, queue).await?);
+            recording.subscribers.push(subscriber.clone());
+            let messages = forward(subscriber, recording.recorder.clone());
+            recording.messages.spawn(messages);
+        }
+        let events = self.events().await?;
+        let events = forward_events(events, self.clone(), recording.recorder.clone());
+        recording.reports.spawn(events);
+        if !self.inner.direct {
+            let links = record_links(self.clone(), recording.recorder.clone());
+            recording.reports.spawn(links);
+        }
+        Ok(recording)
+    }
+}
+
+impl RobotRecorder {
+    /// Returns how the recording goes.
+    pub fn progress(&self) -> Progress {
+        let mut progress = self.recorder.progress();
+        let unread = self.subscribers.iter().map(|messages| messages.dropped());
+        progress.dropped += unread.sum::<u64>();
+        progress
+    }
+
+    /// Waits until the session has ended.
+    pub async fn ended(&mut self) {
+        while self.messages.join_next().await.is_some() {}
+    }
+
+    /// Stops, and makes one file of the recording, or several if it is split; none if nothing was recorded. Returns the files.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] if the disk fails; then the folder remains, and can be read.
+    pub async fn finish(mut self) -> Result<(Vec<PathBuf>, Progress), Error> {
+        self.reports.shutdown().await;
+        for subscriber in &self.subscribers {
+            subscriber.close();
+        }
+        // Until what has arrived is recorded.
+        self.ended().await;
+        let unread = self.progress().dropped - self.recorder.progress().dropped;
+        let recorder = Arc::into_inner(self.recorder).ok_or(Error::Closed)?;
+        let finished = tokio::task::spawn_blocking(|| recorder.finish());
+        let (files, mut progress) = finished.await.map_err(|_| Error::Closed)??;
+        progress.dropped += unread;
+        Ok((files, progress))
+    }
+}
+
+async fn forward(subscriber: Arc<Subscriber>, recorder: Arc<Recorder>) {
+    while let Some(message) = subscriber.next().await {
+        recorder.on_message(message);
+    }
+}
+
+async fn forward_events(events: Events, robot: Robot, recorder: Arc<Recorder>) {
+    while let Some(event) = events.next().await {
+        recorder.on_event(robot.name(), &event);
+    }
+}
+
+async fn record_links(robot: Robot, recorder: Arc<Recorder>) {
+    let mut ticks = interval(LINKS_EVERY);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        match robot.connections().await {
+            Ok(connections) => recorder.on_connections(robot.name(), &connections),
+            // A router without the registry, such as a stock zenohd, has nothing to report.
+            Err(Error::NoService { .. } | Error::Closed) => return,
+            // The router is busy or restarts.
+            Err(_) => {}
+        }
+    }
+}
+
+impl std::fmt::Debug for RobotRecorder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RobotRecorder")
+            .field("progress", &self.progress())
+            .finish_non_exhaustive()
+    }
+}
