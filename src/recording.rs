@@ -12,6 +12,7 @@ pub mod file;
 pub mod pace;
 pub mod parts;
 pub mod picture;
+pub mod pictures;
 pub mod reader;
 pub mod recorder;
 pub mod remap;

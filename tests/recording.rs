@@ -400,6 +400,21 @@ fn recorded_messages_are_replayed() {
         ],
     );
     assert_eq!(text(&csv.stdout).lines().count(), 101);
+    let exported = ran(
+        folder.path(),
+        &[
+            "recording",
+            "export",
+            "match.mcap",
+            "--format",
+            "pictures",
+            "-o",
+            "pictures",
+        ],
+    );
+    assert_eq!(text(&exported.stdout), "pictures: 10 pictures\n");
+    let first = fs::read(folder.path().join("pictures/a-camera/000001.jpeg"));
+    assert_eq!(first.expect("a file"), picture);
 
     let listen = free_endpoint();
     let mut child = rect(

@@ -34,6 +34,9 @@
 // Size of an encoding, including the terminating zero byte.
 #define RECT_ENCODING_BYTES 201
 
+// The size of a text in `rect_recording_progress`, in bytes.
+#define RECT_PROBLEM_BYTES 256
+
 // Size of the name of a robot or fleet, including the terminating zero byte.
 #define RECT_NAME_BYTES 30
 
@@ -405,7 +408,7 @@ typedef struct rect_publisher {
     uint64_t id;
 } rect_publisher;
 
-// What to record. Fields that are 0 or NULL keep their defaults, so `rect_record_options options = {0};` are the defaults, and so is
+// The settings of a recording. Fields that are 0 or NULL keep their defaults, so `rect_record_options options = {0};` are the defaults, and so is
 // NULL.
 typedef struct rect_record_options {
     // The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish. Messages of

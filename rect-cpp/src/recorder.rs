@@ -21,9 +21,9 @@ use crate::{
 };
 
 /// The size of a text in `rect_recording_progress`, in bytes.
-const PROBLEM_BYTES: usize = 256;
+pub const PROBLEM_BYTES: usize = 256;
 
-/// What to record. Fields that are 0 or NULL keep their defaults, so `rect_record_options options = {0};` are the defaults, and so is
+/// The settings of a recording. Fields that are 0 or NULL keep their defaults, so `rect_record_options options = {0};` are the defaults, and so is
 /// NULL.
 #[repr(C)]
 pub struct RecordOptions {

@@ -9,8 +9,14 @@ use std::{
 use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes};
 use rect::{
-    core::{encoding::Encoding, message::Message, name::Name, payload::Payload, topic::Pattern},
-    recording::{self, Entry, ReadError, Reader, RecorderError, Selection, Settings},
+    core::{
+        connection::Connection, encoding::Encoding, message::Message, name::Name, payload::Payload,
+        topic::Pattern,
+    },
+    recording::{
+        self, report::EventReport, Entry, ReadError, Reader, RecorderError, Selection, Settings,
+        Split,
+    },
 };
 
 use crate::{
@@ -27,18 +33,30 @@ type Counts = (u64, u64);
 
 #[pymethods]
 impl Recorder {
-    /// Starts a recording. `about` describes it. `keep_s`: only about this much of the past is kept.
+    /// Starts a recording. `about` describes it. `keep`: only about this much of the past is kept, in seconds. The recording
+    /// continues in another file after `split_after` seconds, or when a file has `split_bytes`.
     #[new]
     fn new(
         py: Python<'_>,
         path: PathBuf,
         about: BTreeMap<String, String>,
-        keep_s: Option<f64>,
+        keep: Option<f64>,
+        split_after: Option<f64>,
+        split_bytes: Option<u64>,
     ) -> PyResult<Self> {
-        let keep = keep_s.map(Duration::try_from_secs_f64).transpose();
-        let keep =
-            keep.map_err(|error| raised(py, "OptionError", ("keep_s", keep_s, error.to_string())))?;
-        let settings = Settings { path, about, keep };
+        let duration = |name: &'static str, s: Option<f64>| {
+            let duration = s.map(Duration::try_from_secs_f64).transpose();
+            duration.map_err(|error| raised(py, "OptionError", (name, s, error.to_string())))
+        };
+        let settings = Settings {
+            path,
+            about,
+            keep: duration("keep", keep)?,
+            split: Split {
+                after: duration("split_after", split_after)?,
+                bytes: split_bytes,
+            },
+        };
         let recorder = py.detach(|| recording::Recorder::start(settings));
         Ok(Self(Mutex::new(Some(recorder.or_raise()?))))
     }
@@ -52,6 +70,45 @@ impl Recorder {
                 ..metadata.message()
             });
         }
+    }
+
+    /// Records an event that a program of `robot` has received.
+    #[pyo3(signature = (robot, kind, peer, method, address, path, reason))]
+    #[expect(clippy::too_many_arguments, reason = "the fields of an event")]
+    fn add_event(
+        &self,
+        robot: &str,
+        kind: &str,
+        peer: Option<&str>,
+        method: Option<&str>,
+        address: Option<&str>,
+        path: Option<&str>,
+        reason: Option<&str>,
+    ) -> PyResult<()> {
+        let robot = Name::new(robot).or_raise()?;
+        if let Some(recorder) = &*self.recorder() {
+            let event = EventReport {
+                kind,
+                robot: peer,
+                method,
+                address,
+                path,
+                reason,
+            };
+            recorder.on_event(&robot, event);
+        }
+        Ok(())
+    }
+
+    /// Records the state of the links of `robot`, given the connections of its router in JSON. Another router's report that is not
+    /// one of connections is ignored.
+    fn add_connections(&self, robot: &str, json: &[u8]) -> PyResult<()> {
+        let robot = Name::new(robot).or_raise()?;
+        let connections: Vec<Connection> = serde_json::from_slice(json).unwrap_or_default();
+        if let Some(recorder) = &*self.recorder() {
+            recorder.on_connections(&robot, &connections);
+        }
+        Ok(())
     }
 
     /// Returns the counts, and why the disk takes nothing at the moment. `None` after the end.
@@ -100,6 +157,19 @@ impl RecordingReader {
         };
         let reader = Mutex::new(Reader::open(&path).or_raise()?);
         Ok(Self { reader, selection })
+    }
+
+    /// Returns the next report of a robot about itself: its topic, its value in JSON, and the time of recording in seconds since 1970.
+    /// `None` at the end. Messages are skipped.
+    fn next_report(&self, py: Python<'_>) -> PyResult<Option<(String, String, f64)>> {
+        let found = py.detach(|| {
+            let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            reader.find(|entry| entry.as_ref().map_or(true, Entry::is_report))
+        });
+        Ok(found.transpose().or_raise()?.map(|entry| {
+            let json = String::from_utf8_lossy(&entry.payload.bytes).into_owned();
+            (entry.topic, json, entry.logged.as_secs_f64())
+        }))
     }
 
     /// Returns the next message; `None` at the end. Messages of other programs, whose topics have no robot, are skipped.

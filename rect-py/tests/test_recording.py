@@ -172,6 +172,19 @@ def test_library_records_and_reads(tmp_path: Path) -> None:
     assert recording.numbers("*/angle")["value"].tolist() == [float(number) for number in range(100)]
 
 
+def test_long_recording_is_split(tmp_path: Path) -> None:
+    listen = [f"tcp/127.0.0.1:{free_port()}"]
+    file = tmp_path / "match.mcap"
+    with rect.connect("wombat-1", listen=listen) as robot, robot.record(file, split_bytes=1000) as recorder:
+        # Two of them fill a segment, which is then larger than a file may be.
+        for number in range(3):
+            robot.publish("large", bytes(4_200_000))
+            until_recorded(recorder, number + 1)
+    files = sorted(tmp_path.iterdir())
+    assert [file.name for file in files] == ["match-1.mcap", "match-2.mcap"]
+    assert [len(list(rect.Recording(file))) for file in files] == [2, 1]
+
+
 def until_recorded(recorder: rect.Recorder, count: int) -> None:
     deadline = time.monotonic() + DEADLINE
     while recorder.recorded < count:

@@ -6,6 +6,7 @@ RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -18,7 +19,7 @@ from typing import Any
 import numpy
 import pytest
 import rect
-from conftest import DEADLINE, until_served, until_subscribed
+from conftest import DEADLINE, repeating, until_served, until_subscribed
 from programs import Routers, program
 
 
@@ -204,6 +205,27 @@ def test_events_report_robots_and_links(routers: Routers) -> None:
             event = events.next(DEADLINE)
             seen[event.kind] = event
         assert seen["peer_up"].robot == "wombat-2"
+
+
+def test_recording_has_events_and_links(routers: Routers, tmp_path: Path) -> None:
+    file = tmp_path / "match.mcap"
+    with routers.connect("wombat-1") as robot, robot.record(file), repeating(0.02, lambda: robot.publish("pose", 1)):
+        # The file is read while it grows.
+        folder = file.with_suffix(".segments")
+        ends = time.monotonic() + DEADLINE
+        while time.monotonic() < ends:
+            with contextlib.suppress(rect.RecordingError):
+                if len(rect.Recording(folder).links().get(("wombat-1", "wombat-2"), {"time_s": []})["time_s"]) > 1:
+                    break
+            time.sleep(0.2)
+    recording = rect.Recording(file)
+    link = recording.links()["wombat-1", "wombat-2"]
+    assert {"time_s", "up_s", "sent.bytes", "received.bytes"} <= link.keys()
+    assert 0.5 < link["time_s"][1] - link["time_s"][0] < 5
+    assert link["up_s"][1] > link["up_s"][0]
+    events = [(event.reporter, event.event.kind, event.event.robot) for event in recording.events()]
+    assert ("wombat-1", "peer_up", "wombat-2") in events
+    assert {message.topic for message in recording} == {"pose"}
 
 
 def test_module_runs_router_named_by_environment() -> None:

@@ -28,7 +28,7 @@ impl Split {
         *self != Self::default()
     }
 
-    /// Returns whether a part that has lasted so long and has so many bytes is complete.
+    /// Returns whether a part of that duration and size is complete.
     fn is_due(&self, lasted: Duration, bytes: u64) -> bool {
         self.after.is_some_and(|after| lasted >= after)
             || self.bytes.is_some_and(|limit| bytes >= limit)

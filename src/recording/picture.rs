@@ -40,7 +40,8 @@ pub fn is_picture(encoding: &Encoding) -> bool {
     format(encoding).is_some()
 }
 
-fn format(encoding: &Encoding) -> Option<&'static str> {
+/// Returns the viewers' name of a picture's encoding, such as `jpeg`; `None` if it is not that of a picture.
+pub fn format(encoding: &Encoding) -> Option<&'static str> {
     let found = FORMATS.iter().find(|(known, _)| known == encoding);
     found.map(|(_, format)| *format)
 }

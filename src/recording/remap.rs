@@ -4,8 +4,8 @@ use std::str::FromStr;
 /// Replaces a robot, or a robot and the beginning of a topic: `wombat-1=wombat-9`, `wombat-1/arm=wombat-1/gripper`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Remap {
-    from: String,
-    to: String,
+    before: String,
+    after: String,
 }
 
 /// The text is not a replacement of names.
@@ -17,20 +17,20 @@ impl FromStr for Remap {
     type Err = RemapError;
 
     fn from_str(text: &str) -> Result<Self, RemapError> {
-        let (from, to) = text.split_once('=').ok_or(RemapError)?;
-        let [from, to] = [from, to].map(|name| name.trim_matches('/').to_owned());
-        if from.is_empty() || to.is_empty() {
+        let (before, after) = text.split_once('=').ok_or(RemapError)?;
+        let [before, after] = [before, after].map(|name| name.trim_matches('/').to_owned());
+        if before.is_empty() || after.is_empty() {
             return Err(RemapError);
         }
-        Ok(Self { from, to })
+        Ok(Self { before, after })
     }
 }
 
 impl Remap {
     /// Returns the new form of `<robot>/<topic>`. `None`: it does not begin with what is replaced.
     fn replaced(&self, topic: &str) -> Option<String> {
-        let rest = topic.strip_prefix(&self.from)?;
-        (rest.is_empty() || rest.starts_with('/')).then(|| format!("{}{rest}", self.to))
+        let rest = topic.strip_prefix(&self.before)?;
+        (rest.is_empty() || rest.starts_with('/')).then(|| format!("{}{rest}", self.after))
     }
 }
 

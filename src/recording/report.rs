@@ -3,7 +3,7 @@ use serde::Serialize;
 
 use super::recorder::Recorder;
 use crate::core::{
-    connection::{Connection, ConnectionState, Event},
+    connection::{Connection, ConnectionState, Event, Link},
     name::Name,
 };
 
@@ -12,10 +12,69 @@ pub const EVENTS: &str = "events";
 /// The first part of the subjects of links. The second one is the robot at the other end.
 pub const LINK: &str = "link";
 
+/// The form of an event in a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct EventReport<'a> {
+    /// `peer_up`, `peer_down`, `link_up`, `link_down`, `path_switched`, `router_up` or `router_down`.
+    pub kind: &'a str,
+    /// The other robot.
+    pub robot: Option<&'a str>,
+    /// The method of the link.
+    pub method: Option<&'a str>,
+    /// The address of the peer of the link.
+    pub address: Option<&'a str>,
+    /// The method of the path that carries the bulk now.
+    pub path: Option<&'a str>,
+    /// Why that path has changed.
+    pub reason: Option<&'a str>,
+}
+
+impl<'a> EventReport<'a> {
+    fn of_link(kind: &'a str, link: &'a Link) -> Self {
+        Self {
+            kind,
+            robot: link.robot.as_ref().map(Name::as_str),
+            method: Some(&link.method),
+            address: Some(&link.address),
+            ..Self::default()
+        }
+    }
+
+    fn of_peer(kind: &'a str, robot: &'a Name) -> Self {
+        Self {
+            kind,
+            robot: Some(robot.as_str()),
+            ..Self::default()
+        }
+    }
+}
+
+impl<'a> From<&'a Event> for EventReport<'a> {
+    fn from(event: &'a Event) -> Self {
+        let of_router = |kind| Self {
+            kind,
+            ..Self::default()
+        };
+        match event {
+            Event::PeerUp { robot } => Self::of_peer("peer_up", robot),
+            Event::PeerDown { robot } => Self::of_peer("peer_down", robot),
+            Event::LinkUp(link) => Self::of_link("link_up", link),
+            Event::LinkDown(link) => Self::of_link("link_down", link),
+            Event::PathSwitched { link, path, reason } => Self {
+                path: Some(path),
+                reason: Some(reason.as_str()),
+                ..Self::of_link("path_switched", link)
+            },
+            Event::RouterUp => of_router("router_up"),
+            Event::RouterDown => of_router("router_down"),
+        }
+    }
+}
+
 impl Recorder {
     /// Records an event that a program of `robot` has received.
-    pub fn on_event(&self, robot: &Name, event: &Event) {
-        self.report(robot, EVENTS, event);
+    pub fn on_event(&self, robot: &Name, event: EventReport<'_>) {
+        self.report(robot, EVENTS, &event);
     }
 
     /// Records the state of the links of `robot`, of which its router reports these connections.

@@ -18,7 +18,7 @@ const QUEUE: usize = 4096;
 /// The interval at which the state of the links is recorded.
 const LINKS_EVERY: Duration = Duration::from_secs(1);
 
-/// What [`Robot::record`] records.
+/// The settings of [`Robot::record`].
 #[derive(Clone, Debug, Default)]
 pub struct RecordOptions {
     /// The messages; default: everything that the programs of this robot publish. Messages of other robots travel over the links
@@ -149,7 +149,7 @@ async fn forward(subscriber: Arc<Subscriber>, recorder: Arc<Recorder>) {
 
 async fn forward_events(events: Events, robot: Robot, recorder: Arc<Recorder>) {
     while let Some(event) = events.next().await {
-        recorder.on_event(robot.name(), &event);
+        recorder.on_event(robot.name(), (&event).into());
     }
 }
 

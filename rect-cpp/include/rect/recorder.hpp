@@ -14,7 +14,7 @@
 namespace rect {
 inline namespace RECT_ABI {
 
-/// What Robot::record records. Fields that are empty or 0 keep their defaults.
+/// The settings of a recording. Fields that are empty or 0 keep their defaults.
 struct RecordOptions {
     /// The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish. Messages of
     /// other robots travel over the links to this robot only because they are recorded.

@@ -140,7 +140,25 @@ class Inbound:
 
 @final
 class Recorder:
-    def __new__(cls, path: str, about: dict[str, str], keep_s: float | None) -> Recorder: ...
+    def __new__(
+        cls,
+        path: str,
+        about: dict[str, str],
+        keep: float | None,
+        split_after: float | None,
+        split_bytes: int | None,
+    ) -> Recorder: ...
+    def add_event(
+        self,
+        robot: str,
+        kind: str,
+        peer: str | None,
+        method: str | None,
+        address: str | None,
+        path: str | None,
+        reason: str | None,
+    ) -> None: ...
+    def add_connections(self, robot: str, json: bytes) -> None: ...
     def add(self, metadata: MessageMetadata, payload: bytes, encoding: str) -> None: ...
     def progress(self) -> tuple[tuple[int, int], str | None] | None: ...
     def finish(self) -> tuple[int, int] | None: ...
@@ -149,6 +167,7 @@ class Recorder:
 class RecordingReader:
     def __new__(cls, path: str, patterns: list[str]) -> RecordingReader: ...
     def next(self) -> tuple[MessageMetadata, bytes, str, float] | None: ...
+    def next_report(self) -> tuple[str, str, float] | None: ...
 
 @final
 class MessageMetadata:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import json
 import os
+import threading
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Union
 
-from rect import _rect
-from rect.errors import PayloadError
+from rect import _rect, registry
+from rect.errors import Closed, NoService, PayloadError, RectError
+from rect.events import Event, Events
 from rect.message import Message
 from rect.options import text
 from rect.subscriber import Subscriber, Subscription
@@ -20,6 +24,8 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 _Path = Union[str, "os.PathLike[str]"]
+#: The interval at which the state of the links is recorded, in seconds.
+_LINKS_EVERY_S = 1.0
 #: How many messages wait for the recorder at most, for each pattern.
 _CAPACITY = 4096
 
@@ -32,17 +38,30 @@ class Recorder:
     is completed every five seconds; `Recording` reads it, too.
     """
 
-    def __init__(self, session: Session, path: _Path, patterns: tuple[str, ...], keep: float | None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        path: _Path,
+        patterns: tuple[str, ...],
+        keep: float | None,
+        split_after: float | None,
+        split_bytes: int | None,
+    ) -> None:
         place = session.key_space
+        self._session = session
         patterns = patterns or (f"{place.robot}/**",)
         about = {"robot": place.robot, "fleet": place.fleet, "patterns": " ".join(patterns), "rect": _rect.__version__}
-        self._recorder = _rect.Recorder(os.fspath(path), about, keep)
+        self._recorder = _rect.Recorder(os.fspath(path), about, keep, split_after, split_bytes)
         self._counts = (0, 0)
+        self._closing = threading.Event()
         try:
-            self._subscriptions = [self._subscribe(session, pattern) for pattern in patterns]
+            self._subscriptions: list[Subscription[Any]] = [self._subscribe(session, pattern) for pattern in patterns]
+            self._subscriptions.append(Subscription(Events(session), self._add_event, "events"))
         except BaseException:
             self._recorder.finish()
             raise
+        if not session.is_direct:
+            threading.Thread(target=self._record_links, name="rect links", daemon=True).start()
 
     def _subscribe(self, session: Session, pattern: str) -> Subscription[Message]:
         subscriber = Subscriber(session, text("pattern", pattern), _CAPACITY, "drop_oldest")
@@ -50,6 +69,23 @@ class Recorder:
 
     def _add(self, message: Message) -> None:
         self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)
+
+    def _add_event(self, event: Event) -> None:
+        robot = self._session.key_space.robot
+        fields = event.method, event.address, event.path, event.reason
+        self._recorder.add_event(robot, event.kind, event.robot, *fields)
+
+    def _record_links(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self._recorder.add_connections(self._session.key_space.robot, registry.report(self._session))
+            except (NoService, Closed):
+                # A router without the registry, such as a stock zenohd, has nothing to report.
+                return
+            except RectError:
+                # The router is busy or restarts.
+                pass
+            self._closing.wait(_LINKS_EVERY_S)
 
     @property
     def recorded(self) -> int:
@@ -68,10 +104,11 @@ class Recorder:
         return progress[1] if progress else None
 
     def close(self) -> None:
-        """Stops recording, and makes one file of it.
+        """Stops recording, and makes one file of it, or several if it is split.
 
         Raises `RecordingError` if the disk fails; the parts remain then, and can be read.
         """
+        self._closing.set()
         for subscription in self._subscriptions:
             subscription.close()
         self._counts = self._recorder.finish() or self._counts
@@ -134,20 +171,85 @@ class Recording:
         or without a readable value, has NaN there. `pandas.DataFrame(recording.numbers("wombat-1/arm/angle"))` is a
         table of them.
         """
-        import numpy
-
-        rows: list[tuple[float, dict[str, float]]] = []
-        started: float | None = None
+        columns = _Columns(self._started())
         for message in self.messages(pattern):
-            if started is None:
-                started = next(iter(self)).recorded_at
             fields: dict[str, float] = {}
             with contextlib.suppress(PayloadError):
                 _collect("", message.value, fields)
-            rows.append((message.recorded_at - started, fields))
-        names = list(dict.fromkeys(name for _, fields in rows for name in fields))
-        columns = {name: numpy.array([fields.get(name, numpy.nan) for _, fields in rows]) for name in names}
-        return {"time_s": numpy.array([time_s for time_s, _ in rows]), **columns}
+            columns.add(message.recorded_at, fields)
+        return columns.arrays()
+
+    def links(self) -> dict[tuple[str, str], dict[str, numpy.ndarray[Any, Any]]]:
+        """Returns the state of the links over time, by recording robot and the robot at the other end.
+
+        The arrays are like those of `numbers`, with the fields of a connection in the registry
+        (docs/reference/registry.md): `rssi_dbm`, `round_trip_ms`, `sent.bytes` and so on.
+
+            signal = rect.Recording("match.mcap").links()["wombat-1", "wombat-2"]
+            matplotlib.pyplot.plot(signal["time_s"], signal["rssi_dbm"])
+        """
+        started = self._started()
+        links: dict[tuple[str, str], _Columns] = {}
+        for robot, peer, value, recorded_at in self._reports("link"):
+            fields: dict[str, float] = {}
+            _collect("", value, fields)
+            links.setdefault((robot, peer), _Columns(started)).add(recorded_at, fields)
+        return {ends: columns.arrays() for ends, columns in links.items()}
+
+    def events(self) -> Iterator[RecordedEvent]:
+        """Yields the events of the recording robots: robots, links and routers that appeared and disappeared."""
+        for robot, _, value, recorded_at in self._reports("events"):
+            known: dict[str, Any] = {field.name: value.get(field.name) for field in dataclasses.fields(Event)}
+            yield RecordedEvent(recorded_at, robot, Event(**known))
+
+    def _reports(self, subject: str) -> Iterator[tuple[str, str, dict[str, Any], float]]:
+        """Yields the reports of a subject: the robot, the rest of the subject, the value, and the time of recording."""
+        reader = _rect.RecordingReader(self._path, [])
+        while (found := reader.next_report()) is not None:
+            topic, text, recorded_at = found
+            robot, _, of, *rest = [*topic.split("/"), ""]
+            # A file of another program may have anything there.
+            with contextlib.suppress(ValueError):
+                value = json.loads(text)
+                if of == subject and isinstance(value, dict):
+                    yield robot, rest[0] if rest else "", value, recorded_at
+
+    def _started(self) -> float:
+        """Returns when the first message or, without messages, the first report was recorded."""
+        if (message := next(iter(self), None)) is not None:
+            return message.recorded_at
+        report = _rect.RecordingReader(self._path, []).next_report()
+        return report[2] if report else 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedEvent:
+    """An event in a recording."""
+
+    #: When it was recorded, in seconds since 1970 by the recorder's clock.
+    recorded_at: float
+    #: The robot whose program received the event.
+    reporter: str
+    #: The event.
+    event: Event
+
+
+class _Columns:
+    """Makes arrays of rows whose fields may differ."""
+
+    def __init__(self, started: float) -> None:
+        self._started = started
+        self._rows: list[tuple[float, dict[str, float]]] = []
+
+    def add(self, at: float, fields: dict[str, float]) -> None:
+        self._rows.append((at - self._started, fields))
+
+    def arrays(self) -> dict[str, numpy.ndarray[Any, Any]]:
+        import numpy
+
+        names = dict.fromkeys(name for _, fields in self._rows for name in fields)
+        columns = {name: numpy.array([fields.get(name, numpy.nan) for _, fields in self._rows]) for name in names}
+        return {"time_s": numpy.array([time_s for time_s, _ in self._rows]), **columns}
 
 
 def _collect(name: str, value: Any, to: dict[str, float]) -> None:

@@ -145,6 +145,12 @@ def wait(session: Session, driver: _rect.Driver, expected: str, timeout: float) 
         raise Closed
 
 
+def report(session: Session) -> bytes:
+    """Returns the connections of this robot's router, as its registry reports them."""
+    robot = session.key_space.robot
+    return _answer(session, robot, _rect.registry_query(session.key_space, robot, "connections", "")).bytes
+
+
 def connections(session: Session, robot: str, filter: str) -> Connections:
     """Returns those connections of a robot's router that `filter` selects."""
     return Connections(_connection(row) for row in query(session, robot, "connections", filter))

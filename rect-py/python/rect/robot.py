@@ -532,13 +532,24 @@ class Robot:
             on_progress=on_progress,
         )
 
-    def record(self, path: str | os.PathLike[str], *patterns: str, keep: float | None = None) -> Recorder:
+    def record(
+        self,
+        path: str | os.PathLike[str],
+        *patterns: str,
+        keep: float | None = None,
+        split_after: float | None = None,
+        split_bytes: int | None = None,
+    ) -> Recorder:
         """Records the messages that match the patterns to an MCAP file, until the returned `Recorder` is closed.
+
+        The events of this robot and, once a second, the state of its router's links are recorded, too.
 
         - `path`: the file, such as `match.mcap`.
         - `patterns`: for example `wombat-1/arm/*`. Default: everything that this robot publishes. Messages of other
           robots travel over their links to this robot only because they are recorded.
         - `keep`: only about this many seconds of the past are kept. Default: everything.
+        - `split_after`, `split_bytes`: the recording continues in another file, whose name has a number, after this
+          many seconds, or when the file has that number of bytes. Default: never.
 
         Raises `RecordingError` if there is a recording of that name or the folder cannot be written,
         `InvalidTopicError`, `OptionError` and `Closed`. Example:
@@ -547,7 +558,7 @@ class Robot:
                 drive()
         """
         self._session.check()
-        return Recorder(self._session, path, patterns, keep)
+        return Recorder(self._session, path, patterns, keep, split_after, split_bytes)
 
     def share_dictionary(self, dictionary: _rect.Dictionary) -> _rect.Codec:
         """Shares a dictionary with all robots, and returns the codec that compresses with it.

@@ -12,6 +12,7 @@ use rect::{
     recording::{
         export::{Exporter, Format},
         file::About,
+        pictures::Pictures,
         recorder::merge,
         Entry, ReadError, Reader, Selection, Summary,
     },
@@ -47,10 +48,10 @@ enum RecordingCommand {
     Export {
         /// The file, or the folder of an interrupted recording
         recording: PathBuf,
-        /// `jsonl`: an object for each message; `csv`: a row for each number or text
+        /// `jsonl`: an object for each message; `csv`: a row for each number or text; `pictures`: a file for each picture
         #[arg(long, value_enum)]
         format: ExportFormat,
-        /// The file to write [default: the output]
+        /// The file to write [default: the output], or the folder of the pictures
         #[arg(short, long, value_name = "FILE")]
         output: Option<PathBuf>,
         #[command(flatten)]
@@ -81,6 +82,7 @@ enum RecordingCommand {
 enum ExportFormat {
     Jsonl,
     Csv,
+    Pictures,
 }
 
 /// The part of a recording.
@@ -233,6 +235,10 @@ fn export(
     let format = match format {
         ExportFormat::Jsonl => Format::JsonLines,
         ExportFormat::Csv => Format::Csv,
+        ExportFormat::Pictures => {
+            let folder = output.ok_or("--output names the folder of the pictures")?;
+            return pictures(entries, folder);
+        }
     };
     match output {
         Some(path) => {
@@ -245,6 +251,17 @@ fn export(
             done => done,
         },
     }
+}
+
+fn pictures(entries: impl Iterator<Item = Result<Entry, ReadError>>, folder: &Path) -> Done {
+    let created = Pictures::create(folder.to_owned());
+    let mut pictures = created.map_err(|error| cannot_write(folder, &error))?;
+    for entry in entries {
+        let written = pictures.add(&entry?);
+        written.map_err(|error| cannot_write(folder, &error))?;
+    }
+    rect::outln!("{}: {} pictures", folder.display(), pictures.written());
+    Ok(ExitCode::SUCCESS)
 }
 
 fn exported(

@@ -33,7 +33,7 @@ const LISTEN: &str = "tcp/127.0.0.1:7450";
 const MAX_ROBOTS: usize = 100;
 /// Interval at which the position is shown.
 const SHOWN_EVERY: Duration = Duration::from_millis(200);
-/// What a key changes the rate by.
+/// The factor by which a key changes the rate.
 const RATE_STEP: f64 = 2.0;
 /// How many topics are looked at for `--wait`.
 const MAX_WATCHED: usize = 200;

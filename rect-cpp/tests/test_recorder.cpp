@@ -1,0 +1,86 @@
+// Tests recordings: their files, their counts, and what is refused.
+//
+//     build/default/tests/rect_tests -# '[#test_recorder]'
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+
+#include "pair.hpp"
+
+namespace {
+
+// A new folder, which is removed at the end.
+class Folder {
+public:
+    Folder() {
+        auto name = (std::filesystem::temp_directory_path() / "rect-XXXXXX").string();
+        REQUIRE(mkdtemp(name.data()) != nullptr);
+        path_ = name;
+    }
+    ~Folder() { std::filesystem::remove_all(path_); }
+    Folder(const Folder&) = delete;
+    Folder& operator=(const Folder&) = delete;
+
+    std::string operator/(const char* name) const { return (path_ / name).string(); }
+
+private:
+    std::filesystem::path path_;
+};
+
+}  // namespace
+
+TEST_CASE("a program records what its robot publishes") {
+    Folder folder;
+    Pair pair;
+    const auto file = folder / "match.mcap";
+    auto recorder = must(pair.one.record(file));
+    until([&] {
+        must(pair.one.publish("arm/angle", 12.5));
+        return must(recorder.progress()).recorded >= 3;
+    });
+    const auto again = pair.one.record(file);
+    REQUIRE_FALSE(again);
+    CHECK(again.error().code == rect::Code::recording);
+    const auto last = must(recorder.finish());
+    CHECK(last.recorded >= 3);
+    CHECK(last.bytes >= 3 * 4);
+    CHECK(last.dropped == 0);
+    CHECK(last.problem.empty());
+    std::ifstream written(file, std::ios::binary);
+    std::string magic(5, ' ');
+    written.read(magic.data(), 5);
+    CHECK(magic == "\x89MCAP");
+    CHECK(recorder.progress().error().code == rect::Code::closed);
+    CHECK(recorder.finish().error().code == rect::Code::closed);
+}
+
+TEST_CASE("a recording selects messages, and is split") {
+    Folder folder;
+    Pair pair;
+    rect::RecordOptions options;
+    options.patterns = {"wombat-1/large"};
+    options.split_bytes = 1000;
+    auto recorder = must(pair.one.record(folder / "match.mcap", options));
+    // Two of them fill a part of the folder, which is then larger than a file may be.
+    const rect::Payload large(std::string(4'200'000, 'x'), "zenoh/bytes");
+    for (std::uint64_t count = 1; count <= 3; ++count) {
+        must(pair.one.publish("other", 1));
+        must(pair.one.publish("large", large));
+        until([&] { return must(recorder.progress()).recorded == count; });
+    }
+    CHECK(must(recorder.finish()).recorded == 3);
+    CHECK(std::filesystem::exists(folder / "match-1.mcap"));
+    CHECK(std::filesystem::exists(folder / "match-2.mcap"));
+    CHECK_FALSE(std::filesystem::exists(folder / "match-3.mcap"));
+}
+
+TEST_CASE("invalid recordings are refused") {
+    Folder folder;
+    Pair pair;
+    CHECK(pair.one.record(folder / "none/match.mcap").error().code == rect::Code::recording);
+    rect::RecordOptions options;
+    options.patterns = {"no pattern"};
+    const auto refused = pair.one.record(folder / "match.mcap", options);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == rect::Code::topic);
+}
