@@ -42,7 +42,7 @@ pub(super) struct Parts {
     split: Split,
     /// The number of the current part.
     number: u32,
-    merging: Vec<JoinHandle<Result<PathBuf, RecorderError>>>,
+    merging: Vec<JoinHandle<Result<Option<PathBuf>, RecorderError>>>,
 }
 
 impl Parts {
@@ -72,8 +72,7 @@ impl Parts {
         self.number += 1;
         let about = self.about.clone();
         let merging = std::thread::Builder::new().name("recording part".to_owned());
-        let merging =
-            merging.spawn(move || file_of(&folder, path, &about).map(|(path, _)| path))?;
+        let merging = merging.spawn(move || file_of(&folder, path, &about))?;
         self.merging.push(merging);
         Ok(())
     }
@@ -94,12 +93,9 @@ impl Parts {
                 path: self.path.clone(),
                 source: io::Error::other("the thread that writes a part has panicked"),
             };
-            files.push(merging.join().map_err(|_| lost())??);
+            files.extend(merging.join().map_err(|_| lost())??);
         }
-        let (last, count) = last?;
-        if count > 0 {
-            files.push(last);
-        }
+        files.extend(last?);
         Ok(files)
     }
 
@@ -117,11 +113,14 @@ fn part(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(format!("{stem}-{number}.{COMPLETE}"))
 }
 
-/// Makes a file of a folder, and removes the folder. Returns the file and how many messages it has; without any there is no file.
-fn file_of(folder: &Path, path: PathBuf, about: &About) -> Result<(PathBuf, u64), RecorderError> {
-    let count = match Reader::open(folder) {
-        Ok(entries) => merge(entries, &path, about)?,
-        Err(ReadError::Empty(_)) => 0,
+/// Makes a file of a folder, and removes the folder. Returns `None` if nothing was recorded.
+fn file_of(folder: &Path, path: PathBuf, about: &About) -> Result<Option<PathBuf>, RecorderError> {
+    let file = match Reader::open(folder) {
+        Ok(entries) => {
+            merge(entries, &path, about)?;
+            Some(path)
+        }
+        Err(ReadError::Empty(_)) => None,
         Err(error) => return Err(error.into()),
     };
     let removed = fs::remove_dir_all(folder);
@@ -129,5 +128,5 @@ fn file_of(folder: &Path, path: PathBuf, about: &About) -> Result<(PathBuf, u64)
         path: folder.to_owned(),
         source,
     })?;
-    Ok((path, count))
+    Ok(file)
 }

@@ -279,7 +279,7 @@ fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock
     }
 }
 
-/// Writes entries to a file, which is complete and on the disk when this returns.
+/// Writes entries to a file, which is complete and on the disk when this returns. Returns how many messages there are.
 ///
 /// # Errors
 /// Fails if the recording cannot be read, or the file exists or cannot be written. No unfinished file remains.
@@ -298,14 +298,14 @@ pub fn merge(
     let mut file = OpenFile::create(path.to_owned(), about).map_err(failed)?;
     let mut count = 0;
     for entry in entries {
-        let added = entry
-            .map_err(RecorderError::from)
-            .and_then(|entry| file.add(&entry).map_err(failed));
+        let added = entry.map_err(RecorderError::from).and_then(|entry| {
+            count += u64::from(!entry.is_report());
+            file.add(&entry).map_err(failed)
+        });
         if let Err(error) = added {
             file.abandon();
             return Err(error);
         }
-        count += 1;
     }
     file.finish().map_err(failed)?;
     Ok(count)

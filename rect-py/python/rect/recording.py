@@ -215,11 +215,13 @@ class Recording:
                     yield robot, rest[0] if rest else "", value, recorded_at
 
     def _started(self) -> float:
-        """Returns when the first message or, without messages, the first report was recorded."""
-        if (message := next(iter(self), None)) is not None:
-            return message.recorded_at
+        """Returns when the first message or report was recorded."""
+        message = next(iter(self), None)
         report = _rect.RecordingReader(self._path, []).next_report()
-        return report[2] if report else 0.0
+        times = [message.recorded_at] if message else []
+        if report:
+            times.append(report[2])
+        return min(times, default=0.0)
 
 
 @dataclasses.dataclass(frozen=True)
