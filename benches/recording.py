@@ -1,4 +1,5 @@
-"""Measures `rect record` and `rect replay`: processor time, memory, size beside the reference writer, timing."""
+"""Measures `rect record` and `rect replay`: processor time, memory, size beside the reference writer, timing, and
+urgent messages of the recorded robot, also while the recorder's disk stands still."""
 
 import os
 import random
@@ -25,12 +26,14 @@ RATE = 50
 PICTURES = 10
 PICTURE_BYTES = 10_000
 TICKS = os.sysconf("SC_CLK_TCK")
+#: Lets each synchronisation of a file take ten seconds.
+STALLED_DISK = ["strace", "-f", "--seccomp-bpf", "-o", "/dev/null", "-e", "inject=fsync:delay_enter=10000000"]
 
 
 @contextmanager
-def recorder(endpoint: str, output: Path) -> Iterator[subprocess.Popen[str]]:
+def recorder(endpoint: str, output: Path, *through: str) -> Iterator[subprocess.Popen[str]]:
     """Runs `rect record` until the end of the block, and waits until the file is complete."""
-    command = [os.environ["RECT_TOOL"], "record", "wombat-1/**", "--as", "recorder", "--router", endpoint]
+    command = [*through, os.environ["RECT_TOOL"], "record", "wombat-1/**", "--as", "recorder", "--router", endpoint]
     command += ["--output", str(output)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -40,15 +43,22 @@ def recorder(endpoint: str, output: Path) -> Iterator[subprocess.Popen[str]]:
         # Otherwise a full pipe would stop the process.
         threading.Thread(target=process.stderr.read).start()
         yield process
-        process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
+        os.kill(recording(process.pid) if through else process.pid, signal.SIGINT)
+        assert process.wait(180) == 0
 
 
-def publish(robot: rect.Robot) -> int:
-    """Publishes telemetry and pictures for a time; returns the number of messages."""
+def recording(tracer: int) -> int:
+    """Returns the process that a tracer runs."""
+    return int(Path(f"/proc/{tracer}/task/{tracer}/children").read_text().split()[0])
+
+
+def publish(robot: rect.Robot, *, is_recorded: bool) -> int:
+    """Publishes telemetry, pictures and urgent messages for a time; returns the number of messages."""
     publishers = [robot.publisher(f"sensor/{number}") for number in range(TOPICS)]
-    camera = robot.publisher("camera")
-    publishers[0].wait_for_subscriber(10)
+    camera, stop = robot.publisher("camera"), robot.publisher("stop", urgency="urgent")
+    stop.wait_for_subscriber(10)
+    if is_recorded:
+        publishers[0].wait_for_subscriber(10)
     noise = random.Random(1)
     picture = rect.Payload(b"\xff\xd8" + noise.randbytes(PICTURE_BYTES), "image/jpeg")
     started = time.monotonic()
@@ -58,7 +68,18 @@ def publish(robot: rect.Robot) -> int:
             publisher.publish({"tick": tick, "value": noise.random(), "unit": f"V{number}"})
         if tick % (RATE // PICTURES) == 0:
             camera.publish(picture)
-    return SECONDS * (TOPICS * RATE + PICTURES)
+        stop.publish(time.monotonic())
+    return SECONDS * (TOPICS * RATE + PICTURES + RATE)
+
+
+@contextmanager
+def urgent_ms(endpoint: str) -> Iterator[list[float]]:
+    """Collects how long urgent messages take to another robot, in milliseconds."""
+    taken: list[float] = []
+    with rect.connect("wombat-2", endpoints=[endpoint]) as other:
+        other.wait_for_peer("wombat-1", 10)
+        with other.subscribe("wombat-1/stop", lambda message: taken.append(1000 * (time.monotonic() - message.value))):
+            yield taken
 
 
 def processor_ms(process: int) -> float:
@@ -72,6 +93,8 @@ def times(file: Path) -> dict[tuple[str, int], int]:
     places: dict[str, int] = {}
     with file.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            if "/@rect/" in channel.topic:
+                continue
             place = places[channel.topic] = places.get(channel.topic, -1) + 1
             found[channel.topic, place] = message.log_time
     return found
@@ -102,23 +125,36 @@ def written_by_reference(file: Path, copy: Path) -> float:
 def run() -> Table:
     table = Table(
         "Recording 20 topics at 50 Hz and ten pictures of 10 kB per second, and replaying that",
-        ["what", "messages", "processor time", "private memory", "size"],
+        ["what", "messages", "processor time", "private memory", "size", "urgent p50", "p99"],
     )
     with tempfile.TemporaryDirectory() as folder:
         file, replayed = Path(folder) / "match.mcap", Path(folder) / "replayed.mcap"
         endpoint = f"tcp/127.0.0.1:{free_port()}"
-        with rect.connect("wombat-1", listen=[endpoint]) as robot, recorder(endpoint, file) as process:
-            before = processor_ms(process.pid)
-            published = publish(robot)
-            time.sleep(1)
-            used = (processor_ms(process.pid) - before) / (SECONDS + 1)
-            memory = own_kb(process.pid)
+        with rect.connect("wombat-1", listen=[endpoint]) as robot:
+            with urgent_ms(endpoint) as alone:
+                publish(robot, is_recorded=False)
+            with urgent_ms(endpoint) as beside, recorder(endpoint, file) as process:
+                before = processor_ms(process.pid)
+                published = publish(robot, is_recorded=True)
+                time.sleep(1)
+                used = (processor_ms(process.pid) - before) / (SECONDS + 1)
+                memory = own_kb(process.pid)
+            stalled = Path(folder) / "stalled.mcap"
+            with urgent_ms(endpoint) as beside_stalled, recorder(endpoint, stalled, *STALLED_DISK) as process:
+                publish(robot, is_recorded=True)
+                stalled_memory = own_kb(recording(process.pid))
         original = times(file)
         size = file.stat().st_size
-        table.add("rect record", len(original), f"{used:.1f} ms/s", f"{memory / 1000:.1f} MB", per_hour(size))
+        table.add("no recorder", "", "", "", "", *urgent_cells(alone))
+        cells = f"{used:.1f} ms/s", f"{memory / 1000:.1f} MB", per_hour(size)
+        table.add("rect record", len(original), *cells, *urgent_cells(beside))
+        cells = len(times(stalled)), "", f"{stalled_memory / 1000:.1f} MB", ""
+        table.add("rect record, each sync takes 10 s", *cells, *urgent_cells(beside_stalled))
         copy = Path(folder) / "copy.mcap"
         used = written_by_reference(file, copy) / SECONDS
-        table.add("reference writer (Python)", len(original), f"{used:.1f} ms/s", "", per_hour(copy.stat().st_size))
+        table.add(
+            "reference writer (Python)", len(original), f"{used:.1f} ms/s", "", per_hour(copy.stat().st_size), "", ""
+        )
 
         endpoint = f"tcp/127.0.0.1:{free_port()}"
         command = [os.environ["RECT_TOOL"], "replay", str(file), "--wait", "--listen", endpoint]
@@ -128,7 +164,7 @@ def run() -> Table:
                 assert replay.wait(SECONDS + 30) == 0
                 time.sleep(1)
         again = times(replayed)
-        table.add("rect replay", len(again), "", "", "")
+        table.add("rect replay", len(again), "", "", "", "", "")
     # The first message tells how the two clocks differ.
     first = min(original, key=lambda key: original[key])
     shift = again[first] - original[first]
@@ -136,9 +172,15 @@ def run() -> Table:
     table.notes = [
         f"Published: {published} messages in {SECONDS} s; {published - len(original)} of them were not recorded. "
         f"Replayed messages arrive {percentile(off_ms, 0.5):.2f} ms (p50) and {percentile(off_ms, 0.99):.2f} ms (p99) "
-        "from their place in the recording, measured by a second recording; target: 2 ms (p99)."
+        "from their place in the recording, measured by a second recording; target: 2 ms (p99).",
+        "Urgent: how long an urgent message of the recorded robot takes to another one, in one process of Python, "
+        "beside the other messages. The recorder whose disk stands still runs under strace, which delays each fsync.",
     ]
     return table
+
+
+def urgent_cells(taken_ms: list[float]) -> tuple[str, str]:
+    return f"{percentile(taken_ms, 0.5):.2f} ms", f"{percentile(taken_ms, 0.99):.2f} ms"
 
 
 def per_hour(size: int) -> str:

@@ -10,6 +10,7 @@ import itertools
 import json
 import os
 import random
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -170,6 +171,51 @@ def test_library_records_and_reads(tmp_path: Path) -> None:
     assert table["at.x"].tolist() == [number / 2 for number in range(100)]
     assert table["time_s"].tolist() == sorted(table["time_s"].tolist())
     assert recording.numbers("*/angle")["value"].tolist() == [float(number) for number in range(100)]
+
+
+#: Runs a command in a folder on a disk of 32 MB, 30 MB of which are taken until the file `room` appears, and copies the
+#: recording from there.
+ON_A_SMALL_DISK = """
+mount -t tmpfs -o size=32m none "$1" && head -c 30000000 /dev/urandom > "$1/taken"
+(until [ -e "$2/room" ]; do sleep 0.1; done; rm "$1/taken") &
+out=$2; cd "$1"; shift 2
+"$@" & echo $! > "$out/pid"
+wait $!; status=$?; cp match.mcap "$out"; exit $status
+"""
+
+
+def test_recording_continues_when_a_full_disk_has_room(tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    record = [program("RECT_TOOL", "rect"), "record", "wombat-1/**", "--as", "recorder", "--router", endpoint]
+    command = ["unshare", "--map-root-user", "--mount", "sh", "-c", ON_A_SMALL_DISK, "sh", str(disk), str(tmp_path)]
+    command += [*record, "--output", "match.mcap"]
+    noise = random.Random(1)
+    with (
+        rect.connect("wombat-1", listen=[endpoint]) as robot,
+        subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process,
+    ):
+        until_recording(process)
+        robot.publisher("noise").wait_for_subscriber(DEADLINE)
+        robot.publisher("stop", urgency="urgent").wait_for_subscriber(DEADLINE)
+        # More than the disk and the 8 MB of memory hold; the recorder is given time to take it.
+        for number in range(120):
+            robot.publish("noise", noise.randbytes(100_000))
+            robot.publish("stop", number, urgency="urgent")
+            time.sleep(0.01)
+        assert process.stderr
+        assert any("No space left on device" in line for line in process.stderr)
+        (tmp_path / "room").touch()
+        assert any("is written again" in line for line in process.stderr)
+        os.kill(int((tmp_path / "pid").read_text()), signal.SIGTERM)
+        output, errors = process.communicate(timeout=DEADLINE)
+        assert process.returncode == 0, errors
+    assert " dropped" in output
+    recorded = list(rect.Recording(tmp_path / "match.mcap"))
+    urgent = [message.value for message in recorded if message.topic == "stop"]
+    assert urgent == list(range(120))
+    assert 0 < len(recorded) - len(urgent) < 120
 
 
 def test_long_recording_is_split(tmp_path: Path) -> None:
