@@ -206,22 +206,29 @@ fn keys_are_built_and_parsed() {
 
 #[test]
 fn attachments_round_trip() {
-    let about = "The content of the attachment `in`: `at_ms` since 1970, or the `low` 16 bits of that; null if it is not an attachment of \
-        RECT. Encoding the content yields the same bytes.";
+    let about = "The content of the attachment `in`: `at_ms` since 1970, or the `low` 16 bits of that, or `recorded_ms` of the recorded message \
+        that is replayed; null if it is not an attachment of RECT. Encoding the content yields the same bytes.";
     check("attachments", about, seeds::attachments(), |input| {
         let Some(attachment) = Attachment::decode(&bytes(input)) else {
             return Value::Null;
         };
         assert_eq!(hex(&attachment.encode()), text(input));
-        let (at_ms, low) = match attachment.sent {
-            Sent::Unknown => (None, None),
-            Sent::At(at_ms) => (Some(at_ms), None),
-            Sent::Low(low) => (None, Some(low)),
+        let (at_ms, low, recorded_ms) = match attachment.sent {
+            Sent::Unknown => (None, None, None),
+            Sent::At(at_ms) => (Some(at_ms), None, None),
+            Sent::Low(low) => (None, Some(low), None),
+            Sent::Replayed(recorded_ms) => (None, None, Some(recorded_ms)),
         };
         let Attachment {
             source, sequence, ..
         } = attachment;
-        json!({"source": source, "sequence": sequence, "at_ms": at_ms, "low": low})
+        json!({
+            "source": source,
+            "sequence": sequence,
+            "at_ms": at_ms,
+            "low": low,
+            "recorded_ms": recorded_ms,
+        })
     });
 }
 

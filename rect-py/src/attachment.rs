@@ -4,25 +4,27 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use pyo3::{prelude::*, types::PyBytes};
 use rect::core::attachment::{Attachment, Sent};
 
-/// Source, sequence number, and the time of sending: either in milliseconds since 1970, or only the low 16 bits of that
-/// number.
-type Fields = (u16, u32, Option<u64>, Option<u16>);
+/// Source, sequence number, and the time of sending: in milliseconds since 1970, only the low 16 bits of that number, or that of the
+/// recorded message that is replayed.
+type Fields = (u16, u32, Option<u64>, Option<u16>, Option<u64>);
 
 /// Encodes the attachment of a message. `at_ms` is the time of sending in milliseconds since 1970; `low` holds the low
-/// 16 bits of that number, and is used if `at_ms` is `None`.
+/// 16 bits of that number, and `recorded_ms` is the time of the recorded message that is replayed. One of them is given.
 #[pyfunction]
-#[pyo3(signature = (source, sequence, at_ms=None, low=None))]
+#[pyo3(signature = (source, sequence, at_ms=None, low=None, recorded_ms=None))]
 pub fn write_attachment(
     py: Python<'_>,
     source: u16,
     sequence: u32,
     at_ms: Option<u64>,
     low: Option<u16>,
+    recorded_ms: Option<u64>,
 ) -> Bound<'_, PyBytes> {
-    let sent = match (at_ms, low) {
-        (Some(at_ms), _) => Sent::At(at_ms),
-        (None, Some(low)) => Sent::Low(low),
-        (None, None) => Sent::Unknown,
+    let sent = match (at_ms, low, recorded_ms) {
+        (Some(at_ms), ..) => Sent::At(at_ms),
+        (None, Some(low), _) => Sent::Low(low),
+        (None, None, Some(recorded_ms)) => Sent::Replayed(recorded_ms),
+        (None, None, None) => Sent::Unknown,
     };
     let attachment = Attachment {
         source,
@@ -43,10 +45,14 @@ pub fn now_ms() -> u64 {
 #[pyfunction]
 pub fn read_attachment(bytes: &[u8]) -> Option<Fields> {
     let attachment = Attachment::decode(bytes)?;
-    let (at_ms, low) = match attachment.sent {
-        Sent::Unknown => (None, None),
-        Sent::At(at_ms) | Sent::Replayed(at_ms) => (Some(at_ms), None),
-        Sent::Low(low) => (None, Some(low)),
+    let (at_ms, low, recorded_ms) = match attachment.sent {
+        Sent::Unknown => (None, None, None),
+        Sent::At(at_ms) => (Some(at_ms), None, None),
+        Sent::Low(low) => (None, Some(low), None),
+        Sent::Replayed(recorded_ms) => (None, None, Some(recorded_ms)),
     };
-    Some((attachment.source, attachment.sequence, at_ms, low))
+    let Attachment {
+        source, sequence, ..
+    } = attachment;
+    Some((source, sequence, at_ms, low, recorded_ms))
 }

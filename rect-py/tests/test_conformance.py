@@ -104,7 +104,7 @@ def test_attachments(given: str, out: Any) -> None:
     if fields is None:
         assert out is None
         return
-    assert out == dict(zip(("source", "sequence", "at_ms", "low"), fields))
+    assert out == dict(zip(("source", "sequence", "at_ms", "low", "recorded_ms"), fields))
     assert _rect.write_attachment(*fields).hex() == given
 
 

@@ -8,8 +8,9 @@ use std::{
 
 use super::{
     file::{About, COMPLETE},
+    merge::merge,
     reader::{ReadError, Reader},
-    recorder::{merge, RecorderError},
+    recorder_error::RecorderError,
     segments::{folder_of, Segments},
 };
 

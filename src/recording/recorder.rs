@@ -1,7 +1,7 @@
 //! Writes messages to a recording on a thread of its own, because a disk may stand still for seconds.
 use std::{
     io,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread::JoinHandle,
     time::{Duration, Instant},
@@ -10,9 +10,9 @@ use std::{
 use super::{
     backlog::Backlog,
     entry::{since_1970, Entry},
-    file::{About, OpenFile},
+    file::About,
     parts::{Parts, Split},
-    reader::ReadError,
+    recorder_error::RecorderError,
     segments::{folder_of, Segments},
 };
 use crate::core::{message::Message, name::Name};
@@ -35,32 +35,6 @@ pub struct Settings {
     pub keep: Option<Duration>,
     /// When the recording continues in another file, whose name has a number; default: never.
     pub split: Split,
-}
-
-/// Why a recording cannot start, or not become one file.
-#[derive(Debug, thiserror::Error)]
-pub enum RecorderError {
-    /// There is a file of that name.
-    #[error("{} exists already: choose another name", .0.display())]
-    Exists(PathBuf),
-    /// There is a recording of that name that is not one file.
-    #[error(
-        "{} exists already: another recorder writes it, or one was interrupted. Choose another name, or make a file of it with \
-         `rect recording merge`",
-        .0.display()
-    )]
-    Unfinished(PathBuf),
-    /// The folder cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// The cause.
-        source: io::Error,
-    },
-    /// The parts of the recording cannot be read back.
-    #[error("cannot merge the parts of the recording: {0}")]
-    Read(#[from] ReadError),
 }
 
 /// How a recording goes.
@@ -277,36 +251,4 @@ fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock
         let until_stopped = |state: &mut State| !state.is_stopped;
         drop((shared.changed).wait_timeout_while(state, RETRY_AFTER, until_stopped));
     }
-}
-
-/// Writes entries to a file, which is complete and on the disk when this returns. Returns how many messages there are.
-///
-/// # Errors
-/// Fails if the recording cannot be read, or the file exists or cannot be written. No unfinished file remains.
-pub fn merge(
-    entries: impl Iterator<Item = Result<Entry, ReadError>>,
-    path: &Path,
-    about: &About,
-) -> Result<u64, RecorderError> {
-    let failed = |source: io::Error| match source.kind() {
-        io::ErrorKind::AlreadyExists => RecorderError::Exists(path.to_owned()),
-        _ => RecorderError::Write {
-            path: path.to_owned(),
-            source,
-        },
-    };
-    let mut file = OpenFile::create(path.to_owned(), about).map_err(failed)?;
-    let mut count = 0;
-    for entry in entries {
-        let added = entry.map_err(RecorderError::from).and_then(|entry| {
-            count += u64::from(!entry.is_report());
-            file.add(&entry).map_err(failed)
-        });
-        if let Err(error) = added {
-            file.abandon();
-            return Err(error);
-        }
-    }
-    file.finish().map_err(failed)?;
-    Ok(count)
 }

@@ -159,6 +159,7 @@ pub fn attachments() -> Vec<Value> {
         (0xABCD, 128, Sent::At(1_795_000_000_000)),
         (65535, u32::MAX, Sent::At((1 << 48) - 1)),
         (7, 300, Sent::Low(65535)),
+        (9, 1, Sent::Replayed(1_795_000_000_000)),
     ];
     let good = good.map(|(source, sequence, sent)| {
         let attachment = Attachment {
@@ -177,7 +178,7 @@ pub fn attachments() -> Vec<Value> {
         "f800000000",
         "f900000000",
         "fa000000",
-        "fb00000000000000000000",
+        "fb0000000000000000",
         "fc000000",
         "f80000ffffffff7f",
         "f80000ffffffffff01",

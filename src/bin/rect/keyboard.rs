@@ -25,7 +25,7 @@ impl Keyboard {
         let (sender, keys) = unbounded_channel();
         // The thread ends with the process, or when nobody receives its next key.
         std::thread::spawn(move || {
-            for key in io::stdin().bytes() {
+            for key in io::stdin().lock().bytes() {
                 if key.is_err() || key.is_ok_and(|key| sender.send(key).is_err()) {
                     return;
                 }

@@ -12,8 +12,8 @@ use rect::{
     recording::{
         export::{Exporter, Format},
         file::About,
+        merge::merge,
         pictures::Pictures,
-        recorder::merge,
         Entry, ReadError, Reader, Selection, Summary,
     },
     terminal::{self, paint, Cell, Style, Table},

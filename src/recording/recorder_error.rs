@@ -1,0 +1,30 @@
+//! Defines [`RecorderError`].
+use std::{io, path::PathBuf};
+
+use super::reader::ReadError;
+
+/// Why a recording cannot start, or not become one file.
+#[derive(Debug, thiserror::Error)]
+pub enum RecorderError {
+    /// There is a file of that name.
+    #[error("{} exists already: choose another name", .0.display())]
+    Exists(PathBuf),
+    /// There is a recording of that name that is not one file.
+    #[error(
+        "{} exists already: another recorder writes it, or one was interrupted. Choose another name, or make a file of it with \
+         `rect recording merge`",
+        .0.display()
+    )]
+    Unfinished(PathBuf),
+    /// The folder cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The cause.
+        source: io::Error,
+    },
+    /// The parts of the recording cannot be read back.
+    #[error("cannot merge the parts of the recording: {0}")]
+    Read(#[from] ReadError),
+}
