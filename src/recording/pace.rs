@@ -37,6 +37,14 @@ impl Pace {
         }
     }
 
+    /// Begins again at the start of the recording, with the same rate, and paused if it was.
+    pub fn restart(&mut self, now: Instant) {
+        *self = Self {
+            since: self.since.map(|_| now),
+            ..Self::new(self.rate, now)
+        };
+    }
+
     /// Returns when the message at a position of the recording is due.
     pub fn due(&self, at: Duration, now: Instant) -> Due {
         match self.since {
@@ -141,5 +149,7 @@ mod tests {
         assert_eq!(pace.due(s(31), start), Due::Paused);
         pace.pause_or_continue(start + s(9));
         assert_eq!(pace.due(s(31), start + s(9)), Due::At(start + s(10)));
+        pace.restart(start + s(20));
+        assert_eq!(pace.due(s(1), start + s(20)), Due::At(start + s(21)));
     }
 }

@@ -309,13 +309,25 @@ impl Robot {
         payload: Payload,
         waited: Duration,
     ) -> Result<(), Error> {
-        let bytes = payload.bytes.len();
         let lifetime = self.lifetime.map(|all| all.saturating_sub(waited));
         if lifetime.is_some_and(|rest| rest.is_zero()) {
             self.inner.counting.on_expired(0);
             return Ok(());
         }
-        let put = (publication.clone()).put(payload, None, lifetime, &self.inner.runtime);
+        self.put_counted(publication, payload, None, lifetime).await
+    }
+
+    /// Publishes a payload, which repeats that of a message of `recorded_ms` if there is one, and counts it.
+    async fn put_counted(
+        &self,
+        publication: &Arc<Publication>,
+        payload: Payload,
+        recorded_ms: Option<u64>,
+        lifetime: Option<Duration>,
+    ) -> Result<(), Error> {
+        let bytes = payload.bytes.len();
+        let publication = publication.clone();
+        let put = publication.put(payload, recorded_ms, lifetime, &self.inner.runtime);
         put.await?;
         self.inner.counting.on_sent(bytes);
         Ok(())
@@ -338,11 +350,8 @@ impl Robot {
         let publication = self.publication(key).await?;
         let sent_ms = u64::try_from(entry.sent.as_millis()).unwrap_or(0);
         let payload = entry.payload.sendable()?;
-        let bytes = payload.bytes.len();
-        let put = publication.put(payload, Some(sent_ms), None, &self.inner.runtime);
-        put.await?;
-        self.inner.counting.on_sent(bytes);
-        Ok(())
+        self.put_counted(&publication, payload, Some(sent_ms), None)
+            .await
     }
 
     pub(super) async fn publication(&self, key: PublicationKey) -> Result<Arc<Publication>, Error> {

@@ -20,7 +20,7 @@ use rect::{
     Name, Options, Publisher, Robot,
 };
 use tokio::{
-    signal::unix::{signal, Signal, SignalKind},
+    signal::unix::{signal, SignalKind},
     time::{interval, sleep_until, Interval},
 };
 use zenoh::Session;
@@ -102,36 +102,20 @@ pub async fn run(arguments: ReplayArguments) -> Done {
         return dry_run(&arguments);
     }
     let mut player = Player::new(&arguments, &summary)?;
+    let mut interrupted = signal(SignalKind::interrupt())?;
     let robots = Robots::start(&arguments, &summary).await?;
-    if arguments.wait {
-        robots.wait_for_subscriber(&arguments, &summary).await?;
+    let played = async {
+        if arguments.wait {
+            robots.wait_for_subscriber(&arguments, &summary).await?;
+        }
+        while player.play(&arguments, &robots).await? && arguments.repeat {}
+        Ok::<_, Failure>(())
+    };
+    tokio::select! {
+        done = played => done?,
+        _ = interrupted.recv() => {}
     }
-    loop {
-        let mut due = replayed(&arguments)?;
-        let (started, mut count) = (Instant::now(), 0u64);
-        player.begin(&arguments);
-        for message in due.by_ref() {
-            // The file is damaged here, which was reported.
-            let Ok(message) = message else { break };
-            if !player.wait(message.at).await {
-                break;
-            }
-            robots.publish(message).await?;
-            count += 1;
-        }
-        player.bar.finish_and_clear();
-        let took = humanize::duration(started.elapsed());
-        rect::errln!("rect: replayed {count} messages in {took}");
-        if due.skipped() > 0 {
-            rect::errln!(
-                "rect: skipped {} messages whose topics do not begin with the name of a robot; --as names one",
-                due.skipped()
-            );
-        }
-        if !arguments.repeat || count == 0 || player.is_ended {
-            break;
-        }
-    }
+    // The terminal is as before, also if the robots cannot be closed.
     drop(player);
     robots.close().await?;
     Ok(ExitCode::SUCCESS)
@@ -143,7 +127,6 @@ struct Player {
     keyboard: Option<Keyboard>,
     bar: ProgressBar,
     shown: Interval,
-    interrupted: Signal,
     is_ended: bool,
 }
 
@@ -163,23 +146,48 @@ impl Player {
         if let Ok(style) = ProgressStyle::with_template("{wide_bar} {msg}") {
             bar.set_style(style);
         }
+        let mut pace = Pace::new(arguments.rate, Instant::now());
+        if arguments.paused {
+            pace.pause_or_continue(Instant::now());
+        }
         Ok(Self {
-            pace: Pace::new(arguments.rate, Instant::now()),
+            pace,
             keyboard,
             bar,
             shown: interval(SHOWN_EVERY),
-            interrupted: signal(SignalKind::interrupt())?,
             is_ended: false,
         })
     }
 
-    fn begin(&mut self, arguments: &ReplayArguments) {
-        let (is_first, now) = (self.bar.position() == 0, Instant::now());
-        self.pace = Pace::new(self.pace.rate(), now);
+    /// Replays the recording once. Returns whether it may be replayed again.
+    async fn play(
+        &mut self,
+        arguments: &ReplayArguments,
+        robots: &Robots,
+    ) -> Result<bool, Failure> {
+        let mut due = replayed(arguments)?;
+        let (started, mut count) = (Instant::now(), 0u64);
+        self.pace.restart(started);
         self.bar.reset();
-        if arguments.paused && is_first {
-            self.pace.pause_or_continue(now);
+        for message in due.by_ref() {
+            // The file is damaged here, which was reported.
+            let Ok(message) = message else { break };
+            if !self.wait(message.at).await {
+                break;
+            }
+            robots.publish(message).await?;
+            count += 1;
         }
+        self.bar.finish_and_clear();
+        let took = humanize::duration(started.elapsed());
+        rect::errln!("rect: replayed {count} messages in {took}");
+        if due.skipped() > 0 {
+            rect::errln!(
+                "rect: skipped {} messages whose topics do not begin with the name of a robot; --as names one",
+                due.skipped()
+            );
+        }
+        Ok(count > 0 && !self.is_ended)
     }
 
     /// Waits until the message at a position is due. Returns whether the replay goes on.
@@ -205,7 +213,6 @@ impl Player {
                 }
                 key = key => self.on_key(key),
                 _ = self.shown.tick() => self.show(),
-                _ = self.interrupted.recv() => self.is_ended = true,
             }
         }
         false
