@@ -98,17 +98,20 @@ fn run_callback(
     function: extern "C" fn(*const Request, *mut c_void),
 ) -> ReplyResult {
     let pending = Arc::new(PendingRequest::default());
-    let id = handle::insert_shared(pending.clone());
-    let remaining = request.remaining().as_millis();
-    let view = Request {
-        id,
-        sender: Text::of_some(request.sender.as_ref().map(Name::as_str)),
-        payload: PayloadView::of(&request.payload),
-        remaining_ms: u32::try_from(remaining).unwrap_or(u32::MAX),
-    };
-    let called = callback.run(|context| function(&view, context));
-    // Fails if the program has already dropped the request.
-    let _ = handle::remove(id);
+    let called = callback.run(|context| {
+        // Removed before the call ends, so that no handle is left when the service has been dropped.
+        let id = handle::insert_shared(pending.clone());
+        let remaining = request.remaining().as_millis();
+        let view = Request {
+            id,
+            sender: Text::of_some(request.sender.as_ref().map(Name::as_str)),
+            payload: PayloadView::of(&request.payload),
+            remaining_ms: u32::try_from(remaining).unwrap_or(u32::MAX),
+        };
+        function(&view, context);
+        // Fails if the program has already dropped the request.
+        let _ = handle::remove(id);
+    });
     if !called {
         return Err(refusal("the service is shutting down"));
     }
