@@ -1,7 +1,10 @@
 //! Reads single keys from the terminal.
 use std::io::{self, IsTerminal, Read};
 
-use rustix::termios::{tcgetattr, tcsetattr, LocalModes, OptionalActions, Termios};
+use rustix::{
+    process::getpgrp,
+    termios::{tcgetattr, tcgetpgrp, tcsetattr, LocalModes, OptionalActions, Termios},
+};
 use tokio::sync::mpsc::{unbounded_channel, UnboundedReceiver};
 
 /// The terminal, which reports each key at once until this is dropped.
@@ -11,10 +14,11 @@ pub struct Keyboard {
 }
 
 impl Keyboard {
-    /// Starts to read keys. Returns `None` if the standard input is not a terminal.
+    /// Starts to read keys. Returns `None` if the standard input is not a terminal, or that of another job: the system stops a job in
+    /// the background that changes or reads its terminal.
     pub fn open() -> Option<Self> {
         let terminal = io::stdin();
-        if !terminal.is_terminal() {
+        if !terminal.is_terminal() || tcgetpgrp(&terminal).ok()? != getpgrp() {
             return None;
         }
         let before = tcgetattr(&terminal).ok()?;
