@@ -73,16 +73,21 @@ mod _rect {
             request::DEFAULT_TIMEOUT_MS,
             router, service, settings,
         };
+        use rect::recording::{recorder, report};
         module.add("ADD", named_connection::ADD)?;
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_S", f64::from(DEFAULT_TIMEOUT_MS) / 1000.0)?;
         module.add("DIAGNOSIS", settings::DIAGNOSIS.to_vec())?;
         module.add("LARGE_BYTES", publication::LARGE_BYTES)?;
+        module.add("LINKS_EVERY_S", report::LINKS_EVERY.as_secs_f64())?;
         module.add("LOGIN_VARIABLE", login::FILE_VARIABLE)?;
         module.add("MAX_CONCURRENT", service::MAX_CONCURRENT)?;
         module.add("MAX_PUBLICATIONS", Publications::<()>::MAX)?;
         module.add("MAX_REPLIES", inquiry::MAX_REPLIES)?;
         module.add("QUERY_TIMEOUT_S", peers::TIMEOUT.as_secs_f64())?;
+        module.add("RECORDED_EVENTS", report::EVENTS)?;
+        module.add("RECORDED_LINK", report::LINK)?;
+        module.add("RECORDER_CAPACITY", recorder::CAPACITY)?;
         module.add("REMOVE", named_connection::REMOVE)?;
         module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
         module.add("ROUTER_VARIABLE", endpoint::ROUTER_VARIABLE)?;

@@ -1,6 +1,5 @@
 //! Writes and reads recordings.
 use std::{
-    collections::BTreeMap,
     path::PathBuf,
     sync::{Mutex, PoisonError},
     time::Duration,
@@ -14,13 +13,14 @@ use rect::{
         topic::Pattern,
     },
     recording::{
-        self, report::EventReport, Entry, ReadError, Reader, RecorderError, Selection, Settings,
-        Split,
+        self, file::about, report::EventReport, Entry, ReadError, Reader, RecorderError, Selection,
+        Settings, Split,
     },
 };
 
 use crate::{
     errors::{raised, OrRaise, Raised},
+    key_space::KeySpace,
     message::MessageMetadata,
 };
 
@@ -28,18 +28,29 @@ use crate::{
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Recorder(Mutex<Option<recording::Recorder>>);
 
+/// The fields of an `Event` of Python.
+type EventFields = (
+    String,
+    Option<String>,
+    Option<String>,
+    Option<String>,
+    Option<String>,
+    Option<String>,
+);
+
 /// The number of messages in a recording, and of those that were dropped.
 type Counts = (u64, u64);
 
 #[pymethods]
 impl Recorder {
-    /// Starts a recording. `about` describes it. `keep`: only about this much of the past is kept, in seconds. The recording
+    /// Starts a recording by a program of the robot of `place`. `keep`: only about this much of the past is kept, in seconds. The recording
     /// continues in another file after `split_after` seconds, or when a file has `split_bytes`.
     #[new]
     fn new(
         py: Python<'_>,
         path: PathBuf,
-        about: BTreeMap<String, String>,
+        place: &KeySpace,
+        patterns: Vec<String>,
         keep: Option<f64>,
         split_after: Option<f64>,
         split_bytes: Option<u64>,
@@ -50,7 +61,7 @@ impl Recorder {
         };
         let settings = Settings {
             path,
-            about,
+            about: about(&place.0, &patterns),
             keep: duration("keep", keep)?,
             split: Split {
                 after: duration("split_after", split_after)?,
@@ -73,27 +84,17 @@ impl Recorder {
     }
 
     /// Records an event that a program of `robot` has received.
-    #[pyo3(signature = (robot, kind, peer, method, address, path, reason))]
-    #[expect(clippy::too_many_arguments, reason = "the fields of an event")]
-    fn add_event(
-        &self,
-        robot: &str,
-        kind: &str,
-        peer: Option<&str>,
-        method: Option<&str>,
-        address: Option<&str>,
-        path: Option<&str>,
-        reason: Option<&str>,
-    ) -> PyResult<()> {
+    fn add_event(&self, robot: &str, event: EventFields) -> PyResult<()> {
         let robot = Name::new(robot).or_raise()?;
+        let (kind, peer, method, address, path, reason) = &event;
         if let Some(recorder) = &*self.recorder() {
             let event = EventReport {
                 kind,
-                robot: peer,
-                method,
-                address,
-                path,
-                reason,
+                robot: peer.as_deref(),
+                method: method.as_deref(),
+                address: address.as_deref(),
+                path: path.as_deref(),
+                reason: reason.as_deref(),
             };
             recorder.on_event(&robot, event);
         }
@@ -157,6 +158,19 @@ impl RecordingReader {
         };
         let reader = Mutex::new(Reader::open(&path).or_raise()?);
         Ok(Self { reader, selection })
+    }
+
+    /// Returns when the first message of a robot or the first report was recorded, in seconds since 1970; `None` if there is neither.
+    fn started(&self, py: Python<'_>) -> PyResult<Option<f64>> {
+        let found = py.detach(|| {
+            let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            reader.find(|entry| {
+                let entry = entry.as_ref();
+                entry.map_or(true, |entry| entry.is_report() || entry.address().is_some())
+            })
+        });
+        let first = found.transpose().or_raise()?;
+        Ok(first.map(|entry| entry.logged.as_secs_f64()))
     }
 
     /// Returns the next report of a robot about itself: its topic, its value in JSON, and the time of recording in seconds since 1970.

@@ -10,6 +10,7 @@ use mcap::{records::MessageHeader, records::Metadata, McapError, WriteOptions, W
 use serde_json::Value;
 
 use super::{channel::Channel, entry::Entry, picture, schema::Schema};
+use crate::core::key::KeySpace;
 
 /// The ending of a complete file.
 pub const COMPLETE: &str = "mcap";
@@ -25,6 +26,19 @@ const MAX_CHANNELS: usize = 60_000;
 
 /// The description of a recording: names and values.
 pub type About = BTreeMap<String, String>;
+
+/// Returns the description of a recording by a program of the robot of `place`.
+pub fn about(place: &KeySpace, patterns: &[impl ToString]) -> About {
+    let patterns: Vec<_> = patterns.iter().map(ToString::to_string).collect();
+    [
+        ("robot", place.robot.to_string()),
+        ("fleet", place.fleet.to_string()),
+        ("patterns", patterns.join(" ")),
+        ("rect", env!("CARGO_PKG_VERSION").to_owned()),
+    ]
+    .map(|(name, value)| (name.to_owned(), value))
+    .into()
+}
 
 /// An MCAP file that is being written.
 pub struct OpenFile {

@@ -1,4 +1,6 @@
 //! Decides what a recording contains besides messages: events, and the state of the links.
+use std::time::Duration;
+
 use serde::Serialize;
 
 use super::recorder::Recorder;
@@ -11,6 +13,8 @@ use crate::core::{
 pub const EVENTS: &str = "events";
 /// The first part of the subjects of links. The second one is the robot at the other end.
 pub const LINK: &str = "link";
+/// The interval at which the state of the links is recorded.
+pub const LINKS_EVERY: Duration = Duration::from_secs(1);
 
 /// The form of an event in a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -30,6 +34,22 @@ pub struct EventReport<'a> {
 }
 
 impl<'a> EventReport<'a> {
+    /// Returns the fields in their order, without the empty ones at the end.
+    pub fn fields(&self) -> Vec<Option<&'a str>> {
+        let mut fields = vec![
+            Some(self.kind),
+            self.robot,
+            self.method,
+            self.address,
+            self.path,
+            self.reason,
+        ];
+        while fields.last().is_some_and(Option::is_none) {
+            fields.pop();
+        }
+        fields
+    }
+
     fn of_link(kind: &'a str, link: &'a Link) -> Self {
         Self {
             kind,

@@ -165,10 +165,12 @@ impl Segments {
 
     /// Returns how long the complete files last and how many bytes they have; `None` while a file is being written.
     pub fn complete_extent(&self) -> Option<(Duration, u64)> {
+        if self.open.is_some() {
+            return None;
+        }
         let (first, last) = (self.complete.front()?, self.complete.back()?);
         let bytes = self.complete.iter().map(|complete| complete.bytes).sum();
-        let lasted = last.ended.saturating_sub(first.started);
-        self.open.is_none().then_some((lasted, bytes))
+        Some((last.ended.saturating_sub(first.started), bytes))
     }
 
     /// Gives the folder, in which no file is being written, another name, and continues in a new one.

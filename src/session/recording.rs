@@ -10,13 +10,10 @@ use super::{robot::Robot, Events, QueueOptions, Subscriber};
 use crate::{
     core::topic::Pattern,
     error::Error,
-    recording::{Progress, Recorder, Settings, Split},
+    recording::{
+        file::about, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder, Settings, Split,
+    },
 };
-
-/// How many messages wait for the recorder at most, for each pattern.
-const QUEUE: usize = 4096;
-/// The interval at which the state of the links is recorded.
-const LINKS_EVERY: Duration = Duration::from_secs(1);
 
 /// The settings of [`Robot::record`].
 #[derive(Clone, Debug, Default)]
@@ -33,6 +30,7 @@ pub struct RecordOptions {
 /// A recording that runs; created by [`Robot::record`]. Dropping it leaves a folder, which `rect recording merge` makes a file of.
 pub struct RobotRecorder {
     recorder: Arc<Recorder>,
+    patterns: Vec<Pattern>,
     subscribers: Vec<Arc<Subscriber>>,
     messages: JoinSet<()>,
     reports: JoinSet<()>,
@@ -66,54 +64,57 @@ impl Robot {
             true => vec![Pattern::of(Some(self.name().clone()), "**")?],
             false => options.patterns,
         };
-        let names: Vec<_> = patterns.iter().map(Pattern::to_string).collect();
-        let about = [
-            ("robot", self.name().to_string()),
-            ("fleet", self.fleet().to_string()),
-            ("patterns", names.join(" ")),
-            ("rect", env!("CARGO_PKG_VERSION").to_owned()),
-        ];
-        let about = about.map(|(name, value)| (name.to_owned(), value)).into();
         let recorder = Arc::new(Recorder::start(Settings {
             path: path.into(),
-            about,
+            about: about(&self.inner.place, &patterns),
             keep: options.keep,
             split: options.split,
         })?);
-        let mut recording = RobotRecorder {
-            recorder,
-            subscribers: Vec::new(),
-            messages: JoinSet::new(),
-            reports: JoinSet::new(),
-        };
-        for pattern in patterns {
+        let mut subscribers = Vec::new();
+        let (mut messages, mut reports) = (JoinSet::new(), JoinSet::new());
+        for pattern in &patterns {
             let queue = QueueOptions {
-                capacity: QUEUE,
+                capacity: CAPACITY,
                 ..QueueOptions::default()
             };
             let subscriber = Arc::new(self.subscribe_with(pattern, queue).await?);
-            recording.subscribers.push(subscriber.clone());
-            let messages = forward(subscriber, recording.recorder.clone());
-            recording.messages.spawn(messages);
+            subscribers.push(subscriber.clone());
+            messages.spawn(forward(subscriber, recorder.clone()));
         }
         let events = self.events().await?;
-        let events = forward_events(events, self.clone(), recording.recorder.clone());
-        recording.reports.spawn(events);
+        let events = forward_events(events, self.clone(), recorder.clone());
+        reports.spawn(events);
         if !self.inner.direct {
-            let links = record_links(self.clone(), recording.recorder.clone());
-            recording.reports.spawn(links);
+            let links = record_links(self.clone(), recorder.clone());
+            reports.spawn(links);
         }
-        Ok(recording)
+        Ok(RobotRecorder {
+            recorder,
+            patterns,
+            subscribers,
+            messages,
+            reports,
+        })
     }
 }
 
 impl RobotRecorder {
+    /// Returns the messages that are recorded.
+    pub fn patterns(&self) -> &[Pattern] {
+        &self.patterns
+    }
+
     /// Returns how the recording goes.
     pub fn progress(&self) -> Progress {
         let mut progress = self.recorder.progress();
-        let unread = self.subscribers.iter().map(|messages| messages.dropped());
-        progress.dropped += unread.sum::<u64>();
+        progress.dropped += self.unread();
         progress
+    }
+
+    /// Returns how many messages were dropped before the recorder received them.
+    fn unread(&self) -> u64 {
+        let unread = self.subscribers.iter().map(|messages| messages.dropped());
+        unread.sum()
     }
 
     /// Waits until the session has ended.
@@ -132,7 +133,7 @@ impl RobotRecorder {
         }
         // Until what has arrived is recorded.
         self.ended().await;
-        let unread = self.progress().dropped - self.recorder.progress().dropped;
+        let unread = self.unread();
         let recorder = Arc::into_inner(self.recorder).ok_or(Error::Closed)?;
         let finished = tokio::task::spawn_blocking(|| recorder.finish());
         let (files, mut progress) = finished.await.map_err(|_| Error::Closed)??;

@@ -12,11 +12,15 @@ DEFAULT_CAPACITY: int
 DEFAULT_TIMEOUT_S: float
 DIAGNOSIS: list[tuple[str, str]]
 LARGE_BYTES: int
+LINKS_EVERY_S: float
 LOGIN_VARIABLE: str
 MAX_CONCURRENT: int
 MAX_PUBLICATIONS: int
 MAX_REPLIES: int
 QUERY_TIMEOUT_S: float
+RECORDED_EVENTS: str
+RECORDED_LINK: str
+RECORDER_CAPACITY: int
 REMOVE: str
 ROBOT_TIMEOUT_S: float
 ROUTER_VARIABLE: str
@@ -145,21 +149,13 @@ class Recorder:
     def __new__(
         cls,
         path: str,
-        about: dict[str, str],
+        place: KeySpace,
+        patterns: tuple[str, ...],
         keep: float | None,
         split_after: float | None,
         split_bytes: int | None,
     ) -> Recorder: ...
-    def add_event(
-        self,
-        robot: str,
-        kind: str,
-        peer: str | None,
-        method: str | None,
-        address: str | None,
-        path: str | None,
-        reason: str | None,
-    ) -> None: ...
+    def add_event(self, robot: str, event: tuple[Any, ...]) -> None: ...
     def add_connections(self, robot: str, json: bytes) -> None: ...
     def add(self, metadata: MessageMetadata, payload: bytes, encoding: str) -> None: ...
     def progress(self) -> tuple[tuple[int, int], str | None] | None: ...
@@ -169,6 +165,7 @@ class Recorder:
 class RecordingReader:
     def __new__(cls, path: str, patterns: list[str]) -> RecordingReader: ...
     def next(self) -> tuple[MessageMetadata, bytes, str, float] | None: ...
+    def started(self) -> float | None: ...
     def next_report(self) -> tuple[str, str, float] | None: ...
 
 @final

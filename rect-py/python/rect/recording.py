@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 _Path = Union[str, "os.PathLike[str]"]
-#: The interval at which the state of the links is recorded, in seconds.
-_LINKS_EVERY_S = 1.0
-#: How many messages wait for the recorder at most, for each pattern.
-_CAPACITY = 4096
 
 
 class Recorder:
@@ -50,8 +46,7 @@ class Recorder:
         place = session.key_space
         self._session = session
         patterns = patterns or (f"{place.robot}/**",)
-        about = {"robot": place.robot, "fleet": place.fleet, "patterns": " ".join(patterns), "rect": _rect.__version__}
-        self._recorder = _rect.Recorder(os.fspath(path), about, keep, split_after, split_bytes)
+        self._recorder = _rect.Recorder(os.fspath(path), place, patterns, keep, split_after, split_bytes)
         self._counts = (0, 0)
         self._closing = threading.Event()
         try:
@@ -64,16 +59,14 @@ class Recorder:
             threading.Thread(target=self._record_links, name="rect links", daemon=True).start()
 
     def _subscribe(self, session: Session, pattern: str) -> Subscription[Message]:
-        subscriber = Subscriber(session, text("pattern", pattern), _CAPACITY, "drop_oldest")
+        subscriber = Subscriber(session, text("pattern", pattern), _rect.RECORDER_CAPACITY, "drop_oldest")
         return Subscription(subscriber, self._add, pattern)
 
     def _add(self, message: Message) -> None:
         self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)
 
     def _add_event(self, event: Event) -> None:
-        robot = self._session.key_space.robot
-        fields = event.method, event.address, event.path, event.reason
-        self._recorder.add_event(robot, event.kind, event.robot, *fields)
+        self._recorder.add_event(self._session.key_space.robot, dataclasses.astuple(event))
 
     def _record_links(self) -> None:
         while not self._closing.is_set():
@@ -85,7 +78,7 @@ class Recorder:
             except RectError:
                 # The router is busy or restarts.
                 pass
-            self._closing.wait(_LINKS_EVERY_S)
+            self._closing.wait(_rect.LINKS_EVERY_S)
 
     @property
     def recorded(self) -> int:
@@ -190,7 +183,7 @@ class Recording:
         """
         started = self._started()
         links: dict[tuple[str, str], _Columns] = {}
-        for robot, peer, value, recorded_at in self._reports("link"):
+        for robot, peer, value, recorded_at in self._reports(_rect.RECORDED_LINK):
             fields: dict[str, float] = {}
             _collect("", value, fields)
             links.setdefault((robot, peer), _Columns(started)).add(recorded_at, fields)
@@ -198,7 +191,7 @@ class Recording:
 
     def events(self) -> Iterator[RecordedEvent]:
         """Yields the events of the recording robots: robots, links and routers that appeared and disappeared."""
-        for robot, _, value, recorded_at in self._reports("events"):
+        for robot, _, value, recorded_at in self._reports(_rect.RECORDED_EVENTS):
             known: dict[str, Any] = {field.name: value.get(field.name) for field in dataclasses.fields(Event)}
             yield RecordedEvent(recorded_at, robot, Event(**known))
 
@@ -216,12 +209,7 @@ class Recording:
 
     def _started(self) -> float:
         """Returns when the first message or report was recorded."""
-        message = next(iter(self), None)
-        report = _rect.RecordingReader(self._path, []).next_report()
-        times = [message.recorded_at] if message else []
-        if report:
-            times.append(report[2])
-        return min(times, default=0.0)
+        return _rect.RecordingReader(self._path, []).started() or 0.0
 
 
 @dataclasses.dataclass(frozen=True)

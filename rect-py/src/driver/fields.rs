@@ -2,9 +2,14 @@
 use std::convert::Infallible;
 
 use bytes::Bytes;
-use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes, IntoPyObjectExt};
+use pyo3::{
+    prelude::*,
+    pybacked::PyBackedBytes,
+    types::{PyBytes, PyTuple},
+    IntoPyObjectExt,
+};
 use rect::core::{
-    connection::{Connection, Event, Link},
+    connection::{Connection, Event},
     driver::Sample,
     name::Name,
     payload::Payload,
@@ -13,6 +18,7 @@ use rect::core::{
     stream::watch::ReceivedFrame,
     transfer::Progress,
 };
+use rect::recording::report::EventReport;
 
 use crate::codec::parts;
 
@@ -105,21 +111,8 @@ impl ToPython for ReceivedFrame {
 
 impl ToPython for Event {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        let robot = |robot: Option<Name>| robot.map(|robot| robot.to_string());
-        let of_link =
-            |kind: &'static str, link: Link| (kind, robot(link.robot), link.method, link.address);
-        match self {
-            Self::PeerUp { robot } => ("peer_up", robot.as_str()).into_py_any(py),
-            Self::PeerDown { robot } => ("peer_down", robot.as_str()).into_py_any(py),
-            Self::LinkUp(link) => of_link("link_up", link).into_py_any(py),
-            Self::LinkDown(link) => of_link("link_down", link).into_py_any(py),
-            Self::PathSwitched { link, path, reason } => {
-                let (kind, robot, method, address) = of_link("path_switched", link);
-                (kind, robot, method, address, path, reason.as_str()).into_py_any(py)
-            }
-            Self::RouterUp => ("router_up",).into_py_any(py),
-            Self::RouterDown => ("router_down",).into_py_any(py),
-        }
+        let report = EventReport::from(&self);
+        PyTuple::new(py, report.fields())?.into_py_any(py)
     }
 }
 

@@ -76,36 +76,31 @@ async fn record(arguments: RecordArguments) -> Done {
         true => arguments.join.join().await?,
         false => arguments.join.join_unnamed().await?,
     };
-    let mut patterns = arguments.patterns;
-    if patterns.is_empty() {
-        patterns.push(Pattern::of(Some(robot.name().clone()), "**")?);
-    }
-    warn_of_others(robot.name(), &patterns);
+    warn_of_others(robot.name(), &arguments.patterns);
     let path = arguments.output.unwrap_or_else(|| {
         let now = clock::file_name(SystemTime::now());
         format!("{}-{now}.mcap", robot.name()).into()
     });
-    let names: Vec<_> = patterns.iter().map(Pattern::to_string).collect();
     let options = RecordOptions {
-        patterns,
+        patterns: arguments.patterns,
         keep: arguments.keep.map(|keep| keep.0),
         split: split(&arguments.split),
     };
     let mut recording = robot.record(&path, options).await?;
+    let names: Vec<_> = recording
+        .patterns()
+        .iter()
+        .map(Pattern::to_string)
+        .collect();
     rect::errln!(
         "rect: recording {} to {}; press Ctrl-C to stop",
         line(&names.join(", ")),
         path.display()
     );
-    let until = async {
-        tokio::select! {
-            _ = interrupted.recv() => {}
-            _ = terminated.recv() => {}
-            _ = ended(arguments.duration) => {}
-        }
-    };
     tokio::select! {
-        () = until => {}
+        _ = interrupted.recv() => {}
+        _ = terminated.recv() => {}
+        _ = ended(arguments.duration) => {}
         () = show(&mut recording) => rect::errln!("rect: the router has ended the connection"),
     }
     let (files, progress) = recording.finish().await?;
