@@ -5,6 +5,7 @@ mod bench;
 mod clock;
 mod completion;
 mod configure;
+mod dashboard;
 mod dictionary;
 mod display;
 mod duration;
@@ -87,6 +88,7 @@ enum Command {
     Record(record::RecordArguments),
     Replay(replay::ReplayArguments),
     Recording(recording::RecordingArguments),
+    Dashboard(dashboard::DashboardArguments),
     Foxglove(foxglove::FoxgloveArguments),
     Peers(registry::PeersArguments),
     Status(router::StatusArguments),
@@ -144,6 +146,7 @@ fn main() -> ExitCode {
         Command::Record(arguments) => record::run(arguments),
         Command::Replay(arguments) => wait(replay::run(arguments)),
         Command::Recording(arguments) => recording::run(arguments),
+        Command::Dashboard(arguments) => wait(dashboard::run(arguments)),
         Command::Foxglove(arguments) => wait(foxglove::run(arguments)),
         Command::Peers(arguments) => wait_on_one_thread(registry::peers(arguments)),
         Command::Connections(arguments) => wait_on_one_thread(registry::connections(arguments)),

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use clap::Args;
 use rect::{Name, Options, Robot, Urgency};
 use serde_json::Value;
+use zenoh::query::ConsolidationMode;
 
 use crate::{endpoint, Failure};
 
@@ -95,7 +96,11 @@ impl JoinArguments {
         let zenoh = placeholder.zenoh();
         let router = zenoh.info().routers_zid().await.next();
         let router = router.map(|id| id.to_string()).unwrap_or_default();
-        let statuses = zenoh.get(format!("{}/*/@rect/status", self.fleet)).await?;
+        // Without consolidation, which would wait for the answers of all robots, also over links that are busy.
+        let statuses = zenoh
+            .get(format!("{}/*/@rect/status", self.fleet))
+            .consolidation(ConsolidationMode::None)
+            .await?;
         let mut found = None;
         while let Ok(reply) = statuses.recv_async().await {
             let Ok(sample) = reply.into_result() else {

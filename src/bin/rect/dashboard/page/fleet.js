@@ -1,0 +1,194 @@
+// The view of the fleet: a picture of the robots and their links, and a card for each robot.
+
+import { eachFrame, h, setText, svg, table, updateList } from "./dom.js";
+import { bytes, milliseconds, seconds, visible } from "./format.js";
+import { Rates } from "./rates.js";
+
+const LINKS = ["With", "By", "Signal", "Round trip", "Sent", "Received", "Since", "State"];
+
+/** Shows the fleet in `parent`, until the returned function is called. */
+export function fleet(link, parent) {
+  const picture = h("figure", { class: "picture" });
+  const cards = h("div", { class: "cards" });
+  const empty = h("p", { class: "empty" });
+  parent.append(h("h1", {}, "Fleet"), empty, picture, cards);
+  const rates = new Rates();
+  const show = eachFrame(() => {
+    const robots = link.states.fleet?.robots ?? [];
+    const own = link.states.hello?.robot;
+    setText(empty, emptyText(link, robots));
+    empty.hidden = empty.textContent === "";
+    draw(picture, robots, own);
+    rates.update(robots);
+    updateList(
+      cards,
+      robots,
+      (robot) => robot.name,
+      () => card(),
+      (element, robot) => element.show(robot, own, rates, link.states.time?.at_s),
+    );
+  });
+  link.addEventListener("fleet", show);
+  show();
+  return () => link.removeEventListener("fleet", show);
+}
+
+function emptyText(link, robots) {
+  if (!link.states.fleet) {
+    return link.condition === "open" ? "Asking the routers…" : "Connecting to the dashboard…";
+  }
+  return robots.filter((robot) => robot.reachable).length > 1
+    ? ""
+    : "No other robot is in range: is its router running? `rect scan` on this computer shows what its radio receives.";
+}
+
+function card() {
+  const name = h("h2");
+  const state = h("span", { class: "badge" });
+  const about = h("p", { class: "about" });
+  const problems = h("ul", { class: "problems" });
+  const none = h("p", { class: "about" });
+  const links = table("Links", LINKS);
+  const element = h("section", { class: "card" }, h("header", {}, name, state), about, problems, none, links.element);
+  element.show = (robot, own, rates, now) => {
+    setText(name, robot.name);
+    element.setAttribute("aria-label", robot.name);
+    links.element.setAttribute("aria-label", `Links of ${robot.name}`);
+    const isOwn = robot.name === own;
+    setText(state, robot.reachable ? (isOwn ? "✓ this robot" : "✓ reachable") : "✗ not reachable");
+    state.dataset.state = robot.reachable ? "good" : "bad";
+    const version = robot.version ? `version ${visible(robot.version, 40)}` : "";
+    const isKnown = robot.started_s !== null && now !== undefined;
+    const up = isKnown ? `router started ${seconds(Math.max(0, now - robot.started_s))} ago` : "";
+    setText(about, [version, up].filter(Boolean).join(", "));
+    updateList(
+      problems,
+      robot.problems,
+      (problem) => problem,
+      () => h("li"),
+      (item, problem) => setText(item, `⚠ ${visible(problem, 300)}`),
+    );
+    const connections = robot.connections ?? [];
+    const shown = connections.filter((connection) => connection.state !== "connecting" && isRobot(connection));
+    links.element.hidden = shown.length === 0;
+    setText(none, shown.length > 0 ? "" : robot.connections === null ? "The links are not known." : "No links.");
+    updateList(links.body, shown, keyOf, row, (line, connection) => line.show(connection, rates.of(robot, connection)));
+  };
+  return element;
+}
+
+/** Returns whether a connection is to a robot, rather than to a program. */
+function isRobot(connection) {
+  return Boolean(connection.peer?.robot) || connection.state === "discovered";
+}
+
+function keyOf(connection) {
+  return `${connection.name}\n${connection.method}\n${connection.address}`;
+}
+
+function row() {
+  const cells = LINKS.map(() => h("td"));
+  const line = h("tr", {}, cells);
+  const [peer, method, signal, roundTrip, sent, received, since, more] = cells;
+  line.show = (connection, rate) => {
+    const isLinked = connection.state === "connected";
+    setText(peer, visible(connection.peer?.robot ?? connection.address, 60));
+    setText(method, pathText(connection));
+    setText(signal, connection.rssi_dbm === null ? "–" : `${bars(connection.rssi_dbm)} ${connection.rssi_dbm} dBm`);
+    setText(roundTrip, milliseconds(connection.round_trip_ms));
+    setText(sent, rate ? `${bytes(rate.sent)}/s` : bytes(connection.sent?.bytes));
+    setText(received, rate ? `${bytes(rate.received)}/s` : bytes(connection.received?.bytes));
+    setText(since, isLinked ? seconds(connection.up_s) : "");
+    setText(more, isLinked ? encryption(connection.encrypted) : "in range, not linked");
+    line.classList.toggle("faint", !isLinked);
+  };
+  return line;
+}
+
+/** Returns the method, and the path that carries the load if there are several. */
+function pathText({ method, paths }) {
+  const primary = paths?.find((path) => path.is_primary);
+  const others = paths?.filter((path) => !path.is_primary).map((path) => `${path.method} ${path.state}`);
+  return primary ? `${primary.method}${others.length ? ` (${others.join(", ")})` : ""}` : method;
+}
+
+function bars(dbm) {
+  const steps = [-90, -80, -70, -60];
+  return "▂▄▆█".slice(0, steps.filter((step) => dbm >= step).length) || "▁";
+}
+
+function encryption(isEncrypted) {
+  return isEncrypted === null ? "linked" : isEncrypted ? "encrypted" : "not encrypted";
+}
+
+/** Draws the robots on a circle, with a line for each link. */
+function draw(picture, robots, own) {
+  const size = { width: 640, height: robots.length > 12 ? 520 : robots.length > 3 ? 320 : 180 };
+  const centre = { x: size.width / 2, y: size.height / 2 };
+  const places = new Map();
+  const names = new Set(robots.map((robot) => robot.name));
+  for (const connection of robots.flatMap((robot) => robot.connections ?? [])) {
+    if (connection.peer?.robot) {
+      names.add(connection.peer.robot);
+    }
+  }
+  const all = [...names];
+  for (const [index, name] of all.entries()) {
+    const angle = Math.PI + (2 * Math.PI * index) / all.length;
+    const radius = all.length === 1 ? 0 : 1;
+    places.set(name, {
+      x: centre.x + radius * (centre.x - 90) * Math.cos(angle),
+      y: centre.y + radius * (centre.y - 50) * Math.sin(angle),
+    });
+  }
+  const lines = linesOf(robots).map((line) => drawLine(line, places));
+  const nodes = all.map((name) => {
+    const { x, y } = places.get(name);
+    const robot = robots.find((one) => one.name === name);
+    const state = robot?.reachable ? (robot.problems.length > 0 ? "warn" : "good") : "bad";
+    return svg(
+      "g",
+      { class: `node ${state}${name === own ? " own" : ""}`, transform: `translate(${x} ${y})` },
+      svg("rect", { x: -70, y: -18, width: 140, height: 36, rx: 18 }),
+      svg("text", { "text-anchor": "middle", dy: "0.35em" }, visible(name, 16)),
+    );
+  });
+  const label = `${all.length} robots, ${lines.length} links`;
+  picture.replaceChildren(
+    svg("svg", { viewBox: `0 0 ${size.width} ${size.height}`, role: "img", "aria-label": label }, lines, nodes),
+    h("figcaption", {}, "Solid: linked. Dashed: in range, not linked. The label is the path and its round trip."),
+  );
+}
+
+/** Returns the links without their second ends. */
+function linesOf(robots) {
+  const lines = new Map();
+  for (const robot of robots) {
+    for (const connection of robot.connections ?? []) {
+      const peer = connection.peer?.robot;
+      if (!peer || connection.state === "connecting") {
+        continue;
+      }
+      const ends = [robot.name, peer].toSorted();
+      const key = [...ends, connection.state === "connected" ? connection.method : ""].join("\n");
+      const known = lines.get(key);
+      if (!known || known.connection.round_trip_ms === null) {
+        lines.set(key, { ends, connection });
+      }
+    }
+  }
+  return [...lines.values()];
+}
+
+function drawLine({ ends, connection }, places) {
+  const [from, to] = ends.map((end) => places.get(end));
+  const isLinked = connection.state === "connected";
+  const middle = { x: (from.x + to.x) / 2, y: (from.y + to.y) / 2 };
+  const text = isLinked ? `${pathText(connection)} ${milliseconds(connection.round_trip_ms)}` : "";
+  return svg(
+    "g",
+    { class: isLinked ? "line" : "line discovered" },
+    svg("line", { x1: from.x, y1: from.y, x2: to.x, y2: to.y }),
+    svg("text", { x: middle.x, y: middle.y - 6, "text-anchor": "middle" }, text),
+  );
+}

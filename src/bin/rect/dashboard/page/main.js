@@ -1,0 +1,136 @@
+// The page: its header, and the view that the address selects.
+
+import { cameras } from "./cameras.js";
+import { connections } from "./connections.js";
+import { h, setText } from "./dom.js";
+import { embedded } from "./embedded.js";
+import { events } from "./events.js";
+import { fleet } from "./fleet.js";
+import { bytes } from "./format.js";
+import { Link } from "./link.js";
+import { stopButton } from "./stop.js";
+import { topics } from "./topics.js";
+
+const VIEWS = { fleet, topics, cameras, connections, events };
+const NAMES = {
+  fleet: "Fleet",
+  topics: "Topics",
+  cameras: "Cameras",
+  connections: "Connections",
+  events: "Events",
+};
+
+const link = new Link();
+const content = document.getElementById("content");
+const notices = document.getElementById("notices");
+let closeView = () => {};
+/** Whether the view was shown for a page that may only look; `undefined` before that is known. */
+let shownReadOnly;
+
+/** Shows a message for some seconds. */
+function notify(text, isError = false) {
+  const notice = h("p", { class: isError ? "notice error" : "notice" }, text);
+  notices.append(notice);
+  setTimeout(() => notice.remove(), isError ? 12_000 : 5000);
+}
+
+function show() {
+  shownReadOnly = link.states.hello?.read_only;
+  const name = location.hash.slice(1).split("/")[0];
+  const chosen = Object.hasOwn(VIEWS, name) ? name : "fleet";
+  closeView();
+  content.replaceChildren();
+  content.className = chosen;
+  closeView = VIEWS[chosen](link, content, notify) ?? (() => {});
+  for (const anchor of document.querySelectorAll("nav a")) {
+    const isCurrent = anchor.getAttribute("href") === `#${chosen}`;
+    anchor.toggleAttribute("aria-current", isCurrent);
+    if (isCurrent) {
+      anchor.setAttribute("aria-current", "page");
+    }
+  }
+  document.title = `${NAMES[chosen]} – RECT dashboard`;
+}
+
+function header() {
+  const title = h("span", { class: "title" }, "RECT");
+  const condition = h("span", { class: "condition", role: "status" });
+  const dropped = h("span", { class: "dropped" });
+  const actions = h("div", { class: "actions" });
+  const entries = Object.entries(NAMES).map(([name, text]) => h("a", { href: `#${name}` }, text));
+  link.addEventListener("hello", () => {
+    const { robot, fleet: name, read_only: readOnly, login, stop, record } = link.states.hello;
+    setText(title, `RECT · ${name}`);
+    title.title = `connected through ${robot}${readOnly ? ", read-only" : ""}`;
+    actions.replaceChildren(
+      ...[
+        record && !readOnly && recordButton(),
+        stop !== null && stopButton(link, stop),
+        login && h("form", { method: "post", action: "/logout" }, h("button", {}, "Log out")),
+      ].filter(Boolean),
+    );
+  });
+  link.addEventListener("hello", () => {
+    if (shownReadOnly !== link.states.hello.read_only) {
+      show();
+    }
+  });
+  link.addEventListener("dropped", () => {
+    const { count } = link.states.dropped;
+    setText(dropped, count > 0 ? `${count} values skipped: this browser is too slow` : "");
+  });
+  const showCondition = () => {
+    const router = link.states.fleet?.connected !== false;
+    const isOpen = link.condition === "open";
+    const texts = { connecting: "connecting…", lost: `disconnected, trying again… ${link.reason ?? ""}` };
+    setText(condition, isOpen ? (router ? "live" : "the router does not answer") : texts[link.condition]);
+    condition.dataset.state = isOpen && router ? "good" : "bad";
+    document.body.classList.toggle("stale", !isOpen);
+  };
+  link.addEventListener("condition", showCondition);
+  link.addEventListener("fleet", showCondition);
+  showCondition();
+  document
+    .getElementById("header")
+    .append(title, condition, dropped, h("nav", { "aria-label": "Views" }, entries), actions);
+}
+
+function recordButton() {
+  const text = h("span", {}, "Record");
+  const button = h("button", { class: "record", click: toggle }, text);
+  let isRecording = false;
+  function update() {
+    const state = link.states.recording;
+    isRecording = Boolean(state?.file);
+    button.dataset.state = isRecording ? "on" : "off";
+    button.title = isRecording ? `Stop recording ${state.file}` : "Record what this robot publishes";
+    const dropped = state?.dropped ? `, ${state.dropped} dropped` : "";
+    setText(text, isRecording ? `Recording ${bytes(state.bytes)}${dropped}` : "Record");
+    if (state?.problem) {
+      button.title = `The disk takes nothing at the moment: ${state.problem}`;
+    }
+  }
+  async function toggle() {
+    try {
+      const file = await link.command("record", { on: !isRecording });
+      notify(isRecording ? `Recorded ${file}` : `Recording to ${file}`);
+    } catch (error) {
+      notify(error.message, true);
+    }
+  }
+  link.addEventListener("recording", update);
+  update();
+  return button;
+}
+
+const embed = new URLSearchParams(location.search).get("embed");
+if (embed === null) {
+  header();
+  addEventListener("hashchange", show);
+  show();
+} else {
+  document.getElementById("header").remove();
+  content.className = "embedded";
+  embedded(link, content, embed);
+}
+link.start();

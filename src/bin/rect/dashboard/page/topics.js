@@ -1,0 +1,104 @@
+// The view of topics: a list with rates, and beside it the chosen one: value, plot, and forms to publish and request.
+
+import { eachFrame, h, setText } from "./dom.js";
+import { bytes, hertz, visible } from "./format.js";
+import { sendForm } from "./send.js";
+import { topicPanel } from "./topic.js";
+
+/** The height of a line of the list, as in style.css. Only the lines that can be seen exist. */
+const LINE_PX = 44;
+
+/** Shows the topics in `parent`, until the returned function is called. */
+export function topics(link, parent, notify) {
+  const filter = h("input", { type: "search", placeholder: "Filter", "aria-label": "Filter topics", input: showAll });
+  const count = h("span", { class: "about" });
+  const space = h("ul", { class: "lines" });
+  const list = h("div", {
+    class: "list scroll",
+    tabindex: "0",
+    role: "region",
+    "aria-label": "Topics",
+    scroll: () => show(),
+  });
+  const empty = h("p", { class: "empty" });
+  const chosen = h("div", { class: "chosen" });
+  list.append(space);
+  parent.append(
+    h("h1", {}, "Topics"),
+    h("div", { class: "columns" }, h("div", {}, h("div", { class: "row" }, filter, count), empty, list), chosen),
+  );
+  if (link.states.hello?.read_only === false) {
+    parent.append(sendForm(link, notify));
+  }
+  let rows = [];
+  let closeTopic = null;
+  let selected = null;
+
+  function showAll() {
+    const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const all = link.states.topics?.topics ?? [];
+    rows = all.filter((row) => words.every((word) => `${row.robot}/${row.topic}`.toLowerCase().includes(word)));
+    const more = link.states.topics?.more;
+    setText(count, `${rows.length} of ${all.length}${more ? `, and ${more} more that the routers do not list` : ""}`);
+    setText(empty, all.length > 0 ? "" : emptyText(link.states.topics));
+    empty.hidden = empty.textContent === "";
+    list.hidden = rows.length === 0;
+    space.style.height = `${rows.length * LINE_PX}px`;
+    show();
+  }
+
+  const show = eachFrame(() => {
+    const first = Math.max(0, Math.floor(list.scrollTop / LINE_PX) - 5);
+    const last = Math.ceil((list.scrollTop + list.clientHeight) / LINE_PX) + 5;
+    const lines = rows.slice(first, last).map((row, index) => line(row, first + index));
+    const focused = document.activeElement?.dataset?.topic;
+    space.replaceChildren(...lines);
+    if (focused) {
+      space.querySelector(`[data-topic="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
+    }
+  });
+
+  function line(row, index) {
+    const name = `${row.robot}/${row.topic}`;
+    const { hz, bytes_per_s: rate, last_bytes: size, encoding } = row;
+    const button = h(
+      "button",
+      { "data-topic": name, "aria-pressed": String(name === selected), click: () => choose(name) },
+      h("span", { class: "name" }, visible(name)),
+      h("span", { class: "figures" }, `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}`),
+    );
+    const item = h("li", {}, button);
+    item.style.top = `${index * LINE_PX}px`;
+    return item;
+  }
+
+  function choose(name) {
+    selected = name;
+    closeTopic?.();
+    closeTopic = topicPanel(link, chosen, name);
+    history.replaceState(null, "", `#topics/${encodeURIComponent(name)}`);
+    show();
+  }
+
+  link.addEventListener("topics", showAll);
+  link.showTopics(true);
+  showAll();
+  const named = decodeURIComponent(location.hash.split("/").slice(1).join("/"));
+  if (named) {
+    choose(named);
+  } else {
+    chosen.append(h("p", { class: "empty" }, "Choose a topic to see its value and to plot it."));
+  }
+  return () => {
+    link.removeEventListener("topics", showAll);
+    link.showTopics(false);
+    closeTopic?.();
+  };
+}
+
+function emptyText(state) {
+  if (!state) {
+    return "The routers count messages for a second…";
+  }
+  return state.problem ?? "No robot publishes anything at the moment. Publish something: `rect pub arm/angle 12`.";
+}

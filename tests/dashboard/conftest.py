@@ -1,0 +1,121 @@
+"""Defines fixtures: robots on the simulated air, the dashboard at a router, and a page in headless Chromium.
+
+The job `dashboard` runs these tests (`scripts/test dashboard`)."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rect
+from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "examples" / "demo"))
+
+from robots import rect_settings  # noqa: E402
+from room import Room  # noqa: E402
+
+#: How long to wait for something to appear, in milliseconds. A test machine may be busy with other builds.
+DEADLINE_MS = 30_000
+ROBOTS = int(os.environ.get("RECT_DASHBOARD_ROBOTS", "6"))
+
+expect.set_options(timeout=DEADLINE_MS)
+
+
+class Fleet:
+    """Robots on the simulated air, all linked with each other."""
+
+    def __init__(self, room: Room, robots: list[Any]) -> None:
+        self.room = room
+        self.robots = robots
+
+    def endpoint(self, index: int) -> str:
+        return self.robots[index].endpoint()
+
+    @contextmanager
+    def program(self, index: int) -> Iterator[rect.Robot]:
+        """Connects a program of a robot."""
+        with rect.connect(self.robots[index].name, router=self.endpoint(index)) as robot:
+            yield robot
+
+    @contextmanager
+    def dashboard(self, *options: str, index: int = 0) -> Iterator[str]:
+        """Runs the dashboard at the router of a robot, and yields its address."""
+        port = free_port()
+        scheme = "https" if "--certificate" in options else "http"
+        command = [os.environ["RECT_TOOL"], "dashboard", "--router", self.endpoint(index), *options]
+        if "--listen" not in options:
+            command += ["--listen", f"127.0.0.1:{port}"]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stderr
+            try:
+                for line in process.stderr:
+                    if "in a browser" in line:
+                        yield line.split()[2]
+                        return
+                raise AssertionError(f"the dashboard has ended; {scheme} {command}")
+            finally:
+                process.terminate()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@pytest.fixture(scope="session")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    folder = tmp_path_factory.mktemp("connections")
+    with Room("desk") as room:
+        robots = []
+        for number in range(1, ROBOTS + 1):
+            name = f"wombat-{number}"
+            file = folder / f"{name}.json"
+            file.write_text('{"connections": []}')
+            settings = rect_settings({"robot": name, "connections": str(file)})
+            robots.append(room.add_robot(name, arguments=tuple(settings)))
+        yield Fleet(room, robots)
+
+
+@pytest.fixture(scope="session")
+def dashboard(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    folder = tmp_path_factory.mktemp("recordings")
+    with fleet.dashboard("--stop", "stop", "--record", str(folder), "--embed-in", "http://127.0.0.1:1") as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        yield from launched(playwright)
+
+
+def launched(playwright: Playwright) -> Iterator[Browser]:
+    # Without a sandbox, which needs rights that containers do not have. It opens only this dashboard.
+    path = os.environ.get("CHROMIUM", "/usr/bin/chromium")
+    browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def page(chromium: Browser) -> Iterator[Page]:
+    """A page. The test fails if a script on it does."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 900}, ignore_https_errors=True)
+    context.set_default_timeout(DEADLINE_MS)
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    yield page
+    context.close()
+    assert errors == []

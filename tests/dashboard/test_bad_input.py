@@ -1,0 +1,288 @@
+"""Tests that nothing that a robot, a browser or another site sends harms the dashboard or those who look at it."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+import rect
+import websockets.sync.client as client
+from conftest import Fleet
+from playwright.sync_api import Page, expect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+HOSTILE = "<img src=x onerror=alert(1)>\u202etxt.exe\u0007"
+
+
+def request(url: str, method: str = "GET", data: bytes | None = None, **headers: str) -> tuple[int, str]:
+    """Returns the status and the text of an answer. Redirects are not followed."""
+
+    class Stay(urllib.request.HTTPRedirectHandler):
+        def redirect_request(self, *_: object) -> None:
+            return None
+
+    names = {name.replace("_", "-"): value for name, value in headers.items()}
+    asked = urllib.request.Request(url, method=method, data=data, headers=names)
+    try:
+        with urllib.request.build_opener(Stay).open(asked, timeout=10) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def socket_of(url: str, **options: object) -> client.ClientConnection:
+    options.setdefault("origin", url)
+    return client.connect(f"{url.replace('http', 'ws')}/socket", max_size=None, close_timeout=1, **options)
+
+
+def state(connection: client.ClientConnection, kind: str) -> dict:
+    """Returns the next state of a type."""
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        message = connection.recv(timeout=30)
+        assert isinstance(message, bytes)
+        if message[0] == 1:
+            found = json.loads(message[1:])
+            if found["type"] == kind:
+                return found
+    raise AssertionError(f"there is no state {kind}")
+
+
+def command(connection: client.ClientConnection, **fields: object) -> dict:
+    connection.send(json.dumps(fields))
+    while True:
+        answer = state(connection, "answer")
+        if answer["id"] == fields["id"]:
+            return answer
+
+
+def test_values_are_never_interpreted_as_html(page: Page, fleet: Fleet, dashboard: str) -> None:
+    page.on("dialog", lambda dialog: pytest.fail(f"a script ran: {dialog.message}"))
+    with fleet.program(1) as robot:
+        page.goto(f"{dashboard}/#topics/wombat-2%2Fhostile")
+        expect(page.get_by_role("heading", name="wombat-2/hostile")).to_be_visible()
+        deadline = time.monotonic() + 30
+        tree = page.locator(".tree")
+        while "onerror" not in tree.inner_text() and time.monotonic() < deadline:
+            robot.publish("hostile", {HOSTILE: [HOSTILE, "x" * 65536]})
+            page.wait_for_timeout(100)
+        expect(tree).to_contain_text("<img src=x onerror=alert(1)>␣txt.exe␣")
+        expect(tree).to_contain_text("(65536 characters)")
+        assert page.locator("img").count() == 0
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (b"[NaN, Infinity", "14"),
+        (rect.Payload(b"\xf9\x7e\x00", "application/cbor"), "null"),
+        (rect.Payload(b"\x89PNG damaged", "image/png"), "damaged"),
+        (rect.Payload(b"[" + b"1," * 5_000_000 + b"1]", "application/json"), "too many to show"),
+        (rect.Payload(b"\xff" * 10, "x" * 200), "bytes"),
+    ],
+)
+def test_values_that_cannot_be_shown_are_described(
+    page: Page, fleet: Fleet, dashboard: str, value: rect.Payload | bytes, shown: str
+) -> None:
+    with fleet.program(0) as robot:
+        page.goto(f"{dashboard}/#topics/wombat-1%2Fodd")
+        deadline = time.monotonic() + 30
+        chosen = page.locator(".chosen")
+        while shown not in chosen.inner_text() and time.monotonic() < deadline:
+            robot.publish("odd", value)
+            page.wait_for_timeout(200)
+        expect(chosen).to_contain_text(shown)
+
+
+def test_other_sites_are_rejected(dashboard: str) -> None:
+    port = dashboard.rsplit(":", 1)[1]
+    assert request(dashboard, Host="evil.example")[0] == 421
+    assert request(f"{dashboard}/logout", "POST", b"", Origin="http://evil.example")[0] == 403
+    assert request(f"{dashboard}/logout", "POST", b"")[0] == 403
+    for origin in ("http://evil.example", f"http://localhost:{port}.evil.example", "null", None):
+        with pytest.raises(InvalidStatus, match="403"), socket_of(dashboard, origin=origin):
+            pass
+    with socket_of(dashboard) as connection:
+        assert state(connection, "hello")["robot"] == "wombat-1"
+
+
+def test_policy_forbids_scripts_and_frames_of_others(dashboard: str) -> None:
+    with urllib.request.urlopen(dashboard, timeout=10) as answer:
+        policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "script-src 'self'" in policy
+    assert "unsafe" not in policy
+    assert "frame-ancestors http://127.0.0.1:1" in policy
+    assert request(f"{dashboard}/assets/..%2f..%2fdashboard.rs")[0] == 404
+    assert request(f"{dashboard}/nothing")[0] == 404
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"type":"publish"}', '{"type":"show","topics":true,"x":1}'])
+def test_commands_of_another_version_end_the_connection_with_a_reason(dashboard: str, text: str) -> None:
+    with socket_of(dashboard) as connection:
+        connection.send(text)
+        with pytest.raises(ConnectionClosed) as closed:
+            while True:
+                connection.recv(timeout=30)
+        assert closed.value.rcvd is not None and "not a command" in closed.value.rcvd.reason
+    with socket_of(dashboard) as connection, pytest.raises(ConnectionClosed):
+        connection.send("x" * 200_000)
+        while True:
+            connection.recv(timeout=30)
+
+
+def test_wrong_names_are_answered_with_their_problem(dashboard: str) -> None:
+    with socket_of(dashboard) as connection:
+        for number, (fields, problem) in enumerate(
+            [
+                ({"type": "watch", "topic": "wombat-1/**", "stream": True}, "wildcards"),
+                ({"type": "watch", "topic": "\u202e", "stream": False}, "<robot>/<topic>"),
+                ({"type": "request", "robot": "a b", "topic": "x", "value": ""}, "a b"),
+                ({"type": "publish", "to": None, "topic": "x" * 65536, "value": "", "urgent": False}, "200"),
+                ({"type": "disconnect", "robot": "wombat-1", "name": "none"}, "none"),
+            ],
+            start=1,
+        ):
+            answer = command(connection, id=number, **fields)
+            assert answer["error"] and problem in answer["error"], answer
+
+
+def test_stalled_browser_costs_little_and_delays_nobody(fleet: Fleet, dashboard: str) -> None:
+    with fleet.program(0) as robot, socket_of(dashboard) as reading:
+        stalled = raw_socket(dashboard)
+        send_frame(stalled, {"type": "watch", "id": 1, "topic": "wombat-1/load", "stream": False})
+        reading.send(json.dumps({"type": "watch", "id": 1, "topic": "wombat-1/load", "stream": False}))
+        # The first value shows that both receive.
+        before = None
+        received = 0
+        started = time.monotonic()
+        sent = 0
+        while time.monotonic() - started < 5:
+            robot.publish("load", "x" * 20_000)
+            sent += 1
+            time.sleep(0.01)
+            try:
+                while True:
+                    message = reading.recv(timeout=0)
+                    received += message[0] == 2
+            except TimeoutError:
+                pass
+            before = before or memory_kb()
+        assert received > sent * 0.9, (received, sent)
+        # 10 MB were sent; the stalled browser's values are dropped.
+        assert memory_kb() - before < 2000
+        stalled.close()
+
+
+def memory_kb() -> int:
+    """Returns the private memory of the dashboard of these tests."""
+    import subprocess
+
+    found = subprocess.run(["pgrep", "-f", "dashboard.*--stop"], capture_output=True, text=True, check=True)
+    pid = found.stdout.split()[0]
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return sum(int(kb) for kb in re.findall(r"Private_\w+:\s+(\d+)", text))
+
+
+def raw_socket(url: str) -> socket.socket:
+    """Opens a WebSocket that is never read."""
+    host = url.removeprefix("http://")
+    address, port = host.split(":")
+    stalled = socket.socket()
+    stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    stalled.connect((address, int(port)))
+    lines = [
+        "GET /socket HTTP/1.1",
+        f"Host: {host}",
+        f"Origin: {url}",
+        "Connection: Upgrade",
+        "Upgrade: websocket",
+        "Sec-WebSocket-Version: 13",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+    ]
+    stalled.sendall("".join(f"{line}\r\n" for line in [*lines, ""]).encode())
+    assert b"101" in stalled.recv(1000)
+    return stalled
+
+
+def send_frame(connection: socket.socket, fields: dict) -> None:
+    text = json.dumps(fields).encode()
+    assert len(text) < 126
+    # The mask is all zeroes.
+    connection.sendall(bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
+
+
+def test_flood_of_commands_is_limited(dashboard: str) -> None:
+    with socket_of(dashboard) as connection:
+        for number in range(1, 200):
+            fields = {"type": "request", "id": number, "robot": "nobody", "topic": "x", "value": ""}
+            connection.send(json.dumps(fields))
+        problems = [state(connection, "answer")["error"] for _ in range(60)]
+        assert sum("too many commands" in problem for problem in problems) > 20
+        for number in range(300, 400):
+            connection.send(
+                json.dumps({"type": "watch", "id": number, "topic": f"wombat-1/t{number}", "stream": False})
+            )
+        while "at most 64 topics" not in state(connection, "answer")["error"]:
+            pass
+
+
+def test_login_is_required_limited_and_ends(page: Page, fleet: Fleet, tmp_path: Path) -> None:
+    users = tmp_path / "users"
+    users.write_text("team:our secret\n")
+    with fleet.dashboard("--logins", str(users)) as url:
+        with pytest.raises(InvalidStatus, match="401"), socket_of(url):
+            pass
+        page.goto(url)
+        page.get_by_label("User").fill("team")
+        page.get_by_label("Password").fill("wrong")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_role("alert")).to_contain_text("wrong")
+        page.get_by_label("User").fill("team")
+        page.get_by_label("Password").fill("our secret")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.locator(".condition")).to_have_text("live")
+        cookies = page.context.cookies()
+        assert [(cookie["httpOnly"], cookie["sameSite"]) for cookie in cookies] == [(True, "Strict")]
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_label("Password")).to_be_visible()
+        for _ in range(10):
+            status, text = request(f"{url}/login", "POST", b"user=team&password=guess", Origin=url)
+        assert status == 429 and "Wait a minute" in text
+
+
+def test_read_only_page_changes_nothing(page: Page, fleet: Fleet) -> None:
+    with fleet.dashboard("--read-only") as url:
+        page.goto(f"{url}/#topics")
+        expect(page.locator(".condition")).to_have_text("live")
+        expect(page.get_by_role("form", name="Publish and request")).to_have_count(0)
+        with socket_of(url) as connection:
+            answer = command(connection, type="publish", id=1, to=None, topic="x", value="1", urgent=False)
+            assert "--read-only" in answer["error"]
+
+
+def test_beyond_this_computer_a_login_is_required(fleet: Fleet, tmp_path: Path) -> None:
+    import os
+    import subprocess
+
+    command = [os.environ["RECT_TOOL"], "dashboard", "--router", fleet.endpoint(0), "--listen", "0.0.0.0:0"]
+    environment = {**os.environ, "RECT_LOGIN": str(tmp_path / "missing")}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
+    assert done.returncode == 1 and "requires a login" in done.stderr, done.stderr
+
+
+def test_page_over_tls(page: Page, fleet: Fleet, tmp_path: Path) -> None:
+    import subprocess
+
+    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost", "-days", "2"]
+    subprocess.run([*command, "-keyout", str(key), "-out", str(certificate)], check=True, capture_output=True)
+    with fleet.dashboard("--certificate", str(certificate), "--key", str(key)) as url:
+        assert url.startswith("https://")
+        page.goto(url)
+        expect(page.locator(".condition")).to_have_text("live")

@@ -1,0 +1,257 @@
+"""Tests what the dashboard shows, and what can be done with it, in Chromium with robots on the simulated air."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import rect
+from conftest import ROBOTS, Fleet
+from PIL import Image
+from playwright.sync_api import Page, expect
+
+
+def repeat(robot: rect.Robot, topic: str, values: Any) -> Any:
+    """Publishes values on a topic at 20 Hz, until the returned object is closed."""
+    import threading
+
+    ends = threading.Event()
+
+    def run() -> None:
+        number = 0
+        while not ends.wait(0.05):
+            robot.publish(topic, values(number))
+            number += 1
+
+    thread = threading.Thread(target=run)
+    thread.start()
+
+    class Repeating:
+        def __enter__(self) -> None:
+            pass
+
+        def __exit__(self, *_: object) -> None:
+            ends.set()
+            thread.join()
+
+    return Repeating()
+
+
+def picture(number: int) -> rect.Payload:
+    import io
+
+    image = Image.new("RGB", (32, 24), (number * 8 % 256, 80, 80))
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG")
+    return rect.Payload(buffer.getvalue(), "image/png")
+
+
+def test_robots_and_their_links_are_shown(page: Page, dashboard: str) -> None:
+    page.goto(dashboard)
+    for number in range(1, ROBOTS + 1):
+        card = page.get_by_role("region", name=f"wombat-{number}", exact=True)
+        expect(card).to_contain_text("this robot" if number == 1 else "reachable")
+    own = page.get_by_role("region", name="wombat-1", exact=True)
+    expect(own.get_by_role("row")).to_have_count(ROBOTS)
+    expect(own).to_contain_text("ble")
+    links = ROBOTS * (ROBOTS - 1) // 2
+    expect(page.get_by_role("img", name=f"{ROBOTS} robots, {links} links")).to_be_visible()
+
+
+def test_cut_and_restored_radio_is_shown(page: Page, fleet: Fleet, dashboard: str) -> None:
+    page.goto(dashboard)
+    other = page.get_by_role("region", name="wombat-2", exact=True)
+    expect(other).to_contain_text("✓ reachable")
+    fleet.room.cut()
+    try:
+        expect(other).to_contain_text("✗ not reachable")
+        page.goto(f"{dashboard}/#events")
+        expect(page.get_by_role("row", name=re.compile("robot not reachable wombat-2")).first).to_be_visible()
+    finally:
+        fleet.room.restore()
+    page.goto(f"{dashboard}/#fleet")
+    expect(other).to_contain_text("✓ reachable")
+
+
+def test_topics_are_listed_shown_and_plotted(page: Page, fleet: Fleet, dashboard: str) -> None:
+    with (
+        fleet.program(1) as robot,
+        repeat(robot, "arm/state", lambda number: {"angle": number % 10, "at": {"x": 1.5}}),
+    ):
+        page.goto(f"{dashboard}/#topics")
+        page.get_by_label("Filter topics").fill("arm state")
+        line = page.get_by_role("button", name="wombat-2/arm/state")
+        expect(line).to_contain_text("Hz")
+        line.click()
+        expect(page.locator(".tree")).to_contain_text("x: 1.5")
+        expect(page.locator(".plot canvas")).to_be_visible()
+        for series in ("angle", "at.x"):
+            expect(page.get_by_role("group", name="Series").get_by_label(series)).to_be_checked()
+        page.get_by_role("button", name="Pause").click()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Save as CSV").click()
+        rows = list(csv.DictReader(Path(download.value.path()).read_text().splitlines()))
+        assert {row["at.x"] for row in rows} == {"1.5"}
+        assert all(0 <= float(row["angle"]) < 10 for row in rows)
+
+
+def test_values_are_published_sent_and_requested(page: Page, fleet: Fleet, dashboard: str) -> None:
+    with (
+        fleet.program(1) as robot,
+        robot.subscribe("wombat-1/**") as messages,
+        robot.serve("double", lambda request: request.value * 2),
+    ):
+        page.goto(f"{dashboard}/#topics")
+        form = page.get_by_role("form", name="Publish and request")
+        form.get_by_label("Topic").fill("led")
+        form.get_by_label("Value").fill('{"on": true}')
+        form.get_by_role("button", name="Publish").click()
+        expect(form).to_contain_text("Published.")
+        message = messages.next(30)
+        assert (message.topic, message.value, message.recipient) == ("led", {"on": True}, None)
+        form.get_by_label("What").select_option("Send to one robot")
+        form.get_by_role("combobox", name="Robot").fill("wombat-2")
+        form.get_by_label("urgent").check()
+        form.get_by_role("button", name="Send").click()
+        expect(form).to_contain_text("Sent to wombat-2.")
+        message = messages.next(30)
+        assert (message.recipient, message.urgency) == ("wombat-2", "urgent")
+        form.get_by_label("What").select_option("Request a service")
+        form.get_by_role("textbox", name="Service").fill("double")
+        form.get_by_label("Value").fill("21")
+        form.get_by_role("button", name="Request").click()
+        expect(form).to_contain_text("42 (after")
+        form.get_by_role("textbox", name="Service").fill("nothing")
+        form.get_by_role("button", name="Request").click()
+        expect(form.get_by_role("status")).to_contain_text("nothing")
+        form.get_by_role("textbox", name="Service").fill("a/*")
+        form.get_by_role("button", name="Request").click()
+        expect(form.get_by_role("status")).to_contain_text("wildcard")
+
+
+def test_cameras_show_streams_with_age_and_rate(page: Page, fleet: Fleet, dashboard: str) -> None:
+    with fleet.program(1) as robot, robot.stream("camera", mode="fixed") as stream:
+        page.goto(f"{dashboard}/#cameras")
+        page.get_by_label("Topic of the camera").fill("wombat-2/camera")
+        page.get_by_role("button", name="Show").click()
+        camera = page.get_by_role("figure", name="wombat-2/camera")
+        deadline = time.monotonic() + 30
+        number = 0
+        while "old" not in camera.inner_text() and time.monotonic() < deadline:
+            stream.send(picture(number))
+            number += 1
+            page.wait_for_timeout(100)
+        expect(camera).to_contain_text(re.compile(r"Hz · \d.* old"))
+        expect(camera.locator("canvas")).to_be_visible()
+        assert camera.locator("canvas").evaluate("canvas => [canvas.width, canvas.height]") == [32, 24]
+        page.goto(f"{dashboard}/?embed=camera/wombat-2/camera")
+        expect(page.locator("header")).to_have_count(0)
+        expect(page.get_by_role("figure", name="wombat-2/camera")).to_be_visible()
+
+
+def test_connections_are_added_and_removed_and_errors_are_shown_at_their_field(page: Page, dashboard: str) -> None:
+    page.goto(f"{dashboard}/#connections")
+    form = page.get_by_role("form", name="Add a connection")
+    expect(form.get_by_label("Robot", exact=True)).to_have_value("wombat-1")
+    form.get_by_label("Name").fill("base")
+    form.get_by_label("Method").select_option("tcp")
+    form.get_by_label("Robot or host").fill("127.0.0.1")
+    form.get_by_role("button", name="Add").click()
+    port = form.get_by_label("Port")
+    expect(port).to_have_attribute("aria-invalid", "true")
+    expect(form.locator("#error-port")).not_to_be_empty()
+    port.fill("9")
+    form.get_by_role("button", name="Add").click()
+    row = page.get_by_role("row", name=re.compile("wombat-1 base tcp"))
+    expect(row).to_contain_text("connecting")
+    page.on("dialog", lambda dialog: dialog.accept())
+    row.get_by_role("button", name="Remove base of wombat-1").click()
+    expect(row).to_have_count(0)
+
+
+def test_stop_shows_which_robots_have_confirmed(page: Page, fleet: Fleet, dashboard: str) -> None:
+    stopped = []
+
+    def stop(request: rect.Request) -> str:
+        stopped.append(request.sender)
+        return "stopped"
+
+    with fleet.program(1) as robot, robot.serve("stop", stop):
+        page.goto(dashboard)
+        expect(page.get_by_role("region", name="wombat-3", exact=True)).to_contain_text("✓ reachable")
+        page.get_by_role("button", name="STOP").click()
+        result = page.locator(".stop-result")
+        expect(result).to_contain_text(re.compile(r"✓ wombat-2 stopped after \d"))
+        expect(result).to_contain_text("✗ wombat-3 has not confirmed")
+        assert stopped == ["wombat-1"]
+
+
+def test_record_button_makes_a_recording(page: Page, fleet: Fleet, dashboard: str) -> None:
+    page.goto(dashboard)
+    page.get_by_role("button", name="Record", exact=True).click()
+    expect(page.locator("#notices")).to_contain_text("Recording to")
+    with fleet.program(0) as robot, repeat(robot, "count", lambda number: number):
+        expect(page.get_by_role("button", name=re.compile(r"Recording [1-9]"))).to_be_visible()
+    page.get_by_role("button", name=re.compile("Recording")).click()
+    expect(page.locator("#notices")).to_contain_text("Recorded")
+    text = page.locator("#notices").inner_text()
+    found = re.search(r"Recorded (\S+\.mcap): \d+ messages", text)
+    assert found, text
+    values = [message.value for message in rect.Recording(found[1])]
+    assert values == list(range(values[0], values[0] + len(values)))
+
+
+def test_page_connects_again_when_the_dashboard_is_restarted(page: Page, fleet: Fleet) -> None:
+    with fleet.dashboard() as url:
+        page.goto(url)
+        expect(page.locator(".condition")).to_have_text("live")
+    expect(page.locator(".condition")).to_contain_text("disconnected")
+    address = url.removeprefix("http://")
+    with fleet.dashboard("--listen", address):
+        expect(page.locator(".condition")).to_have_text("live")
+        expect(page.get_by_role("region", name="wombat-2", exact=True)).to_contain_text("✓ reachable")
+
+
+def test_lost_router_is_shown(page: Page, fleet: Fleet) -> None:
+    with fleet.dashboard(index=ROBOTS - 1) as url:
+        page.goto(url)
+        expect(page.locator(".condition")).to_have_text("live")
+        fleet.robots[-1].stop()
+        try:
+            expect(page.locator(".condition")).to_have_text("the router does not answer")
+        finally:
+            fleet.robots[-1].start()
+        expect(page.locator(".condition")).to_have_text("live")
+
+
+def test_first_data_arrives_within_seconds_and_the_page_is_small(page: Page, fleet: Fleet, dashboard: str) -> None:
+    sizes = []
+    page.on("response", lambda response: sizes.append(len(response.body())))
+    page.goto(dashboard)
+    expect(page.get_by_role("region", name="wombat-1", exact=True)).to_be_visible()
+    page.wait_for_load_state("networkidle")
+    assert 50_000 < sum(sizes) < 150_000, sizes
+
+
+def test_thousand_topics_are_listed_without_as_many_elements(page: Page, dashboard: str) -> None:
+    figures = {"robot": "wombat-2", "encoding": "application/json", "hz": 10.0, "bytes_per_s": 100, "last_bytes": 10}
+    rows = [{**figures, "topic": f"sensor/{number}"} for number in range(1000)]
+    state = json.dumps({"type": "topics", "topics": rows, "more": 0, "problem": None})
+
+    def serve(route: Any) -> None:
+        server = route.connect_to_server()
+        server.on_message(lambda message: b'"type":"topics"' in message or route.send(message))
+        route.send(b"\x01" + state.encode())
+
+    page.route_web_socket(re.compile("/socket$"), serve)
+    page.goto(f"{dashboard}/#topics")
+    expect(page.get_by_text("1000 of 1000")).to_be_visible()
+    lines = page.locator(".lines li")
+    assert lines.count() < 60
+    page.locator(".list").evaluate("list => list.scrollTo(0, list.scrollHeight)")
+    expect(page.get_by_role("button", name="sensor/999")).to_be_visible()
+    assert lines.count() < 60
