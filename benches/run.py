@@ -37,6 +37,7 @@ BENCHES = {
     "python": "the Python package compared with plain eclipse-zenoh: latency, frames, import time, memory",
     "cpp": "the C++ library compared with the Rust library, micro-benchmarks, allocations, size of a static program",
     "recording": "`rect record` and `rect replay`: processor time, memory, size beside the reference writer, timing",
+    "dashboard": "a page of `rect dashboard`: bytes on the air, urgent messages, memory, processor time, time to open",
     "idle": "memory, threads and size compared with stock zenohd",
 }
 #: The benches that also run in the VM's steady time. They need only loopback.

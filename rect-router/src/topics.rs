@@ -16,11 +16,9 @@ use std::{
 };
 
 use parking_lot::Mutex;
-use rect::core::topics::{Counter, Topics, TOPIC, TOPICS};
+use rect::core::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS};
 use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 
-/// Time for which messages are counted after the last query.
-const LEASE: Duration = Duration::from_secs(5);
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
 const MAX_WAITING_QUERIES: usize = 16;
 
@@ -85,7 +83,7 @@ impl TopicService {
 
     fn answer(&mut self, query: &Query) {
         let made = TopicQuery::parse(query).and_then(|question| {
-            let topics = self.count(question.topic.as_deref());
+            let topics = self.count(&question);
             let topics = topics.map_err(|error| error.to_string())?;
             serde_json::to_vec(&topics).map_err(|error| error.to_string())
         });
@@ -99,18 +97,18 @@ impl TopicService {
     }
 
     /// Starts counting messages, or prolongs the count, and returns what was counted until now.
-    fn count(&mut self, topic: Option<&str>) -> zenoh::Result<Topics> {
+    fn count(&mut self, question: &TopicQuery) -> zenoh::Result<Topics> {
         let now = Instant::now();
         let measurement = match self.measurement.take() {
             Some(measurement) => measurement,
             None => self.start(now)?,
         };
         let measurement = self.measurement.insert(Measurement {
-            until: now + LEASE,
+            until: measurement.until.max(now + question.keep),
             ..measurement
         });
         let counter = measurement.counter.lock();
-        Ok(counter.report(now, topic))
+        Ok(counter.report(now, question.topic.as_deref()))
     }
 
     fn start(&self, now: Instant) -> zenoh::Result<Measurement> {
@@ -129,7 +127,7 @@ impl TopicService {
         let subscriber = subscriber.callback(on_sample).wait()?;
         Ok(Measurement {
             counter,
-            until: now + LEASE,
+            until: now,
             _subscriber: subscriber,
         })
     }
@@ -142,9 +140,20 @@ fn log_failure(replied: zenoh::Result<()>) {
 }
 
 /// The parameters of a query.
-#[derive(Debug, Default, PartialEq, Eq)]
+#[derive(Debug, PartialEq, Eq)]
 struct TopicQuery {
     topic: Option<String>,
+    /// For how long to count after it.
+    keep: Duration,
+}
+
+impl Default for TopicQuery {
+    fn default() -> Self {
+        Self {
+            topic: None,
+            keep: KEPT,
+        }
+    }
 }
 
 impl TopicQuery {
@@ -162,8 +171,16 @@ impl TopicQuery {
                         "{TOPIC} has no value; write for example {TOPIC}=arm/angle"
                     ))
                 }
+                KEEP => {
+                    let seconds = value.parse().map(Duration::from_secs);
+                    let range = KEPT..=MAX_KEPT;
+                    let keep = seconds.ok().filter(|keep| range.contains(keep));
+                    question.keep = keep.ok_or_else(|| {
+                        format!("{KEEP} is a number of seconds, 5 to 30: {KEEP}=15")
+                    })?;
+                }
                 _ if key.is_empty() || key.starts_with('_') => {}
-                _ => return Err(format!("`{key}` is unknown; the only parameter is {TOPIC}")),
+                _ => return Err(format!("`{key}` is unknown; known are {TOPIC} and {KEEP}")),
             }
         }
         Ok(question)
@@ -179,13 +196,21 @@ mod tests {
         let of = |parameters: &[(&'static str, &'static str)]| {
             TopicQuery::of(parameters.iter().copied())
         };
-        let question = of(&[("topic", "arm/angle"), ("_time", "x")]);
+        let question = of(&[("topic", "arm/angle"), ("_time", "x"), ("keep_s", "15")]);
         let expected = TopicQuery {
             topic: Some("arm/angle".to_owned()),
+            keep: Duration::from_secs(15),
         };
         assert_eq!(question, Ok(expected));
         assert_eq!(of(&[]), Ok(TopicQuery::default()));
         assert!(of(&[("topics", "1")]).is_err_and(|error| error.contains("`topics`")));
-        assert!(of(&[("topic", "")]).is_err());
+        for invalid in [
+            ("topic", ""),
+            ("keep_s", "4"),
+            ("keep_s", "31"),
+            ("keep_s", "x"),
+        ] {
+            assert!(of(&[invalid]).is_err(), "{invalid:?}");
+        }
     }
 }

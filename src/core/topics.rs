@@ -23,6 +23,12 @@ const MAX_TOPIC_BYTES: usize = 220;
 pub const TOPICS: &str = "topics";
 /// The parameter that selects a single topic.
 pub const TOPIC: &str = "topic";
+/// The parameter that says for how many seconds to count messages after a question.
+pub const KEEP: &str = "keep_s";
+/// The time for which messages are counted after a question that does not say.
+pub const KEPT: Duration = Duration::from_secs(5);
+/// The longest time for which messages are counted after a question.
+pub const MAX_KEPT: Duration = Duration::from_secs(30);
 
 /// A router's answer about the topics of its robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

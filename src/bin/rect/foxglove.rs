@@ -12,7 +12,10 @@ use std::{
 
 use clap::Args;
 use foxglove::{websocket::Capability, Context, FoxgloveError, WebSocketServer};
-use rect::{core::topics::Topics, Pattern};
+use rect::{
+    core::topics::{Topics, KEPT},
+    Pattern,
+};
 use tokio::{sync::mpsc, task::JoinSet, time::interval};
 
 use self::{input::Input, listener::Listener, live::Live};
@@ -117,7 +120,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         // Nobody is asked while no viewer is connected.
         if server.client_count() > 0 && asking.is_empty() && Instant::now() >= ask_at {
             let robot = robot.clone();
-            asking.spawn(async move { query(&robot, None, None).await });
+            asking.spawn(async move { query(&robot, None, None, KEPT).await });
         }
         live.update().await?;
     }

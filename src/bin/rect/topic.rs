@@ -7,7 +7,7 @@ use rect::{
     core::{
         display::line,
         humanize::bytes,
-        topics::{TopicReport, Topics, TOPIC, TOPICS, WINDOW},
+        topics::{TopicReport, Topics, KEEP, KEPT, TOPIC, TOPICS, WINDOW},
     },
     terminal::{self, Cell, Style, Table},
     Name, Robot,
@@ -179,21 +179,27 @@ async fn measure(
     duration: DurationArgument,
 ) -> Result<Vec<(String, Topics)>, Failure> {
     // The first query starts the count.
-    query(robot, publisher, topic).await?;
+    query(robot, publisher, topic, KEPT).await?;
     tokio::time::sleep(duration.0.min(WINDOW)).await;
-    query(robot, publisher, topic).await
+    query(robot, publisher, topic, KEPT).await
 }
 
-/// Queries the routers and returns their replies, ordered by the robot's name.
+/// Queries the routers, which continue to count for the time `keep`, and returns their replies, ordered by the robot's name.
 pub async fn query(
     robot: &Robot,
     publisher: Option<&Name>,
     topic: Option<&str>,
+    keep: Duration,
 ) -> Result<Vec<(String, Topics)>, Failure> {
     let fleet = robot.fleet();
     let publisher_name = publisher.map_or("*", Name::as_str);
-    let parameters = topic.map_or_else(String::new, |topic| format!("?{TOPIC}={topic}"));
-    let selector = format!("{fleet}/{publisher_name}/@rect/{TOPICS}{parameters}");
+    let mut parameters = Vec::new();
+    parameters.extend(topic.map(|topic| format!("{TOPIC}={topic}")));
+    if keep > KEPT {
+        parameters.push(format!("{KEEP}={}", keep.as_secs()));
+    }
+    let parameters = parameters.join(";");
+    let selector = format!("{fleet}/{publisher_name}/@rect/{TOPICS}?{parameters}");
     let replies = robot.zenoh().get(selector).timeout(TIMEOUT).await?;
     let mut answers = Vec::new();
     while let Ok(reply) = replies.recv_async().await {
@@ -247,13 +253,13 @@ async fn hz(
     json: bool,
 ) -> Result<(), Failure> {
     // The first query starts the count.
-    query(robot, Some(&topic.robot), Some(&topic.topic)).await?;
+    query(robot, Some(&topic.robot), Some(&topic.topic), KEPT).await?;
     let mut ticks = tokio::time::interval(EVERY);
     ticks.tick().await;
     tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
     for _ in 0..count.unwrap_or(u64::MAX) {
         ticks.tick().await;
-        let answers = query(robot, Some(&topic.robot), Some(&topic.topic)).await?;
+        let answers = query(robot, Some(&topic.robot), Some(&topic.topic), KEPT).await?;
         let topics = answers.into_iter().next().map(|(_, topics)| topics);
         let topics = topics.unwrap_or_default();
         let report = topics.topics.first().cloned().unwrap_or_default();

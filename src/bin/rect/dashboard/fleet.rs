@@ -1,6 +1,6 @@
 //! Observes the fleet while a browser shows the page: robots, their links, topics and events.
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -28,8 +28,12 @@ const SHOWN_EVERY: Duration = Duration::from_secs(1);
 const OWN_EVERY: Duration = Duration::from_secs(2);
 /// How often the router of another robot is asked: an answer has about 600 bytes for each connection.
 const OTHERS_EVERY: Duration = Duration::from_secs(15);
-/// How often the routers are asked for topics. They count for 5 s after a question.
-const TOPICS_EVERY: Duration = Duration::from_secs(3);
+/// How often this robot's router is asked for topics.
+const OWN_TOPICS_EVERY: Duration = Duration::from_secs(3);
+/// How often all routers are asked for topics: an answer has about 45 bytes for each topic.
+const TOPICS_EVERY: Duration = Duration::from_secs(12);
+/// For how long routers count messages after a question.
+const KEEP: Duration = Duration::from_secs(18);
 /// How long a router counts messages before it is asked again for the first time.
 const COUNTED: Duration = Duration::from_secs(1);
 /// The number of events that are kept.
@@ -57,6 +61,13 @@ struct Answer {
     status: Option<Value>,
 }
 
+/// The answers of the routers about topics.
+struct FoundTopics {
+    /// The one robot whose router was asked.
+    of: Option<Name>,
+    topics: Result<Vec<(String, Topics)>, Failure>,
+}
+
 struct Observer {
     robot: Robot,
     browsers: Arc<Browsers>,
@@ -65,8 +76,9 @@ struct Observer {
     asking: JoinSet<Answer>,
     /// The topics of each robot, as its router has last counted them.
     topics: BTreeMap<String, Topics>,
-    asking_topics: JoinSet<Result<Vec<(String, Topics)>, Failure>>,
+    asking_topics: JoinSet<FoundTopics>,
     ask_topics_at: Instant,
+    ask_own_topics_at: Instant,
     connected: bool,
 }
 
@@ -85,6 +97,7 @@ pub async fn observe(robot: Robot, browsers: Arc<Browsers>) -> Result<(), rect::
         topics: BTreeMap::new(),
         asking_topics: JoinSet::new(),
         ask_topics_at: Instant::now(),
+        ask_own_topics_at: Instant::now(),
         connected: true,
     };
     observer.run(events).await;
@@ -208,35 +221,48 @@ impl Observer {
     }
 
     fn ask_for_topics(&mut self) {
-        let is_due = self.browsers.show_topics() && Instant::now() >= self.ask_topics_at;
-        if is_due && self.asking_topics.is_empty() {
-            let robot = self.robot.clone();
-            self.asking_topics
-                .spawn(async move { topic::query(&robot, None, None).await });
+        if !self.browsers.show_topics() || !self.asking_topics.is_empty() {
+            return;
         }
+        let now = Instant::now();
+        let of = match (now >= self.ask_topics_at, now >= self.ask_own_topics_at) {
+            (true, _) => None,
+            (false, true) => Some(self.robot.name().clone()),
+            (false, false) => return,
+        };
+        let robot = self.robot.clone();
+        self.asking_topics.spawn(async move {
+            let topics = topic::query(&robot, of.as_ref(), None, KEEP).await;
+            FoundTopics { of, topics }
+        });
     }
 
-    fn on_topics(&mut self, found: Result<Vec<(String, Topics)>, Failure>) {
-        let mut every = TOPICS_EVERY;
-        let mut problem = None;
-        match found {
-            Ok(found) => {
-                let mut before = std::mem::take(&mut self.topics);
-                for (robot, mut topics) in found {
-                    // The router begins to count with this question.
-                    if topics.window_s == 0.0 {
-                        every = COUNTED;
-                        topics = before.remove(&robot).unwrap_or(topics);
-                    }
-                    self.topics.insert(robot, topics);
-                }
-            }
-            Err(error) => problem = Some(error.to_string()),
+    fn on_topics(&mut self, FoundTopics { of, topics }: FoundTopics) {
+        let now = Instant::now();
+        self.ask_own_topics_at = now + OWN_TOPICS_EVERY;
+        if of.is_none() {
+            self.ask_topics_at = now + TOPICS_EVERY;
         }
-        self.ask_topics_at = Instant::now() + every;
-        let is_known = |topics: &Topics| topics.window_s > 0.0;
-        if problem.is_some() || self.topics.values().any(is_known) {
-            self.show_topics(problem.as_deref());
+        let found = match topics {
+            Ok(found) => found,
+            // Without a registry at this robot's router, the others are asked nevertheless.
+            Err(_) if of.is_some() => return,
+            Err(error) => return self.show_topics(Some(&error.to_string())),
+        };
+        let before = match of {
+            Some(_) => self.topics.clone(),
+            None => std::mem::take(&mut self.topics),
+        };
+        for (robot, mut topics) in found {
+            // The router begins to count with this question.
+            if topics.window_s == 0.0 {
+                self.ask_topics_at = now + COUNTED;
+                topics = before.get(&robot).cloned().unwrap_or(topics);
+            }
+            self.topics.insert(robot, topics);
+        }
+        if self.topics.values().any(|topics| topics.window_s > 0.0) {
+            self.show_topics(None);
         }
     }
 
@@ -342,13 +368,21 @@ fn problems(record: &RobotRecord, connected: bool) -> Vec<String> {
         {
             problems.push(format!("{name}: {}", error.what));
         }
-        if connection.state == ConnectionState::Connected && connection.encrypted == Some(false) {
-            let peer = peer_of(connection).unwrap_or_else(|| name.to_owned());
-            problems.push(format!(
-                "The link with {peer} by {} is not encrypted: use a secret or TLS",
-                connection.method
-            ));
-        }
+    }
+    let is_open = |connection: &&Connection| {
+        connection.state == ConnectionState::Connected && connection.encrypted == Some(false)
+    };
+    let connections = record.connections.iter().flatten();
+    let peers: BTreeSet<_> = connections
+        .filter(is_open)
+        .map(|connection| peer_of(connection).unwrap_or_else(|| connection.address.clone()))
+        .collect();
+    if !peers.is_empty() {
+        let peers: Vec<_> = peers.into_iter().collect();
+        problems.push(format!(
+            "The links with {} are not encrypted: use a secret or TLS",
+            peers.join(", ")
+        ));
     }
     problems
 }

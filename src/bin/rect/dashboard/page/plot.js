@@ -1,7 +1,7 @@
 // A live plot of the numbers in the values of a topic.
 
 import { eachFrame, h, setText } from "./dom.js";
-import { number, visible } from "./format.js";
+import { number, timeOfDay, visible } from "./format.js";
 
 /** The largest number of values that are kept. */
 const MAX_POINTS = 20_000;
@@ -135,7 +135,10 @@ export class Plot {
         height: HEIGHT_PX,
         legend: { show: false },
         scales: { x: { time: true } },
-        axes: [axis, { ...axis, size: 60, values: (_, ticks) => ticks.map(number) }],
+        axes: [
+          { ...axis, space: 90, values: (_, ticks) => ticks.map((time) => timeOfDay(1000 * time)) },
+          { ...axis, size: 60, values: (_, ticks) => ticks.map(number) },
+        ],
         series: [{}, ...series],
       },
       [[], ...series.map(() => [])],
