@@ -7,6 +7,7 @@ pub mod backlog;
 pub mod channel;
 mod chunk;
 pub mod entry;
+pub mod excerpt;
 pub mod export;
 pub mod file;
 pub mod merge;

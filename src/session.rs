@@ -12,6 +12,8 @@ mod publisher;
 mod queries;
 mod receive_queue;
 #[cfg(feature = "recording")]
+mod recorded;
+#[cfg(feature = "recording")]
 mod recording;
 mod registry;
 mod request;
@@ -30,6 +32,8 @@ mod waiting;
 pub use events::Events;
 pub use options::{connect, Options};
 pub use publisher::Publisher;
+#[cfg(feature = "recording")]
+pub use recorded::Recorded;
 #[cfg(feature = "recording")]
 pub use recording::{RecordOptions, RobotRecorder};
 pub use request::{Replies, Reply};

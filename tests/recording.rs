@@ -20,6 +20,7 @@ use rect::{
     },
     Json, Message, Name, Options, Payload, QueueOptions, Topic, Urgency, WhenFull,
 };
+use zenoh::Wait;
 
 fn entry(sequence: u32) -> Entry {
     let topics = ["a/pose", "b/camera/front", "a/log"];
@@ -324,16 +325,20 @@ impl Drop for Killed {
 
 /// Starts a program of the robot `a`, and `rect record` at it; returns when its messages arrive.
 fn recorded(folder: &Path) -> (blocking::Robot, Killed) {
-    let endpoint = free_endpoint();
+    recorded_at(folder, &free_endpoint())
+}
+
+/// Does the same at an endpoint.
+fn recorded_at(folder: &Path, endpoint: &str) -> (blocking::Robot, Killed) {
     let options = Options::new("a").expect("a name").login_file("/none");
-    let robot = blocking::Robot::connect(options.listen(&endpoint)).expect("connected");
+    let robot = blocking::Robot::connect(options.listen(endpoint)).expect("connected");
     let arguments = [
         "record",
         "a/**",
         "--as",
         "b",
         "--router",
-        &endpoint,
+        endpoint,
         "-o",
         "match.mcap",
     ];
@@ -562,4 +567,126 @@ fn killed_recorder_leaves_whole_files() {
             text(&checked.stderr)
         );
     }
+}
+
+#[test]
+fn part_of_a_running_recording_is_fetched() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let endpoint = free_endpoint();
+    let (robot, _recording) = recorded_at(folder.path(), &endpoint);
+    // Several answers, and several files at the recorder.
+    let sent: Vec<String> = (0..400)
+        .map(|n| format!("{n} {}", "x".repeat(1000)))
+        .collect();
+    let publisher = robot.publisher("n").expect("declared");
+    for value in &sent {
+        publisher.publish(value.as_str()).expect("published");
+    }
+    robot.publish("other", "1").expect("published");
+    let fetch = |arguments: &[&str], file: &str| {
+        let common = [
+            "recording",
+            "fetch",
+            "--as",
+            "c",
+            "--router",
+            &endpoint,
+            "-o",
+            file,
+        ];
+        ran(folder.path(), &[&common[..], arguments].concat())
+    };
+    let values = |file: &str| -> Vec<String> {
+        let (entries, error) = read(&folder.path().join(file));
+        assert!(error.is_none(), "{error:?}");
+        let messages = entries.iter().filter(|entry| entry.topic == "a/n");
+        messages.map(|entry| text(&entry.payload.bytes)).collect()
+    };
+    let fetched = fetch(&["b"], "all.mcap");
+    assert!(fetched.status.success(), "{fetched:?}");
+    assert_eq!(text(&fetched.stdout), "all.mcap: 401 messages\n");
+    assert_eq!(values("all.mcap"), sent);
+    let fetched = fetch(&["b", "--topic", "a/other"], "other.mcap");
+    assert_eq!(
+        text(&fetched.stdout),
+        "other.mcap: 1 messages\n",
+        "{fetched:?}"
+    );
+    for (arguments, file, problem) in [
+        (&["b"][..], "all.mcap", "all.mcap"),
+        (&["nobody"], "x.mcap", "rect record"),
+        (&["b", "--last", "1s", "--until", "2s"], "x.mcap", "--until"),
+        (
+            &["b", "--topic", "nothing/**"],
+            "x.mcap",
+            "nothing was recorded",
+        ),
+        (&["b", "--topic", "a//b"], "x.mcap", "a//b"),
+    ] {
+        let fetched = fetch(arguments, file);
+        assert!(!fetched.status.success(), "{arguments:?}");
+        assert!(text(&fetched.stderr).contains(problem), "{fetched:?}");
+        assert!(!folder.path().join("x.mcap").exists());
+    }
+}
+
+#[test]
+fn stock_zenoh_programs_query_a_running_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let endpoint = free_endpoint();
+    let (robot, _recording) = recorded_at(folder.path(), &endpoint);
+    let mut config = zenoh::Config::default();
+    let settings = [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+    ];
+    for (key, value) in settings {
+        config.insert_json5(key, &value).expect("a setting");
+    }
+    let stock = zenoh::open(config).wait().expect("connected");
+    for n in 0..20 {
+        robot.publish("n", Json(n)).expect("published");
+    }
+    let ask = |selector: &str| -> Vec<Result<String, String>> {
+        let key = format!("rect/b/@rect/recording/{selector}");
+        let replies = stock.get(key).timeout(TIMEOUT).wait().expect("asked");
+        replies
+            .iter()
+            .map(|reply| match reply.result() {
+                Ok(sample) => {
+                    assert!(sample.timestamp().is_some());
+                    let value = text(&sample.payload().to_bytes());
+                    Ok(format!("{} {value}", sample.key_expr()))
+                }
+                Err(error) => Err(text(&error.payload().to_bytes())),
+            })
+            .collect()
+    };
+    let key = |n: i32| Ok(format!("rect/b/@rect/recording/a/n {n}"));
+    // The recorder may not have received the last messages yet.
+    let complete: Vec<_> = (0..20).map(key).collect();
+    wait_until("all messages are recorded", || {
+        ask("a/*?_time=[now(-1m)..]") == complete
+    });
+    assert_eq!(ask("a/n?_time=[now(1m)..]"), []);
+    for (selector, problem) in [
+        ("**", "name the time"),
+        ("**?_time=[yesterday]", "yesterday"),
+        ("**?_time=[now()..];form=csv", "form is mcap"),
+        ("**?_time=[now()..];last=5", "`last` is unknown"),
+    ] {
+        let answers = ask(selector);
+        let [Err(error)] = &answers[..] else {
+            panic!("{selector}: {answers:?}");
+        };
+        assert!(error.contains(problem), "{selector}: {error}");
+    }
+    let large = "x".repeat(50_000);
+    for _ in 0..3 {
+        robot.publish("n", large.as_str()).expect("published");
+    }
+    wait_until("only a part is sent at once", || {
+        let answers = ask("**?_time=[now(-1m)..]");
+        matches!(answers.last(), Some(Err(error)) if error.contains("rect recording fetch b"))
+    });
 }

@@ -2,7 +2,7 @@
 use std::{
     collections::{BTreeMap, HashMap},
     fs::{self, File},
-    io::{self, BufWriter, Write},
+    io::{self, BufWriter, Seek, Write},
     path::{Path, PathBuf},
 };
 
@@ -44,28 +44,28 @@ pub fn about(place: &KeySpace, patterns: &[impl ToString]) -> About {
 pub struct OpenFile {
     /// The name that it gets when it is complete.
     path: PathBuf,
-    writer: Writer<BufWriter<File>>,
+    encoder: Encoder<BufWriter<File>>,
+}
+
+/// Writes entries in the form of MCAP.
+pub struct Encoder<W: Write + Seek> {
+    writer: Writer<W>,
     channels: HashMap<Channel, u16>,
 }
 
-impl OpenFile {
-    /// Creates the file.
+impl<W: Write + Seek> Encoder<W> {
+    /// Begins a file.
     ///
     /// # Errors
-    /// Fails if the file or its unfinished form exists, or cannot be written.
-    pub fn create(path: PathBuf, about: &About) -> io::Result<Self> {
-        if path.exists() {
-            return Err(io::ErrorKind::AlreadyExists.into());
-        }
-        let file = File::create_new(part_of(&path))?;
+    /// Fails if it cannot be written.
+    pub fn new(file: W, about: &About) -> io::Result<Self> {
         let options = WriteOptions::new()
             .profile(PROFILE)
             .library(concat!("rect ", env!("CARGO_PKG_VERSION")))
             .compression_level(LEVEL)
             .compression_threads(0);
-        let writer = options.create(BufWriter::new(file)).map_err(into_io)?;
-        let mut file = Self {
-            path,
+        let writer = options.create(file).map_err(into_io)?;
+        let mut encoder = Self {
             writer,
             channels: HashMap::new(),
         };
@@ -73,14 +73,14 @@ impl OpenFile {
             name: ABOUT.to_owned(),
             metadata: about.clone(),
         };
-        file.writer.write_metadata(&about).map_err(into_io)?;
-        Ok(file)
+        encoder.writer.write_metadata(&about).map_err(into_io)?;
+        Ok(encoder)
     }
 
     /// Adds an entry.
     ///
     /// # Errors
-    /// Fails if the disk does.
+    /// Fails if the file cannot be written.
     pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
         let channel = Channel::of(entry);
         let channel_id = match self.channels.get(&channel) {
@@ -98,11 +98,6 @@ impl OpenFile {
             false => (self.writer).write_to_known_channel(&header, &entry.payload.bytes),
         };
         written.map_err(into_io)
-    }
-
-    /// Returns the number of channels.
-    pub fn channels(&self) -> usize {
-        self.channels.len()
     }
 
     fn add_channel(&mut self, channel: Channel, first: &Entry) -> Result<u16, McapError> {
@@ -126,22 +121,60 @@ impl OpenFile {
         Ok(id)
     }
 
+    /// Completes the file, and returns what it was written to.
+    ///
+    /// # Errors
+    /// Fails if it cannot be written.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.writer.finish().map_err(into_io)?;
+        Ok(self.writer.into_inner())
+    }
+}
+
+impl OpenFile {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// Fails if the file or its unfinished form exists, or cannot be written.
+    pub fn create(path: PathBuf, about: &About) -> io::Result<Self> {
+        if path.exists() {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        let file = File::create_new(part_of(&path))?;
+        Ok(Self {
+            path,
+            encoder: Encoder::new(BufWriter::new(file), about)?,
+        })
+    }
+
+    /// Adds an entry.
+    ///
+    /// # Errors
+    /// Fails if the disk does.
+    pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
+        self.encoder.add(entry)
+    }
+
+    /// Returns the number of channels.
+    pub fn channels(&self) -> usize {
+        self.encoder.channels.len()
+    }
+
     /// Ends the chunk, so that a reader finds everything up to here if the file is never completed.
     ///
     /// # Errors
     /// Fails if the disk does.
     pub fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush().map_err(into_io)
+        self.encoder.writer.flush().map_err(into_io)
     }
 
     /// Completes the file, waits until it is on the disk, and gives it its name.
     ///
     /// # Errors
     /// Fails if the disk does. The unfinished file is removed then.
-    pub fn finish(mut self) -> io::Result<PathBuf> {
+    pub fn finish(self) -> io::Result<PathBuf> {
         let part = part_of(&self.path);
-        let finished = self.writer.finish().map_err(into_io).and_then(|_| {
-            let mut buffer = self.writer.into_inner();
+        let finished = self.encoder.finish().and_then(|mut buffer| {
             buffer.flush()?;
             buffer.get_ref().sync_all()?;
             fs::rename(&part, &self.path)?;
@@ -157,7 +190,7 @@ impl OpenFile {
     /// Removes the unfinished file.
     pub fn abandon(self) {
         // Without the destructors, which would write once more.
-        drop(self.writer.into_inner().into_parts());
+        drop(self.encoder.writer.into_inner().into_parts());
         let _ = fs::remove_file(part_of(&self.path));
     }
 }

@@ -2,6 +2,7 @@
 use std::{
     fs, io,
     path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError},
     thread::JoinHandle,
     time::Duration,
 };
@@ -36,8 +37,13 @@ impl Split {
     }
 }
 
+/// The files of the complete parts, for those who read a recording that runs.
+pub(super) type PartPaths = Arc<Mutex<Vec<PathBuf>>>;
+
 /// The parts of a recording. Each one has a folder of its own until it is a file, so that a power cut leaves all of them readable.
 pub(super) struct Parts {
+    /// The files of the parts that are complete, or will be soon.
+    paths: PartPaths,
     path: PathBuf,
     about: About,
     split: Split,
@@ -49,12 +55,18 @@ pub(super) struct Parts {
 impl Parts {
     pub(super) fn new(path: PathBuf, about: About, split: Split) -> Self {
         Self {
+            paths: PartPaths::default(),
             path,
             about,
             split,
             number: 1,
             merging: Vec::new(),
         }
+    }
+
+    /// Returns the list of complete parts.
+    pub(super) fn paths(&self) -> PartPaths {
+        self.paths.clone()
     }
 
     /// Begins the next part if the current one is complete. The complete one becomes a file on a thread of its own.
@@ -70,6 +82,9 @@ impl Parts {
         let path = self.next_path();
         let folder = folder_of(&path);
         segments.continue_elsewhere(&folder)?;
+        let mut paths = self.paths.lock().unwrap_or_else(PoisonError::into_inner);
+        paths.push(path.clone());
+        drop(paths);
         self.number += 1;
         let about = self.about.clone();
         let merging = std::thread::Builder::new().name("recording part".to_owned());

@@ -2,7 +2,7 @@
 use std::{
     collections::{HashMap, VecDeque},
     fs::{self, File},
-    io::{self, Read},
+    io::{self, Read, Seek},
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -10,7 +10,10 @@ use std::{
 use bytes::Bytes;
 use mcap::{
     records::{op, Record},
-    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+    sans_io::{
+        linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
+        summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
+    },
     McapError,
 };
 
@@ -83,33 +86,17 @@ impl Reader {
     /// # Errors
     /// Fails if there is nothing to read.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let failed = |source| ReadError::Io {
-            path: path.to_owned(),
-            source,
-        };
-        let mut files = VecDeque::from([path.to_owned()]);
-        if fs::metadata(path).map_err(failed)?.is_dir() {
-            let mut found = Vec::new();
-            for entry in fs::read_dir(path).map_err(failed)? {
-                let file = entry.map_err(failed)?.path();
-                let ending = file.extension().unwrap_or_default();
-                if ending == COMPLETE || ending == PART {
-                    found.push(file);
-                }
-            }
-            if found.is_empty() {
-                return Err(ReadError::Empty(path.to_owned()));
-            }
-            // The names are numbers of the same length.
-            found.sort();
-            files = found.into();
-        }
-        Ok(Self {
-            files,
+        Ok(Self::of_files(files_of(path)?))
+    }
+
+    /// Reads files one after the other.
+    pub fn of_files(files: Vec<PathBuf>) -> Self {
+        Self {
+            files: files.into(),
             open: None,
             about: About::new(),
             is_complete: true,
-        })
+        }
     }
 
     /// Reads a complete file from anywhere. Errors call it `path`.
@@ -157,6 +144,53 @@ impl Reader {
             }
         }
     }
+}
+
+/// Returns the files of a recording in their order: the file itself, or those in a folder.
+///
+/// # Errors
+/// Fails if there is nothing to read.
+pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
+    let failed = |source| ReadError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    if !fs::metadata(path).map_err(failed)?.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut found = Vec::new();
+    for entry in fs::read_dir(path).map_err(failed)? {
+        let file = entry.map_err(failed)?.path();
+        let ending = file.extension().unwrap_or_default();
+        if ending == COMPLETE || ending == PART {
+            found.push(file);
+        }
+    }
+    if found.is_empty() {
+        return Err(ReadError::Empty(path.to_owned()));
+    }
+    // The names are numbers of the same length.
+    found.sort();
+    Ok(found)
+}
+
+/// Returns when the last message of a complete file was recorded, without reading the messages; `None` if the file is not
+/// complete.
+pub fn end_of(path: &Path) -> Option<Duration> {
+    let mut file = File::open(path).ok()?;
+    let options = SummaryReaderOptions::default().with_record_length_limit(MAX_RECORD);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event.ok()? {
+            SummaryReadEvent::ReadRequest(bytes) => {
+                let read = file.read(reader.insert(bytes)).ok()?;
+                reader.notify_read(read);
+            }
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to).ok()?),
+        }
+    }
+    let statistics = reader.finish()?.stats?;
+    Some(Duration::from_nanos(statistics.message_end_time))
 }
 
 impl Iterator for Reader {

@@ -11,7 +11,7 @@ use super::{
     backlog::Backlog,
     entry::{since_1970, Entry},
     file::About,
-    parts::{Parts, Split},
+    parts::{PartPaths, Parts, Split},
     recorder_error::RecorderError,
     segments::{folder_of, Segments},
 };
@@ -25,6 +25,8 @@ const BACKLOG_BYTES: usize = 8 * 1024 * 1024;
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 /// The interval at which the thread looks whether a chunk or a file is due.
 const TICK: Duration = Duration::from_millis(250);
+/// How long those who read a recording that runs wait for its newest messages.
+const FLUSHED_WITHIN: Duration = Duration::from_secs(1);
 
 /// The settings of a recorder.
 #[derive(Clone, Debug)]
@@ -54,6 +56,9 @@ pub struct Progress {
 
 /// Records messages. They are never waited for: what the disk cannot take is dropped and counted, urgent messages last.
 pub struct Recorder {
+    path: PathBuf,
+    about: About,
+    parts: PartPaths,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<Parts>>,
     clock: Clock,
@@ -62,12 +67,16 @@ pub struct Recorder {
 struct Shared {
     state: Mutex<State>,
     changed: Condvar,
+    /// Notified when a requested flush is done.
+    flushed: Condvar,
 }
 
 struct State {
     backlog: Backlog,
     progress: Progress,
     is_stopped: bool,
+    /// The number of flushes that were requested, and of those that were done.
+    flushes: (u64, u64),
 }
 
 /// The time since 1970, without the jumps of the computer's clock.
@@ -112,8 +121,10 @@ impl Recorder {
                 backlog: Backlog::new(BACKLOG_BYTES),
                 progress: Progress::default(),
                 is_stopped: false,
+                flushes: (0, 0),
             }),
             changed: Condvar::new(),
+            flushed: Condvar::new(),
         });
         let clock = Clock {
             started: Instant::now(),
@@ -121,17 +132,60 @@ impl Recorder {
         };
         let writing = shared.clone();
         let thread = std::thread::Builder::new().name("recorder".to_owned());
-        let parts = Parts::new(path, about, split);
+        let parts = Parts::new(path.clone(), about.clone(), split);
+        let part_paths = parts.paths();
         let thread = thread.spawn(move || write(&writing, segments, parts, clock));
         let thread = thread.map_err(|source| RecorderError::Write {
             path: folder,
             source,
         })?;
         Ok(Self {
+            path,
+            about,
+            parts: part_paths,
             shared,
             thread: Some(thread),
             clock,
         })
+    }
+
+    /// Returns the description of the recording.
+    pub fn about(&self) -> &About {
+        &self.about
+    }
+
+    /// Returns the time by which messages are recorded, since 1970.
+    pub fn now(&self) -> Duration {
+        self.clock.now()
+    }
+
+    /// Returns the files and folders of the recording in their order, after waiting until all messages can be read there, at
+    /// most for a second.
+    pub fn readable(&self) -> Vec<PathBuf> {
+        let mut state = self.shared.state();
+        state.flushes.0 += 1;
+        let requested = state.flushes.0;
+        self.shared.changed.notify_one();
+        let is_pending = |state: &mut State| state.flushes.1 < requested;
+        let waited = self
+            .shared
+            .flushed
+            .wait_timeout_while(state, FLUSHED_WITHIN, is_pending);
+        drop(waited);
+        let parts = self.parts.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut paths: Vec<_> = parts
+            .iter()
+            // A part is a folder until it is a file.
+            .map(|file| {
+                if file.exists() {
+                    file.clone()
+                } else {
+                    folder_of(file)
+                }
+            })
+            .collect();
+        paths.push(folder_of(&self.path));
+        paths
     }
 
     /// Records a message, which arrived now. Never blocks for the disk.
@@ -188,22 +242,23 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for messages, at most for a tick. Returns them, and whether the recorder was stopped.
-    fn take(&self) -> (Vec<Entry>, bool) {
+    /// Waits for messages, at most for a tick. Returns them, whether the recorder was stopped, and the number of requested
+    /// flushes.
+    fn take(&self) -> (Vec<Entry>, bool, u64) {
         let state = self.state();
         let waited = self.changed.wait_timeout_while(state, TICK, |state| {
-            state.backlog.is_empty() && !state.is_stopped
+            state.backlog.is_empty() && !state.is_stopped && state.flushes.0 == state.flushes.1
         });
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let entries = std::iter::from_fn(|| state.backlog.pop()).collect();
-        (entries, state.is_stopped)
+        (entries, state.is_stopped, state.flushes.0)
     }
 }
 
 /// Writes until the recorder is stopped. Returns what is to be made files of.
 fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock) -> Parts {
     loop {
-        let (entries, is_stopped) = shared.take();
+        let (entries, is_stopped, flushes) = shared.take();
         let mut entries = entries.into_iter();
         let (mut count, mut bytes) = (0, 0);
         let written = entries.by_ref().try_for_each(|entry| {
@@ -222,9 +277,14 @@ fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock
                 return segments.finish(clock.now());
             }
             segments.on_time(clock.now())?;
+            if shared.state().flushes.1 < flushes {
+                segments.flush()?;
+            }
             parts.on_time(&mut segments)
         });
         let mut state = shared.state();
+        state.flushes.1 = flushes;
+        shared.flushed.notify_all();
         state.progress.written += count;
         state.progress.bytes += bytes;
         let Err(error) = written else {

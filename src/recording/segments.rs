@@ -127,6 +127,17 @@ impl Segments {
         Ok(())
     }
 
+    /// Ends the chunk, so that everything can be read.
+    ///
+    /// # Errors
+    /// Fails if the disk does.
+    pub fn flush(&mut self) -> io::Result<()> {
+        match &mut self.open {
+            Some(open) => open.file.flush(),
+            None => Ok(()),
+        }
+    }
+
     /// Completes the file that is being written, and removes those that are older than what is kept.
     ///
     /// # Errors

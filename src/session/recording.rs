@@ -6,7 +6,7 @@ use tokio::{
     time::{interval, MissedTickBehavior},
 };
 
-use super::{robot::Robot, Events, QueueOptions, Subscriber};
+use super::{recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
 use crate::{
     core::topic::Pattern,
     error::Error,
@@ -34,6 +34,7 @@ pub struct RobotRecorder {
     subscribers: Vec<Arc<Subscriber>>,
     messages: JoinSet<()>,
     reports: JoinSet<()>,
+    queries: RecordingQueries,
 }
 
 impl Robot {
@@ -42,6 +43,9 @@ impl Robot {
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
     /// counted, urgent messages last.
+    ///
+    /// While it runs, other robots can ask for a part of it ([`recorded`](Self::recorded)), and stock Zenoh programs, too
+    /// (docs/how-to/record.md).
     ///
     /// ```no_run
     /// # async fn record(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -88,8 +92,10 @@ impl Robot {
             let links = record_links(self.clone(), recorder.clone());
             reports.spawn(links);
         }
+        let queries = RecordingQueries::start(self, &recorder)?;
         Ok(RobotRecorder {
             recorder,
+            queries,
             patterns,
             subscribers,
             messages,
@@ -134,6 +140,7 @@ impl RobotRecorder {
         // Until what has arrived is recorded.
         self.ended().await;
         let unread = self.unread();
+        self.queries.close().await;
         let recorder = Arc::into_inner(self.recorder).ok_or(Error::Closed)?;
         let finished = tokio::task::spawn_blocking(|| recorder.finish());
         let (files, mut progress) = finished.await.map_err(|_| Error::Closed)??;

@@ -1,4 +1,6 @@
-//! Implements `rect recording`, which works on recordings without a router.
+//! Implements `rect recording`, which works on recordings.
+mod fetch;
+
 use std::{
     fs::File,
     io::{self, BufWriter, Write},
@@ -22,7 +24,7 @@ use rect::{
 
 use crate::{duration::DurationArgument, Done, Failure};
 
-/// Show, check, convert, cut and merge recordings
+/// Show, check, convert, cut and merge recordings, and fetch them from robots
 #[derive(Args)]
 pub struct RecordingArguments {
     #[command(subcommand)]
@@ -57,6 +59,7 @@ enum RecordingCommand {
         #[command(flatten)]
         part: PartArguments,
     },
+    Fetch(fetch::FetchArguments),
     /// Write a part of a recording to a new file
     Cut {
         /// The file, or the folder of an interrupted recording
@@ -113,6 +116,7 @@ impl PartArguments {
 /// Runs `rect recording`.
 pub fn run(arguments: RecordingArguments) -> Done {
     match arguments.command {
+        RecordingCommand::Fetch(arguments) => crate::wait(fetch::run(arguments)),
         RecordingCommand::Info { recording, json } => info(&recording, json),
         RecordingCommand::Check { recording } => check(&recording),
         RecordingCommand::Export {
