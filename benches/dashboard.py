@@ -34,11 +34,13 @@ def dashboard(robot: Robot) -> Iterator[tuple[str, int]]:
     command = [os.environ["RECT_TOOL"], "dashboard", "--router", robot.endpoint(), "--listen", listen]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        for line in process.stderr:
-            if "in a browser" in line:
-                break
-        yield f"http://{listen}", process.pid
-        process.terminate()
+        try:
+            for line in process.stderr:
+                if "in a browser" in line:
+                    break
+            yield f"http://{listen}", process.pid
+        finally:
+            process.terminate()
 
 
 @contextmanager
@@ -57,9 +59,11 @@ def publishing(robot: rect.Robot, topics: int, hertz: int) -> Iterator[None]:
 
     thread = threading.Thread(target=run)
     thread.start()
-    yield
-    ends.set()
-    thread.join()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
 
 
 def urgent_ms(here: rect.Robot, there: rect.Robot) -> list[float]:
@@ -79,7 +83,7 @@ def opened(browser: Browser, url: str) -> tuple[Page, float, int]:
     """Opens the page; returns it, the milliseconds until it shows a robot, and the bytes that were transferred."""
     page = browser.new_page()
     responses: list[Response] = []
-    page.on("response", responses.append)
+    page.on("response", lambda response: responses.append(response))
     started = time.monotonic()
     page.goto(url)
     expect(page.get_by_role("region", name="wombat-2", exact=True)).to_be_visible(timeout=DEADLINE_MS)

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use tokio::{sync::mpsc, task::JoinHandle};
+use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
 use zenoh::{
     query::{
         ConsolidationMode, Query, QueryTarget, Queryable, ReplyError, ReplyKeyExpr, TimeBound,
@@ -45,6 +45,8 @@ const WAITING: usize = 8;
 const PAGE_BYTES: usize = 64 * 1024;
 /// The largest number of messages that are sent one by one.
 const MAX_MESSAGES: usize = 1000;
+/// How long the end of a recording waits for the answer that is being sent.
+const SENT_WITHIN: Duration = Duration::from_secs(2);
 /// How long an answer may take.
 const TIMEOUT: Duration = Duration::from_secs(15);
 
@@ -97,11 +99,11 @@ impl RecordingQueries {
         Ok(Self { queryable, task })
     }
 
-    /// Stops, after the answer that is being sent.
+    /// Stops, after the answer that is being sent, unless that takes too long.
     pub(super) async fn close(self) {
         drop(self.queryable);
-        // The task cannot panic.
-        let _ = self.task.await;
+        // The task cannot panic, and may continue.
+        let _ = timeout(SENT_WITHIN, self.task).await;
     }
 }
 
@@ -121,14 +123,17 @@ impl Answering {
     }
 
     fn reply(&self, query: &Query) -> Result<(), String> {
-        let recorder = self.recorder.upgrade().ok_or("the recording has ended")?;
+        // Not kept while the answer is sent: a recording ends also if a link stands still.
+        let recorder = self.recorder.upgrade();
+        let recorder = recorder.ok_or("the recording has ended")?;
         let (question, is_file) = self.question(query, recorder.now())?;
         let max_count = if is_file { usize::MAX } else { MAX_MESSAGES };
         let excerpt = Excerpt::read(&recorder.readable(), &question, PAGE_BYTES, max_count);
-        let excerpt = excerpt.map_err(|error| error.to_string())?;
+        let about = recorder.about().clone();
+        drop(recorder);
+        let excerpt = excerpt.map_err(text)?;
         if is_file {
-            let file = excerpt.encode(recorder.about().clone(), question.until);
-            let file = file.map_err(|error| error.to_string())?;
+            let file = excerpt.encode(about, question.until).map_err(text)?;
             let reply = query.reply(&self.own, file);
             return reply.encoding("application/mcap").wait().map_err(text);
         }
@@ -226,6 +231,8 @@ pub struct Recorded {
     /// The time that is left, in Zenoh's notation.
     time: String,
     about: About,
+    /// The time of the last message that was read.
+    newest: Option<Duration>,
     is_complete: bool,
 }
 
@@ -261,6 +268,7 @@ impl Robot {
             topics: topics.to_owned(),
             time: time.to_owned(),
             about: About::new(),
+            newest: None,
             is_complete: false,
         })
     }
@@ -309,7 +317,9 @@ impl Recorded {
         let (excerpt, about, until) = Excerpt::decode(bytes).map_err(RecorderError::from)?;
         self.about = about;
         match excerpt.entries.last() {
-            Some(last) if excerpt.more => {
+            // A recorder that sends the same part again and again is not asked for ever.
+            Some(last) if excerpt.more && self.newest < Some(last.logged) => {
+                self.newest = Some(last.logged);
                 let range = TimeRange {
                     start: TimeBound::Exclusive(UNIX_EPOCH + last.logged),
                     end: TimeBound::Inclusive(UNIX_EPOCH + until),

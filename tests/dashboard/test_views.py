@@ -230,7 +230,7 @@ def test_lost_router_is_shown(page: Page, fleet: Fleet) -> None:
 
 def test_first_data_arrives_within_seconds_and_the_page_is_small(page: Page, fleet: Fleet, dashboard: str) -> None:
     responses: list[Any] = []
-    page.on("response", responses.append)
+    page.on("response", lambda response: responses.append(response))
     page.goto(dashboard)
     expect(page.get_by_role("region", name="wombat-1", exact=True)).to_be_visible()
     sizes = [len(response.body()) for response in responses]
