@@ -143,7 +143,7 @@ def run() -> Table:
 
 def launched(playwright: Playwright) -> Browser:
     path = os.environ.get("CHROMIUM", "/usr/bin/chromium")
-    return playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+    return playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"])
 
 
 def reopened(playwright: Playwright, url: str) -> float:

@@ -101,9 +101,9 @@ def chromium() -> Iterator[Browser]:
 
 
 def launched(playwright: Playwright) -> Iterator[Browser]:
-    # Without a sandbox, which needs rights that containers do not have. It opens only this dashboard.
+    # Without a sandbox and much shared memory, which containers do not have. It opens only this dashboard.
     path = os.environ.get("CHROMIUM", "/usr/bin/chromium")
-    browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+    browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"])
     yield browser
     browser.close()
 

@@ -313,3 +313,24 @@ async fn open_socket(
             .await;
         })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn vendored_files_are_unchanged() {
+        let list = Files::get("VENDORED.txt").expect("the list").data;
+        let list = String::from_utf8_lossy(&list);
+        for name in ["uPlot.iife.min.js", "uPlot.min.css"] {
+            let file = Files::get(name).expect(name);
+            let hash = file.metadata.sha256_hash();
+            let hash: String = hash.iter().map(|byte| format!("{byte:02x}")).collect();
+            let listed = list.lines().find(|line| line.contains(name));
+            assert!(
+                listed.is_some_and(|line| line.ends_with(&hash)),
+                "{name}: {hash}"
+            );
+        }
+    }
+}
