@@ -255,3 +255,22 @@ def test_thousand_topics_are_listed_without_as_many_elements(page: Page, dashboa
     page.locator(".list").evaluate("list => list.scrollTo(0, list.scrollHeight)")
     expect(page.get_by_role("button", name="sensor/999")).to_be_visible()
     assert lines.count() < 60
+
+
+def test_silent_connection_is_given_up_and_replaced(page: Page, dashboard: str) -> None:
+    # As after a laptop has slept, or has left the range of the Wi-Fi.
+    silent = []
+
+    def serve(route: Any) -> None:
+        server = route.connect_to_server()
+        server.on_message(lambda message: silent or route.send(message))
+
+    page.route_web_socket(re.compile("/socket$"), serve)
+    page.goto(dashboard)
+    condition = page.locator(".condition")
+    expect(condition).to_have_text("live")
+    silent.append(True)
+    expect(condition).to_contain_text("disconnected")
+    silent.clear()
+    expect(condition).to_have_text("live")
+    expect(page.get_by_role("region", name="wombat-2", exact=True)).to_contain_text("✓ reachable")
