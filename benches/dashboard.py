@@ -1,22 +1,26 @@
 """Measures `rect dashboard` with pages in headless Chromium: what the page costs the air, urgent messages, memory and
 processor time, and how soon it shows something."""
 
-import os
 import statistics
-import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 import rect
 from pairs import carried
 from playwright.sync_api import Browser, Page, Playwright, Response, expect, sync_playwright
-from robots import Robot, free_port, rect_settings
+from robots import rect_settings
 from room import Room, wait_for_link
 from routers import own_kb
 from table import Table
 from traffic import percentile
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "dashboard"))
+
+from serving import dashboard, launched
 
 from recording import processor_ms
 
@@ -25,22 +29,6 @@ TOPICS, TOPICS_HZ = 20, 10
 FAST_HZ = 500
 URGENT_EVERY_S = 0.05
 DEADLINE_MS = 30_000
-
-
-@contextmanager
-def dashboard(robot: Robot) -> Iterator[tuple[str, int]]:
-    """Runs the dashboard at the router of a robot; yields its address and its process."""
-    listen = f"127.0.0.1:{free_port()}"
-    command = [os.environ["RECT_TOOL"], "dashboard", "--router", robot.endpoint(), "--listen", listen]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            for line in process.stderr:
-                if "in a browser" in line:
-                    break
-            yield f"http://{listen}", process.pid
-        finally:
-            process.terminate()
 
 
 @contextmanager
@@ -104,7 +92,7 @@ def run() -> Table:
         wait_for_link(*robots)
         here = stack.enter_context(rect.connect("wombat-1", router=robots[0].endpoint()))
         there = stack.enter_context(rect.connect("wombat-2", router=robots[1].endpoint()))
-        url, pid = stack.enter_context(dashboard(robots[0]))
+        url, pid = stack.enter_context(dashboard(robots[0].endpoint()))
         playwright = stack.enter_context(sync_playwright())
         browser = launched(playwright)
         stack.enter_context(publishing(there, TOPICS, TOPICS_HZ))
@@ -139,11 +127,6 @@ def run() -> Table:
         f"{1 / URGENT_EVERY_S:.0f} per second, are part of the bytes on the air."
     )
     return table
-
-
-def launched(playwright: Playwright) -> Browser:
-    path = os.environ.get("CHROMIUM", "/usr/bin/chromium")
-    return playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"])
 
 
 def reopened(playwright: Playwright, url: str) -> float:

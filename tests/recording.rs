@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{free_endpoint, TIMEOUT};
+use pair::{free_endpoint, stock_client, TIMEOUT};
 use rect::{
     blocking,
     core::encoding::Encoding,
@@ -635,15 +635,7 @@ fn stock_zenoh_programs_query_a_running_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let endpoint = free_endpoint();
     let (robot, _recording) = recorded_at(folder.path(), &endpoint);
-    let mut config = zenoh::Config::default();
-    let settings = [
-        ("mode", "\"client\"".to_owned()),
-        ("connect/endpoints", format!("[\"{endpoint}\"]")),
-    ];
-    for (key, value) in settings {
-        config.insert_json5(key, &value).expect("a setting");
-    }
-    let stock = zenoh::open(config).wait().expect("connected");
+    let stock = stock_client(&endpoint);
     for n in 0..20 {
         robot.publish("n", Json(n)).expect("published");
     }

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{free_endpoint, TIMEOUT};
+use pair::{free_endpoint, stock_client, TIMEOUT};
 use rect::{blocking, Options};
 use serde_json::Value;
 
@@ -418,15 +418,7 @@ const HOSTILE: &str = "a\x1b]0;pwned\x07\x1b[2Jb\nfake/c: 12.5";
 #[test]
 fn control_characters_from_other_robots_are_replaced() {
     let (a, endpoint) = robot("a");
-    let mut config = zenoh::Config::default();
-    let settings = [
-        ("mode", "\"client\"".to_owned()),
-        ("connect/endpoints", format!("[\"{endpoint}\"]")),
-    ];
-    for (key, value) in settings {
-        config.insert_json5(key, &value).expect("a setting");
-    }
-    let stock = zenoh::Wait::wait(zenoh::open(config)).expect("a session");
+    let stock = stock_client(&endpoint);
     let mut command = rect(&["sub", "*/**", "--as", "b", "--router", &endpoint]);
     let mut child = Killed(command.stdout(Stdio::piped()).spawn().expect("started"));
     let mut lines = BufReader::new(child.0.stdout.take().expect("piped")).lines();

@@ -95,7 +95,10 @@ impl Excerpt {
             }
         }
         let is_earlier = |file: &PathBuf| end_of(file).is_some_and(|end| end < question.begin);
-        files.retain(|file| !is_earlier(file));
+        // Later files need not be looked into: the files are in the order of their times.
+        if let Some(last_earlier) = files.iter().rposition(is_earlier) {
+            files.drain(..=last_earlier);
+        }
         let mut excerpt = Self::default();
         let mut bytes = 0;
         for entry in Reader::of_files(files) {

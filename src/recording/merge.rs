@@ -1,5 +1,5 @@
 //! Writes entries of other recordings to one file.
-use std::{io, path::Path};
+use std::path::Path;
 
 use super::{
     entry::Entry,
@@ -17,13 +17,7 @@ pub fn merge(
     path: &Path,
     about: &About,
 ) -> Result<u64, RecorderError> {
-    let failed = |source: io::Error| match source.kind() {
-        io::ErrorKind::AlreadyExists => RecorderError::Exists(path.to_owned()),
-        _ => RecorderError::Write {
-            path: path.to_owned(),
-            source,
-        },
-    };
+    let failed = |source| RecorderError::of_file(path, source);
     let mut file = OpenFile::create(path.to_owned(), about).map_err(failed)?;
     let mut count = 0;
     for entry in entries {

@@ -75,8 +75,10 @@ struct State {
     backlog: Backlog,
     progress: Progress,
     is_stopped: bool,
-    /// The number of flushes that were requested, and of those that were done.
-    flushes: (u64, u64),
+    /// The number of flushes that were requested.
+    requested_flushes: u64,
+    /// The number of those that were done.
+    done_flushes: u64,
 }
 
 /// The time since 1970, without the jumps of the computer's clock.
@@ -121,7 +123,8 @@ impl Recorder {
                 backlog: Backlog::new(BACKLOG_BYTES),
                 progress: Progress::default(),
                 is_stopped: false,
-                flushes: (0, 0),
+                requested_flushes: 0,
+                done_flushes: 0,
             }),
             changed: Condvar::new(),
             flushed: Condvar::new(),
@@ -163,10 +166,10 @@ impl Recorder {
     /// most for a second.
     pub fn readable(&self) -> Vec<PathBuf> {
         let mut state = self.shared.state();
-        state.flushes.0 += 1;
-        let requested = state.flushes.0;
+        state.requested_flushes += 1;
+        let requested = state.requested_flushes;
         self.shared.changed.notify_one();
-        let is_pending = |state: &mut State| state.flushes.1 < requested;
+        let is_pending = |state: &mut State| state.done_flushes < requested;
         let waited = self
             .shared
             .flushed
@@ -247,18 +250,21 @@ impl Shared {
     fn take(&self) -> (Vec<Entry>, bool, u64) {
         let state = self.state();
         let waited = self.changed.wait_timeout_while(state, TICK, |state| {
-            state.backlog.is_empty() && !state.is_stopped && state.flushes.0 == state.flushes.1
+            state.backlog.is_empty()
+                && !state.is_stopped
+                && state.requested_flushes == state.done_flushes
         });
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let entries = std::iter::from_fn(|| state.backlog.pop()).collect();
-        (entries, state.is_stopped, state.flushes.0)
+        (entries, state.is_stopped, state.requested_flushes)
     }
 }
 
 /// Writes until the recorder is stopped. Returns what is to be made files of.
 fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock) -> Parts {
+    let mut flushed = 0;
     loop {
-        let (entries, is_stopped, flushes) = shared.take();
+        let (entries, is_stopped, requested_flushes) = shared.take();
         let mut entries = entries.into_iter();
         let (mut count, mut bytes) = (0, 0);
         let written = entries.by_ref().try_for_each(|entry| {
@@ -277,14 +283,17 @@ fn write(shared: &Shared, mut segments: Segments, mut parts: Parts, clock: Clock
                 return segments.finish(clock.now());
             }
             segments.on_time(clock.now())?;
-            if shared.state().flushes.1 < flushes {
+            if flushed < requested_flushes {
                 segments.flush()?;
             }
             parts.on_time(&mut segments)
         });
         let mut state = shared.state();
-        state.flushes.1 = flushes;
-        shared.flushed.notify_all();
+        if flushed < requested_flushes {
+            flushed = requested_flushes;
+            state.done_flushes = flushed;
+            shared.flushed.notify_all();
+        }
         state.progress.written += count;
         state.progress.bytes += bytes;
         let Err(error) = written else {

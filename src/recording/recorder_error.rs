@@ -1,5 +1,8 @@
 //! Defines [`RecorderError`].
-use std::{io, path::PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use super::reader::ReadError;
 
@@ -27,4 +30,15 @@ pub enum RecorderError {
     /// The parts of the recording cannot be read back.
     #[error("cannot merge the parts of the recording: {0}")]
     Read(#[from] ReadError),
+}
+
+impl RecorderError {
+    /// Returns the error that a new file cannot be created or written.
+    pub fn of_file(path: &Path, source: io::Error) -> Self {
+        let path = path.to_owned();
+        match source.kind() {
+            io::ErrorKind::AlreadyExists => Self::Exists(path),
+            _ => Self::Write { path, source },
+        }
+    }
 }

@@ -59,12 +59,18 @@ pub fn json_value(payload: &Payload) -> Option<Value> {
     payload.text().ok().map(Value::from)
 }
 
-/// Returns a payload as an object. Bytes that are neither a value nor text are described.
+/// Returns a payload as JSON. Bytes that are neither a value nor text are described.
+pub fn value(payload: &Payload) -> Value {
+    let description =
+        || json!({"bytes": payload.bytes.len(), "encoding": payload.encoding.as_str()});
+    json_value(payload).unwrap_or_else(description)
+}
+
+/// Returns a payload as an object.
 pub fn object(payload: &Payload) -> Value {
-    match json_value(payload) {
-        Some(Value::Object(fields)) => Value::Object(fields),
-        Some(value) => json!({ VALUE: value }),
-        None => json!({"bytes": payload.bytes.len(), "encoding": payload.encoding.as_str()}),
+    match value(payload) {
+        Value::Object(fields) => Value::Object(fields),
+        value => json!({ VALUE: value }),
     }
 }
 

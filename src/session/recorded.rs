@@ -16,9 +16,10 @@ use zenoh::{
 };
 use zenoh_keyexpr::OwnedKeyExpr;
 
-use super::{convert, robot::Robot};
+use super::{convert, queries, robot::Robot};
 use crate::{
     core::{
+        driver::Answer,
         encoding::Encoding,
         name::Name,
         payload::Payload,
@@ -183,11 +184,11 @@ impl Answering {
         let range = range.ok_or("name the time, such as _time=[now(-10s)..]")?;
         let at = UNIX_EPOCH + now;
         let range = range.map_err(text)?.resolve_at(at);
-        let (nothing, step) = (Duration::ZERO, Duration::from_nanos(1));
+        let step = Duration::from_nanos(1);
         let begin = match range.start {
             TimeBound::Inclusive(time) => since_1970(time),
             TimeBound::Exclusive(time) => since_1970(time) + step,
-            TimeBound::Unbounded => nothing,
+            TimeBound::Unbounded => Duration::ZERO,
         };
         let until = match range.end {
             TimeBound::Inclusive(time) => since_1970(time),
@@ -215,12 +216,7 @@ fn text(error: impl fmt::Display) -> String {
 
 fn refuse(query: &Query, me: &Name, problem: &str) {
     let error = error_to_payload(me, Payload::new(problem.to_owned(), Encoding::TEXT));
-    let sent = query
-        .reply_err(error.bytes)
-        .encoding(error.encoding.as_str());
-    if let Err(error) = sent.wait() {
-        tracing::debug!("cannot refuse a question about the recording: {error}");
-    }
+    queries::answer(query, Answer::Error(error));
 }
 
 /// Reads the recording that another robot makes, a part at a time; created by [`Robot::recorded`].
@@ -304,13 +300,9 @@ impl Recorded {
             .await
             .map_err(Error::zenoh("cannot ask for the recording"))?;
         let Ok(reply) = replies.recv_async().await else {
-            let peers = self.robot.peers().await.unwrap_or_default();
             let service = format!("{RECORDING} (`rect record`)");
-            return Err(Error::no_service(
-                self.recorder.to_string(),
-                service,
-                &peers,
-            ));
+            let recorder = self.recorder.to_string();
+            return Err(self.robot.no_service(recorder, service).await);
         };
         let sample = reply.into_result().map_err(|error| self.failure(&error))?;
         let bytes = sample.payload().to_bytes().into_owned();

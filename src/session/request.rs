@@ -142,7 +142,8 @@ impl Robot {
         })
     }
 
-    async fn no_service(&self, robot: String, topic: String) -> Error {
+    /// Returns the error that no program of `robot` serves `topic`.
+    pub(super) async fn no_service(&self, robot: String, topic: String) -> Error {
         let peers = self.peers().await.unwrap_or_default();
         Error::no_service(robot, topic, &peers)
     }

@@ -5,8 +5,6 @@ The job `dashboard` runs these tests (`scripts/test dashboard`)."""
 from __future__ import annotations
 
 import os
-import socket
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,11 +13,12 @@ from typing import Any
 
 import pytest
 import rect
-from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "examples" / "demo"))
 
+import serving  # noqa: E402
 from robots import rect_settings  # noqa: E402
 from room import Room  # noqa: E402
 
@@ -49,28 +48,8 @@ class Fleet:
     @contextmanager
     def dashboard(self, *options: str, index: int = 0) -> Iterator[str]:
         """Runs the dashboard at the router of a robot, and yields its address."""
-        port = free_port()
-        scheme = "https" if "--certificate" in options else "http"
-        command = [os.environ["RECT_TOOL"], "dashboard", "--router", self.endpoint(index), *options]
-        if "--listen" not in options:
-            command += ["--listen", f"127.0.0.1:{port}"]
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-            assert process.stderr
-            try:
-                for line in process.stderr:
-                    if "in a browser" in line:
-                        yield line.split()[2]
-                        return
-                raise AssertionError(f"the dashboard has ended; {scheme} {command}")
-            finally:
-                process.terminate()
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+        with serving.dashboard(self.endpoint(index), *options) as (url, _):
+            yield url
 
 
 @pytest.fixture(scope="session")
@@ -97,15 +76,9 @@ def dashboard(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Browser]:
     with sync_playwright() as playwright:
-        yield from launched(playwright)
-
-
-def launched(playwright: Playwright) -> Iterator[Browser]:
-    # Without a sandbox and much shared memory, which containers do not have. It opens only this dashboard.
-    path = os.environ.get("CHROMIUM", "/usr/bin/chromium")
-    browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"])
-    yield browser
-    browser.close()
+        browser = serving.launched(playwright)
+        yield browser
+        browser.close()
 
 
 @pytest.fixture

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import socket
+import subprocess
 import time
 import urllib.error
 import urllib.request
@@ -181,8 +183,6 @@ def test_stalled_browser_costs_little_and_delays_nobody(fleet: Fleet, dashboard:
 
 def memory_kb() -> int:
     """Returns the private memory of the dashboard of these tests."""
-    import subprocess
-
     found = subprocess.run(["pgrep", "-f", "dashboard.*--stop"], capture_output=True, text=True, check=True)
     pid = found.stdout.split()[0]
     text = Path(f"/proc/{pid}/smaps_rollup").read_text()
@@ -267,9 +267,6 @@ def test_read_only_page_changes_nothing(page: Page, fleet: Fleet) -> None:
 
 
 def test_beyond_this_computer_a_login_is_required(fleet: Fleet, tmp_path: Path) -> None:
-    import os
-    import subprocess
-
     command = [os.environ["RECT_TOOL"], "dashboard", "--router", fleet.endpoint(0), "--listen", "0.0.0.0:0"]
     environment = {**os.environ, "RECT_LOGIN": str(tmp_path / "missing")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
@@ -277,8 +274,6 @@ def test_beyond_this_computer_a_login_is_required(fleet: Fleet, tmp_path: Path) 
 
 
 def test_page_over_tls(page: Page, fleet: Fleet, tmp_path: Path) -> None:
-    import subprocess
-
     certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
     command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost", "-days", "2"]
     subprocess.run([*command, "-keyout", str(key), "-out", str(certificate)], check=True, capture_output=True)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import re
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +19,9 @@ from PIL import Image
 from playwright.sync_api import Page, expect
 
 
-def repeat(robot: rect.Robot, topic: str, values: Any) -> Any:
-    """Publishes values on a topic at 20 Hz, until the returned object is closed."""
-    import threading
-
+@contextmanager
+def repeat(robot: rect.Robot, topic: str, values: Callable[[int], Any]) -> Iterator[None]:
+    """Publishes values on a topic at 20 Hz, until the end of the block."""
     ends = threading.Event()
 
     def run() -> None:
@@ -29,21 +32,14 @@ def repeat(robot: rect.Robot, topic: str, values: Any) -> Any:
 
     thread = threading.Thread(target=run)
     thread.start()
-
-    class Repeating:
-        def __enter__(self) -> None:
-            pass
-
-        def __exit__(self, *_: object) -> None:
-            ends.set()
-            thread.join()
-
-    return Repeating()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
 
 
 def picture(number: int) -> rect.Payload:
-    import io
-
     image = Image.new("RGB", (32, 24), (number * 8 % 256, 80, 80))
     buffer = io.BytesIO()
     image.save(buffer, "PNG")

@@ -4,6 +4,7 @@
 use std::{net::TcpListener, time::Duration};
 
 use rect::{Options, Robot};
+use zenoh::Wait;
 
 /// Timeout of one step of a test, long enough for a busy computer.
 pub const TIMEOUT: Duration = Duration::from_secs(30);
@@ -28,6 +29,19 @@ pub async fn dialling(name: &str, endpoint: &str) -> Robot {
         .connect()
         .await
         .expect("connected")
+}
+
+/// Connects a stock Zenoh client to `endpoint`.
+pub fn stock_client(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    let settings = [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+    ];
+    for (key, value) in settings {
+        config.insert_json5(key, &value).expect("a setting");
+    }
+    zenoh::open(config).wait().expect("connected")
 }
 
 /// Returns two linked robots that have discovered each other.

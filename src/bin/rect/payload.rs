@@ -37,10 +37,22 @@ impl PayloadArguments {
             Some("-") => read_stdin(io::stdin())?,
             value => value.unwrap_or_default().to_owned(),
         };
-        let json = !self.text && serde_json::from_str::<serde::de::IgnoredAny>(&value).is_ok();
-        let encoding = if json { Encoding::JSON } else { Encoding::TEXT };
-        Ok(Payload::new(value, encoding))
+        Ok(match self.text {
+            true => Payload::new(value, Encoding::TEXT),
+            false => typed(value),
+        })
     }
+}
+
+/// Returns the value that a user has typed: JSON if it is valid JSON, otherwise a text.
+pub fn typed(value: String) -> Payload {
+    let is_json = serde_json::from_str::<serde::de::IgnoredAny>(&value).is_ok();
+    let encoding = if is_json {
+        Encoding::JSON
+    } else {
+        Encoding::TEXT
+    };
+    Payload::new(value, encoding)
 }
 
 /// Reads the text of the standard input.

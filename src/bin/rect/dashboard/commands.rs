@@ -1,14 +1,14 @@
 //! Executes the commands of the page that are answered: publish, request, connections, stop and record.
 use std::time::{Duration, Instant};
 
-use rect::{Encoding, Name, NamedConnection, Payload, Topic};
+use rect::{recording::view, Name, NamedConnection, Topic};
 use serde_json::{json, Value};
 
 use super::{
     protocol::{Command, ConnectionForm},
     App,
 };
-use rect::recording::view;
+use crate::payload;
 
 /// How long a service may take.
 const TIMEOUT: Duration = Duration::from_secs(5);
@@ -84,7 +84,7 @@ async fn publish(app: &App, to: Option<&str>, topic: &str, value: String, urgent
         false => app.robot.clone(),
     };
     let topic = Topic::new(topic).map_err(text)?;
-    let payload = payload(value);
+    let payload = payload::typed(value);
     let sent = match to {
         Some(to) => {
             robot
@@ -102,11 +102,10 @@ async fn request(app: &App, robot: &str, topic: &str, value: String) -> Answer {
     let topic = Topic::new(topic).map_err(text)?;
     let reply = app
         .robot
-        .request(name, topic, payload(value), TIMEOUT)
+        .request(name, topic, payload::typed(value), TIMEOUT)
         .await
         .map_err(text)?;
-    let shown = view::json_value(&reply.payload).unwrap_or_else(|| view::object(&reply.payload));
-    Ok(json!({"reply": shown, "ms": milliseconds(started)}))
+    Ok(json!({"reply": view::value(&reply.payload), "ms": milliseconds(started)}))
 }
 
 async fn connect(app: &App, robot: &str, form: ConnectionForm) -> Answer {
@@ -152,17 +151,6 @@ async fn stop(app: &App) -> Answer {
         "reachable": reachable.collect::<Vec<_>>(),
         "problems": problems,
     }))
-}
-
-/// Returns the value that a user has typed: JSON, or else a text.
-fn payload(value: String) -> Payload {
-    let is_json = serde_json::from_str::<serde::de::IgnoredAny>(&value).is_ok();
-    let encoding = if is_json {
-        Encoding::JSON
-    } else {
-        Encoding::TEXT
-    };
-    Payload::new(value, encoding)
 }
 
 fn milliseconds(since: Instant) -> f64 {

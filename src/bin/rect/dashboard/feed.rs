@@ -196,11 +196,7 @@ impl Value {
         };
         let shown = match bytes <= limit {
             true if is_picture => payload.bytes,
-            true => {
-                let json = view::json_value(&payload);
-                let json = json.unwrap_or_else(|| view::object(&payload));
-                json.to_string().into()
-            }
+            true => view::value(&payload).to_string().into(),
             false => Bytes::new(),
         };
         let problem = || format!("{bytes} bytes are too many to show: at most {limit} are");

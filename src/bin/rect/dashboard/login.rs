@@ -1,7 +1,6 @@
 //! Decides who may see the page: checks logins, limits attempts, and keeps the sessions of browsers.
 use std::{
     collections::HashMap,
-    fmt::Write,
     fs,
     net::IpAddr,
     path::Path,
@@ -146,11 +145,7 @@ fn hash_of(user: &str, password: &str) -> [u8; 32] {
 fn new_token() -> String {
     let mut random = [0; 32];
     OsRng.fill_bytes(&mut random);
-    random.iter().fold(String::new(), |mut token, byte| {
-        // Writing to a text cannot fail.
-        let _ = write!(token, "{byte:02x}");
-        token
-    })
+    random.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -276,10 +276,10 @@ pub struct DataHeader<'a> {
     #[serde(skip_serializing_if = "is_zero")]
     pub missed: u32,
     /// Whether the message was sent as urgent.
-    #[serde(skip_serializing_if = "is_false")]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub urgent: bool,
     /// Whether the message repeats one of a recording.
-    #[serde(skip_serializing_if = "is_false")]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub replayed: bool,
     /// The method by which it arrived.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -295,14 +295,6 @@ pub struct DataHeader<'a> {
 )]
 fn is_zero(number: &u32) -> bool {
     *number == 0
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde passes a reference"
-)]
-fn is_false(flag: &bool) -> bool {
-    !*flag
 }
 
 /// Returns the message that contains a state.

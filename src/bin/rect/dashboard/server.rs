@@ -215,11 +215,12 @@ fn file(name: &str, headers: &HeaderMap) -> Response {
         return StatusCode::NOT_FOUND.into_response();
     };
     let hash = file.metadata.sha256_hash();
-    let tag = hash
+    let hash: String = hash
         .iter()
         .take(8)
-        .fold("\"".to_owned(), |tag, byte| format!("{tag}{byte:02x}"))
-        + "\"";
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    let tag = format!("\"{hash}\"");
     let known = headers.get(header::IF_NONE_MATCH);
     if known.is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
         return StatusCode::NOT_MODIFIED.into_response();
@@ -294,23 +295,13 @@ async fn open_socket(
     if !served.is_logged_in(&headers) {
         return StatusCode::UNAUTHORIZED.into_response();
     }
-    let token = token(&headers).map(str::to_owned);
     upgrade
         .max_message_size(MAX_COMMAND)
         .max_frame_size(MAX_COMMAND)
         .on_upgrade(async move |stream| {
-            let served = served;
-            let lasts = || match (&served.protection.logins, &token) {
-                (Some(logins), Some(token)) => logins.is_logged_in(token, Instant::now()),
-                (logins, _) => logins.is_none(),
-            };
-            socket::run(
-                stream,
-                &served.app,
-                served.protection.logins.is_some(),
-                lasts,
-            )
-            .await;
+            let may_stay = || served.is_logged_in(&headers);
+            let has_login = served.protection.logins.is_some();
+            socket::run(stream, &served.app, has_login, may_stay).await;
         })
 }
 

@@ -92,7 +92,8 @@ pub async fn run(arguments: FetchArguments) -> Done {
         return Err("nothing was recorded in this time".into());
     };
     let output = &arguments.output;
-    file.finish().map_err(|error| unwritable(output, error))?;
+    file.finish()
+        .map_err(|error| RecorderError::of_file(output, error))?;
     copied.map_err(|error| {
         format!(
             "{error}. {count} messages, the older part, are in {}",
@@ -100,14 +101,6 @@ pub async fn run(arguments: FetchArguments) -> Done {
         )
     })?;
     super::written(count, output)
-}
-
-fn unwritable(path: &Path, source: io::Error) -> RecorderError {
-    let path = path.to_owned();
-    match source.kind() {
-        io::ErrorKind::AlreadyExists => RecorderError::Exists(path),
-        _ => RecorderError::Write { path, source },
-    }
 }
 
 /// The messages that were copied.
@@ -129,7 +122,7 @@ impl Copy {
         while let Some(entries) = next(recorded, arguments.timeout.0, bar).await? {
             for entry in &entries {
                 let added = self.add(entry, recorded.about(), &arguments.output);
-                added.map_err(|error| unwritable(&arguments.output, error))?;
+                added.map_err(|error| RecorderError::of_file(&arguments.output, error))?;
             }
             let size = humanize::bytes(self.bytes);
             bar.set_message(format!("{} messages, {size}", self.count));

@@ -3,6 +3,7 @@
 import { eachFrame, h, setText } from "./dom.js";
 import { bytes, hertz, milliseconds, visible } from "./format.js";
 import { pictureView } from "./picture.js";
+import { ArrivalRate } from "./rates.js";
 
 const RATE_OVER_MS = 3000;
 const CHOSEN = "rect-cameras";
@@ -89,16 +90,13 @@ function camera(link, name, remove) {
     problem,
   );
   picture.canvas.hidden = true;
-  const arrivals = [];
+  const arrivals = new ArrivalRate(RATE_OVER_MS);
   let last = null;
   let skipped = 0;
 
   const show = eachFrame(() => {
     const now = performance.now();
-    while (arrivals.length > 0 && arrivals[0] < now - RATE_OVER_MS) {
-      arrivals.shift();
-    }
-    const rate = hertz(arrivals.length / (RATE_OVER_MS / 1000));
+    const rate = hertz(arrivals.hertz());
     const age = last.header.age_ms === undefined ? "age unknown" : `${milliseconds(last.header.age_ms)} old`;
     const silent = now - last.at > RATE_OVER_MS ? ` · no frame for ${milliseconds(now - last.at)}` : "";
     setText(figures, `${rate} · ${age} · ${bytes(last.header.bytes)} · ${skipped} skipped${silent}`);
@@ -109,7 +107,7 @@ function camera(link, name, remove) {
     true,
     (header, value) => {
       last = { header, at: performance.now() };
-      arrivals.push(last.at);
+      arrivals.add();
       skipped += header.missed ?? 0;
       setText(problem, header.problem ?? "");
       if (header.form === "picture") {

@@ -92,3 +92,12 @@ export function table(label, columns) {
     body,
   };
 }
+
+/** Returns a function that tells whether a text contains all words in a field. */
+export function wordFilter(field) {
+  const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
+  return (text) => {
+    const lower = text.toLowerCase();
+    return words.every((word) => lower.includes(word));
+  };
+}

@@ -1,6 +1,6 @@
 // The view of events: robots, links and errors, with their times.
 
-import { eachFrame, h, setText, table, updateList } from "./dom.js";
+import { eachFrame, h, setText, table, updateList, wordFilter } from "./dom.js";
 import { timeOfDay, visible } from "./format.js";
 
 const TEXTS = {
@@ -33,11 +33,11 @@ export function events(link, parent) {
     lines.element,
   );
   const show = eachFrame(() => {
-    const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const matches = wordFilter(filter);
     const all = link.states.events?.events ?? [];
     const shown = all.filter((event) => {
-      const text = `${textOf(event)} ${event.of} ${event.robot} ${event.method} ${event.detail}`.toLowerCase();
-      return (!errors.checked || BAD.includes(event.kind)) && words.every((word) => text.includes(word));
+      const text = `${textOf(event)} ${event.of} ${event.robot} ${event.method} ${event.detail}`;
+      return (!errors.checked || BAD.includes(event.kind)) && matches(text);
     });
     setText(
       empty,

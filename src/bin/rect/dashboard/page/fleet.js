@@ -2,7 +2,7 @@
 
 import { eachFrame, h, setText, svg, table, updateList } from "./dom.js";
 import { bytes, milliseconds, seconds, visible } from "./format.js";
-import { Rates } from "./rates.js";
+import { connectionKey, Rates } from "./rates.js";
 
 const LINKS = ["With", "By", "Signal", "Round trip", "Sent", "Received", "Since", "State"];
 
@@ -72,7 +72,9 @@ function card() {
     const shown = connections.filter((connection) => connection.state !== "connecting" && isRobot(connection));
     links.element.hidden = shown.length === 0;
     setText(none, shown.length > 0 ? "" : robot.connections === null ? "The links are not known." : "No links.");
-    updateList(links.body, shown, keyOf, row, (line, connection) => line.show(connection, rates.of(robot, connection)));
+    updateList(links.body, shown, connectionKey, row, (line, connection) =>
+      line.show(connection, rates.of(robot, connection)),
+    );
   };
   return element;
 }
@@ -80,10 +82,6 @@ function card() {
 /** Returns whether a connection is to a robot, rather than to a program. */
 function isRobot(connection) {
   return Boolean(connection.peer?.robot) || connection.state === "discovered";
-}
-
-function keyOf(connection) {
-  return `${connection.name}\n${connection.method}\n${connection.address}`;
 }
 
 function row() {

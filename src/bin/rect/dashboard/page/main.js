@@ -43,10 +43,10 @@ function show() {
   content.className = chosen;
   closeView = VIEWS[chosen](link, content, notify) ?? (() => {});
   for (const anchor of document.querySelectorAll("nav a")) {
-    const isCurrent = anchor.getAttribute("href") === `#${chosen}`;
-    anchor.toggleAttribute("aria-current", isCurrent);
-    if (isCurrent) {
+    if (anchor.getAttribute("href") === `#${chosen}`) {
       anchor.setAttribute("aria-current", "page");
+    } else {
+      anchor.removeAttribute("aria-current");
     }
   }
   document.title = `${NAMES[chosen]} – RECT dashboard`;

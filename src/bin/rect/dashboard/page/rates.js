@@ -1,4 +1,4 @@
-// Computes rates from the counters of links.
+// Computes rates: from the counters of links, and of what arrives.
 
 /** The rates of all links in bytes per second. A router reports its counters every few seconds. */
 export class Rates {
@@ -22,8 +22,36 @@ export class Rates {
   }
 }
 
-function keyOf(robot, { method, address, name }) {
-  return [robot.name, name, method, address].join("\n");
+function keyOf(robot, connection) {
+  return `${robot.name}\n${connectionKey(connection)}`;
+}
+
+/** Returns a text that identifies a connection among those of its robot. */
+export function connectionKey({ name, method, address }) {
+  return [name, method, address].join("\n");
+}
+
+/** Counts arrivals over the last `overMs` milliseconds. */
+export class ArrivalRate {
+  #arrivals = [];
+  #overMs;
+
+  constructor(overMs) {
+    this.#overMs = overMs;
+  }
+
+  add() {
+    this.#arrivals.push(performance.now());
+  }
+
+  /** Returns the arrivals per second. */
+  hertz() {
+    const since = performance.now() - this.#overMs;
+    while (this.#arrivals.length > 0 && this.#arrivals[0] < since) {
+      this.#arrivals.shift();
+    }
+    return this.#arrivals.length / (this.#overMs / 1000);
+  }
 }
 
 function next(before, { up_s: up, sent, received }) {

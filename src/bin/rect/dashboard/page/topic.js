@@ -4,6 +4,7 @@ import { eachFrame, h, setText } from "./dom.js";
 import { bytes, hertz, milliseconds, timeOfDay, visible } from "./format.js";
 import { pictureView } from "./picture.js";
 import { Plot } from "./plot.js";
+import { ArrivalRate } from "./rates.js";
 import { valueTree } from "./tree.js";
 
 /** How often the value is shown at most; more cannot be read. */
@@ -25,7 +26,7 @@ export function topicPanel(link, parent, name, options = {}) {
   if (!options.plotOnly) {
     parent.append(picture.element, tree.element);
   }
-  const arrivals = [];
+  const arrivals = new ArrivalRate(RATE_OVER_MS);
   let missed = 0;
   let last = null;
   let shownAt = 0;
@@ -37,12 +38,8 @@ export function topicPanel(link, parent, name, options = {}) {
     }
     const { header, value } = last;
     waiting.hidden = true;
-    const since = performance.now() - RATE_OVER_MS;
-    while (arrivals.length > 0 && arrivals[0] < since) {
-      arrivals.shift();
-    }
     const parts = [
-      hertz(arrivals.length / (RATE_OVER_MS / 1000)),
+      hertz(arrivals.hertz()),
       bytes(header.bytes),
       visible(header.encoding, 60),
       `at ${timeOfDay(header.at_ms)}`,
@@ -79,7 +76,7 @@ export function topicPanel(link, parent, name, options = {}) {
     (header, value) => {
       last = { header, value };
       missed += header.missed ?? 0;
-      arrivals.push(performance.now());
+      arrivals.add();
       if (header.form === "json") {
         plot.add(header.at_ms / 1000, value);
       }

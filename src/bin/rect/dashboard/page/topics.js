@@ -1,6 +1,6 @@
 // The view of topics: a list with rates, and beside it the chosen one: value, plot, and forms to publish and request.
 
-import { eachFrame, h, setText } from "./dom.js";
+import { eachFrame, h, setText, wordFilter } from "./dom.js";
 import { bytes, hertz, visible } from "./format.js";
 import { sendForm } from "./send.js";
 import { topicPanel } from "./topic.js";
@@ -35,9 +35,9 @@ export function topics(link, parent, notify) {
   let selected = null;
 
   function showAll() {
-    const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const matches = wordFilter(filter);
     const all = link.states.topics?.topics ?? [];
-    rows = all.filter((row) => words.every((word) => `${row.robot}/${row.topic}`.toLowerCase().includes(word)));
+    rows = all.filter((row) => matches(`${row.robot}/${row.topic}`));
     const more = link.states.topics?.more;
     setText(count, `${rows.length} of ${all.length}${more ? `, and ${more} more that the routers do not list` : ""}`);
     setText(empty, all.length > 0 ? "" : emptyText(link.states.topics));
