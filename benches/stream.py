@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -16,20 +17,20 @@ from robots import RobotError
 from table import Table
 from traffic import percentile
 
-RATES = {"34 kB/s": 27, "100 kB/s": 251}
+#: The length of the packets, and the rate of the camera.
+RATES = {"34 kB/s": (27, 15), "100 kB/s": (251, 25)}
 SIZES = {"320x240": (320, 240), "640x480": (640, 480)}
 SENDERS = {
-    "adaptive, JPEG": {"codec": None, "lossy_format": "jpeg"},
-    "adaptive, WebP": {"codec": None, "lossy_format": "webp"},
-    "fixed, JPEG 75": {"codec": "jpeg:75", "lossy_format": "jpeg"},
-    "fixed, JPEG 30": {"codec": "jpeg:30", "lossy_format": "jpeg"},
+    "video": {"video": True},
+    "adaptive, JPEG": {},
+    "adaptive, WebP": {"lossy_format": "webp"},
+    "fixed, JPEG 30": {"codec": "jpeg:30"},
 }
+DEFAULTS = {"codec": None, "lossy_format": "jpeg", "video": False}
 PHOTOGRAPHS = ["coffee.png", "chelsea.png", "rocket.jpg", "astronaut.png"]
 SECONDS = 40
 # Frames that arrive earlier are not counted.
 SETTLED_S = 5
-# The number of pictures of each run whose quality is measured.
-EXAMINED = 60
 TARGET = {"frames": 5, "age_ms": 600, "urgent_ms": 100}
 
 
@@ -69,10 +70,10 @@ def run() -> Table:
             "outcome",
         ],
     )
-    for rate, pdu in RATES.items():
+    for rate, (pdu, frames_per_s) in RATES.items():
         for size in SIZES:
             for sender in SENDERS:
-                outcome = measured(pdu, size, sender)
+                outcome = measured(pdu, frames_per_s, size, sender)
                 table.add(rate, size, sender, *cells(outcome, size, sender))
                 print("  " + " | ".join(table.rows[-1]), flush=True)
     table.notes = [
@@ -89,7 +90,7 @@ def run() -> Table:
     return table
 
 
-def measured(pdu: int, size: str, sender: str) -> Outcome:
+def measured(pdu: int, frames_per_s: int, size: str, sender: str) -> Outcome:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         panorama = panorama_of(*SIZES[size])
@@ -105,6 +106,8 @@ def measured(pdu: int, size: str, sender: str) -> Outcome:
                 "size": SIZES[size],
                 "seconds": SECONDS,
                 "frames": str(folder / "frames"),
+                "frames_per_s": frames_per_s,
+                **DEFAULTS,
                 **SENDERS[sender],
             }
             command = [os.environ["RECT_STREAM_LOAD"], json.dumps(task)]
@@ -119,9 +122,10 @@ def outcome_of(report: dict, panorama: numpy.ndarray, size: tuple[int, int], fra
     if not settled:
         raise RobotError("no frame arrived")
     span_s = SECONDS - SETTLED_S
-    examined = settled[:: max(1, len(settled) // EXAMINED)]
     similarities = [
-        ssim(view(panorama, size, frame["index"]), read(frames / str(frame["index"]), size)) for frame in examined
+        ssim(view(panorama, size, frame["index"]), read(file, frame["encoding"], size))
+        for frame in settled
+        if (file := frames / str(frame["index"])).exists()
     ]
     age_errors_ms = [
         abs(frame["age_ms"] - report["encode_ms"] - frame["reported_age_ms"])
@@ -136,7 +140,7 @@ def outcome_of(report: dict, panorama: numpy.ndarray, size: tuple[int, int], fra
         age_error_ms=percentile(age_errors_ms, 0.5),
         skipped=sum(frame["skipped"] for frame in settled),
         ssim=float(numpy.mean(similarities)),
-        level=level_text(group["step"]),
+        level=level_text(group["step"], group["video"]),
         changes=group["changes"],
         urgent_sent=report["urgent_sent"],
         urgent_ms=report["urgent_ms"],
@@ -173,7 +177,10 @@ def cells(outcome: Outcome, size: str, sender: str) -> list[str]:
     ]
 
 
-def level_text(level: dict | None) -> str:
+def level_text(level: dict | None, video: dict | None) -> str:
+    if video is not None:
+        size = "" if video["quarters"] == 4 else f" at {video['quarters']}/4"
+        return f"{video['bytes_per_s'] / 1000:.0f} kB/s{size}"
     if level is None:
         return ""
     coding = level["coding"]
@@ -204,8 +211,12 @@ def to_and_fro(distance: int, span: int) -> int:
     return abs(span - distance % (span * 2)) if span else 0
 
 
-def read(file: Path, size: tuple[int, int]) -> numpy.ndarray:
-    picture = Image.open(io.BytesIO(file.read_bytes())).convert("RGB")
+def read(file: Path, encoding: str, size: tuple[int, int]) -> numpy.ndarray:
+    raw = re.fullmatch(r"application/octet-stream;picture;rgb8;(\d+)x(\d+)", encoding)
+    if raw:
+        picture = Image.frombytes("RGB", (int(raw[1]), int(raw[2])), file.read_bytes())
+    else:
+        picture = Image.open(io.BytesIO(file.read_bytes())).convert("RGB")
     return numpy.asarray(picture if picture.size == size else picture.resize(size, Image.BICUBIC))
 
 

@@ -3,10 +3,12 @@
 //! the ages. The result is printed as JSON.
 //!
 //!     stream_load '{"near": "tcp/...", "far": "tcp/...", "panorama": "file", "panorama_size": [1280, 960],
-//!                   "size": [640, 480], "codec": null, "lossy_format": "jpeg", "seconds": 30, "frames": "folder"}'
+//!                   "size": [640, 480], "codec": null, "lossy_format": "jpeg", "video": false, "frames_per_s": 15, "seconds": 30,
+//!                   "frames": "folder"}'
 //!
-//! `panorama` is a file of raw RGB pixels, over which the camera pans, at 15 frames per second. `codec` is the codec of a fixed
-//! stream; null selects an adaptive stream.
+//! `panorama` is a file of raw RGB pixels, over which the camera pans. Each value has noise of up to 3 of 255, as that of a
+//! sensor. `codec` is the codec of a fixed stream; null selects an adaptive stream, or a video. The pictures of every eighth
+//! frame are written to `frames`.
 use std::{
     error::Error,
     fs,
@@ -29,7 +31,10 @@ use rect::{
 };
 use serde::{Deserialize, Serialize};
 
-const FRAMES_PER_S: u32 = 15;
+/// The noise of the camera, in each direction.
+const NOISE: i16 = 3;
+/// The pictures of one of so many frames are examined.
+const EXAMINED: u32 = 8;
 const URGENT_INTERVAL: Duration = Duration::from_millis(50);
 /// How long messages in flight may take to arrive after the last one was sent.
 const DRAIN_TIME: Duration = Duration::from_secs(2);
@@ -45,6 +50,9 @@ struct Task {
     size: [u32; 2],
     codec: Option<String>,
     lossy_format: String,
+    video: bool,
+    /// The rate of the camera, and the largest of the stream.
+    frames_per_s: u32,
     /// Duration of the measurement.
     seconds: u64,
     /// Folder into which the payloads of the received frames are written.
@@ -109,8 +117,13 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
         .await?;
     let watch = far.watch("wombat-1", "camera").await?;
     let options = match &task.codec {
-        Some(_) => StreamOptions::fixed(f64::from(FRAMES_PER_S)),
+        Some(_) => StreamOptions::fixed(f64::from(task.frames_per_s)),
+        None if task.video => StreamOptions {
+            max_frames_per_s: f64::from(task.frames_per_s),
+            ..StreamOptions::video()
+        },
         None => StreamOptions {
+            max_frames_per_s: f64::from(task.frames_per_s),
             lossy_format: match task.lossy_format.as_str() {
                 "webp" => LossyFormat::Webp,
                 _ => LossyFormat::Jpeg,
@@ -140,7 +153,13 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     while started.elapsed() < duration {
         let remaining = duration.saturating_sub(started.elapsed());
         if let Ok(Some(frame)) = tokio::time::timeout(remaining, watch.next()).await {
-            received.push((Instant::now(), frame));
+            let at = Instant::now();
+            let mut frame = frame;
+            if frame.number % EXAMINED != 0 {
+                // Of the others, only the numbers are kept.
+                frame.payload.bytes = bytes::Bytes::new();
+            }
+            received.push((at, frame));
         }
     }
     let status = stream.status();
@@ -158,7 +177,9 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
         else {
             continue;
         };
-        fs::write(frames.join(index.to_string()), &frame.payload.bytes)?;
+        if !frame.payload.bytes.is_empty() {
+            fs::write(frames.join(index.to_string()), &frame.payload.bytes)?;
+        }
         received_frames.push(ReceivedFrame {
             number: frame.number,
             index,
@@ -166,7 +187,7 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
             age_ms: at.duration_since(sent_at).as_secs_f64() * 1000.0,
             reported_age_ms: frame.age.map(|age| age.as_secs_f64() * 1000.0),
             skipped: frame.skipped,
-            bytes: frame.payload.bytes.len(),
+            bytes: frame.bytes,
             encoding: frame.payload.encoding.to_string(),
         });
     }
@@ -211,7 +232,7 @@ fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64
     let codec = task.codec.as_deref().map(codec::parse).transpose()?;
     let (started, mut sent, mut encoding_time) = (Instant::now(), Vec::new(), Duration::ZERO);
     for index in 0.. {
-        let due = started + Duration::from_secs(1) * index / FRAMES_PER_S;
+        let due = started + Duration::from_secs(1) * index / task.frames_per_s;
         thread::sleep(due.saturating_duration_since(Instant::now()));
         if ended.load(Ordering::Relaxed) {
             break;
@@ -249,6 +270,14 @@ fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Picture, Box<dyn Err
         let start = ((row * wide + left) * 3) as usize;
         let part = panorama.get(start..start + (width * 3) as usize);
         pixels.extend_from_slice(part.ok_or("the panorama is smaller than panorama_size")?);
+    }
+    let mut random = index.wrapping_mul(2_654_435_761) | 1;
+    for value in &mut pixels {
+        random ^= random << 13;
+        random ^= random >> 17;
+        random ^= random << 5;
+        let noise = (random % (2 * NOISE as u32 + 1)) as i16 - NOISE;
+        *value = (i16::from(*value) + noise).clamp(0, 255) as u8;
     }
     Ok(Picture::new(width, height, Format::Rgb8, pixels)?)
 }

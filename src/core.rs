@@ -41,3 +41,4 @@ pub mod topic;
 pub mod topics;
 pub mod transfer;
 pub mod urgency;
+pub mod video;

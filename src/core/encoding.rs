@@ -43,6 +43,8 @@ impl Encoding {
     pub const JPEG: Self = Self(Cow::Borrowed("image/jpeg"));
     /// A WebP picture.
     pub const WEBP: Self = Self(Cow::Borrowed("image/webp"));
+    /// A frame of a video in H.264; see [`crate::core::video`].
+    pub const H264: Self = Self(Cow::Borrowed("video/h264"));
     /// The media type of raw pictures and arrays, whose layout the rest of the encoding describes.
     pub const RAW: &'static str = "application/octet-stream";
 

@@ -25,9 +25,11 @@ pub mod pacer;
 pub mod picture;
 pub mod publish;
 pub mod rate;
+pub mod read;
 pub mod receiver;
 pub mod sender;
 pub mod status;
+pub mod video;
 pub mod watch;
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //!
 //! | bytes | content |
 //! |---|---|
-//! | 1 | upper half: version 1; flag 1: the slow group; flag 2: the pace is present |
+//! | 1 | upper half: version 1; flag 1: the slow group; flag 2: the pace is present; flag 4: video is decoded here; flag 8: the video needs a key frame |
 //! | 2 | the receiver: a random number that it chooses when it starts, little endian |
 //! | 2 | the source of the received frames, little endian |
 //! | 1 to 5 each | LEB128: the sequence number of the last frame; then, since the previous feedback: milliseconds, frames, bytes, frames skipped, and the 90th percentile of the age in milliseconds |
@@ -16,6 +16,8 @@ pub const MAX_BYTES: usize = 40;
 const VERSION: u8 = 1 << 4;
 const SLOW: u8 = 1;
 const PACE: u8 = 2;
+const VIDEO: u8 = 4;
+const KEY: u8 = 8;
 
 /// A receiver's report about the frames that arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,6 +43,10 @@ pub struct Feedback {
     /// Pace at which the frames arrived, in bytes per second. `None` if the offset of the clocks is unknown,
     /// or if all frames were too small to measure it.
     pub pace_bytes_per_s: Option<u32>,
+    /// Whether the receiver decodes video.
+    pub accepts_video: bool,
+    /// Whether the receiver can decode nothing until there is a key frame.
+    pub needs_key: bool,
 }
 
 /// The bytes are not valid feedback.
@@ -60,13 +66,14 @@ impl Feedback {
     /// Encodes the feedback.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(MAX_BYTES);
-        let slow = if self.group == Group::Slow { SLOW } else { 0 };
-        let pace = if self.pace_bytes_per_s.is_some() {
-            PACE
-        } else {
-            0
-        };
-        bytes.push(VERSION | slow | pace);
+        let flags = [
+            (self.group == Group::Slow, SLOW),
+            (self.pace_bytes_per_s.is_some(), PACE),
+            (self.accepts_video, VIDEO),
+            (self.needs_key, KEY),
+        ];
+        let set = flags.into_iter().filter(|(is_set, _)| *is_set);
+        bytes.push(set.fold(VERSION, |kind, (_, flag)| kind | flag));
         bytes.extend_from_slice(&self.receiver.to_le_bytes());
         bytes.extend_from_slice(&self.source.to_le_bytes());
         let numbers = [
@@ -89,7 +96,7 @@ impl Feedback {
     /// Returns a [`FeedbackError`] if the bytes are not valid feedback.
     pub fn decode(bytes: &[u8]) -> Result<Self, FeedbackError> {
         let (&kind, rest) = bytes.split_first().ok_or(FeedbackError::Damaged)?;
-        if kind & !(SLOW | PACE) != VERSION {
+        if kind & !(SLOW | PACE | VIDEO | KEY) != VERSION {
             return Err(FeedbackError::Version(kind));
         }
         let (&[r0, r1, s0, s1], mut rest) =
@@ -114,6 +121,8 @@ impl Feedback {
             } else {
                 Some(next()?)
             },
+            accepts_video: kind & VIDEO != 0,
+            needs_key: kind & KEY != 0,
         };
         if rest.is_empty() {
             Ok(feedback)
@@ -160,6 +169,8 @@ mod tests {
             skipped: 1,
             age_ms: 190,
             pace_bytes_per_s: Some(33_500),
+            accepts_video: true,
+            needs_key: true,
         }
     }
 

@@ -48,6 +48,15 @@ pub enum Mode {
     /// Frames have the best quality that the links permit. The default.
     #[default]
     Adaptive,
+    /// Pictures are encoded as video. Frames that are not pictures adapt to the links as in the other mode.
+    Video,
+}
+
+impl Mode {
+    /// Returns whether frames adapt to the links.
+    pub fn is_adaptive(self) -> bool {
+        self != Self::Fixed
+    }
 }
 
 /// A named set of options, from which a program starts.
@@ -56,6 +65,8 @@ pub enum Preset {
     /// [`Options::default`]: pictures adapt to the links. The default.
     #[default]
     Adaptive,
+    /// [`Options::video`]: pictures are sent as video.
+    Video,
     /// [`Options::fixed`]: frames are sent unchanged, at a limited rate.
     Fixed,
     /// [`Options::sensor`]: values are sent unchanged, as often as they come.
@@ -118,6 +129,15 @@ impl Default for Options {
 }
 
 impl Options {
+    /// Returns the options for pictures that are sent as video: each frame contains only what differs from the one before.
+    /// Receivers without a decoder get pictures as in an adaptive stream.
+    pub fn video() -> Self {
+        Self {
+            mode: Mode::Video,
+            ..Self::default()
+        }
+    }
+
     /// Returns the options for frames that are sent unchanged, at most `max_frames_per_s` per second.
     pub fn fixed(max_frames_per_s: f64) -> Self {
         Self {
@@ -175,6 +195,7 @@ impl PartialOptions {
     pub fn complete(&self) -> Result<Options, OptionError> {
         let preset = match self.preset {
             Preset::Adaptive => Options::default(),
+            Preset::Video => Options::video(),
             Preset::Fixed => Options::fixed(Options::default().max_frames_per_s),
             Preset::Sensor => Options::sensor(),
         };
@@ -207,10 +228,11 @@ impl FromStr for Preset {
     fn from_str(name: &str) -> Result<Self, OptionError> {
         match name {
             "adaptive" => Ok(Self::Adaptive),
+            "video" => Ok(Self::Video),
             "fixed" => Ok(Self::Fixed),
             "sensor" => Ok(Self::Sensor),
             _ => {
-                let allowed = "\"adaptive\", \"fixed\" or \"sensor\"";
+                let allowed = "\"adaptive\", \"video\", \"fixed\" or \"sensor\"";
                 Err(OptionError::new("mode", name, allowed))
             }
         }
@@ -290,6 +312,7 @@ mod tests {
     fn options_that_are_not_specified_are_those_of_the_preset() {
         for (preset, options) in [
             (Preset::Adaptive, Options::default()),
+            (Preset::Video, Options::video()),
             (Preset::Fixed, Options::fixed(15.0)),
             (Preset::Sensor, Options::sensor()),
         ] {
@@ -326,11 +349,11 @@ mod tests {
     fn presets_have_names() {
         assert_eq!("sensor".parse(), Ok(Preset::Sensor));
         assert_eq!(
-            "video"
+            "film"
                 .parse::<Preset>()
                 .expect_err("no preset")
                 .to_string(),
-            "the option mode cannot be video: it must be \"adaptive\", \"fixed\" or \"sensor\""
+            "the option mode cannot be film: it must be \"adaptive\", \"video\", \"fixed\" or \"sensor\""
         );
     }
 }

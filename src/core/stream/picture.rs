@@ -1,9 +1,16 @@
-//! Encodes a picture at a step of the ladder: scales it, and compresses it losslessly or with a quality.
-use super::ladder::{Coding, Step};
+//! Encodes the pictures of a stream: as video, or at a step of the ladder, for which it scales them, and compresses them
+//! losslessly or with a quality.
+use std::time::Instant;
+
+use super::{
+    ladder::{Coding, Step},
+    sender::Job,
+};
 use crate::core::{
     codec::{jpeg::Jpeg, png::Png, webp::Webp, Codec, CodecError},
     payload::Payload,
     picture::Picture,
+    video::Encoder,
 };
 
 /// The format of pictures that are compressed with a quality.
@@ -16,11 +23,42 @@ pub enum LossyFormat {
     Webp,
 }
 
+/// Encodes the pictures of one stream.
+#[derive(Debug)]
+pub struct PictureEncoder {
+    lossy_format: LossyFormat,
+    /// The video of each group.
+    videos: [Encoder; 2],
+}
+
+impl PictureEncoder {
+    /// Creates the encoder of a stream.
+    pub fn new(lossy_format: LossyFormat) -> Self {
+        Self {
+            lossy_format,
+            videos: Default::default(),
+        }
+    }
+
+    /// Encodes a picture for a job.
+    ///
+    /// # Errors
+    /// Returns the error of the codec.
+    pub fn encode(
+        &mut self,
+        picture: &Picture,
+        job: Job,
+        now: Instant,
+    ) -> Result<Payload, CodecError> {
+        match job.video {
+            Some(settings) => self.videos[job.group.index()].encode(picture, settings, now),
+            None => encode(picture, job.step, self.lossy_format),
+        }
+    }
+}
+
 /// Encodes a picture at a step. Without a step, it stays raw.
-///
-/// # Errors
-/// Returns the error of the codec.
-pub fn encode(
+fn encode(
     picture: &Picture,
     step: Option<Step>,
     lossy_format: LossyFormat,

@@ -88,9 +88,14 @@ impl StreamPublish {
         self.sender.offer(pixels, now)
     }
 
+    /// Offers a picture, which a video stream sends as video. Returns a job for each group that is due for a frame.
+    pub fn offer_picture(&mut self, width: u32, height: u32, now: Instant) -> Vec<Job> {
+        self.sender.offer_picture(width, height, now)
+    }
+
     /// Returns the action that sends the frame that was encoded for a job.
     pub fn frame(&mut self, job: Job, payload: Payload, now: Instant) -> Action {
-        let attachment = self.sender.on_encoded(job, payload.bytes.len(), now);
+        let attachment = self.sender.on_encoded(job, &payload, now);
         Action::Put {
             publisher: FRAMES[job.group.index()],
             payload,

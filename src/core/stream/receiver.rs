@@ -26,6 +26,8 @@ const QUERY_INTERVAL: Duration = Duration::from_secs(15);
 /// A frame of another source is dropped if it was sent at most this long before the newest frame: it belongs to the
 /// group that the receiver has left.
 const OVERTAKEN_MS: i16 = -2000;
+/// The pause before the sender is asked for a key frame again.
+const ASK_FOR_KEY: Duration = Duration::from_millis(500);
 /// The shortest time in transit that the clocks can resolve.
 const SHORTEST: Duration = Duration::from_millis(1);
 /// The minimum size of frames that the pace is measured with. Smaller frames take as long as any message.
@@ -43,6 +45,8 @@ pub struct Seen {
     pub age: Option<Duration>,
     /// Number of frames between the previous one and this one that did not arrive.
     pub skipped: u32,
+    /// Whether the numbers begin again: the sender was restarted, or the receiver belongs to another group.
+    pub is_restarted: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -94,6 +98,12 @@ pub struct Receiver {
     span: Span,
     feedback_interval: Option<Duration>,
     has_reported: bool,
+    accepts_video: bool,
+    /// When the sender was last asked for a key frame, while the video needs one.
+    key_asked_at: Option<Instant>,
+    needs_key: bool,
+    /// Whether the newest frame was one of a video.
+    sees_video: bool,
 }
 
 impl Receiver {
@@ -111,7 +121,30 @@ impl Receiver {
             span: Span::new(now),
             feedback_interval: Some(Duration::from_millis(500)),
             has_reported: false,
+            accepts_video: false,
+            key_asked_at: None,
+            needs_key: false,
+            sees_video: false,
         }
+    }
+
+    /// Sets whether video is decoded here, and whether it needs a key frame. If frames of a video arrive, the sender is asked
+    /// for one at once.
+    pub fn set_video(&mut self, accepts_video: bool, needs_key: bool, sees_video: bool) {
+        self.accepts_video = accepts_video;
+        self.needs_key = needs_key;
+        self.sees_video = sees_video;
+        if !needs_key {
+            self.key_asked_at = None;
+        }
+    }
+
+    /// Returns when the sender is to be asked for a key frame.
+    fn ask_for_key_at(&self, now: Instant) -> Option<Instant> {
+        let at = self
+            .key_asked_at
+            .map_or(now, |asked_at| asked_at + ASK_FOR_KEY);
+        (self.needs_key && self.sees_video).then_some(at)
     }
 
     /// Handles a frame. Returns `None` if it is older than a frame that has already arrived.
@@ -154,6 +187,7 @@ impl Receiver {
             }
             None => 0,
         };
+        let is_restarted = self.last.is_some_and(|last| last.source != source);
         let age = sent.map(|low| self.offset.on_frame(low, now));
         let span = &mut self.span;
         let measured = age.and_then(|age| Some((age.age, age.min_delay?)));
@@ -181,6 +215,7 @@ impl Receiver {
             number,
             age: age.map(|age| age.age),
             skipped,
+            is_restarted,
         })
     }
 
@@ -246,10 +281,12 @@ impl Receiver {
         } else {
             IDLE.max(interval)
         };
-        if self.has_reported && passed < wait {
+        let asks_for_key = self.ask_for_key_at(now).is_some_and(|at| at <= now);
+        if self.has_reported && passed < wait && !asks_for_key {
             return None;
         }
         self.has_reported = true;
+        self.key_asked_at = self.needs_key.then_some(now);
         let span = std::mem::replace(&mut self.span, Span::new(now));
         let pace = (span.busy > Duration::ZERO).then(|| span.paced_bytes / span.busy.as_secs_f64());
         Some(Feedback {
@@ -263,6 +300,8 @@ impl Receiver {
             skipped: span.skipped,
             age_ms: percentile_90(span.ages_ms),
             pace_bytes_per_s: pace.map(|pace| pace as u32),
+            accepts_video: self.accepts_video,
+            needs_key: self.needs_key,
         })
     }
 
@@ -279,7 +318,8 @@ impl Receiver {
                 // Frames that arrive meanwhile are reported at most one interval later.
                 now.min(self.span.since + IDLE.max(interval) - interval)
             };
-            from + interval
+            let ask_for_key_at = self.ask_for_key_at(now).unwrap_or(from + interval);
+            ask_for_key_at.min(from + interval)
         });
         let first = [group, feedback].into_iter().flatten().min();
         first.map_or(self.query_at, |first| first.min(self.query_at))
@@ -303,6 +343,7 @@ impl Receiver {
             number,
             age: None,
             skipped: 0,
+            is_restarted: false,
         }
     }
 

@@ -13,12 +13,15 @@ use super::{
     offset::MillisecondClock,
     pacer::Pacer,
     rate::Rate,
-    status::{in_words, GroupStatus, ReceiverStatus, Status},
+    status::{in_words, GroupStatus, ReceiverStatus, Status, VideoStatus},
+    video::Video,
     Group,
 };
 use crate::core::{
     attachment::{Attachment, Sent},
     name::Name,
+    payload::Payload,
+    video::{self, bitstream, Settings},
 };
 
 /// How long a receiver may be silent before it is removed, but at least three feedback intervals.
@@ -38,12 +41,14 @@ const LEAVES_WITHIN: Duration = Duration::from_secs(3);
 const MIN_SHARE_OF_NEXT: f64 = 1.0 / 3.0;
 
 /// A frame that is to be encoded and sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Job {
     /// Group to which the frame is sent.
     pub group: Group,
-    /// Step at which to encode the frame. `None` to send it unchanged.
+    /// Step at which to encode the frame. `None` to send it unchanged, or as video.
     pub step: Option<Step>,
+    /// How to encode the frame as video.
+    pub video: Option<Settings>,
 }
 
 #[derive(Debug)]
@@ -53,6 +58,7 @@ struct GroupOutput {
     pacer: Pacer,
     ladder: Ladder,
     step: Option<Step>,
+    video: Video,
     /// Whether Zenoh reports subscribers; `None` before its first report.
     has_subscribers: Option<bool>,
     frames: u64,
@@ -94,6 +100,7 @@ impl Sender {
                 options.max_frames_per_s,
             ),
             step: None,
+            video: Video::default(),
             has_subscribers: None,
             frames: 0,
             bytes: 0,
@@ -113,15 +120,44 @@ impl Sender {
     /// Offers a frame of `pixels` pixels (or bytes, if it is not a picture). Returns for which groups it is to be
     /// encoded: none if there are no receivers, or if the previous frame was sent too recently.
     pub fn offer(&mut self, pixels: usize, now: Instant) -> Vec<Job> {
+        self.offer_frame(pixels, false, now)
+    }
+
+    /// Offers a picture, which a video stream sends as video to the groups in which every receiver decodes it.
+    pub fn offer_picture(&mut self, width: u32, height: u32, now: Instant) -> Vec<Job> {
+        let pixels = width as usize * height as usize;
+        let can_be_video =
+            self.options.mode == Mode::Video && video::IS_AVAILABLE && video::fits(width, height);
+        self.offer_frame(pixels, can_be_video, now)
+    }
+
+    fn offer_frame(&mut self, pixels: usize, can_be_video: bool, now: Instant) -> Vec<Job> {
         self.poll(now);
         Group::ALL
             .into_iter()
-            .filter_map(|group| self.offer_to(group, pixels, now))
+            .filter_map(|group| {
+                let is_video = can_be_video && self.accepts_video(group);
+                self.offer_to(group, pixels, is_video, now)
+            })
             .collect()
     }
 
-    fn offer_to(&mut self, group: Group, pixels: usize, now: Instant) -> Option<Job> {
-        let is_adaptive = self.options.mode == Mode::Adaptive;
+    /// Returns whether every receiver of a group decodes video, as far as they are known: stock Zenoh programs send no
+    /// feedback.
+    fn accepts_video(&self, group: Group) -> bool {
+        let is_in = |robot: &Name| self.groups.of(robot) == Some(group);
+        let mut members = self.receivers.iter().filter(|((robot, _), _)| is_in(robot));
+        members.all(|(_, state)| state.feedback.accepts_video)
+    }
+
+    fn offer_to(
+        &mut self,
+        group: Group,
+        pixels: usize,
+        is_video: bool,
+        now: Instant,
+    ) -> Option<Job> {
+        let is_adaptive = self.options.mode.is_adaptive();
         let rate = self.rate_of(group);
         let has_receivers = match group {
             Group::Slow if !is_adaptive => false,
@@ -135,31 +171,52 @@ impl Sender {
         if !has_receivers {
             output.ladder.forget();
             output.step = None;
+            output.video.pause();
             return None;
         }
+        if is_video {
+            output.step = None;
+            if !output.pacer.is_due(frames_per_s, now) {
+                return None;
+            }
+            let bytes_per_s = rate.unwrap_or(first);
+            let settings = output.video.next(pixels, bytes_per_s, frames_per_s, now);
+            return Some(Job {
+                group,
+                step: None,
+                video: Some(settings),
+            });
+        }
+        output.video.pause();
         if is_adaptive {
             let step = output.ladder.step(pixels, rate.unwrap_or(first), now);
             output.changes += u64::from(output.step.is_some_and(|before| before != step));
             output.step = Some(step);
         }
         let step = output.step;
-        output
-            .pacer
-            .is_due(frames_per_s, now)
-            .then_some(Job { group, step })
+        output.pacer.is_due(frames_per_s, now).then_some(Job {
+            group,
+            step,
+            video: None,
+        })
     }
 
-    /// Handles a frame that was encoded for a job to `bytes` bytes and is sent now. Returns its attachment.
-    pub fn on_encoded(&mut self, job: Job, bytes: usize, now: Instant) -> Attachment {
+    /// Handles a frame that was encoded for a job and is sent now. Returns its attachment.
+    pub fn on_encoded(&mut self, job: Job, payload: &Payload, now: Instant) -> Attachment {
+        let bytes = payload.bytes.len();
         let rate = match self.options.mode {
             Mode::Fixed => f64::INFINITY,
-            Mode::Adaptive => self
+            Mode::Adaptive | Mode::Video => self
                 .rate_of(job.group)
                 .unwrap_or_else(|| self.options.rates.initial()),
         };
         let output = &mut self.outputs[job.group.index()];
         if let Some(step) = job.step {
             output.ladder.on_encoded(step, bytes, now);
+        }
+        if let Some(settings) = job.video {
+            let is_key = bitstream::is_key_frame(&payload.bytes);
+            output.video.on_encoded(settings, bytes, is_key, now);
         }
         output
             .pacer
@@ -212,7 +269,10 @@ impl Sender {
             Group::Slow => Group::Slow,
         };
         self.groups.on_robot(robot, group);
-        if self.options.mode == Mode::Adaptive && self.groups.of(robot) != Some(feedback.group) {
+        if feedback.needs_key {
+            self.outputs[feedback.group.index()].video.ask_for_key();
+        }
+        if self.options.mode.is_adaptive() && self.groups.of(robot) != Some(feedback.group) {
             self.notice_at.get_or_insert(now + REPEAT_NOTICE);
         }
         self.poll(now);
@@ -305,6 +365,7 @@ impl Sender {
                 frames: output.frames,
                 bytes: output.bytes,
                 changes: output.changes,
+                video: output.video.status().map(VideoStatus::from),
                 last_change: output.step.and(output.ladder.last_change()).map(in_words),
             })
     }
@@ -321,7 +382,7 @@ impl Sender {
         self.receivers
             .values_mut()
             .for_each(|state| state.rate.poll(now));
-        if self.options.mode == Mode::Adaptive && self.groups.update(&self.potentials(), now) {
+        if self.options.mode.is_adaptive() && self.groups.update(&self.potentials(), now) {
             self.notice_at = Some(now);
         }
     }
@@ -388,7 +449,7 @@ impl Sender {
         let is_heavy = self
             .rate_of(Group::Main)
             .is_some_and(|rate| rate > first * 2.0);
-        if self.options.mode == Mode::Adaptive && is_heavy {
+        if self.options.mode.is_adaptive() && is_heavy {
             Group::Slow
         } else {
             Group::Main

@@ -14,7 +14,9 @@ use super::{
 };
 use crate::core::{
     attachment::{Attachment, Sent},
+    encoding::Encoding,
     name::Name,
+    payload::Payload,
 };
 
 const STEP: Duration = Duration::from_millis(1);
@@ -246,7 +248,8 @@ impl World {
             let step = job.step.expect("adaptive");
             let bytes = self.encoded_bytes(step);
             self.encoded += 1;
-            let attachment = self.sender.on_encoded(job, bytes, now);
+            let payload = Payload::new(vec![0; bytes], Encoding::BYTES);
+            let attachment = self.sender.on_encoded(job, &payload, now);
             self.newest[job.group.index()] = Some(attachment);
             let last = self
                 .changes

@@ -6,6 +6,7 @@ use super::{
     ladder::{Change, Reason, Step},
     Group,
 };
+use crate::core::video::Settings;
 
 /// The status of a stream.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -31,10 +32,33 @@ pub struct GroupStatus {
     pub frames: u64,
     /// Bytes of these frames.
     pub bytes: u64,
+    /// How pictures are encoded as video; `None` if they are not.
+    pub video: Option<VideoStatus>,
     /// Number of changes of the step.
     pub changes: u64,
     /// Description of the last change.
     pub last_change: Option<String>,
+}
+
+/// The status of a video.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct VideoStatus {
+    /// Rate that the encoder aims for, in bytes per second.
+    pub bytes_per_s: f64,
+    /// Width and height in quarters of the picture's.
+    pub quarters: u8,
+    /// Number of key frames since the stream began.
+    pub key_frames: u64,
+}
+
+impl From<(Settings, u64)> for VideoStatus {
+    fn from((settings, key_frames): (Settings, u64)) -> Self {
+        Self {
+            bytes_per_s: settings.bytes_per_s,
+            quarters: settings.quarters,
+            key_frames,
+        }
+    }
 }
 
 /// The status of one receiver.

@@ -10,7 +10,9 @@ use super::{
 };
 use crate::core::{
     attachment::{Attachment, Sent},
+    encoding::Encoding,
     name::Name,
+    payload::Payload,
 };
 
 const PIXELS: usize = 320 * 240;
@@ -386,7 +388,11 @@ fn sensor_values_are_sent_at_once_with_six_to_eight_bytes_of_overhead() {
         let jobs = sender.offer(4, now);
         assert_eq!(jobs.len(), 1, "value {n}");
         assert_eq!(jobs[0].step, None);
-        let attachment = sender.on_encoded(jobs[0], 4, now);
+        let attachment = sender.on_encoded(
+            jobs[0],
+            &Payload::new([0; 4].as_slice(), Encoding::BYTES),
+            now,
+        );
         assert_eq!(attachment.sequence, n);
         assert!(matches!(attachment.sent, Sent::Low(_)));
         assert!(attachment.encode().len() <= 8);

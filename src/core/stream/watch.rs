@@ -5,7 +5,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{feedback_key, notice::Notice, notice_key, receiver::Receiver, Group};
+use super::{
+    feedback_key,
+    notice::Notice,
+    notice_key,
+    read::{FrameReader, SharedPending},
+    receiver::Receiver,
+    Group,
+};
 use crate::core::{
     attachment::Attachment,
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Sample, Step},
@@ -15,6 +22,7 @@ use crate::core::{
     payload::Payload,
     topic::Topic,
     urgency::Urgency,
+    video::{self, bitstream},
 };
 
 /// How long the receiver stays subscribed to the previous group after a change, to receive the frames in flight.
@@ -39,19 +47,8 @@ pub struct ReceivedFrame {
     pub age: Option<Duration>,
     /// The number of frames that were sent since the first one that arrived, including this one.
     pub ordinal: u64,
-}
-
-/// Counts the frames that a program has not read: those that did not arrive, and those that newer ones replaced.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct FrameCounter(Option<u64>);
-
-impl FrameCounter {
-    /// Handles that the program reads a frame. Returns the number of frames since the previous one that it read.
-    pub fn on_read(&mut self, ordinal: u64) -> u32 {
-        let skipped = self.0.map_or(0, |last| ordinal.saturating_sub(last + 1));
-        self.0 = Some(ordinal);
-        u32::try_from(skipped).unwrap_or(u32::MAX)
-    }
+    /// Whether it is a frame of a video, which depends on the ones before it.
+    pub is_video: bool,
 }
 
 /// The receiving end of a stream.
@@ -61,6 +58,8 @@ pub struct StreamWatch {
     topic: Topic,
     receiver: Receiver,
     ordinal: u64,
+    pending: SharedPending,
+    sees_video: bool,
     actions: VecDeque<Action>,
     /// The group to which the receiver belongs, and since when.
     group: Option<(Group, Instant)>,
@@ -95,6 +94,8 @@ impl StreamWatch {
             sender,
             topic,
             ordinal: 0,
+            pending: SharedPending::new(),
+            sees_video: false,
             actions: actions.into(),
             group: None,
             is_subscribed: [false; 2],
@@ -109,17 +110,56 @@ impl StreamWatch {
         self.receiver.round_trip()
     }
 
+    /// Leaves the decoding of video to the program, which gets the frames as they were sent, from a key frame on.
+    pub fn leave_undecoded(&mut self) {
+        self.pending.lock().leave_undecoded();
+    }
+
+    /// Returns the reader of the frames that arrive.
+    pub fn reader(&self) -> FrameReader {
+        FrameReader::new(self.pending.clone())
+    }
+
     fn on_frame(&mut self, now: Instant, sample: Sample) -> Option<ReceivedFrame> {
         let attachment = sample.attachment.as_deref().and_then(Attachment::decode);
         let bytes = sample.payload.bytes.len();
         let seen = self.receiver.on_frame(attachment, bytes, now)?;
         self.ordinal += 1 + u64::from(seen.skipped);
+        self.sees_video = bitstream::is_video(&sample.payload);
+        let is_after_gap = seen.skipped > 0 || seen.is_restarted;
+        if self.sees_video && !self.can_decode(&sample.payload, is_after_gap) {
+            return None;
+        }
         Some(ReceivedFrame {
             payload: sample.payload,
             number: seen.number,
             age: seen.age,
             ordinal: self.ordinal,
+            is_video: self.sees_video,
         })
+    }
+
+    /// Handles a frame of a video. Returns whether it and all those that it depends on have arrived.
+    fn can_decode(&mut self, payload: &Payload, is_after_gap: bool) -> bool {
+        let mut pending = self.pending.lock();
+        if !video::IS_AVAILABLE && !pending.is_undecoded() {
+            return true;
+        }
+        if is_after_gap {
+            pending.on_gap();
+        }
+        let is_key = bitstream::is_key_frame(&payload.bytes);
+        pending.on_frame(self.ordinal, &payload.bytes, is_key)
+    }
+
+    /// Returns whether the video needs a key frame.
+    fn tell_receiver(&mut self) -> bool {
+        let pending = self.pending.lock();
+        let accepts_video = video::IS_AVAILABLE || pending.is_undecoded();
+        let needs_key = accepts_video && pending.needs_key();
+        self.receiver
+            .set_video(accepts_video, needs_key, self.sees_video);
+        needs_key && self.sees_video
     }
 
     fn ask(&mut self, now: Instant) {
@@ -179,7 +219,9 @@ impl Driver for StreamWatch {
                 Err(_) => Reaction::NONE,
             },
             Event::Sample { sample, .. } => {
-                Reaction::deliver(self.on_frame(now, sample).into_iter().collect())
+                let items = self.on_frame(now, sample).into_iter().collect();
+                let polls = self.tell_receiver();
+                Reaction { items, polls }
             }
             Event::Reply {
                 id,
@@ -213,6 +255,7 @@ impl Driver for StreamWatch {
         if let Some(action) = self.actions.pop_front() {
             return Step::Act(action);
         }
+        self.tell_receiver();
         let group = self.receiver.poll_group(now);
         if self.receiver.poll_query(now) {
             self.ask(now);
@@ -233,17 +276,5 @@ impl Driver for StreamWatch {
         let poll_at = self.receiver.poll_at(now);
         let unsubscribe_at = self.unsubscribe_at();
         Step::Wait(Some(unsubscribe_at.map_or(poll_at, |at| at.min(poll_at))))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn counts_the_frames_that_the_program_did_not_read() {
-        let mut counter = FrameCounter::default();
-        let skipped = [3, 4, 7].map(|ordinal| counter.on_read(ordinal));
-        assert_eq!(skipped, [0, 0, 2]);
     }
 }

@@ -10,7 +10,10 @@ use crate::{
         name::Name,
         payload::Payload,
         queue::{Queue, WhenFull},
-        stream::watch::{FrameCounter, ReceivedFrame, StreamWatch},
+        stream::{
+            read::FrameReader,
+            watch::{ReceivedFrame, StreamWatch},
+        },
         topic::Topic,
     },
     error::Error,
@@ -25,7 +28,7 @@ use crate::{
 /// A frame of a stream, received by a [`Watch`].
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// The picture or value.
+    /// The picture or value. A frame of a video is decoded: the payload is the raw picture ([`Payload::picture`]).
     pub payload: Payload,
     /// The number of the frame. It starts again when the sender restarts or assigns this receiver to another group.
     pub number: u32,
@@ -35,12 +38,14 @@ pub struct Frame {
     /// The number of frames between the previous frame that the program read and this one. The link dropped them, or
     /// newer frames replaced them in the receive queue.
     pub skipped: u32,
+    /// The length of the frame as it was sent, in bytes.
+    pub bytes: usize,
 }
 
 /// Receives a stream of another robot; created by [`Robot::watch`]. Dropping it ends the subscription.
 pub struct Watch {
     queue: Arc<ReceiveQueue<ReceivedFrame>>,
-    counter: Mutex<FrameCounter>,
+    reader: Mutex<FrameReader>,
     running: Running<StreamWatch>,
 }
 
@@ -93,24 +98,40 @@ impl Robot {
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let watch = StreamWatch::new(&inner.place, robot, topic, rand::random(), Instant::now());
+        let reader = Mutex::new(watch.reader());
         let executor = Executor::new(&inner.session, watch, queue.clone());
         Ok(Watch {
             queue,
-            counter: Mutex::default(),
+            reader,
             running: executor.start(&inner.runtime)?,
         })
     }
 }
 
 impl Watch {
-    /// Waits for the next frame, by default the newest one; returns `None` once the session or the watch is closed.
+    /// Leaves video undecoded: the payloads are the frames as they were sent, from a key frame on, with the encoding
+    /// `video/h264`. A program that saves or forwards them needs them all, and chooses a receive queue with room for many
+    /// ([`Robot::watch_with`]).
+    #[must_use]
+    pub fn undecoded(self) -> Self {
+        self.running.driver().leave_undecoded();
+        self
+    }
+
+    /// Waits for the next frame, by default the newest one; returns `None` once the session or the watch is closed. Decoding a
+    /// frame of a video takes a few milliseconds, during which this call blocks.
     pub async fn next(&self) -> Option<Frame> {
-        self.queue.pop().await.map(|frame| self.counted(frame))
+        loop {
+            let received = self.queue.pop().await?;
+            if let Some(frame) = self.read(received) {
+                return Some(frame);
+            }
+        }
     }
 
     /// Returns the next frame, by default the newest one, if one is queued.
     pub fn try_next(&self) -> Option<Frame> {
-        self.queue.try_pop().map(|frame| self.counted(frame))
+        std::iter::from_fn(|| self.queue.try_pop()).find_map(|received| self.read(received))
     }
 
     /// Stops receiving. Frames that are already queued can still be read.
@@ -123,14 +144,16 @@ impl Watch {
         self.running.driver().round_trip()
     }
 
-    fn counted(&self, frame: ReceivedFrame) -> Frame {
-        let mut counter = self.counter.lock().unwrap_or_else(PoisonError::into_inner);
-        Frame {
-            skipped: counter.on_read(frame.ordinal),
+    fn read(&self, received: ReceivedFrame) -> Option<Frame> {
+        let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+        let frame = reader.read(received)?;
+        Some(Frame {
             payload: frame.payload,
             number: frame.number,
             age: frame.age,
-        }
+            skipped: frame.skipped,
+            bytes: frame.bytes,
+        })
     }
 }
 

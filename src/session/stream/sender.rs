@@ -1,7 +1,7 @@
 //! Sends a stream: runs the core's [`StreamPublish`], and encodes the frames that are due.
 use std::{
     fmt,
-    sync::{Mutex, PoisonError},
+    sync::{Mutex, MutexGuard, PoisonError},
     time::Instant,
 };
 
@@ -11,9 +11,9 @@ use crate::{
         picture::Picture,
         stream::{
             ladder::Step,
-            picture::{encode, LossyFormat},
+            picture::PictureEncoder,
             publish::StreamPublish,
-            sender::Options,
+            sender::{Job, Options},
             status::Status,
         },
         topic::Topic,
@@ -30,9 +30,8 @@ use crate::{
 /// Sends frames of which only the newest matters; created by [`Robot::stream`]. Dropping it ends the stream.
 pub struct Stream {
     running: Running<StreamPublish>,
-    lossy_format: LossyFormat,
     /// Locked while a frame is sent, so that frames are sent in the order of their numbers.
-    sending: Mutex<()>,
+    encoder: Mutex<PictureEncoder>,
 }
 
 impl Robot {
@@ -70,12 +69,11 @@ impl Robot {
             now_ms(),
             Instant::now(),
         );
-        let lossy_format = stream.lossy_format();
+        let encoder = Mutex::new(PictureEncoder::new(stream.lossy_format()));
         let executor = Executor::new(&inner.session, stream, NoItems);
         Ok(Stream {
             running: executor.start(&inner.runtime)?,
-            lossy_format,
-            sending: Mutex::default(),
+            encoder,
         })
     }
 }
@@ -109,17 +107,9 @@ impl Stream {
         pixels: usize,
         mut encode: impl FnMut(Option<Step>) -> Result<Payload, Error>,
     ) -> Result<usize, Error> {
-        let _sending = self.sending.lock().unwrap_or_else(PoisonError::into_inner);
-        if self.running.has_ended() {
-            return Err(Error::Closed);
-        }
+        let _sending = self.encoder();
         let jobs = self.running.driver().offer(pixels, Instant::now());
-        for job in &jobs {
-            let payload = encode(job.step)?.sendable()?;
-            let frame = self.running.driver().frame(*job, payload, Instant::now());
-            self.running.act(frame)?;
-        }
-        Ok(jobs.len())
+        self.send_jobs(&jobs, |job| encode(job.step))
     }
 
     /// Sends a picture with RECT's codecs, at a size and quality that fit the throughput of the link. Returns the number of
@@ -135,8 +125,35 @@ impl Stream {
     /// # Errors
     /// [`Error::Codec`] if the picture cannot be encoded, and [`Error::Closed`] if the session is closed.
     pub fn send_picture(&self, picture: &Picture) -> Result<usize, Error> {
-        let pixels = picture.width() as usize * picture.height() as usize;
-        self.send_with(pixels, |step| Ok(encode(picture, step, self.lossy_format)?))
+        let mut encoder = self.encoder();
+        let (width, height) = (picture.width(), picture.height());
+        let jobs = self
+            .running
+            .driver()
+            .offer_picture(width, height, Instant::now());
+        self.send_jobs(&jobs, |job| {
+            Ok(encoder.encode(picture, job, Instant::now())?)
+        })
+    }
+
+    fn encoder(&self) -> MutexGuard<'_, PictureEncoder> {
+        self.encoder.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn send_jobs(
+        &self,
+        jobs: &[Job],
+        mut encode: impl FnMut(Job) -> Result<Payload, Error>,
+    ) -> Result<usize, Error> {
+        if self.running.has_ended() {
+            return Err(Error::Closed);
+        }
+        for &job in jobs {
+            let payload = encode(job)?.sendable()?;
+            let frame = self.running.driver().frame(job, payload, Instant::now());
+            self.running.act(frame)?;
+        }
+        Ok(jobs.len())
     }
 
     /// Returns the current rate, throughput and step of each group, with the reason for the choice.

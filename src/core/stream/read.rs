@@ -1,0 +1,110 @@
+//! Reads the frames of a stream for the program: decodes video, and counts what the program did not read.
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use super::watch::ReceivedFrame;
+use crate::core::{
+    codec::Limits,
+    payload::Payload,
+    video::{pending::Pending, IS_AVAILABLE},
+};
+
+/// A frame that a program reads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReadFrame {
+    /// The picture or value. Of a video, the raw picture, or the frame as it was sent if it is left undecoded.
+    pub payload: Payload,
+    /// The number of the frame.
+    pub number: u32,
+    /// The age of the frame on arrival.
+    pub age: Option<Duration>,
+    /// The number of frames between the previous frame that was read and this one.
+    pub skipped: u32,
+    /// The length of the frame as it was sent, in bytes.
+    pub bytes: usize,
+}
+
+/// The frames of a video that wait for the program. The receiving end adds them; the reader decodes them.
+#[derive(Clone, Debug)]
+pub(super) struct SharedPending(Arc<Mutex<Pending>>);
+
+impl SharedPending {
+    pub(super) fn new() -> Self {
+        Self(Arc::new(Mutex::new(Pending::new())))
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, Pending> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Reads the frames of one stream in the order of their arrival.
+#[derive(Debug)]
+pub struct FrameReader {
+    pending: SharedPending,
+    last: Option<u64>,
+}
+
+impl FrameReader {
+    pub(super) fn new(pending: SharedPending) -> Self {
+        Self {
+            pending,
+            last: None,
+        }
+    }
+
+    /// Reads a frame. Returns `None` if there is nothing to show: it is damaged, or a later one replaces it.
+    pub fn read(&mut self, frame: ReceivedFrame) -> Option<ReadFrame> {
+        let bytes = frame.payload.bytes.len();
+        let payload = match frame.is_video {
+            true => self.decoded(&frame)?,
+            false => frame.payload,
+        };
+        Some(ReadFrame {
+            payload,
+            number: frame.number,
+            age: frame.age,
+            skipped: self.count(frame.ordinal),
+            bytes,
+        })
+    }
+
+    fn decoded(&self, frame: &ReceivedFrame) -> Option<Payload> {
+        let mut pending = self.pending.lock();
+        if pending.is_undecoded() || !IS_AVAILABLE {
+            return Some(frame.payload.clone());
+        }
+        let picture = pending.decode(frame.ordinal, &Limits::default()).ok()?;
+        Some(picture?.payload())
+    }
+
+    fn count(&mut self, ordinal: u64) -> u32 {
+        let last = self.last.replace(ordinal);
+        let skipped = last.map_or(0, |last| ordinal.saturating_sub(last + 1));
+        u32::try_from(skipped).unwrap_or(u32::MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::encoding::Encoding;
+
+    #[test]
+    fn counts_the_frames_that_the_program_did_not_read() {
+        let mut reader = FrameReader::new(SharedPending::new());
+        let skipped = [3, 4, 7].map(|ordinal| {
+            let frame = ReceivedFrame {
+                payload: Payload::new("1", Encoding::JSON),
+                number: 0,
+                age: None,
+                ordinal,
+                is_video: false,
+            };
+            reader.read(frame).map(|frame| frame.skipped)
+        });
+        assert_eq!(skipped, [Some(0), Some(0), Some(2)]);
+    }
+}

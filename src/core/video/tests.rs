@@ -1,0 +1,222 @@
+//! Tests the encoder and the decoder with each other.
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+
+use super::{bitstream::is_key_frame, pending::Pending, *};
+use crate::core::{
+    limits::Limits,
+    picture::{Format, Picture},
+};
+
+const SETTINGS: Settings = Settings {
+    bytes_per_s: 28_000.0,
+    frames_per_s: 15.0,
+    quarters: 4,
+    is_key: false,
+};
+
+/// A smooth scene that moves to the left.
+fn scene(width: u32, height: u32, format: Format, frame: u32) -> Picture {
+    let value = |x: u32, y: u32, channel: u32| {
+        let (x, y) = ((x + frame * 2) as f32, y as f32);
+        let wave = (x / 17.0).sin() + (y / 11.0 + channel as f32).cos();
+        (127.5 + wave * 60.0) as u8
+    };
+    let channels = format.channels() as u32;
+    let pixels: Vec<u8> = (0..width * height * channels)
+        .map(|n| (n / channels, n % channels))
+        .map(|(pixel, channel)| value(pixel % width, pixel / width, channel))
+        .collect();
+    Picture::new(width, height, format, pixels).expect("a picture")
+}
+
+/// Encodes 15 pictures per second, and returns the frames.
+fn encoded(size: (u32, u32), format: Format, frames: u32) -> Vec<Bytes> {
+    let (mut encoder, start) = (Encoder::default(), Instant::now());
+    let encode = |n: u32| {
+        let picture = scene(size.0, size.1, format, n);
+        let now = start + Duration::from_secs(1) * n / 15;
+        let payload = encoder.encode(&picture, SETTINGS, now).expect("encoded");
+        payload.bytes
+    };
+    (0..frames).map(encode).collect()
+}
+
+/// Returns the mean difference of the values of two pictures.
+fn difference(one: &Picture, other: &Picture) -> f64 {
+    assert_eq!((one.width(), one.height()), (other.width(), other.height()));
+    let pairs = one.pixels().iter().zip(other.pixels());
+    let sum: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+    sum / one.pixels().len() as f64
+}
+
+#[test]
+fn pictures_survive_and_cost_little() {
+    let frames = encoded((320, 240), Format::Rgb8, 45);
+    let limits = Limits::default();
+    let mut decoder = Decoder::default();
+    for (n, frame) in (0..).zip(&frames) {
+        assert_eq!(is_key_frame(frame), n == 0, "frame {n}");
+        let picture = decoder
+            .decode(frame, &limits)
+            .expect("valid")
+            .expect("a picture");
+        let difference = difference(&scene(320, 240, Format::Rgb8, n), &picture);
+        assert!(difference < 6.0, "frame {n}: {difference}");
+    }
+    let bytes: usize = frames[15..].iter().map(Bytes::len).sum();
+    assert!(bytes < 2 * 28_000, "{bytes} bytes in two seconds");
+}
+
+#[test]
+fn odd_sizes_and_all_formats_are_encoded() {
+    for (size, format, expected) in [
+        ((161, 121), Format::Grey8, (160, 120)),
+        ((161, 121), Format::Rgb8, (160, 120)),
+        ((160, 121), Format::Rgba8, (160, 120)),
+        ((16, 16), Format::Rgb8, (16, 16)),
+        ((17, 500), Format::Rgb8, (16, 500)),
+    ] {
+        let frames = encoded(size, format, 3);
+        let mut decoder = Decoder::default();
+        for frame in &frames {
+            let decoded = decoder.decode(frame, &Limits::default());
+            let picture = decoded.expect("valid").expect("a picture");
+            assert_eq!(
+                (picture.width(), picture.height()),
+                expected,
+                "{size:?} {format:?}"
+            );
+        }
+    }
+    let tiny = scene(8, 8, Format::Rgb8, 0);
+    assert!(!fits(8, 8) && !fits(3841, 100) && fits(2160, 3840));
+    let huge = Picture::new(4000, 16, Format::Grey8, vec![0; 64_000]).expect("a picture");
+    let mut encoder = Encoder::default();
+    assert!(encoder.encode(&huge, SETTINGS, Instant::now()).is_err());
+    // A tiny picture is enlarged.
+    assert!(encoder.encode(&tiny, SETTINGS, Instant::now()).is_ok());
+}
+
+#[test]
+fn another_size_or_a_request_gives_a_key_frame() {
+    let (mut encoder, now) = (Encoder::default(), Instant::now());
+    let mut is_key = |n, settings| {
+        let picture = scene(320, 240, Format::Rgb8, n);
+        let at = now + Duration::from_millis(67) * n;
+        let payload = encoder.encode(&picture, settings, at).expect("encoded");
+        is_key_frame(&payload.bytes)
+    };
+    let half = Settings {
+        quarters: 2,
+        ..SETTINGS
+    };
+    let key = Settings {
+        is_key: true,
+        ..half
+    };
+    let faster = Settings {
+        bytes_per_s: 90_000.0,
+        ..half
+    };
+    let asked = [SETTINGS, SETTINGS, half, half, key, half, faster];
+    let keys = (0..).zip(asked).map(|(n, settings)| is_key(n, settings));
+    assert_eq!(
+        keys.collect::<Vec<_>>(),
+        [true, false, true, false, true, false, false]
+    );
+}
+
+#[test]
+fn the_rate_follows_the_settings() {
+    let (mut encoder, start) = (Encoder::default(), Instant::now());
+    let mut random = 1u32;
+    // Noise, which no codec can predict, on top of the scene.
+    let mut noisy = |n| {
+        let picture = scene(320, 240, Format::Rgb8, n);
+        let mut noise = |value: &u8| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            value.saturating_add((random >> 28) as u8)
+        };
+        let pixels: Vec<u8> = picture.pixels().iter().map(&mut noise).collect();
+        Picture::new(320, 240, Format::Rgb8, pixels).expect("a picture")
+    };
+    let mut sent = |rate: f64, from: u32| -> f64 {
+        let mut bytes = 0;
+        for n in from..from + 60 {
+            let settings = Settings {
+                bytes_per_s: rate,
+                ..SETTINGS
+            };
+            let at = start + Duration::from_secs(1) * n / 15;
+            let payload = encoder.encode(&noisy(n), settings, at).expect("encoded");
+            bytes += if n < from + 15 {
+                0
+            } else {
+                payload.bytes.len()
+            };
+        }
+        bytes as f64 / 3.0
+    };
+    for (from, rate) in [(0, 30_000.0), (60, 90_000.0), (120, 20_000.0)] {
+        let used = sent(rate, from) / rate;
+        assert!((0.7..1.15).contains(&used), "{rate}: {used}");
+    }
+}
+
+#[test]
+fn damaged_frames_are_errors_and_the_next_key_frame_continues() {
+    let frames = encoded((320, 240), Format::Rgb8, 5);
+    let mut pending = Pending::new();
+    let limits = Limits::default();
+    assert!(
+        !pending.on_frame(1, &frames[1], false),
+        "begins with a key frame"
+    );
+    let garbage = Bytes::from(vec![[0, 0, 1, 0x67], [0xff; 4]].concat());
+    assert!(pending.on_frame(2, &garbage, true));
+    pending.decode(2, &limits).expect_err("garbage");
+    assert!(pending.needs_key());
+    assert!(pending.on_frame(3, &frames[0], true));
+    assert!(pending.on_frame(4, &frames[1], false));
+    let picture = pending
+        .decode(4, &limits)
+        .expect("valid")
+        .expect("a picture");
+    assert_eq!(picture.width(), 320);
+    pending.on_gap();
+    assert!(!pending.on_frame(6, &frames[3], false));
+}
+
+#[test]
+fn a_program_that_does_not_read_costs_little_memory() {
+    let frames = encoded((160, 120), Format::Rgb8, 2);
+    let mut pending = Pending::new();
+    pending.on_frame(0, &frames[0], true);
+    let kept = (1..)
+        .take_while(|&n| pending.on_frame(n, &frames[1], false))
+        .count();
+    assert!(kept < 1000, "{kept}");
+    assert!(pending.needs_key());
+}
+
+#[test]
+fn sizes_beyond_the_limits_are_rejected_before_they_are_decoded() {
+    let frames = encoded((640, 480), Format::Rgb8, 1);
+    for limits in [
+        Limits {
+            max_pixels: 320 * 240,
+            ..Limits::default()
+        },
+        Limits {
+            max_bytes: 640 * 480,
+            ..Limits::default()
+        },
+    ] {
+        let error = Decoder::default()
+            .decode(&frames[0], &limits)
+            .expect_err("too large");
+        assert!(error.to_string().contains("too large"), "{error}");
+    }
+}
