@@ -33,6 +33,7 @@ BENCHES = {
     "registry": "time to an answer with 5 and 500 connections, and until another router's registry shows a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",
     "stream": "a camera over a slow link, adaptive and fixed: frames, ages, quality, concurrent urgent messages",
+    "video_faults": "a camera's video while the radio is cut, or the Wi-Fi of an `any` link falls silent",
     "transfer": "a file of 5 MB over a slow link, without and with three cuts; concurrent urgent messages",
     "python": "the Python package compared with plain eclipse-zenoh: latency, frames, import time, memory",
     "cpp": "the C++ library compared with the Rust library, micro-benchmarks, allocations, size of a static program",

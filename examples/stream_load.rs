@@ -3,12 +3,12 @@
 //! the ages. The result is printed as JSON.
 //!
 //!     stream_load '{"near": "tcp/...", "far": "tcp/...", "panorama": "file", "panorama_size": [1280, 960],
-//!                   "size": [640, 480], "codec": null, "lossy_format": "jpeg", "video": false, "frames_per_s": 15, "seconds": 30,
-//!                   "frames": "folder"}'
+//!                   "size": [640, 480], "codec": null, "lossy_format": "jpeg", "video": false, "moves": false, "frames_per_s": 15,
+//!                   "seconds": 30, "frames": "folder"}'
 //!
 //! `panorama` is a file of raw RGB pixels, over which the camera pans. Each value has noise of up to 3 of 255, as that of a
-//! sensor. `codec` is the codec of a fixed stream; null selects an adaptive stream, or a video. The pictures of every eighth
-//! frame are written to `frames`.
+//! sensor. `codec` is the codec of a fixed stream; null selects an adaptive stream, or a video. Every eighth
+//! frame is written to `frames`, as `<index>.clean` before the noise and as `<index>` after it has arrived.
 use std::{
     error::Error,
     fs,
@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
 
 /// The noise of the camera, in each direction.
 const NOISE: i16 = 3;
-/// The pictures of one of so many frames are examined.
+/// Every frame whose number is a multiple of this is examined.
 const EXAMINED: u32 = 8;
 const URGENT_INTERVAL: Duration = Duration::from_millis(50);
 /// How long messages in flight may take to arrive after the last one was sent.
@@ -51,6 +51,8 @@ struct Task {
     codec: Option<String>,
     lossy_format: String,
     video: bool,
+    /// Whether things move before the camera, and the light changes.
+    moves: bool,
     /// The rate of the camera, and the largest of the stream.
     frames_per_s: u32,
     /// Duration of the measurement.
@@ -187,7 +189,7 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
             age_ms: at.duration_since(sent_at).as_secs_f64() * 1000.0,
             reported_age_ms: frame.age.map(|age| age.as_secs_f64() * 1000.0),
             skipped: frame.skipped,
-            bytes: frame.bytes,
+            bytes: frame.sent_bytes,
             encoding: frame.payload.encoding.to_string(),
         });
     }
@@ -237,7 +239,9 @@ fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64
         if ended.load(Ordering::Relaxed) {
             break;
         }
-        let picture = view(&panorama, task, index)?;
+        let clean = view(&panorama, task, index)?;
+        let [width, height] = task.size;
+        let picture = Picture::new(width, height, Format::Rgb8, noisy(&clean, index))?;
         let taken = Instant::now();
         let groups = match &codec {
             Some(codec) => stream.send_with(1, |_| Ok(codec.encode(&picture.to_payload()?)?))?,
@@ -246,24 +250,23 @@ fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64
         if groups > 0 {
             encoding_time += taken.elapsed();
             sent.push((index, taken));
+            if sent.len() as u32 % EXAMINED == 0 {
+                fs::write(task.frames.join(format!("{index}.clean")), &clean)?;
+            }
         }
     }
     let mean_ms = encoding_time.as_secs_f64() * 1000.0 / sent.len().max(1) as f64;
     Ok((sent, mean_ms))
 }
 
-/// Returns the part of the panorama at the camera's position, which moves back and forth: 3 pixels per frame horizontally
-/// and 2 vertically.
-fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Picture, Box<dyn Error>> {
+/// Returns what the camera sees: a part of the panorama, which moves back and forth by 3 pixels per frame horizontally and 2
+/// vertically. In a moving scene, two things nearer to the camera move faster and in other directions, and the light changes.
+fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Vec<u8>, Box<dyn Error>> {
     let [wide, high] = task.panorama_size;
     let [width, height] = task.size;
-    let back_and_forth = |step: u32, range: u32| match range {
-        0 => 0,
-        range => range.abs_diff(index * step % (range * 2)),
-    };
     let (left, top) = (
-        back_and_forth(3, wide - width),
-        back_and_forth(2, high - height),
+        back_and_forth(index * 3, wide - width),
+        back_and_forth(index * 2, high - height),
     );
     let mut pixels = Vec::with_capacity((width * height * 3) as usize);
     for row in top..top + height {
@@ -271,13 +274,51 @@ fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Picture, Box<dyn Err
         let part = panorama.get(start..start + (width * 3) as usize);
         pixels.extend_from_slice(part.ok_or("the panorama is smaller than panorama_size")?);
     }
+    if task.moves {
+        for (step, side) in [([7, 1], height / 3), ([2, 9], height / 4)] {
+            let at = [
+                back_and_forth(index * step[0], width - side),
+                back_and_forth(index * step[1], height - side),
+            ];
+            paste(&mut pixels, width, panorama, wide, at, side);
+        }
+        let seconds = f64::from(index) / f64::from(task.frames_per_s);
+        let light = 0.85 + 0.15 * (seconds * 1.7).sin();
+        for value in &mut pixels {
+            *value = (f64::from(*value) * light) as u8;
+        }
+    }
+    Ok(pixels)
+}
+
+fn back_and_forth(distance: u32, range: u32) -> u32 {
+    match range {
+        0 => 0,
+        range => range.abs_diff(distance % (range * 2)),
+    }
+}
+
+/// Covers a disc of the picture with the beginning of the panorama.
+fn paste(pixels: &mut [u8], width: u32, panorama: &[u8], wide: u32, at: [u32; 2], side: u32) {
+    let radius = f64::from(side) / 2.0;
+    for (x, y) in (0..side * side).map(|n| (n % side, n / side)) {
+        if (f64::from(x) - radius).hypot(f64::from(y) - radius) < radius {
+            let to = (((at[1] + y) * width + at[0] + x) * 3) as usize;
+            let start = ((y * wide + x) * 3) as usize;
+            pixels[to..to + 3].copy_from_slice(&panorama[start..start + 3]);
+        }
+    }
+}
+
+/// Adds the noise of a sensor.
+fn noisy(pixels: &[u8], index: u32) -> Vec<u8> {
     let mut random = index.wrapping_mul(2_654_435_761) | 1;
-    for value in &mut pixels {
+    let noise = |value: &u8| {
         random ^= random << 13;
         random ^= random >> 17;
         random ^= random << 5;
         let noise = (random % (2 * NOISE as u32 + 1)) as i16 - NOISE;
-        *value = (i16::from(*value) + noise).clamp(0, 255) as u8;
-    }
-    Ok(Picture::new(width, height, Format::Rgb8, pixels)?)
+        (i16::from(*value) + noise).clamp(0, 255) as u8
+    };
+    pixels.iter().map(noise).collect()
 }

@@ -24,6 +24,7 @@ pub mod report;
 pub mod schema;
 pub mod segments;
 pub mod summary;
+pub mod video_file;
 pub mod view;
 
 pub use entry::{address, Entry};

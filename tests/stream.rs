@@ -12,8 +12,12 @@ use std::{
 
 use pair::{pair, TIMEOUT};
 use rect::{
-    core::stream::ladder::{Coding, Step, PICTURES},
-    Encoding, Frame, Payload, Stream, StreamOptions, Watch,
+    core::{
+        picture::{Format, Picture},
+        stream::ladder::{Coding, Step, PICTURES},
+        video::bitstream::is_key_frame,
+    },
+    Encoding, Frame, Payload, QueueOptions, Stream, StreamOptions, Watch, WhenFull,
 };
 
 const PIXELS: usize = 160 * 120;
@@ -200,4 +204,87 @@ async fn streams_interoperate_with_stock_zenoh_programs() {
         (frame.payload.bytes.as_ref(), frame.age),
         (b"hello".as_slice(), None)
     );
+}
+
+/// A camera at 20 Hz whose picture moves, sent as video. Dropping it stops the camera.
+fn video_camera(stream: Stream) -> Camera {
+    let (stream, encoded) = (Arc::new(stream), Arc::new(AtomicUsize::new(0)));
+    let (sender, count) = (stream.clone(), encoded.clone());
+    let task = tokio::spawn(async move {
+        let mut ticks = tokio::time::interval(Duration::from_millis(50));
+        for n in 0.. {
+            ticks.tick().await;
+            let groups = sender.send_picture(&moving(n)).expect("sent");
+            count.fetch_add(groups, Ordering::Relaxed);
+        }
+    });
+    Camera {
+        encoded,
+        stream,
+        task,
+    }
+}
+
+fn moving(n: u32) -> Picture {
+    let value = |at: u32| {
+        128.0
+            + 100.0
+                * f64::from(at % 160 + at / 160 + n * 3)
+                    .mul_add(0.05, 0.0)
+                    .sin()
+    };
+    let pixels: Vec<u8> = (0..160 * 120).map(|at| value(at) as u8).collect();
+    Picture::new(160, 120, Format::Grey8, pixels).expect("a picture")
+}
+
+const EVERY_FRAME: QueueOptions = QueueOptions {
+    capacity: 100,
+    when_full: WhenFull::DropOldest,
+};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn video_arrives_decoded_or_as_it_was_sent() {
+    let (one, two) = pair("wombat-1", "wombat-2").await;
+    let options = StreamOptions::video();
+    let camera = video_camera(one.stream("camera", options).await.expect("a stream"));
+    let watch = two.watch("wombat-1", "camera").await.expect("watched");
+    for _ in 0..10 {
+        let frame = next(&watch).await;
+        let picture = frame.payload.picture(&rect::core::codec::Limits::default());
+        let picture = picture.expect("decoded");
+        assert_eq!((picture.width(), picture.height()), (160, 120));
+        assert!(frame.sent_bytes < 19_200 / 4, "{}", frame.sent_bytes);
+    }
+    // A receiver that comes later begins with a key frame, which it asks for, and then misses none.
+    let late = two.watch_with("wombat-1", "camera", EVERY_FRAME).await;
+    let late = late.expect("watched").undecoded();
+    let first = next(&late).await;
+    assert_eq!(first.payload.encoding, Encoding::H264);
+    assert!(is_key_frame(&first.payload.bytes));
+    for _ in 0..10 {
+        let frame = next(&late).await;
+        assert_eq!(frame.payload.encoding, Encoding::H264);
+        assert_eq!(frame.skipped, 0);
+    }
+    // One that reads rarely gets the newest picture, which depends on all before it.
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let newest = next(&watch).await;
+    assert!(newest.skipped > 3, "{newest:?}");
+    assert!(newest
+        .payload
+        .picture(&rect::core::codec::Limits::default())
+        .is_ok());
+    let before = video_status(&camera).key_frames;
+    late.ask_for_key_frame();
+    let begun = Instant::now();
+    while video_status(&camera).key_frames == before {
+        assert!(begun.elapsed() < Duration::from_secs(5), "no key frame");
+        next(&late).await;
+    }
+}
+
+fn video_status(camera: &Camera) -> rect::core::stream::status::VideoStatus {
+    let status = camera.stream.status();
+    let video = status.groups.first().and_then(|group| group.video.clone());
+    video.expect("a video")
 }

@@ -152,6 +152,8 @@ typedef enum rect_stream_mode {
     RECT_STREAM_MODE_FIXED = 1,
     // Values of a sensor: frames are sent unchanged, as often as they come, and receivers send no feedback.
     RECT_STREAM_MODE_SENSOR = 2,
+    // Pictures are sent as video: each frame contains only what differs from the one before.
+    RECT_STREAM_MODE_VIDEO = 3,
 } rect_stream_mode;
 
 // The format of a pixel, with 8 bits per channel.
@@ -605,7 +607,7 @@ typedef struct rect_stream_options {
     // Maximum data rate of an adaptive stream, 1 or more bytes per second. Default: 20,000,000.
     double max_bytes_per_s;
     // Interval at which receivers report what arrives, 200 to 10,000 ms; `RECT_FOREVER` for no reports. Default: 500 for an
-    // adaptive stream, 2000 for a fixed one, and no reports for a sensor.
+    // adaptive stream or a video, 2000 for a fixed one, and no reports for a sensor.
     uint32_t feedback_interval_ms;
 } rect_stream_options;
 
@@ -737,7 +739,7 @@ typedef struct rect_watch {
 typedef struct rect_frame {
     // The handle; 0 in a callback.
     uint64_t id;
-    // The payload.
+    // The payload. A frame of a video is decoded: the payload is the raw picture.
     struct rect_payload payload;
     // The age of the frame on arrival, in microseconds. Until the offset of the sender's clock is known, this is the delay
     // relative to the fastest frame of the last minute. -1 if the sender is a stock Zenoh program.
@@ -748,6 +750,8 @@ typedef struct rect_frame {
     // Number of frames directly before this one that the program did not receive: the link or the receive queue dropped
     // them.
     uint32_t skipped;
+    // The length of the frame as it was sent, in bytes.
+    size_t sent_bytes;
 } rect_frame;
 
 // A callback for frames. The frame is valid until the callback returns.
@@ -1315,7 +1319,7 @@ enum rect_code rect_stream_send(struct rect_stream stream,
                                 struct rect_error *error);
 
 // Sends a picture: rows of pixels without padding, from the top left. An adaptive stream scales and compresses it as the
-// links require; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
+// links require, and a video stream sends it as video; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
 //
 // `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
 //
@@ -1465,6 +1469,17 @@ enum rect_code rect_robot_watch(struct rect_robot robot,
                                 struct rect_watch *watch,
                                 struct rect_error *error);
 
+// Does what `rect_robot_watch` does, but leaves video undecoded: the payloads are the frames as they were sent, from a key frame
+// on, with the encoding `video/h264`. A program that saves or forwards them needs them all, and so a larger receive queue.
+//
+// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
+enum rect_code rect_robot_watch_undecoded(struct rect_robot robot,
+                                          const char *sender,
+                                          const char *topic,
+                                          const struct rect_queue_options *options,
+                                          struct rect_watch *watch,
+                                          struct rect_error *error);
+
 // Waits for the next frame and writes it to `frame`.
 //
 // Returns `RECT_CODE_TIMED_OUT` if none arrives within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
@@ -1475,6 +1490,11 @@ enum rect_code rect_watch_next(struct rect_watch watch,
                                uint32_t timeout_ms,
                                struct rect_frame *frame,
                                struct rect_error *error);
+
+// Asks the sender of a video for a key frame, with the next frame that arrives: for a program that decodes the video itself, and
+// has dropped frames. May be called on any thread.
+enum rect_code rect_watch_ask_for_key_frame(struct rect_watch watch,
+                                            struct rect_error *error);
 
 // Writes the round trip of a small message to the stream's sender to `round_trip_us`, in microseconds; -1 until the first one
 // has been measured. May be called on any thread.

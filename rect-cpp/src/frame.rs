@@ -14,7 +14,7 @@ use crate::{
 pub struct Frame {
     /// The handle; 0 in a callback.
     pub id: u64,
-    /// The payload.
+    /// The payload. A frame of a video is decoded: the payload is the raw picture.
     pub payload: PayloadView,
     /// The age of the frame on arrival, in microseconds. Until the offset of the sender's clock is known, this is the delay
     /// relative to the fastest frame of the last minute. -1 if the sender is a stock Zenoh program.
@@ -25,6 +25,8 @@ pub struct Frame {
     /// Number of frames directly before this one that the program did not receive: the link or the receive queue dropped
     /// them.
     pub skipped: u32,
+    /// The length of the frame as it was sent, in bytes.
+    pub sent_bytes: usize,
 }
 
 struct OwnedFrame(rect::Frame);
@@ -42,6 +44,7 @@ pub fn view(frame: &rect::Frame) -> Frame {
         age_us: age_us.map_or(-1, |age| i64::try_from(age).unwrap_or(i64::MAX)),
         number: frame.number,
         skipped: frame.skipped,
+        sent_bytes: frame.sent_bytes,
     }
 }
 

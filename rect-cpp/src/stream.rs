@@ -38,6 +38,8 @@ pub enum StreamMode {
     Fixed = 1,
     /// Values of a sensor: frames are sent unchanged, as often as they come, and receivers send no feedback.
     Sensor = 2,
+    /// Pictures are sent as video: each frame contains only what differs from the one before.
+    Video = 3,
 }
 
 /// The options of a stream. Fields that are 0 keep their defaults, so `rect_stream_options options = {0};` is an adaptive
@@ -56,7 +58,7 @@ pub struct StreamOptions {
     /// Maximum data rate of an adaptive stream, 1 or more bytes per second. Default: 20,000,000.
     pub max_bytes_per_s: f64,
     /// Interval at which receivers report what arrives, 200 to 10,000 ms; `RECT_FOREVER` for no reports. Default: 500 for an
-    /// adaptive stream, 2000 for a fixed one, and no reports for a sensor.
+    /// adaptive stream or a video, 2000 for a fixed one, and no reports for a sensor.
     pub feedback_interval_ms: u32,
 }
 
@@ -79,6 +81,7 @@ fn read_options(given: Option<&StreamOptions>) -> Result<rect::StreamOptions, Fa
         (StreamMode::Adaptive as u32, Preset::Adaptive),
         (StreamMode::Fixed as u32, Preset::Fixed),
         (StreamMode::Sensor as u32, Preset::Sensor),
+        (StreamMode::Video as u32, Preset::Video),
     ];
     let feedback_interval_s = match given.feedback_interval_ms {
         0 => None,
@@ -144,7 +147,7 @@ pub unsafe extern "C" fn rect_stream_send(
 }
 
 /// Sends a picture: rows of pixels without padding, from the top left. An adaptive stream scales and compresses it as the
-/// links require; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
+/// links require, and a video stream sends it as video; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
 ///
 /// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
 ///

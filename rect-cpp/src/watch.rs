@@ -7,7 +7,7 @@ use std::{
 
 use crate::{
     argument::{require, text},
-    boundary::{call, require_out, write_out, ErrorOut},
+    boundary::{call, require_out, write_out, ErrorOut, Out},
     callback::{Callback, Release},
     cancellable::{Cancellable, Waitable},
     failure::{Code, Failure},
@@ -61,6 +61,21 @@ fn declare(
     program.wait(program.robot.watch_with(sender, topic, options))
 }
 
+fn open(
+    robot: RobotHandle,
+    sender: &str,
+    topic: &str,
+    options: Option<&QueueOptions>,
+    watch: Out<'_, Watch>,
+    with: impl FnOnce(rect::Watch) -> rect::Watch,
+) -> Result<(), Failure> {
+    require_out("watch", &watch)?;
+    let program = robot.resolve()?;
+    let declared = with(declare(&program, sender, topic, options)?);
+    let id = handle::insert(Cancellable::new(declared, &program));
+    write_out("watch", watch, Watch { id })
+}
+
 /// Watches the stream `topic` of the robot `sender`, and writes the handle to `watch`. By default only the newest frame
 /// waits for the program; `options` may specify a larger receive queue, or be NULL.
 ///
@@ -75,13 +90,29 @@ pub unsafe extern "C" fn rect_robot_watch(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("watch", &watch)?;
         // SAFETY: the caller follows the rules of rect.h.
         let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
-        let program = robot.resolve()?;
-        let declared = declare(&program, sender, topic, options)?;
-        let id = handle::insert(Cancellable::new(declared, &program));
-        write_out("watch", watch, Watch { id })
+        open(robot, sender, topic, options, watch, std::convert::identity)
+    })
+}
+
+/// Does what `rect_robot_watch` does, but leaves video undecoded: the payloads are the frames as they were sent, from a key frame
+/// on, with the encoding `video/h264`. A program that saves or forwards them needs them all, and so a larger receive queue.
+///
+/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
+#[no_mangle]
+pub unsafe extern "C" fn rect_robot_watch_undecoded(
+    robot: RobotHandle,
+    sender: *const c_char,
+    topic: *const c_char,
+    options: Option<&QueueOptions>,
+    watch: Option<&mut MaybeUninit<Watch>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // SAFETY: the caller follows the rules of rect.h.
+        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
+        open(robot, sender, topic, options, watch, rect::Watch::undecoded)
     })
 }
 
@@ -103,6 +134,20 @@ pub extern "C" fn rect_watch_next(
         let waiting = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
         let next = waiting.next("frame", timeout_ms, rect::Watch::next)?;
         write_out("frame", frame, frame::into_c(next))
+    })
+}
+
+/// Asks the sender of a video for a key frame, with the next frame that arrives: for a program that decodes the video itself, and
+/// has dropped frames. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_watch_ask_for_key_frame(
+    watch: Watch,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        let watching = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
+        watching.source().ask_for_key_frame();
+        Ok(())
     })
 }
 

@@ -56,7 +56,7 @@ mod _rect {
         request::{busy_reply, error_encoding, requester, Inquiry},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},
-        stream::{FrameCounter, Job, StreamPublish, StreamWatch},
+        stream::{FrameReader, Job, StreamPublish, StreamWatch},
         transfer::{OfferedTransfer, TransferPull, TransferPush, TransferReception},
         urgency::{choose_session, qos},
         value::{read_value, write_value},

@@ -1,5 +1,8 @@
 //! Wraps the core's sending and receiving ends of a stream.
-use std::sync::{Arc, Mutex};
+use std::{
+    sync::{Arc, Mutex},
+    time::{Duration, Instant},
+};
 
 use pyo3::{
     prelude::*,
@@ -9,8 +12,8 @@ use pyo3::{
 use rect::core::stream::{
     ladder::Coding,
     options::{OptionError, PartialOptions},
-    picture::{encode, LossyFormat},
-    publish, sender, watch,
+    picture::{LossyFormat, PictureEncoder},
+    publish, read, sender, watch,
 };
 
 use crate::{
@@ -30,7 +33,7 @@ use crate::{
 pub struct StreamPublish {
     core: Arc<Mutex<publish::StreamPublish>>,
     clock: Clock,
-    lossy_format: LossyFormat,
+    encoder: Mutex<PictureEncoder>,
 }
 
 /// A frame to encode for one group of receivers.
@@ -44,13 +47,13 @@ pub struct StreamWatch {
     clock: Clock,
 }
 
-/// Counts the frames that a program has not read.
+/// Reads the frames of a stream: decodes video, and counts what the program has not read.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct FrameCounter(Mutex<watch::FrameCounter>);
+pub struct FrameReader(Mutex<read::FrameReader>);
 
 #[pymethods]
 impl StreamPublish {
-    /// Creates a sender. `unix_ms` is the time in milliseconds since 1970; default: the time of the clock. `mode` is `adaptive`, `fixed` or `sensor`; options that are `None` have the defaults of the
+    /// Creates a sender. `unix_ms` is the time in milliseconds since 1970; default: the time of the clock. `mode` is `adaptive`, `video`, `fixed` or `sensor`; options that are `None` have the defaults of the
     /// mode. Raises `OptionError`.
     #[new]
     #[pyo3(signature = (key_space, topic, urgency, mode, source, *, max_frames_per_s=None, min_frames_per_s=None, max_bytes_per_s=None,
@@ -83,7 +86,7 @@ impl StreamPublish {
             },
         };
         let options = partial.complete().or_raise()?;
-        let lossy_format = options.lossy_format;
+        let encoder = Mutex::new(PictureEncoder::new(options.lossy_format));
         let clock = Clock::new();
         let now = clock.created_at();
         let stream = publish::StreamPublish::new(
@@ -98,7 +101,7 @@ impl StreamPublish {
         Ok(Self {
             core: Arc::new(Mutex::new(stream)),
             clock,
-            lossy_format,
+            encoder,
         })
     }
 
@@ -114,6 +117,13 @@ impl StreamPublish {
         jobs.into_iter().map(Job).collect()
     }
 
+    /// Offers a picture of that size, which a video stream sends as video. Returns a job for each group of receivers that is due
+    /// for a frame.
+    fn offer_picture(&self, width: u32, height: u32) -> Vec<Job> {
+        let jobs = lock(&self.core).offer_picture(width, height, self.clock.now());
+        jobs.into_iter().map(Job).collect()
+    }
+
     /// Encodes a picture for a job.
     fn encode_picture<'py>(
         &self,
@@ -124,7 +134,9 @@ impl StreamPublish {
     ) -> PyResult<Parts<'py>> {
         let (width, height, format) = size;
         let picture = picture_of(width, height, &format, pixels)?;
-        let encoded = detached(py, || encode(&picture, job.0.step, self.lossy_format));
+        let encoded = detached(py, || {
+            lock(&self.encoder).encode(&picture, job.0, Instant::now())
+        });
         Ok(parts(py, &encoded.or_raise()?))
     }
 
@@ -201,6 +213,21 @@ impl StreamWatch {
         Driver::shared(&self.core, &self.clock)
     }
 
+    /// Returns the reader of the frames that arrive.
+    fn reader(&self) -> FrameReader {
+        FrameReader(Mutex::new(lock(&self.core).reader()))
+    }
+
+    /// Asks the sender for a key frame.
+    fn ask_for_key(&self) {
+        lock(&self.core).ask_for_key();
+    }
+
+    /// Leaves the decoding of video to the program.
+    fn leave_undecoded(&self) {
+        lock(&self.core).leave_undecoded();
+    }
+
     /// Returns the round trip of a small message to the sender, in seconds, once it is known.
     fn round_trip(&self) -> Option<f64> {
         let round_trip = lock(&self.core).round_trip();
@@ -209,14 +236,22 @@ impl StreamWatch {
 }
 
 #[pymethods]
-impl FrameCounter {
-    #[new]
-    fn new() -> Self {
-        Self(Mutex::default())
-    }
-
-    /// Handles that the program reads a frame. Returns the number of frames since the previous one that it read.
-    fn on_read(&self, ordinal: u64) -> u32 {
-        lock(&self.0).on_read(ordinal)
+impl FrameReader {
+    /// Reads a frame that the driver has delivered. Returns the payload, the number of frames since the previous one that was
+    /// read, and the length of the frame as it was sent; `None` if there is nothing to show.
+    fn read<'py>(
+        &self,
+        py: Python<'py>,
+        frame: (u64, u32, Option<f64>, PyBackedBytes, String),
+    ) -> Option<(Parts<'py>, u32, usize)> {
+        let (ordinal, number, age_s, bytes, encoding) = frame;
+        let received = watch::ReceivedFrame {
+            payload: payload(bytes, &encoding),
+            number,
+            age: age_s.map(Duration::from_secs_f64),
+            ordinal,
+        };
+        let frame = detached(py, || lock(&self.0).read(received))?;
+        Some((parts(py, &frame.payload), frame.skipped, frame.sent_bytes))
     }
 }

@@ -18,6 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import av
+import numpy
 import pytest
 import rect
 from conftest import free_port, repeating
@@ -105,6 +107,69 @@ def test_stock_reader_opens_a_recording(tmp_path: Path) -> None:
         decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["wombat-1/camera"])
         pictures = [(schema and schema.name, picture.format, picture.data) for schema, _, _, picture in decoded]
     assert pictures and set(pictures) == {("foxglove.CompressedImage", "jpeg", JPEG)}
+
+
+@contextmanager
+def filming(robot: rect.Robot) -> Iterator[None]:
+    """Sends a video of a moving stripe, on a thread."""
+    numbers = itertools.count()
+    with robot.stream("camera", mode="video") as camera:
+
+        def film() -> None:
+            picture = numpy.zeros((120, 160, 3), numpy.uint8)
+            picture[:, next(numbers) * 4 % 150 :][:, :10] = 250
+            camera.send(picture)
+
+        with repeating(0.05, film):
+            yield
+
+
+def stripes(file: Path | list[bytes]) -> list[int]:
+    """Returns where the stripe is in each picture of a video, as FFmpeg decodes it."""
+    if isinstance(file, Path):
+        with av.open(str(file)) as container:
+            pictures = list(container.decode(video=0))
+    else:
+        decoder = av.CodecContext.create("h264", "r")
+        pictures = [picture for data in file for picture in decoder.decode(av.Packet(data))] + decoder.decode(None)
+    return [int(picture.to_ndarray(format="gray")[60].argmax()) for picture in pictures]
+
+
+def test_videos_are_recorded_as_viewers_show_them_and_exported(tmp_path: Path) -> None:
+    endpoint, file = f"tcp/127.0.0.1:{free_port()}", tmp_path / "match.mcap"
+    with rect.connect("wombat-1", listen=[endpoint]) as robot, recorder(endpoint, file) as process:
+        until_recording(process)
+        with filming(robot):
+            time.sleep(2)
+        process.terminate()
+        assert process.wait(DEADLINE) == 0
+    with file.open("rb") as stream:
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["wombat-1/camera"])
+        frames = [(schema and schema.name, frame.format, frame.data) for schema, _, _, frame in decoded]
+    assert {frame[:2] for frame in frames} == {("foxglove.CompressedVideo", "h264")}
+    positions = stripes([data for *_, data in frames])
+    assert len(positions) == len(frames) > 10
+    assert len(set(positions)) > 5, "the stripe moves"
+    command = [program("RECT_TOOL", "rect"), "recording", "export", str(file), "--format", "pictures"]
+    subprocess.run([*command, "--output", str(tmp_path / "pictures")], check=True, timeout=DEADLINE)
+    assert stripes(tmp_path / "pictures" / "wombat-1-camera.mkv") == positions
+
+
+def test_a_watched_video_is_saved_and_complete_whenever_the_program_is_killed(tmp_path: Path) -> None:
+    endpoint, file = f"tcp/127.0.0.1:{free_port()}", tmp_path / "match.mkv"
+    watch = [program("RECT_TOOL", "rect"), "stream", "watch", "wombat-1", "camera", "--router", endpoint]
+    with rect.connect("wombat-1", listen=[endpoint]) as robot, filming(robot):
+        with subprocess.Popen([*watch, "--save", str(file)], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout
+            for _ in range(20):
+                assert "video/h264" in process.stdout.readline()
+            process.kill()
+        again = subprocess.run([*watch, "--save", str(file)], capture_output=True, text=True, timeout=DEADLINE)
+    assert len(stripes(file)) >= 19
+    assert again.returncode != 0
+    assert "match.mkv" in again.stderr and "exists" in again.stderr
+    wrong = subprocess.run([*watch, "--save", "match.mp4"], capture_output=True, text=True, timeout=DEADLINE)
+    assert "choose a name that ends in .mkv" in wrong.stderr
 
 
 @pytest.mark.parametrize("seed", range(ROUNDS))

@@ -5,10 +5,12 @@ pytest rect-py/tests/test_streams.py
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Callable
 from typing import Any
 
+import av
 import numpy
 import pytest
 import rect
@@ -51,6 +53,44 @@ def test_pictures_arrive_with_number_and_age(pair: Pair) -> None:
         status = camera.status
     assert status["groups"][0]["frames"] > 3
     assert status["groups"][0]["last_change"].startswith("started with")
+
+
+def moving(number: int) -> numpy.ndarray:
+    """Returns a picture whose stripes move with the number."""
+    stripes = 128 + 100 * numpy.sin((numpy.arange(160) + 3 * number) / 9)
+    return numpy.broadcast_to(stripes[None, :, None], (120, 160, 3)).astype(numpy.uint8)
+
+
+def test_video_arrives_as_pictures(pair: Pair) -> None:
+    one, two = pair
+    numbers = itertools.count()
+    with one.stream("camera", mode="video") as camera, two.watch("wombat-1", "camera") as watch:
+        frame = send_until(watch, lambda: camera.send(moving(next(numbers))), lambda frame: frame.number > 3)
+        picture = numpy.asarray(frame.value)
+        assert picture.shape == (120, 160, 3)
+        assert picture.std() > 30, "it has no stripes"
+        assert frame.sent_bytes < picture.size / 4
+        assert camera.status["groups"][0]["video"]["key_frames"] >= 1
+
+
+def test_ffmpeg_decodes_video(pair: Pair) -> None:
+    one, two = pair
+    sent, frames = [], []
+
+    def send() -> None:
+        picture = moving(len(sent))
+        sent.append(picture)
+        camera.send(picture)
+
+    with one.stream("camera", mode="video") as camera:
+        watch = two.watch("wombat-1", "camera", decode=False, capacity=100)
+        send_until(watch, send, lambda frame: frames.append(frame) or len(frames) == 20)
+    assert {frame.payload.encoding for frame in frames} == {"video/h264"}
+    decoder = av.CodecContext.create("h264", "r")
+    decoded = [picture for frame in frames for picture in decoder.decode(av.Packet(frame.payload.bytes))]
+    decoded += decoder.decode(None)
+    assert len(decoded) == 20
+    assert decoded[-1].to_ndarray(format="rgb24").std() > 30
 
 
 def test_nothing_is_encoded_without_receivers(pair: Pair) -> None:

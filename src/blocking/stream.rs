@@ -85,6 +85,18 @@ impl Robot {
 }
 
 impl Frames {
+    /// Leaves video undecoded: see [`crate::Watch::undecoded`].
+    #[must_use]
+    pub fn undecoded(self) -> Self {
+        let watch = self.watch.undecoded();
+        Self { watch, ..self }
+    }
+
+    /// Asks the sender of a video for a key frame: see [`crate::Watch::ask_for_key_frame`].
+    pub fn ask_for_key_frame(&self) {
+        self.watch.ask_for_key_frame();
+    }
+
     /// Blocks until the next frame; returns `None` if none arrives within `timeout`, or if the session is closed.
     pub fn next_timeout(&mut self, timeout: Duration) -> Option<Frame> {
         let next = async { tokio::time::timeout(timeout, self.watch.next()).await };

@@ -2,7 +2,10 @@
 //! publisher.
 use std::collections::BTreeMap;
 
-use super::{entry::Entry, picture};
+use super::{
+    entry::Entry,
+    picture::{self, Kind},
+};
 use crate::core::{encoding::Encoding, urgency::Urgency};
 
 /// The names of MCAP for the encodings that it knows, see <https://mcap.dev/spec/registry>.
@@ -42,7 +45,7 @@ impl Channel {
 
     /// Returns MCAP's name of the encoding.
     pub fn message_encoding(&self) -> &str {
-        if picture::is_picture(&self.encoding) {
+        if Kind::of(&self.encoding).is_some() {
             return picture::PROTOBUF;
         }
         let known = KNOWN

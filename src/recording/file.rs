@@ -9,7 +9,12 @@ use std::{
 use mcap::{records::MessageHeader, records::Metadata, McapError, WriteOptions, Writer};
 use serde_json::Value;
 
-use super::{channel::Channel, entry::Entry, picture, schema::Schema};
+use super::{
+    channel::Channel,
+    entry::Entry,
+    picture::{self, Kind},
+    schema::Schema,
+};
 use crate::core::key::KeySpace;
 
 /// The ending of a complete file.
@@ -93,9 +98,9 @@ impl<W: Write + Seek> Encoder<W> {
             log_time: nanoseconds(entry.logged),
             publish_time: nanoseconds(entry.sent),
         };
-        let written = match picture::is_picture(&entry.payload.encoding) {
-            true => (self.writer).write_to_known_channel(&header, &picture::wrap(entry)),
-            false => (self.writer).write_to_known_channel(&header, &entry.payload.bytes),
+        let written = match picture::wrap(entry) {
+            Some(message) => (self.writer).write_to_known_channel(&header, &message),
+            None => (self.writer).write_to_known_channel(&header, &entry.payload.bytes),
         };
         written.map_err(into_io)
     }
@@ -105,9 +110,9 @@ impl<W: Write + Seek> Encoder<W> {
             let many = format!("the messages have more than {MAX_CHANNELS} topics and publishers");
             return Err(io::Error::other(many).into());
         }
-        let schema = match picture::is_picture(&channel.encoding) {
-            true => Some(Schema::of_picture()),
-            false => entry_schema(first),
+        let schema = match Kind::of(&channel.encoding) {
+            Some(kind) => Some(Schema::of_picture(kind)),
+            None => entry_schema(first),
         };
         let schema_id = match schema {
             Some(schema) => {

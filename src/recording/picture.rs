@@ -1,6 +1,7 @@
-//! Pictures in the form in which viewers show them: `foxglove.CompressedImage`, in Protocol Buffers.
+//! Pictures and frames of videos in the form in which viewers show them: `foxglove.CompressedImage` and
+//! `foxglove.CompressedVideo`, in Protocol Buffers.
 //!
-//! The definition is <https://github.com/foxglove/foxglove-sdk/blob/main/schemas/proto/foxglove/CompressedImage.proto>.
+//! The definitions are in <https://github.com/foxglove/foxglove-sdk/tree/main/schemas/proto/foxglove>.
 use bytes::Bytes;
 use prost::Message;
 use prost_types::{
@@ -11,17 +12,49 @@ use prost_types::{
 use super::entry::Entry;
 use crate::core::encoding::Encoding;
 
-/// The name of the schema.
-pub const SCHEMA: &str = "foxglove.CompressedImage";
 /// MCAP's name of the encoding.
 pub const PROTOBUF: &str = "protobuf";
 
-/// The encodings that viewers show, and their names in the schema.
-const FORMATS: [(Encoding, &str); 3] = [
-    (Encoding::JPEG, "jpeg"),
-    (Encoding::PNG, "png"),
-    (Encoding::WEBP, "webp"),
+/// The encodings that viewers show, and their names in the schemas.
+const FORMATS: [(Encoding, Kind, &str); 4] = [
+    (Encoding::JPEG, Kind::Image, "jpeg"),
+    (Encoding::PNG, Kind::Image, "png"),
+    (Encoding::WEBP, Kind::Image, "webp"),
+    (Encoding::H264, Kind::Video, "h264"),
 ];
+
+/// The two kinds of payloads that viewers show as pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A picture.
+    Image,
+    /// A frame of a video.
+    Video,
+}
+
+impl Kind {
+    /// Returns what payloads of that encoding are; `None` if they are neither.
+    pub fn of(encoding: &Encoding) -> Option<Self> {
+        known(encoding).map(|(kind, _)| kind)
+    }
+
+    /// Returns the name of the schema.
+    pub fn schema_name(self) -> String {
+        format!("foxglove.{}", self.message())
+    }
+
+    fn message(self) -> &'static str {
+        match self {
+            Self::Image => "CompressedImage",
+            Self::Video => "CompressedVideo",
+        }
+    }
+}
+
+fn known(encoding: &Encoding) -> Option<(Kind, &'static str)> {
+    let found = FORMATS.iter().find(|(known, ..)| known == encoding);
+    found.map(|&(_, kind, format)| (kind, format))
+}
 
 #[derive(Clone, PartialEq, Message)]
 struct CompressedImage {
@@ -35,40 +68,74 @@ struct CompressedImage {
     frame_id: String,
 }
 
-/// Returns whether payloads of that encoding are recorded as pictures.
-pub fn is_picture(encoding: &Encoding) -> bool {
-    format(encoding).is_some()
+#[derive(Clone, PartialEq, Message)]
+struct CompressedVideo {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+    #[prost(string, tag = "2")]
+    frame_id: String,
+    #[prost(bytes = "bytes", tag = "3")]
+    data: Bytes,
+    #[prost(string, tag = "4")]
+    format: String,
 }
 
-/// Returns the viewers' name of a picture's encoding, such as `jpeg`; `None` if it is not that of a picture.
+/// Returns the viewers' name of the encoding of a picture, such as `jpeg`; `None` if it is not that of a picture.
 pub fn format(encoding: &Encoding) -> Option<&'static str> {
-    let found = FORMATS.iter().find(|(known, _)| known == encoding);
-    found.map(|(_, format)| *format)
+    let (kind, format) = known(encoding)?;
+    (kind == Kind::Image).then_some(format)
 }
 
-/// Returns the message that a viewer shows for a picture.
-pub fn wrap(entry: &Entry) -> Vec<u8> {
-    let format = format(&entry.payload.encoding).unwrap_or_default();
-    let image = CompressedImage {
-        timestamp: Some(Timestamp {
-            seconds: i64::try_from(entry.sent.as_secs()).unwrap_or(i64::MAX),
-            nanos: i32::try_from(entry.sent.subsec_nanos()).unwrap_or(0),
-        }),
-        data: entry.payload.bytes.clone(),
-        format: format.to_owned(),
-        frame_id: entry.topic.clone(),
+/// Returns the message that a viewer shows for a picture or a frame; `None` if it shows the payload as it is.
+pub fn wrap(entry: &Entry) -> Option<Vec<u8>> {
+    let (kind, format) = known(&entry.payload.encoding)?;
+    let timestamp = Some(Timestamp {
+        seconds: i64::try_from(entry.sent.as_secs()).unwrap_or(i64::MAX),
+        nanos: i32::try_from(entry.sent.subsec_nanos()).unwrap_or(0),
+    });
+    let (data, frame_id) = (entry.payload.bytes.clone(), entry.topic.clone());
+    let format = format.to_owned();
+    Some(match kind {
+        Kind::Image => CompressedImage {
+            timestamp,
+            data,
+            format,
+            frame_id,
+        }
+        .encode_to_vec(),
+        Kind::Video => CompressedVideo {
+            timestamp,
+            data,
+            format,
+            frame_id,
+        }
+        .encode_to_vec(),
+    })
+}
+
+/// Returns the picture or frame in a message. `None`: the bytes are something else, such as a picture without a message around
+/// it.
+pub fn unwrap(kind: Kind, message: &[u8]) -> Option<Bytes> {
+    let (format, data) = match kind {
+        Kind::Image => {
+            let image = CompressedImage::decode(message).ok()?;
+            (image.format, image.data)
+        }
+        Kind::Video => {
+            let video = CompressedVideo::decode(message).ok()?;
+            (video.format, video.data)
+        }
     };
-    image.encode_to_vec()
-}
-
-/// Returns the picture in a message. `None`: the bytes are something else, such as a picture without a message around it.
-pub fn unwrap(message: &[u8]) -> Option<Bytes> {
-    let image = CompressedImage::decode(message).ok()?;
-    (!image.format.is_empty()).then_some(image.data)
+    (!format.is_empty()).then_some(data)
 }
 
 /// Returns the definition of the message, for readers that do not know it.
-pub fn schema() -> Vec<u8> {
+pub fn schema(kind: Kind) -> Vec<u8> {
+    // The two messages have the same fields, but not the same numbers.
+    let [frame_id, data, format] = match kind {
+        Kind::Image => [4, 2, 3],
+        Kind::Video => [2, 3, 4],
+    };
     let field = |name: &str, number, kind: Type| FieldDescriptorProto {
         name: Some(name.to_owned()),
         number: Some(number),
@@ -106,14 +173,14 @@ pub fn schema() -> Vec<u8> {
             FileDescriptorProto {
                 dependency: vec![timestamp_file.to_owned()],
                 ..file(
-                    "foxglove/CompressedImage.proto",
+                    &format!("foxglove/{}.proto", kind.message()),
                     "foxglove",
-                    "CompressedImage",
+                    kind.message(),
                     vec![
                         timestamp,
-                        field("frame_id", 4, Type::String),
-                        field("data", 2, Type::Bytes),
-                        field("format", 3, Type::String),
+                        field("frame_id", frame_id, Type::String),
+                        field("data", data, Type::Bytes),
+                        field("format", format, Type::String),
                     ],
                 )
             },
@@ -132,7 +199,9 @@ mod tests {
         let png: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
         let webp: &[u8] = b"RIFF\x24\0\0\0WEBPVP8 ";
         for bytes in [jpeg, png, webp, b""] {
-            assert_eq!(unwrap(bytes), None, "{bytes:?}");
+            for kind in [Kind::Image, Kind::Video] {
+                assert_eq!(unwrap(kind, bytes), None, "{bytes:?}");
+            }
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Writes the pictures of a recording to files.
+//! Writes the pictures and videos of a recording to files.
 use std::{
     collections::BTreeMap,
     fs::{self, File},
@@ -6,16 +6,19 @@ use std::{
     path::PathBuf,
 };
 
-use super::{entry::Entry, picture};
+use super::{entry::Entry, picture, video_file::VideoFile};
+use crate::core::video::bitstream;
 
 /// The maximum length of the name of a folder, in bytes.
 const MAX_NAME: usize = 100;
 
-/// Writes pictures to a folder, in which each topic has one: `wombat-1-camera/000012.jpeg`.
+/// Writes pictures to a folder, in which each topic has one: `wombat-1-camera/000012.jpeg`, and videos to Matroska files:
+/// `wombat-1-camera.mkv`.
 pub struct Pictures {
     folder: PathBuf,
     /// The number of the last picture of each topic.
     last: BTreeMap<String, u32>,
+    videos: BTreeMap<String, VideoFile>,
     written: u64,
 }
 
@@ -29,15 +32,19 @@ impl Pictures {
         Ok(Self {
             folder,
             last: BTreeMap::new(),
+            videos: BTreeMap::new(),
             written: 0,
         })
     }
 
-    /// Writes a picture, as it was sent. Other messages are skipped.
+    /// Writes a picture or a frame of a video, as it was sent. Other messages are skipped.
     ///
     /// # Errors
     /// Fails if the disk does.
     pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
+        if bitstream::is_video(&entry.payload) {
+            return self.add_frame(entry);
+        }
         let Some(format) = picture::format(&entry.payload.encoding) else {
             return Ok(());
         };
@@ -58,9 +65,28 @@ impl Pictures {
         file.write_all(&entry.payload.bytes)
     }
 
-    /// Returns how many pictures were written.
+    fn add_frame(&mut self, entry: &Entry) -> io::Result<()> {
+        if !self.videos.contains_key(&entry.topic) {
+            let mut name = folder_name(&entry.topic);
+            // Two topics may have the same name here.
+            while self.folder.join(format!("{name}.mkv")).exists() {
+                name.push('_');
+            }
+            let path = self.folder.join(format!("{name}.mkv"));
+            let video = VideoFile::new(path).map_err(io::Error::other)?;
+            self.videos.insert(entry.topic.clone(), video);
+        }
+        let Some(video) = self.videos.get_mut(&entry.topic) else {
+            return Ok(());
+        };
+        let added = video.add(&entry.payload.bytes, entry.sent);
+        added.map_err(io::Error::other)
+    }
+
+    /// Returns how many pictures, and frames of videos, were written.
     pub fn written(&self) -> u64 {
-        self.written
+        let frames: u64 = self.videos.values().map(|video| video.written().0).sum();
+        self.written + frames
     }
 }
 

@@ -22,7 +22,7 @@ use super::{
     chunk::Chunk,
     entry::Entry,
     file::{About, ABOUT, COMPLETE, PART},
-    picture,
+    picture::{self, Kind},
 };
 use crate::core::payload::Payload;
 
@@ -297,8 +297,8 @@ impl Contents {
                 let unknown = || McapError::UnknownChannel(header.sequence, header.channel_id);
                 let channel = channel.ok_or_else(unknown)?;
                 self.entries += 1;
-                let wrapped = picture::is_picture(&channel.encoding);
-                let picture = wrapped.then(|| picture::unwrap(&data)).flatten();
+                let wrapped = Kind::of(&channel.encoding);
+                let picture = wrapped.and_then(|kind| picture::unwrap(kind, &data));
                 let bytes = picture.unwrap_or_else(|| Bytes::copy_from_slice(&data));
                 return Ok(Step::Entry(Entry {
                     topic: channel.topic.clone(),

@@ -1,7 +1,7 @@
 //! Infers a JSON Schema from a JSON value, because viewers offer the fields that a schema lists.
 use serde_json::{json, Map, Value};
 
-use super::picture;
+use super::picture::{self, Kind};
 
 /// MCAP's name of the form.
 const ENCODING: &str = "jsonschema";
@@ -31,12 +31,12 @@ impl Schema {
         }
     }
 
-    /// Returns the schema of pictures.
-    pub fn of_picture() -> Self {
+    /// Returns the schema of pictures, or of frames of a video.
+    pub fn of_picture(kind: Kind) -> Self {
         Self {
-            name: picture::SCHEMA.to_owned(),
+            name: kind.schema_name(),
             encoding: picture::PROTOBUF,
-            text: picture::schema(),
+            text: picture::schema(kind),
         }
     }
 }

@@ -1,7 +1,11 @@
 //! Decides what a viewer is shown of a message: pictures as such, and everything else as a JSON object.
 use serde_json::{json, Map, Value};
 
-use super::{entry::Entry, picture, schema::Schema};
+use super::{
+    entry::Entry,
+    picture::{self, Kind},
+    schema::Schema,
+};
 use crate::core::{encoding::Encoding, payload::Payload};
 
 /// The field of a value that is not an object: viewers select values by the names of fields.
@@ -10,8 +14,8 @@ const VALUE: &str = "value";
 /// The form in which a viewer is shown a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum View {
-    /// A picture, as `foxglove.CompressedImage`.
-    Picture(Vec<u8>),
+    /// A picture or a frame of a video, in the message of that kind.
+    Picture(Kind, Vec<u8>),
     /// A JSON object.
     Object(Value),
 }
@@ -19,16 +23,17 @@ pub enum View {
 impl View {
     /// Returns what is shown of a message.
     pub fn of(entry: &Entry) -> Self {
-        match picture::is_picture(&entry.payload.encoding) {
-            true => Self::Picture(picture::wrap(entry)),
-            false => Self::Object(object(&entry.payload)),
+        let kind = Kind::of(&entry.payload.encoding);
+        match kind.zip(picture::wrap(entry)) {
+            Some((kind, message)) => Self::Picture(kind, message),
+            None => Self::Object(object(&entry.payload)),
         }
     }
 
     /// Returns the viewers' name of the encoding.
     pub fn encoding(&self) -> &'static str {
         match self {
-            Self::Picture(_) => picture::PROTOBUF,
+            Self::Picture(..) => picture::PROTOBUF,
             Self::Object(_) => "json",
         }
     }
@@ -36,7 +41,7 @@ impl View {
     /// Returns a schema of messages like this one.
     pub fn schema(&self, topic: &str) -> Schema {
         match self {
-            Self::Picture(_) => Schema::of_picture(),
+            Self::Picture(kind, _) => Schema::of_picture(*kind),
             Self::Object(value) => Schema::of_value(topic, value),
         }
     }
@@ -44,7 +49,7 @@ impl View {
     /// Returns the encoded message.
     pub fn into_bytes(self) -> Vec<u8> {
         match self {
-            Self::Picture(message) => message,
+            Self::Picture(_, message) => message,
             Self::Object(value) => value.to_string().into_bytes(),
         }
     }

@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy
+import pytest
 import rect
 from conftest import ROBOTS, Fleet
 from PIL import Image
@@ -147,6 +149,35 @@ def test_cameras_show_streams_with_age_and_rate(page: Page, fleet: Fleet, dashbo
         page.goto(f"{dashboard}/?embed=camera/wombat-2/camera")
         expect(page.locator("header")).to_have_count(0)
         expect(page.get_by_role("figure", name="wombat-2/camera")).to_be_visible()
+
+
+@pytest.mark.parametrize("decodes", [True, False], ids=["in the browser", "in the program"])
+def test_cameras_show_video(page: Page, fleet: Fleet, dashboard: str, decodes: bool) -> None:
+    if not decodes:
+        page.add_init_script("delete globalThis.VideoDecoder")
+    with fleet.program(1) as robot, robot.stream("video", mode="video") as stream:
+        page.goto(f"{dashboard}/#cameras")
+        assert page.evaluate("'VideoDecoder' in globalThis") == decodes
+        page.get_by_label("Topic of the camera").fill("wombat-2/video")
+        page.get_by_role("button", name="Show").click()
+        camera = page.get_by_role("figure", name="wombat-2/video")
+        canvas = camera.locator("canvas")
+        deadline = time.monotonic() + 30
+        colours = set()
+        number = 0
+        while len(colours) < 3 and time.monotonic() < deadline:
+            # The picture gets brighter.
+            stream.send(numpy.full((120, 160, 3), number * 8 % 256, numpy.uint8))
+            number += 1
+            page.wait_for_timeout(100)
+            if canvas.is_visible():
+                pixel = "canvas => canvas.getContext('2d').getImageData(80, 60, 1, 1).data[0]"
+                colours.add(canvas.evaluate(pixel))
+        assert len(colours) >= 3, camera.inner_text()
+        assert canvas.evaluate("canvas => [canvas.width, canvas.height]") == [160, 120]
+        expect(camera).to_contain_text(re.compile(r"Hz · \d.* old"))
+        group = stream.status["groups"][0]
+        assert group["video"]["key_frames"] >= 1
 
 
 def test_connections_are_added_and_removed_and_errors_are_shown_at_their_field(page: Page, dashboard: str) -> None:

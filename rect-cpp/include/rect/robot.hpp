@@ -245,6 +245,17 @@ public:
         return detail::value_or_error<Watch>(code, error, [&] { return Watch(watch.id); });
     }
 
+    /// Does what `watch` does, but leaves video undecoded: the payloads are the frames as they were sent, from a key frame on,
+    /// with the encoding `video/h264`. A program that saves or forwards them needs them all, and so a larger `queue`.
+    [[nodiscard]] expected<Watch> watch_undecoded(const Text& sender, const Text& topic, QueueOptions queue = {}) const {
+        const auto raw_queue = detail::raw(queue);
+        rect_watch watch;
+        rect_error error;
+        const auto code =
+            rect_robot_watch_undecoded(raw(), sender.c_str(), topic.c_str(), &raw_queue, &watch, &error);
+        return detail::value_or_error<Watch>(code, error, [&] { return Watch(watch.id); });
+    }
+
     /// Calls `function(const rect::FrameView&)` for each frame of a stream, like `subscribe` does for messages. Frames that
     /// arrive during a call wait or are dropped as `queue` specifies; by default only the newest one is kept.
     template <class F, class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const FrameView&>>>

@@ -4,6 +4,7 @@
 #define RECT_STREAM_HPP
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -23,6 +24,8 @@ struct StreamOptions {
         fixed = RECT_STREAM_MODE_FIXED,
         /// Values of a sensor: frames are sent unchanged, as often as they come, and receivers send no feedback.
         sensor = RECT_STREAM_MODE_SENSOR,
+        /// Pictures are sent as video: each frame contains only what differs from the one before.
+        video = RECT_STREAM_MODE_VIDEO,
     };
 
     /// The mode.
@@ -37,9 +40,11 @@ struct StreamOptions {
     /// Maximum data rate of an adaptive stream, 1 or more bytes per second. 0 means the default, 20,000,000.
     double max_bytes_per_s = 0;
     /// Interval at which receivers report what arrives, 0.2 to 10 s; `rect::forever` for no reports. 0 means the default:
-    /// 500 ms for an adaptive stream, 2 s for a fixed one, and no reports for a sensor.
+    /// 500 ms for an adaptive stream or a video, 2 s for a fixed one, and no reports for a sensor.
     std::chrono::milliseconds feedback_interval{0};
 
+    /// Returns the options for pictures that are sent as video.
+    static StreamOptions video() { return of(Mode::video); }
     /// Returns the options for the values of a sensor.
     static StreamOptions sensor() { return of(Mode::sensor); }
     /// Returns the options for frames that are sent unchanged, at a limited rate in frames per second.
@@ -77,8 +82,8 @@ public:
         return done ? expected<std::uint32_t>(sent) : unexpected<Error>(done.error());
     }
 
-    /// Sends a picture. An adaptive stream scales and compresses it as the links require; other streams send it
-    /// uncompressed. Returns the number of groups of receivers that it is sent to, 0 to 2. Takes as long as compressing the
+    /// Sends a picture. An adaptive stream scales and compresses it as the links require, and a video stream sends it as
+    /// video; other streams send it uncompressed. Returns the number of groups of receivers that it is sent to, 0 to 2. Takes as long as compressing the
     /// picture; if no receiver needs a frame now, the call returns immediately.
     expected<std::uint32_t> send(const Picture& picture) const {
         std::uint32_t sent = 0;
@@ -109,7 +114,7 @@ public:
     /// Refers to a struct of rect.h.
     explicit FrameView(const rect_frame& raw) noexcept : payload(raw.payload), raw_(raw) {}
 
-    /// The payload.
+    /// The payload. A frame of a video is decoded: the payload is the raw picture.
     PayloadView payload;
 
     /// Returns the number of the frame. Numbering restarts when the sender restarts, and when this robot joins another group
@@ -126,6 +131,8 @@ public:
     /// Returns how many frames directly before this one the program did not receive, because the link or the receive queue
     /// dropped them.
     [[nodiscard]] std::uint32_t skipped() const noexcept { return raw_.skipped; }
+    /// Returns the length of the frame as it was sent, in bytes.
+    [[nodiscard]] std::size_t sent_bytes() const noexcept { return raw_.sent_bytes; }
 
 private:
     rect_frame raw_;
@@ -163,6 +170,13 @@ public:
         rect_error error;
         const auto code = rect_watch_next({handle_id()}, detail::ms(timeout), &frame, &error);
         return detail::value_or_error<Frame>(code, error, [&] { return Frame(frame); });
+    }
+
+    /// Asks the sender of a video for a key frame, with the next frame that arrives: for a program that decodes the video itself,
+    /// and has dropped frames.
+    [[nodiscard]] expected<void> ask_for_key_frame() const {
+        rect_error error;
+        return detail::ok_or_error(rect_watch_ask_for_key_frame({handle_id()}, &error), error);
     }
 
     /// Returns the round trip of a small message to the sender, or nothing until the first one has been measured.

@@ -236,7 +236,14 @@ class Robot:
 
     @overload
     def watch(
-        self, robot: str, topic: str, callback: None = None, *, capacity: int = 1, when_full: WhenFull = "drop_oldest"
+        self,
+        robot: str,
+        topic: str,
+        callback: None = None,
+        *,
+        capacity: int = 1,
+        when_full: WhenFull = "drop_oldest",
+        decode: bool = True,
     ) -> Watch: ...
     @overload
     def watch(
@@ -247,6 +254,7 @@ class Robot:
         *,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
+        decode: bool = True,
     ) -> Subscription[Frame]: ...
     def watch(
         self,
@@ -256,10 +264,12 @@ class Robot:
         *,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
+        decode: bool = True,
     ) -> Watch | Subscription[Frame]:
         """Receives the stream of `robot` on `topic`, for `async for` or a callback; see `rect.Robot.watch`."""
         callable_or_none(callback)
-        watch = Watch(self._robot.watch(robot, topic, capacity=capacity, when_full=when_full))
+        received = self._robot.watch(robot, topic, capacity=capacity, when_full=when_full, decode=decode)
+        watch = Watch(received)
         return watch if callback is None else Subscription(self, watch, callback, f"{robot}/{topic}")
 
     async def transfer(
@@ -596,6 +606,10 @@ class Watch(_Source[Frame]):
     async def next(self, timeout: float | None = None) -> Frame:
         """Waits for a frame that was not returned yet and returns it; see `rect.Watch.next`."""
         return await self._next(timeout)
+
+    def ask_for_key_frame(self) -> None:
+        """Asks the sender of a video for a key frame; see `rect.Watch.ask_for_key_frame`."""
+        self._watch.ask_for_key_frame()
 
     @property
     def dropped(self) -> int:

@@ -12,9 +12,9 @@ WhenFull = Literal["drop_oldest", "drop_newest", "block"]
 """The rule for a full receive queue: `drop_oldest` drops the item that has waited longest, `drop_newest` drops the item
 that arrived last, and `block` makes the sender wait (backpressure)."""
 
-StreamMode = Literal["adaptive", "fixed", "sensor"]
-"""The mode of a stream: `adaptive` adjusts the size, quality and rate of pictures to the link, `fixed` sends frames
-unchanged up to a maximum rate, and `sensor` sends every value."""
+StreamMode = Literal["adaptive", "video", "fixed", "sensor"]
+"""The mode of a stream: `adaptive` adjusts the size, quality and rate of pictures to the link, `video` sends pictures
+as video, `fixed` sends frames unchanged up to a maximum rate, and `sensor` sends every value."""
 
 LossyFormat = Literal["jpeg", "webp"]
 """The lossy format of an adaptive stream's pictures. WebP pictures are smaller and take longer to encode."""

@@ -361,15 +361,16 @@ class Robot:
         """Opens a stream for sending frames. A slow link drops the frames for which it has no room.
 
         - `mode`: `adaptive` sends pictures at the size, quality and rate that the link allows (the default without a
-          codec); `fixed` sends frames unchanged, at most `max_frames_per_s` (the default with a codec); `sensor` sends
-          every value and receives no feedback.
+          codec); `video` sends pictures as video, in which each frame contains only what differs from the one before:
+          more and better pictures for the same bytes; `fixed` sends frames unchanged, at most `max_frames_per_s` (the
+          default with a codec); `sensor` sends every value and receives no feedback.
         - `codec`: compresses each frame; see `publish`.
         - `max_frames_per_s`: maximum rate of frames, 0.01 to 1 million. Default: 15, or 1 million for `sensor`.
         - `min_frames_per_s`: rate that an adaptive stream maintains by reducing the size and quality of pictures.
           Default: 5.
         - `max_bytes_per_s`: maximum rate of bytes of an adaptive stream. Default: 20 million.
         - `feedback_interval`: interval at which receivers report what arrives, in seconds: 0 (never), or 0.2 to 10.
-          Default: 0.5 for `adaptive`, 2 for `fixed`, 0 for `sensor`.
+          Default: 0.5 for `adaptive` and `video`, 2 for `fixed`, 0 for `sensor`.
         - `lossy_format`: format of an adaptive stream's lossy pictures: `jpeg` (default), or `webp`, which is smaller
           and takes longer to encode.
         - `urgency`: see `publish`.
@@ -405,6 +406,7 @@ class Robot:
         *,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
+        decode: bool = True,
     ) -> Watch: ...
     @overload
     def watch(
@@ -415,6 +417,7 @@ class Robot:
         *,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
+        decode: bool = True,
     ) -> Subscription[Frame]: ...
     def watch(
         self,
@@ -424,6 +427,7 @@ class Robot:
         *,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
+        decode: bool = True,
     ) -> Watch | Subscription[Frame]:
         """Receives the stream of `robot` on `topic`.
 
@@ -433,6 +437,9 @@ class Robot:
         - `capacity`: number of frames that may wait for the program. Default: 1, so only the newest frame waits. To
           receive all values of a sensor, choose a larger number.
         - `when_full`: see `subscribe`.
+        - `decode`: whether the frames of a video are decoded into pictures, which is the default. With `False`, the
+          payloads are the frames as they were sent, from a key frame on, with the encoding `video/h264`. A program that
+          saves or forwards them needs them all, and so a larger `capacity`.
 
         Raises `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`. Example:
 
@@ -441,7 +448,7 @@ class Robot:
         """
         callable_or_none(callback)
         self._session.check()
-        watch = Watch(self._session, text("robot", robot), text("topic", topic), capacity, when_full)
+        watch = Watch(self._session, text("robot", robot), text("topic", topic), capacity, when_full, decode)
         return watch if callback is None else Subscription(watch, callback, f"{robot}/{topic}")
 
     def transfer(

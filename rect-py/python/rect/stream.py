@@ -12,6 +12,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import zenoh_error
+from rect.deadline import Deadline
 from rect.errors import OptionError, PayloadError, TimedOut
 from rect.executor import Executor
 from rect.receive_queue import Ended, ReceiveQueue
@@ -41,7 +42,7 @@ class Stream:
             raise OptionError("lossy_format", lossy_format, 'it must be "jpeg" or "webp"')
         self._session = session
         self._codec = codec
-        self._is_adaptive = mode == "adaptive"
+        self._sends_pictures = mode in ("adaptive", "video")
         webp = lossy_format == "webp"
         self._core = _rect.StreamPublish(
             session.key_space, topic, urgency, mode, random.getrandbits(16), webp=webp, **options
@@ -56,21 +57,21 @@ class Stream:
         """Sends a frame to the receivers that are due for one. Does not wait for the link.
 
         Returns the number of groups of receivers to which the frame was sent: 0 to 2. A picture (numpy, Pillow or
-        `Picture`) of an adaptive stream is sent at the size and quality that the link allows. Any other frame is sent
-        unchanged, or compressed by the codec of the stream. A frame is dropped if a slow link cannot accept it, or if
-        the robot is closed meanwhile.
+        `Picture`) of an adaptive stream is sent at the size and quality that the link allows, and that of a video
+        stream as video. Any other frame is sent unchanged, or compressed by the codec of the stream. A frame is dropped
+        if a slow link cannot accept it, or if the robot is closed meanwhile.
 
         Raises `PayloadError`, `CodecError` and `Closed`.
         """
         self._session.check()
-        picture = _picture(frame) if self._is_adaptive and self._codec is None else None
+        picture = _picture(frame) if self._sends_pictures and self._codec is None else None
         # One frame at a time, so that frames are sent in the order of their numbers.
         with self._sending:
             if self._session.is_closed:
                 return 0
             if picture is not None:
                 size = (picture.width, picture.height, picture.format)
-                jobs = self._core.offer(picture.width * picture.height)
+                jobs = self._core.offer_picture(picture.width, picture.height)
                 for job in jobs:
                     self._put(job, *self._core.encode_picture(job, size, picture.pixels))
                 return len(jobs)
@@ -141,7 +142,7 @@ class Stream:
 class Frame:
     """A frame of a stream."""
 
-    #: The payload: bytes with an encoding.
+    #: The payload: bytes with an encoding. A frame of a video is decoded: the payload is the raw picture.
     payload: Payload
     #: Sequence number. It restarts when the sender does, and when this robot is moved to another group of receivers.
     number: int
@@ -150,6 +151,8 @@ class Frame:
     age: float | None
     #: Number of frames directly before this one that a link dropped, or that the program was too slow to read.
     skipped: int
+    #: Length of the frame as it was sent, in bytes.
+    sent_bytes: int
 
     @property
     def value(self) -> Any:
@@ -169,13 +172,15 @@ class Watch:
 
     _HANDLE = "watch"
 
-    def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str) -> None:
+    def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str, decode: bool) -> None:
         self._session = session
         self._name = f"{robot}/{topic}"
         #: Ordinal, number, age, bytes and encoding of a frame.
         self._queue: ReceiveQueue[tuple[int, int, float | None, bytes, str]] = ReceiveQueue(capacity, when_full)
-        self._counter = _rect.FrameCounter()
         self._core = _rect.StreamWatch(session.key_space, robot, topic, random.getrandbits(16))
+        if not decode:
+            self._core.leave_undecoded()
+        self._reader = self._core.reader()
         self._executor = Executor(session, self._core.driver(), self._queue.queue, queue=self._queue)
         self._executor.start("rect watch")
         self._executor.leave_with(self)
@@ -187,8 +192,12 @@ class Watch:
 
         Raises `TimedOut` if no frame arrives in time, and `Closed` if the watch or the robot is closed.
         """
+        deadline = Deadline(timeout)
         try:
-            return self._frame(*self._queue.pop(timeout))
+            while True:
+                frame = self._read(self._queue.pop(deadline.remaining()))
+                if frame is not None:
+                    return frame
         except Ended:
             raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
@@ -199,13 +208,27 @@ class Watch:
 
     def __next__(self) -> Frame:
         try:
-            return self._frame(*self._queue.pop())
+            while True:
+                frame = self._read(self._queue.pop())
+                if frame is not None:
+                    return frame
         except Ended:
             raise StopIteration from None
 
     async def next_async(self, timeout: float | None = None) -> Frame:
         """Does the same as `next`, for asyncio. Raises `Ended` and `TimeoutError`."""
-        return self._frame(*await self._queue.pop_async(timeout))
+        deadline = Deadline(timeout)
+        while True:
+            frame = self._read(await self._queue.pop_async(deadline.remaining()))
+            if frame is not None:
+                return frame
+
+    def ask_for_key_frame(self) -> None:
+        """Asks the sender of a video for a key frame, with the next frame that arrives.
+
+        This is for a program that decodes the video itself, and has dropped frames.
+        """
+        self._core.ask_for_key()
 
     @property
     def dropped(self) -> int:
@@ -230,8 +253,13 @@ class Watch:
     def __repr__(self) -> str:
         return f"Watch({self._name})"
 
-    def _frame(self, ordinal: int, number: int, age: float | None, payload: bytes, encoding: str) -> Frame:
-        return Frame(Payload(payload, encoding), number, age, self._counter.on_read(ordinal))
+    def _read(self, received: tuple[int, int, float | None, bytes, str]) -> Frame | None:
+        read = self._reader.read(received)
+        if read is None:
+            return None
+        (payload, encoding), skipped, sent_bytes = read
+        _, number, age, _, _ = received
+        return Frame(Payload(payload, encoding), number, age, skipped, sent_bytes)
 
 
 def _picture(frame: Any) -> Picture | None:

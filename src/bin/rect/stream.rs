@@ -1,10 +1,19 @@
 //! Implements `rect stream`, which receives a stream, or sends pictures as a stream.
-use std::{fs, path::PathBuf, process::ExitCode, time::Duration};
+use std::{
+    fs,
+    path::PathBuf,
+    process::ExitCode,
+    time::{Duration, Instant},
+};
 
 use clap::{Args, Subcommand};
 use rect::{
-    core::{codec::Limits, picture::Picture},
-    terminal, Encoding, Frame, Name, Payload, StreamOptions, Topic,
+    core::{
+        codec::{jpeg::Jpeg, Codec, Limits},
+        picture::Picture,
+    },
+    recording::video_file::VideoFile,
+    terminal, Encoding, Frame, Name, Payload, QueueOptions, StreamOptions, Topic, Watch, WhenFull,
 };
 use serde_json::{json, Value};
 use tokio::time::{interval, MissedTickBehavior};
@@ -13,6 +22,14 @@ use crate::{
     display,
     session::{name, JoinArguments},
     Done, Failure,
+};
+
+/// The quality of the pictures of a video that are written to a file.
+const QUALITY: u8 = 85;
+/// A saved video needs every frame: those of some seconds may wait for the disk.
+const EVERY_FRAME: QueueOptions = QueueOptions {
+    capacity: 600,
+    when_full: WhenFull::DropOldest,
 };
 
 /// Receive and send streams of frames, of which only the newest matters
@@ -31,9 +48,12 @@ enum StreamCommand {
         robot: Name,
         /// The topic of the stream, such as camera
         topic: Topic,
-        /// Write the newest frame to this file
+        /// Write the newest frame to this file; one of a video as JPEG
         #[arg(long, value_name = "FILE")]
         output: Option<PathBuf>,
+        /// Save the video to this file, which ends in .mkv
+        #[arg(long, value_name = "FILE", conflicts_with = "output")]
+        save: Option<PathBuf>,
         /// Exit after this number of frames
         #[arg(long)]
         count: Option<u64>,
@@ -53,6 +73,9 @@ enum StreamCommand {
         /// Pictures per second
         #[arg(long, default_value_t = 10.0)]
         rate: f64,
+        /// Send them as video, in which each frame contains only what differs from the one before
+        #[arg(long)]
+        video: bool,
         #[command(flatten)]
         join: JoinArguments,
     },
@@ -65,20 +88,32 @@ pub async fn run(arguments: StreamArguments) -> Done {
             robot: sender,
             topic,
             output,
+            save,
             count,
             json,
             join,
         } => {
+            let mut video = save.map(VideoFile::new).transpose()?;
             let robot = join.join().await?;
-            let watch = robot.watch(&sender, &topic).await?;
+            let watch = match &video {
+                Some(_) => {
+                    let watch = robot.watch_with(&sender, &topic, EVERY_FRAME).await?;
+                    watch.undecoded()
+                }
+                None => robot.watch(&sender, &topic).await?,
+            };
+            let began = Instant::now();
             let mut left = count.unwrap_or(u64::MAX);
             while left > 0 {
-                let Some(frame) = watch.next().await else {
+                let Some(frame) = next_or_stop(&watch).await? else {
                     break;
                 };
                 left -= 1;
                 if let Some(file) = &output {
                     replace(file, &frame.payload)?;
+                }
+                if let Some(video) = &mut video {
+                    save_frame(video, &frame, began)?;
                 }
                 if json {
                     terminal::json_line(&as_json(&frame))?;
@@ -86,12 +121,17 @@ pub async fn run(arguments: StreamArguments) -> Done {
                     rect::outln!("{}", as_text(&frame));
                 }
             }
+            if let Some(video) = &video {
+                let (frames, files) = video.written();
+                rect::errln!("rect: saved {frames} frames in {files} files");
+            }
             Ok(ExitCode::SUCCESS)
         }
         StreamCommand::Send {
             topic,
             pictures,
             rate,
+            video,
             join,
         } => {
             let every = Duration::try_from_secs_f64(1.0 / rate)
@@ -99,8 +139,12 @@ pub async fn run(arguments: StreamArguments) -> Done {
                 .filter(|every| !every.is_zero())
                 .ok_or("--rate must be a number of pictures per second, such as 10")?;
             let pictures: Vec<Picture> = pictures.iter().map(picture).collect::<Result<_, _>>()?;
+            let options = match video {
+                true => StreamOptions::video(),
+                false => StreamOptions::default(),
+            };
             let robot = join.join().await?;
-            let stream = robot.stream(&topic, StreamOptions::default()).await?;
+            let stream = robot.stream(&topic, options).await?;
             rect::errln!(
                 "rect: sending; receive it with `rect stream watch {} {topic}`; press Ctrl-C to exit",
                 robot.name()
@@ -133,15 +177,47 @@ fn as_json(frame: &Frame) -> Value {
         "age_ms": frame.age.map(|age| age.as_millis() as u64),
         "skipped": frame.skipped,
         "encoding": frame.payload.encoding.as_str(),
-        "bytes": frame.payload.bytes.len(),
+        "bytes": frame.sent_bytes,
     })
+}
+
+/// Waits for the next frame. Returns `None` after Ctrl-C, or if the session is closed.
+async fn next_or_stop(watch: &Watch) -> Result<Option<Frame>, Failure> {
+    tokio::select! {
+        frame = watch.next() => Ok(frame),
+        stopped = tokio::signal::ctrl_c() => Ok(stopped.map(|()| None)?),
+    }
+}
+
+/// Adds a frame to a video, at the time when it was taken.
+fn save_frame(video: &mut VideoFile, frame: &Frame, began: Instant) -> Result<(), Failure> {
+    if frame.payload.encoding != Encoding::H264 {
+        let kind = &frame.payload.encoding;
+        return Err(format!(
+            "the stream is not a video, but {kind}: create it with the mode `video`, or use --output"
+        )
+        .into());
+    }
+    if frame.skipped > 0 {
+        video.on_gap();
+    }
+    let taken = began
+        .elapsed()
+        .saturating_sub(frame.age.unwrap_or_default());
+    Ok(video.add(&frame.payload.bytes, taken)?)
 }
 
 /// Replaces a file in one step, so that a viewer never reads half a picture.
 fn replace(file: &PathBuf, payload: &Payload) -> Result<(), Failure> {
     let new_file = file.with_extension("new");
     let named = |error: std::io::Error| format!("{}: {error}", file.display());
-    fs::write(&new_file, &payload.bytes).map_err(named)?;
+    let bytes = match payload.picture(&Limits::default()) {
+        Ok(_) if payload.encoding.media_type() == Encoding::RAW => {
+            Jpeg::new(QUALITY).encode(payload)?.bytes
+        }
+        _ => payload.bytes.clone(),
+    };
+    fs::write(&new_file, &bytes).map_err(named)?;
     Ok(fs::rename(&new_file, file).map_err(named)?)
 }
 

@@ -8,7 +8,7 @@ use super::watch::ReceivedFrame;
 use crate::core::{
     codec::Limits,
     payload::Payload,
-    video::{pending::Pending, IS_AVAILABLE},
+    video::{bitstream, pending::Pending, IS_AVAILABLE},
 };
 
 /// A frame that a program reads.
@@ -23,7 +23,7 @@ pub struct ReadFrame {
     /// The number of frames between the previous frame that was read and this one.
     pub skipped: u32,
     /// The length of the frame as it was sent, in bytes.
-    pub bytes: usize,
+    pub sent_bytes: usize,
 }
 
 /// The frames of a video that wait for the program. The receiving end adds them; the reader decodes them.
@@ -57,8 +57,8 @@ impl FrameReader {
 
     /// Reads a frame. Returns `None` if there is nothing to show: it is damaged, or a later one replaces it.
     pub fn read(&mut self, frame: ReceivedFrame) -> Option<ReadFrame> {
-        let bytes = frame.payload.bytes.len();
-        let payload = match frame.is_video {
+        let sent_bytes = frame.payload.bytes.len();
+        let payload = match bitstream::is_video(&frame.payload) {
             true => self.decoded(&frame)?,
             false => frame.payload,
         };
@@ -67,7 +67,7 @@ impl FrameReader {
             number: frame.number,
             age: frame.age,
             skipped: self.count(frame.ordinal),
-            bytes,
+            sent_bytes,
         })
     }
 
@@ -101,7 +101,6 @@ mod tests {
                 number: 0,
                 age: None,
                 ordinal,
-                is_video: false,
             };
             reader.read(frame).map(|frame| frame.skipped)
         });

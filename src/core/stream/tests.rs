@@ -400,6 +400,40 @@ fn sensor_values_are_sent_at_once_with_six_to_eight_bytes_of_overhead() {
     assert_eq!(sender.notice(start).feedback_ms, 0);
 }
 
+#[cfg(feature = "video")]
+#[test]
+fn pictures_are_video_only_if_every_receiver_of_the_group_decodes_it() {
+    let start = std::time::Instant::now();
+    let mut sender = Sender::new(Options::video(), 7, 1_795_000_000_000, start);
+    sender.on_subscribers(Group::Main, true);
+    let now = std::cell::Cell::new(start);
+    let offered = |sender: &mut Sender, size: (u32, u32)| {
+        now.set(now.get() + Duration::from_millis(100));
+        let jobs = sender.offer_picture(size.0, size.1, now.get());
+        assert_eq!(jobs.len(), 1);
+        assert!(jobs[0].video.is_some() != jobs[0].step.is_some());
+        jobs[0].video.is_some()
+    };
+    assert!(offered(&mut sender, (640, 480)), "nobody has said anything");
+    assert!(!offered(&mut sender, (8, 8)), "too small");
+    let feedback = |receiver, accepts_video| Feedback {
+        receiver,
+        accepts_video,
+        ..Feedback::default()
+    };
+    let (modern, plain) = (name("wombat-2"), name("wombat-3"));
+    sender.on_feedback(&modern, &feedback(1, true), start);
+    assert!(offered(&mut sender, (640, 480)));
+    sender.on_feedback(&plain, &feedback(2, false), start);
+    assert!(!offered(&mut sender, (640, 480)));
+    // It has left.
+    sender.on_feedback(&modern, &feedback(1, true), start + secs(20));
+    now.set(start + secs(20));
+    assert!(offered(&mut sender, (640, 480)));
+    // Frames that are not pictures adapt as in the other mode.
+    assert!(sender.offer(1000, start + secs(21))[0].step.is_some());
+}
+
 /// Returns an attacker's feedback, sent in the robot's own name, about a stream that it subscribes to.
 fn reported(newest: [Option<Attachment>; 2], group: Group, pace: u32) -> Option<Feedback> {
     let newest = newest[group.index()]?;
@@ -414,6 +448,11 @@ fn reported(newest: [Option<Attachment>; 2], group: Group, pace: u32) -> Option<
         pace_bytes_per_s: Some(pace),
         ..Feedback::default()
     })
+}
+
+#[cfg(feature = "video")]
+fn name(text: &str) -> Name {
+    Name::new(text).expect("valid name")
 }
 
 fn attacker() -> Name {

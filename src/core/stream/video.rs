@@ -17,7 +17,7 @@ const OVERSIZE: f64 = 1.4;
 const OVERSIZE_FOR: Duration = Duration::from_secs(1);
 /// The weight of a new frame in the mean size.
 const WEIGHT: f64 = 0.1;
-/// The shortest time between two key frames, whoever asks.
+/// The shortest time between two key frames, however many receivers ask for one.
 const KEY_PAUSE: Duration = Duration::from_millis(500);
 /// The longest one: for programs that cannot ask, such as recorders and stock Zenoh programs.
 const KEY_INTERVAL: Duration = Duration::from_secs(10);

@@ -38,7 +38,7 @@ const FIRST_QUESTION: u64 = 16;
 /// A frame that arrived.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReceivedFrame {
-    /// The picture or value.
+    /// The picture or value, or a frame of a video, for the [`FrameReader`].
     pub payload: Payload,
     /// The number of the frame. It starts again when the sender restarts or assigns this receiver to another group.
     pub number: u32,
@@ -47,8 +47,6 @@ pub struct ReceivedFrame {
     pub age: Option<Duration>,
     /// The number of frames that were sent since the first one that arrived, including this one.
     pub ordinal: u64,
-    /// Whether it is a frame of a video, which depends on the ones before it.
-    pub is_video: bool,
 }
 
 /// The receiving end of a stream.
@@ -115,6 +113,11 @@ impl StreamWatch {
         self.pending.lock().leave_undecoded();
     }
 
+    /// Asks the sender for a key frame, for a decoder of the program.
+    pub fn ask_for_key(&mut self) {
+        self.pending.lock().ask_for_key();
+    }
+
     /// Returns the reader of the frames that arrive.
     pub fn reader(&self) -> FrameReader {
         FrameReader::new(self.pending.clone())
@@ -135,7 +138,6 @@ impl StreamWatch {
             number: seen.number,
             age: seen.age,
             ordinal: self.ordinal,
-            is_video: self.sees_video,
         })
     }
 

@@ -1,4 +1,4 @@
-//! Reads what frames of H.264 say about themselves: whether they are key frames, and how large the pictures are.
+//! Reads from frames of H.264 whether they are key frames, and how large the pictures are.
 #[cfg(feature = "video")]
 use h264_reader::{
     nal::{sps::SeqParameterSet, Nal, RefNal},
@@ -17,6 +17,7 @@ use crate::core::{encoding::Encoding, payload::Payload};
 const SLICE: u8 = 1;
 const KEY_SLICE: u8 = 5;
 const PARAMETERS: u8 = 7;
+const PICTURE_PARAMETERS: u8 = 8;
 
 /// Returns whether a payload is a frame of a video.
 pub fn is_video(payload: &Payload) -> bool {
@@ -51,7 +52,8 @@ pub fn units(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     .filter(|unit| !unit.is_empty())
 }
 
-fn kind(unit: &[u8]) -> u8 {
+/// Returns the kind of a unit, such as 7 for a sequence's parameters; table 7-1 of the standard.
+pub fn kind(unit: &[u8]) -> u8 {
     unit.first().map_or(0, |header| header & 0x1f)
 }
 
@@ -64,6 +66,43 @@ fn after_start(bytes: &[u8]) -> Option<&[u8]> {
     start(bytes).map(|at| &bytes[at + 3..])
 }
 
+/// The parameters that a decoder needs before the first slice.
+#[cfg(feature = "video")]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Parameters {
+    /// The width in pixels.
+    pub width: u32,
+    /// The height in pixels.
+    pub height: u32,
+    /// The unit with the parameters of the sequence.
+    pub sequence: Vec<u8>,
+    /// The unit with the parameters of the pictures.
+    pub picture: Vec<u8>,
+}
+
+#[cfg(feature = "video")]
+impl Parameters {
+    /// Returns the parameters that a frame contains; `None` if there are none, or they are damaged.
+    pub fn of(frame: &[u8]) -> Option<Self> {
+        let find = |number| units(frame).find(|unit| kind(unit) == number);
+        let (sequence, picture) = (find(PARAMETERS)?, find(PICTURE_PARAMETERS)?);
+        let (width, height) = read(sequence).ok()?.pixel_dimensions().ok()?;
+        Some(Self {
+            width,
+            height,
+            sequence: sequence.to_vec(),
+            picture: picture.to_vec(),
+        })
+    }
+}
+
+#[cfg(feature = "video")]
+fn read(unit: &[u8]) -> Result<SeqParameterSet, CodecError> {
+    let unit = RefNal::new(unit, &[], true);
+    let parameters = SeqParameterSet::from_bits(BitReader::new(unit.rbsp_bytes()));
+    parameters.map_err(|error| damaged(FORMAT, format!("{error:?}")))
+}
+
 /// Checks that a decoder needs no more memory for a frame than the limits allow: for its picture, and for those that it
 /// refers to.
 ///
@@ -72,9 +111,7 @@ fn after_start(bytes: &[u8]) -> Option<&[u8]> {
 #[cfg(feature = "video")]
 pub fn check(bytes: &[u8], limits: &Limits) -> Result<(), CodecError> {
     for unit in units(bytes).filter(|unit| kind(unit) == PARAMETERS) {
-        let unit = RefNal::new(unit, &[], true);
-        let parameters = SeqParameterSet::from_bits(BitReader::new(unit.rbsp_bytes()))
-            .map_err(|error| damaged(FORMAT, format!("{error:?}")))?;
+        let parameters = read(unit)?;
         let size = parameters.pixel_dimensions();
         let (width, height) = size.map_err(|error| damaged(FORMAT, format!("{error:?}")))?;
         limits.picture(FORMAT, [width, height], 3)?;

@@ -24,11 +24,11 @@ const MAX_QUANTISER: u8 = 44;
 /// The finest quantiser. Below it, more bytes do not show.
 #[cfg(feature = "video")]
 const MIN_QUANTISER: u8 = 12;
-/// The share by which the rate changes before the encoder is told.
+/// A change of the rate by a smaller share than this is not passed to the encoder.
 #[cfg(feature = "video")]
 const TOLERANCE: f64 = 0.05;
 
-/// What the next frame is like.
+/// The settings of the next frame.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Settings {
     /// The rate of the video, in bytes per second.

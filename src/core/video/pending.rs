@@ -23,6 +23,8 @@ pub struct Pending {
     needs_key: bool,
     /// Whether the program decodes the video itself.
     is_undecoded: bool,
+    /// Whether the program wants a key frame, although the frames could be decoded without one.
+    is_asked_for: bool,
 }
 
 impl Pending {
@@ -45,9 +47,15 @@ impl Pending {
         self.is_undecoded
     }
 
-    /// Returns whether nothing can be decoded until there is a key frame.
+    /// Asks for a key frame, for a decoder of the program.
+    pub fn ask_for_key(&mut self) {
+        self.is_asked_for = true;
+    }
+
+    /// Returns whether the sender is to be asked for a key frame: nothing can be decoded until there is one, or the program
+    /// wants one.
     pub fn needs_key(&self) -> bool {
-        self.needs_key
+        self.needs_key || self.is_asked_for
     }
 
     /// Handles that a frame is missing: those after it cannot be decoded.
@@ -60,6 +68,7 @@ impl Pending {
         if is_key {
             self.clear();
             self.needs_key = false;
+            self.is_asked_for = false;
         }
         if self.needs_key || self.is_undecoded {
             return !self.needs_key;

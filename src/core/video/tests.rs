@@ -142,16 +142,16 @@ fn the_rate_follows_the_settings() {
         let pixels: Vec<u8> = picture.pixels().iter().map(&mut noise).collect();
         Picture::new(320, 240, Format::Rgb8, pixels).expect("a picture")
     };
-    let mut sent = |rate: f64, from: u32| -> f64 {
+    let mut sent = |rate: f64, first: u32| -> f64 {
         let mut bytes = 0;
-        for n in from..from + 60 {
+        for n in first..first + 60 {
             let settings = Settings {
                 bytes_per_s: rate,
                 ..SETTINGS
             };
             let at = start + Duration::from_secs(1) * n / 15;
             let payload = encoder.encode(&noisy(n), settings, at).expect("encoded");
-            bytes += if n < from + 15 {
+            bytes += if n < first + 15 {
                 0
             } else {
                 payload.bytes.len()
@@ -159,8 +159,8 @@ fn the_rate_follows_the_settings() {
         }
         bytes as f64 / 3.0
     };
-    for (from, rate) in [(0, 30_000.0), (60, 90_000.0), (120, 20_000.0)] {
-        let used = sent(rate, from) / rate;
+    for (first, rate) in [(0, 30_000.0), (60, 90_000.0), (120, 20_000.0)] {
+        let used = sent(rate, first) / rate;
         assert!((0.7..1.15).contains(&used), "{rate}: {used}");
     }
 }
@@ -174,7 +174,7 @@ fn damaged_frames_are_errors_and_the_next_key_frame_continues() {
         !pending.on_frame(1, &frames[1], false),
         "begins with a key frame"
     );
-    let garbage = Bytes::from(vec![[0, 0, 1, 0x67], [0xff; 4]].concat());
+    let garbage = Bytes::from([[0, 0, 1, 0x67], [0xff; 4]].concat());
     assert!(pending.on_frame(2, &garbage, true));
     pending.decode(2, &limits).expect_err("garbage");
     assert!(pending.needs_key());

@@ -39,7 +39,7 @@ pub struct Frame {
     /// newer frames replaced them in the receive queue.
     pub skipped: u32,
     /// The length of the frame as it was sent, in bytes.
-    pub bytes: usize,
+    pub sent_bytes: usize,
 }
 
 /// Receives a stream of another robot; created by [`Robot::watch`]. Dropping it ends the subscription.
@@ -118,6 +118,12 @@ impl Watch {
         self
     }
 
+    /// Asks the sender of a video for a key frame, with the next frame that arrives: for a program that decodes the video itself
+    /// and has dropped frames, or has just begun.
+    pub fn ask_for_key_frame(&self) {
+        self.running.driver().ask_for_key();
+    }
+
     /// Waits for the next frame, by default the newest one; returns `None` once the session or the watch is closed. Decoding a
     /// frame of a video takes a few milliseconds, during which this call blocks.
     pub async fn next(&self) -> Option<Frame> {
@@ -152,7 +158,7 @@ impl Watch {
             number: frame.number,
             age: frame.age,
             skipped: frame.skipped,
-            bytes: frame.bytes,
+            sent_bytes: frame.sent_bytes,
         })
     }
 }

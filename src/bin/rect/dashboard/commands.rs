@@ -23,6 +23,7 @@ pub fn id_of(command: &Command) -> u32 {
         Command::Show { .. } => 0,
         Command::Watch { id, .. }
         | Command::Unwatch { id }
+        | Command::Key { id }
         | Command::Publish { id, .. }
         | Command::Request { id, .. }
         | Command::Connect { id, .. }
@@ -74,7 +75,10 @@ pub async fn execute(app: &App, command: Command) -> Answer {
             recording.show(&app.browsers).await;
             Ok(file.into())
         }
-        Command::Show { .. } | Command::Watch { .. } | Command::Unwatch { .. } => Ok(Value::Null),
+        Command::Show { .. }
+        | Command::Watch { .. }
+        | Command::Unwatch { .. }
+        | Command::Key { .. } => Ok(Value::Null),
     }
 }
 

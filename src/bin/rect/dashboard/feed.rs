@@ -1,14 +1,19 @@
 //! Receives topics and streams, once for all browsers that show them.
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
+    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak},
     time::Duration,
 };
 
 use axum::body::Bytes;
 use rect::{
-    recording::{entry::since_1970, picture, view},
-    Frame, Message, Pattern, Payload, QueueOptions, Robot, Topic, Urgency, WhenFull,
+    core::{
+        codec::{jpeg::Jpeg, Codec},
+        video::bitstream,
+    },
+    recording::{entry::since_1970, picture::Kind, view},
+    Encoding, Frame, Message, Pattern, Payload, QueueOptions, Robot, Topic, Urgency, Watch,
+    WhenFull,
 };
 use tokio::{sync::broadcast, task::JoinSet};
 
@@ -19,6 +24,8 @@ use crate::topic::{robot_topic, RobotTopic};
 const CAPACITY: usize = 64;
 /// The largest picture that is shown, in bytes.
 const MAX_PICTURE: usize = 4 << 20;
+/// The quality of the pictures of a video for a browser that does not decode it.
+const QUALITY: u8 = 80;
 /// The largest value that is shown, in bytes.
 const MAX_VALUE: usize = 256 << 10;
 
@@ -29,6 +36,8 @@ pub struct FeedKey {
     pub topic: String,
     /// Whether to receive it as a stream.
     pub stream: bool,
+    /// Whether the page decodes its video.
+    pub video: bool,
 }
 
 /// The topics that are received at the moment.
@@ -41,6 +50,7 @@ pub struct Feeds {
 pub struct Feed {
     values: broadcast::Sender<Arc<Value>>,
     last: Mutex<Option<Arc<Value>>>,
+    stream: OnceLock<Arc<Watch>>,
     /// The task that receives it.
     receiving: Mutex<JoinSet<()>>,
 }
@@ -51,6 +61,8 @@ pub struct Value {
     at: Duration,
     sent_ms: Option<u64>,
     age_ms: Option<u64>,
+    number: Option<u32>,
+    key: bool,
     bytes: usize,
     encoding: String,
     missed: u32,
@@ -81,10 +93,11 @@ impl Feeds {
         let feed = Arc::new(Feed {
             values: broadcast::Sender::new(CAPACITY),
             last: Mutex::default(),
+            stream: OnceLock::new(),
             receiving: Mutex::default(),
         });
         let topic = robot_topic(&key.topic)?;
-        let started = feed.start(&self.robot, &topic, key.stream).await;
+        let started = feed.start(&self.robot, &topic, &key).await;
         started.map_err(|error| error.to_string())?;
         let mut open = self.lock();
         // Another browser may have opened it meanwhile.
@@ -116,13 +129,23 @@ impl Feed {
             robot: sender,
             topic,
         }: &RobotTopic,
-        is_stream: bool,
+        key: &FeedKey,
     ) -> Result<(), rect::Error> {
         let feed = Arc::downgrade(self);
         let topic = Topic::new(topic)?;
         let mut receiving = JoinSet::new();
-        if is_stream {
-            let watch = robot.watch(sender, topic).await?;
+        let queue = QueueOptions {
+            capacity: CAPACITY,
+            when_full: WhenFull::DropOldest,
+        };
+        if key.stream {
+            let watch = match key.video {
+                true => robot.watch_with(sender, topic, queue).await?.undecoded(),
+                false => robot.watch(sender, topic).await?,
+            };
+            let watch = Arc::new(watch);
+            // Set once, here.
+            let _ = self.stream.set(watch.clone());
             receiving.spawn(async move {
                 while let Some(frame) = watch.next().await {
                     let Some(feed) = feed.upgrade() else { return };
@@ -130,10 +153,6 @@ impl Feed {
                 }
             });
         } else {
-            let queue = QueueOptions {
-                capacity: CAPACITY,
-                when_full: WhenFull::DropOldest,
-            };
             let pattern = Pattern::of(Some(sender.clone()), topic.as_str())?;
             let subscriber = robot.subscribe_with(pattern, queue).await?;
             receiving.spawn(async move {
@@ -148,6 +167,13 @@ impl Feed {
             .lock()
             .unwrap_or_else(PoisonError::into_inner) = receiving;
         Ok(())
+    }
+
+    /// Asks the sender of a stream for a key frame.
+    pub fn ask_for_key(&self) {
+        if let Some(watch) = self.stream.get() {
+            watch.ask_for_key_frame();
+        }
     }
 
     fn deliver(&self, value: Value) {
@@ -180,22 +206,28 @@ impl Value {
 
     fn of_frame(frame: Frame) -> Self {
         let age_ms = frame.age.map(|age| age.as_millis());
+        let is_video = bitstream::is_video(&frame.payload);
+        let key = is_video && bitstream::is_key_frame(&frame.payload.bytes);
         Self {
             age_ms: age_ms.and_then(|age| u64::try_from(age).ok()),
             missed: frame.skipped,
-            ..Self::of(frame.payload)
+            number: is_video.then_some(frame.number),
+            key,
+            bytes: frame.sent_bytes,
+            ..Self::of(for_page(frame.payload))
         }
     }
 
     fn of(payload: Payload) -> Self {
         let (bytes, encoding) = (payload.bytes.len(), payload.encoding.to_string());
-        let is_picture = picture::is_picture(&payload.encoding);
-        let (form, limit) = match is_picture {
-            true => ("picture", MAX_PICTURE),
-            false => ("json", MAX_VALUE),
+        let kind = Kind::of(&payload.encoding);
+        let (form, limit) = match kind {
+            Some(Kind::Image) => ("picture", MAX_PICTURE),
+            Some(Kind::Video) => ("video", MAX_PICTURE),
+            None => ("json", MAX_VALUE),
         };
         let shown = match bytes <= limit {
-            true if is_picture => payload.bytes,
+            true if kind.is_some() => payload.bytes,
             true => view::value(&payload).to_string().into(),
             false => Bytes::new(),
         };
@@ -209,6 +241,8 @@ impl Value {
             at: since_1970(),
             sent_ms: None,
             age_ms: None,
+            number: None,
+            key: false,
             bytes,
             encoding,
             missed: 0,
@@ -228,6 +262,8 @@ impl Value {
             at_ms: self.at.as_secs_f64() * 1000.0,
             sent_ms: self.sent_ms,
             age_ms: self.age_ms,
+            number: self.number,
+            key: self.key,
             bytes: self.bytes,
             encoding: &self.encoding,
             missed: self.missed,
@@ -238,4 +274,12 @@ impl Value {
         };
         protocol::data(&header, &self.shown)
     }
+}
+
+/// Returns a raw picture, as a decoded video has it, in a form that browsers show. Everything else stays as it is.
+fn for_page(payload: Payload) -> Payload {
+    if payload.encoding.media_type() != Encoding::RAW {
+        return payload;
+    }
+    Jpeg::new(QUALITY).encode(&payload).unwrap_or(payload)
 }

@@ -2,14 +2,14 @@
 //!
 //! The page sends [`Command`]s as JSON in text messages. It receives binary messages, whose first byte is their kind: [`STATE`]
 //! is followed by a [`State`] in JSON, and [`DATA`] by the length of a [`DataHeader`] (32 bits, little endian), the header in
-//! JSON, and the value: JSON, or the bytes of a picture.
+//! JSON, and the value: JSON, or the bytes of a picture or of a frame of a video.
 use axum::body::Bytes;
 use rect::{recording::report::EventReport, Connection};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -34,6 +34,14 @@ pub enum Command {
         topic: String,
         /// Whether to receive frames of a stream.
         stream: bool,
+        /// Whether the page decodes video; otherwise it gets pictures.
+        #[serde(default)]
+        video: bool,
+    },
+    /// Ask for a key frame of a stream.
+    Key {
+        /// The number of the `Watch`.
+        id: u32,
     },
     /// End a `Watch`.
     Unwatch {
@@ -258,7 +266,7 @@ impl TimedEvent {
 pub struct DataHeader<'a> {
     /// The number of the `Watch`.
     pub id: u32,
-    /// `json`, or `picture`.
+    /// `json`, `picture`, or `video`.
     pub form: &'a str,
     /// When it arrived, in milliseconds since 1970 by this computer's clock.
     pub at_ms: f64,
@@ -268,6 +276,12 @@ pub struct DataHeader<'a> {
     /// The age of a stream's frame on arrival.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub age_ms: Option<u64>,
+    /// The number of the frame of a video.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub number: Option<u32>,
+    /// Whether it is a key frame of a video.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub key: bool,
     /// The size of the message in bytes.
     pub bytes: usize,
     /// The encoding of the message.

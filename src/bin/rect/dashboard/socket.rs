@@ -4,7 +4,7 @@ use std::{collections::HashMap, sync::Arc, time::Duration};
 use axum::body::Bytes;
 use axum::extract::ws::{close_code, CloseFrame, Message, WebSocket};
 use tokio::{
-    sync::{broadcast::error::RecvError, Semaphore},
+    sync::{broadcast::error::RecvError, Notify, Semaphore},
     task::{AbortHandle, JoinSet},
     time::{interval, timeout, MissedTickBehavior},
 };
@@ -31,10 +31,16 @@ const STALLED_AFTER: Duration = Duration::from_secs(30);
 struct Browser<'a> {
     app: &'a Arc<App>,
     outbox: Arc<Outbox>,
-    watches: HashMap<u32, AbortHandle>,
+    watches: HashMap<u32, Watch>,
     tasks: JoinSet<()>,
     permits: Arc<Semaphore>,
     showing_topics: Option<ShowingTopics>,
+}
+
+/// A topic that a browser receives.
+struct Watch {
+    task: AbortHandle,
+    asks_for_key: Arc<Notify>,
 }
 
 /// Serves a browser until it leaves. `may_stay` returns whether its login is still valid.
@@ -145,10 +151,27 @@ impl Browser<'_> {
                 self.showing_topics.get_or_insert_with(count);
             }
             Command::Show { topics: false } => self.showing_topics = None,
-            Command::Watch { id, topic, stream } => self.watch(id, FeedKey { topic, stream }),
+            Command::Watch {
+                id,
+                topic,
+                stream,
+                video,
+            } => {
+                let key = FeedKey {
+                    topic,
+                    stream,
+                    video,
+                };
+                self.watch(id, key);
+            }
+            Command::Key { id } => {
+                if let Some(watch) = self.watches.get(&id) {
+                    watch.asks_for_key.notify_one();
+                }
+            }
             Command::Unwatch { id } => {
                 if let Some(watch) = self.watches.remove(&id) {
-                    watch.abort();
+                    watch.task.abort();
                 }
             }
             command => self.execute(command),
@@ -173,7 +196,7 @@ impl Browser<'_> {
 
     fn watch(&mut self, id: u32, key: FeedKey) {
         if let Some(old) = self.watches.remove(&id) {
-            old.abort();
+            old.task.abort();
         }
         if self.watches.len() >= MAX_WATCHES {
             let problem = format!("a page shows at most {MAX_WATCHES} topics");
@@ -181,7 +204,9 @@ impl Browser<'_> {
             return;
         }
         let (app, outbox) = (self.app.clone(), self.outbox.clone());
-        let watch = self.tasks.spawn(async move {
+        let asks_for_key = Arc::new(Notify::new());
+        let asked = asks_for_key.clone();
+        let task = self.tasks.spawn(async move {
             let feed = match app.feeds.open(key).await {
                 Ok(feed) => feed,
                 Err(problem) => {
@@ -194,14 +219,21 @@ impl Browser<'_> {
                 outbox.put_value(last.message(id));
             }
             loop {
-                match values.recv().await {
+                let value = tokio::select! {
+                    value = values.recv() => value,
+                    () = asked.notified() => {
+                        feed.ask_for_key();
+                        continue;
+                    }
+                };
+                match value {
                     Ok(value) => outbox.put_value(value.message(id)),
                     Err(RecvError::Lagged(count)) => outbox.count_dropped(count),
                     Err(RecvError::Closed) => return,
                 }
             }
         });
-        self.watches.insert(id, watch);
+        self.watches.insert(id, Watch { task, asks_for_key });
     }
 }
 

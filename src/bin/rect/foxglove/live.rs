@@ -10,7 +10,7 @@ use rect::{
     core::{encoding::Encoding, topics::Topics},
     recording::{
         entry::{since_1970, Entry},
-        picture,
+        picture::Kind,
         view::View,
     },
     Pattern, Robot, Subscriber,
@@ -75,8 +75,8 @@ impl Live {
         let Ok(pattern) = Pattern::new(&topic) else {
             return;
         };
-        let is_picture = picture::is_picture(&Encoding::new(encoding.to_owned()));
-        let Some(shown) = Shown::new(&self.context, &topic, is_picture) else {
+        let kind = Kind::of(&Encoding::new(encoding.to_owned()));
+        let Some(shown) = Shown::new(&self.context, &topic, kind) else {
             return;
         };
         let offered = Offered {
@@ -156,8 +156,8 @@ struct Shown {
 
 impl Shown {
     /// Creates the channel of a topic, whose messages are not known yet.
-    fn new(context: &Arc<Context>, topic: &str, is_picture: bool) -> Option<Self> {
-        let view = is_picture.then(|| View::Picture(Vec::new()));
+    fn new(context: &Arc<Context>, topic: &str, kind: Option<Kind>) -> Option<Self> {
+        let view = kind.map(|kind| View::Picture(kind, Vec::new()));
         Some(Self {
             channel: channel(context, topic, view.as_ref())?,
             context: context.clone(),

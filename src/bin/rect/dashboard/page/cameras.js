@@ -4,6 +4,7 @@ import { eachFrame, h, setText } from "./dom.js";
 import { bytes, hertz, milliseconds, visible } from "./format.js";
 import { pictureView } from "./picture.js";
 import { ArrivalRate } from "./rates.js";
+import { videoView } from "./video.js";
 
 const RATE_OVER_MS = 3000;
 const CHOSEN = "rect-cameras";
@@ -27,7 +28,7 @@ export function cameras(link, parent, _notify, only = null) {
   parent.append(empty, grid);
 
   function show() {
-    const found = (link.states.topics?.topics ?? []).filter(({ encoding }) => encoding.startsWith("image/"));
+    const found = (link.states.topics?.topics ?? []).filter(({ encoding }) => /^(image|video)\//.test(encoding));
     const names = new Set(found.map(({ robot, topic }) => `${robot}/${topic}`));
     for (const name of only === null ? chosen() : only.includes("/") ? [only] : []) {
       names.add(name);
@@ -102,27 +103,29 @@ function camera(link, name, remove) {
     setText(figures, `${rate} · ${age} · ${bytes(last.header.bytes)} · ${skipped} skipped${silent}`);
   });
   const timer = setInterval(() => last && show(), 1000);
-  const stop = link.watch(
-    name,
-    true,
-    (header, value) => {
-      last = { header, at: performance.now() };
-      arrivals.add();
-      skipped += header.missed ?? 0;
-      setText(problem, header.problem ?? "");
-      if (header.form === "picture") {
-        picture.show(value);
-      } else if (!header.problem) {
-        setText(problem, "This topic has no pictures; see Topics for its values.");
-      }
-      show();
-    },
-    (error) => setText(problem, error),
-  );
+  const video = videoView(picture.canvas, problem, () => link.askForKey(receive));
+  const stop = link.watch(name, true, receive, (error) => setText(problem, error));
+
+  function receive(header, value) {
+    last = { header, at: performance.now() };
+    arrivals.add();
+    skipped += header.missed ?? 0;
+    if (header.form === "video") {
+      video.show(header, value);
+    } else if (header.form === "picture") {
+      setText(problem, "");
+      picture.show(value);
+    } else {
+      setText(problem, header.problem ?? "This topic has no pictures; see Topics for its values.");
+    }
+    show();
+  }
+
   return {
     element,
     close() {
       stop();
+      video.close();
       clearInterval(timer);
       element.remove();
     },

@@ -1,6 +1,8 @@
 // The connection to the program that serves the page (src/bin/rect/dashboard/protocol.rs).
 
-const VERSION = 1;
+import { canDecode } from "./video.js";
+
+const VERSION = 2;
 const STATE = 1;
 /** How long nothing may arrive before the connection counts as lost. The program sends the time every 3 s. */
 const SILENT_AFTER_MS = 10_000;
@@ -53,6 +55,14 @@ export class Link extends EventTarget {
       this.#watches.delete(id);
       this.#send({ type: "unwatch", id });
     };
+  }
+
+  /** Asks for a key frame of the video that `receive` gets. */
+  askForKey(receive) {
+    const watch = [...this.#watches.values()].find((other) => other.receive === receive);
+    if (watch) {
+      this.#send({ type: "key", id: watch.id });
+    }
   }
 
   /** Sets whether the list of topics is shown. */
@@ -194,7 +204,7 @@ export class Link extends EventTarget {
   }
 
   #sendWatch({ id, topic, stream }) {
-    this.#send({ type: "watch", id, topic, stream });
+    this.#send({ type: "watch", id, topic, stream, video: stream && canDecode });
   }
 
   #send(command) {

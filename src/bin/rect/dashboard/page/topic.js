@@ -50,11 +50,16 @@ export function topicPanel(link, parent, name, options = {}) {
       `${missed} lost`,
     ];
     setText(figures, parts.filter(Boolean).join(" · "));
-    setText(problem, header.problem ? visible(header.problem) : "");
+    const isVideo = header.form === "video";
+    const hint = isVideo ? "This topic is a video, which Cameras shows." : "";
+    setText(problem, header.problem ? visible(header.problem) : hint);
     plot.draw();
     const isPicture = header.form === "picture";
     picture.element.hidden = !isPicture;
-    tree.element.hidden = isPicture;
+    tree.element.hidden = isPicture || isVideo;
+    if (isVideo) {
+      return;
+    }
     if (isPicture) {
       picture.show(value);
       return;
