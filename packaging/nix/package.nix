@@ -55,7 +55,8 @@ rustPlatform.buildRustPackage (finalAttrs: {
     root = ../..;
     fileset = forCargo;
   };
-  # All dependencies are on crates.io. libdbus, zstd and libwebp are C code in their crates, and need only a C compiler.
+  # All dependencies are on crates.io. libdbus, zstd, libwebp and OpenH264 are C and C++ code in their crates, and need only a
+  # compiler.
   cargoLock.lockFile = ../../Cargo.lock;
 
   # One command for all, as in scripts/build-plugins: a router loads only plugins with the same features of zenoh, and zenoh is

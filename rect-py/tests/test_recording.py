@@ -157,7 +157,8 @@ def test_videos_are_recorded_as_viewers_show_them_and_exported(tmp_path: Path) -
 
 def test_a_watched_video_is_saved_and_complete_whenever_the_program_is_killed(tmp_path: Path) -> None:
     endpoint, file = f"tcp/127.0.0.1:{free_port()}", tmp_path / "match.mkv"
-    watch = [program("RECT_TOOL", "rect"), "stream", "watch", "wombat-1", "camera", "--router", endpoint]
+    watch = [program("RECT_TOOL", "rect"), "stream", "watch", "wombat-1", "camera", "--as", "viewer"]
+    watch += ["--router", endpoint]
     with rect.connect("wombat-1", listen=[endpoint]) as robot, filming(robot):
         with subprocess.Popen([*watch, "--save", str(file)], stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout

@@ -194,8 +194,8 @@ impl Open {
         for unit in units(frame).filter(|unit| !matches!(kind(unit), 7..=9)) {
             push(&mut block, unit);
         }
-        self.writer.write(&Tag::SimpleBlock(block))?;
-        self.writer.flush()
+        // Nothing of known size is open, so that the writer passes each element to the file at once.
+        self.writer.write(&Tag::SimpleBlock(block))
     }
 }
 

@@ -23,13 +23,8 @@ pub fn text(payload: &Payload) -> String {
         return cut(&value.to_string());
     }
     let size = payload.bytes.len();
-    if let Ok(picture) = payload.picture(&Limits::default()) {
-        let (width, height) = (picture.width(), picture.height());
-        let summary = format!("{kind}, {width}x{height}, {size} bytes");
-        return match drawing(&picture) {
-            Some(drawing) => format!("{summary}\n{drawing}"),
-            None => summary,
-        };
+    if let Ok(shown) = payload.picture(&Limits::default()) {
+        return picture(&shown, kind, size);
     }
     if let Ok(array) = payload.array(&Limits::default()) {
         let (shape, element) = (array.shape(), array.element().as_str());
@@ -38,6 +33,16 @@ pub fn text(payload: &Payload) -> String {
     match std::str::from_utf8(&payload.bytes) {
         Ok(text) if !text.chars().any(char::is_control) => cut(text),
         _ => format!("{kind}, {size} bytes"),
+    }
+}
+
+/// Returns a summary of a picture that was sent in `size` bytes, and a drawing if the terminal supports it.
+pub fn picture(picture: &Picture, kind: &str, size: usize) -> String {
+    let (width, height) = (picture.width(), picture.height());
+    let summary = format!("{kind}, {width}x{height}, {size} bytes");
+    match drawing(picture) {
+        Some(drawing) => format!("{summary}\n{drawing}"),
+        None => summary,
     }
 }
 

@@ -165,10 +165,12 @@ fn as_text(frame: &Frame) -> String {
         format!("{} ms old", age.as_millis())
     });
     let (number, skipped) = (frame.number, frame.skipped);
-    format!(
-        "{number}, {age}, {skipped} skipped: {}",
-        display::text(&frame.payload)
-    )
+    let is_decoded = frame.sent_bytes != frame.payload.bytes.len();
+    let shown = match frame.payload.picture(&Limits::default()) {
+        Ok(picture) if is_decoded => display::picture(&picture, "video", frame.sent_bytes),
+        _ => display::text(&frame.payload),
+    };
+    format!("{number}, {age}, {skipped} skipped: {shown}")
 }
 
 fn as_json(frame: &Frame) -> Value {

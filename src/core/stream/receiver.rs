@@ -301,7 +301,7 @@ impl Receiver {
             age_ms: percentile_90(span.ages_ms),
             pace_bytes_per_s: pace.map(|pace| pace as u32),
             accepts_video: self.accepts_video,
-            needs_key: self.needs_key,
+            needs_key: self.needs_key && (self.sees_video || self.last.is_none()),
         })
     }
 

@@ -7,6 +7,8 @@ const STATE = 1;
 /** How long nothing may arrive before the connection counts as lost. The program sends the time every 3 s. */
 const SILENT_AFTER_MS = 10_000;
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
+/** How long the question whether the login has ended may take. */
+const ASKED_FOR_MS = 3000;
 const RELOADED = "rect-reloaded";
 
 /** Sends commands, receives states and values, and connects again by itself. Dispatches an event for each type of state. */
@@ -165,8 +167,12 @@ export class Link extends EventTarget {
 
   async #retry() {
     // A socket does not say that the login has ended, for example because the program was started again.
-    const page = await fetch("/", { redirect: "manual" }).catch(() => null);
-    if (page?.ok && (await page.text()).includes('action="/login"')) {
+    // A question on a connection that has died meanwhile would never be answered.
+    const signal = AbortSignal.timeout(ASKED_FOR_MS);
+    const page = await fetch("/", { redirect: "manual", signal })
+      .then((answer) => answer.text())
+      .catch(() => "");
+    if (page.includes('action="/login"')) {
       location.reload();
       return;
     }
