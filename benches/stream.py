@@ -94,7 +94,7 @@ def run() -> Table:
         "`config/simulation.json5`. A camera of 15 Hz (25 Hz at 100 kB/s) pans over photographs of scikit-image "
         "(`coffee`, `chelsea`, `rocket`, `astronaut`, tiled) by 3 and 2 pixels per frame; each value has noise of up "
         "to 3 of 255. Moving: two discs, of a third and a quarter of the height, move before it by 7 and 9 pixels per "
-        "frame, and the light falls and rises by 30 % within 4 s. Camera and watcher are in one process, each with "
+        "frame, and the light falls and rises by 30 % within 15 s. Camera and watcher are in one process, each with "
         "its own router, so that one clock measures the ages, which include the encoding. The frames of the first "
         f"{SETTLED_S} s do not count. SSIM: luma, windows of 8x8, of every eighth frame at the camera's size (smaller "
         "ones enlarged, bicubic), compared with the picture without noise. Urgent: a number as JSON every 50 ms from "

@@ -16,7 +16,7 @@ from room import Room, wait_for_link
 from table import Table
 
 SIZE, FRAMES_PER_S = (640, 480), 15
-BEFORE_S, AFTER_S, ROUNDS = 8, 8, 5
+BEFORE_S, AFTER_S, ROUNDS = 8, 8, 3
 
 
 @dataclass

@@ -283,7 +283,7 @@ fn view(panorama: &[u8], task: &Task, index: u32) -> Result<Vec<u8>, Box<dyn Err
             paste(&mut pixels, width, panorama, wide, at, side);
         }
         let seconds = f64::from(index) / f64::from(task.frames_per_s);
-        let light = 0.85 + 0.15 * (seconds * 1.7).sin();
+        let light = 0.85 + 0.15 * (seconds * 0.42).sin();
         for value in &mut pixels {
             *value = (f64::from(*value) * light) as u8;
         }

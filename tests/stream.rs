@@ -283,6 +283,27 @@ async fn video_arrives_decoded_or_as_it_was_sent() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn ten_receivers_share_one_video_and_its_key_frames() {
+    let (one, two) = pair("wombat-1", "wombat-2").await;
+    let options = StreamOptions::video();
+    let camera = video_camera(one.stream("camera", options).await.expect("a stream"));
+    let mut watches = Vec::new();
+    for _ in 0..10 {
+        let watch = two.watch_with("wombat-1", "camera", EVERY_FRAME).await;
+        watches.push(watch.expect("watched").undecoded());
+    }
+    for watch in &watches {
+        let first = next(watch).await;
+        assert!(is_key_frame(&first.payload.bytes));
+        for _ in 0..5 {
+            assert_eq!(next(watch).await.skipped, 0);
+        }
+    }
+    let key_frames = video_status(&camera).key_frames;
+    assert!(key_frames <= 5, "{key_frames} key frames");
+}
+
 fn video_status(camera: &Camera) -> rect::core::stream::status::VideoStatus {
     let status = camera.stream.status();
     let video = status.groups.first().and_then(|group| group.video.clone());

@@ -110,6 +110,8 @@ chmod 600 /tmp/secret
 
 ciphers >/tmp/ciphers.log 2>&1 || end 'cannot measure the ciphers'
 while read -r line; do report "$line"; done </tmp/ciphers.log
+video_cost >/tmp/video.log 2>&1 || end 'cannot measure the video'
+while read -r line; do report "$line"; done </tmp/video.log
 
 rect air serve --condition room --pdu 27 >/tmp/air.log 2>&1 &
 # shellcheck disable=SC2317,SC2329 # called by within

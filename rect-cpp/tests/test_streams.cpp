@@ -65,6 +65,29 @@ TEST_CASE("a camera's pictures arrive as pictures") {
     CHECK_THAT(must(stream.status()), ContainsSubstring("\"groups\""));
 }
 
+TEST_CASE("video arrives as pictures, or as it was sent") {
+    Pair pair;
+    const std::vector<std::uint8_t> pixels(64 * 48 * 3, 90);
+    const rect::Picture picture(64, 48, rect::Format::rgb8, pixels);
+    const auto stream = must(pair.one.stream("camera", rect::StreamOptions::video()));
+    const auto decoded = must(pair.two.watch("wombat-1", "camera"));
+    rect::QueueOptions every_frame;
+    every_frame.capacity = 100;
+    const auto undecoded = must(pair.two.watch_undecoded("wombat-1", "camera", every_frame));
+    const Repeat sending([&] { must(stream.send(picture)); });
+    until([&] {
+        const auto frame = must(decoded.next(deadline));
+        const auto shown = must(frame->payload.picture());
+        CHECK(frame->sent_bytes() < pixels.size() / 4);
+        return shown.width() == 64 && shown.height() == 48;
+    });
+    const auto frame = must(undecoded.next(deadline));
+    CHECK(frame->payload.encoding() == "video/h264");
+    CHECK(frame->sent_bytes() == frame->payload.bytes().size());
+    must(undecoded.ask_for_key_frame());
+    CHECK_THAT(must(stream.status()), ContainsSubstring("\"key_frames\""));
+}
+
 TEST_CASE("sending without receivers sends nothing and succeeds") {
     Pair pair;
     const auto stream = must(pair.one.stream("camera", rect::StreamOptions::fixed(10)));

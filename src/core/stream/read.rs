@@ -8,7 +8,8 @@ use super::watch::ReceivedFrame;
 use crate::core::{
     codec::Limits,
     payload::Payload,
-    video::{bitstream, pending::Pending, IS_AVAILABLE},
+    picture::Picture,
+    video::{bitstream, pending::Pending, Decoder, IS_AVAILABLE},
 };
 
 /// A frame that a program reads.
@@ -44,6 +45,7 @@ impl SharedPending {
 #[derive(Debug)]
 pub struct FrameReader {
     pending: SharedPending,
+    decoder: Decoder,
     last: Option<u64>,
 }
 
@@ -51,6 +53,7 @@ impl FrameReader {
     pub(super) fn new(pending: SharedPending) -> Self {
         Self {
             pending,
+            decoder: Decoder::default(),
             last: None,
         }
     }
@@ -71,13 +74,26 @@ impl FrameReader {
         })
     }
 
-    fn decoded(&self, frame: &ReceivedFrame) -> Option<Payload> {
-        let mut pending = self.pending.lock();
-        if pending.is_undecoded() || !IS_AVAILABLE {
-            return Some(frame.payload.clone());
+    fn decoded(&mut self, frame: &ReceivedFrame) -> Option<Payload> {
+        // Not locked while frames are decoded, because the receiving end adds others meanwhile.
+        let frames = {
+            let mut pending = self.pending.lock();
+            if pending.is_undecoded() || !IS_AVAILABLE {
+                return Some(frame.payload.clone());
+            }
+            pending.take(frame.ordinal)
+        };
+        let mut newest = None;
+        for bytes in frames {
+            match self.decoder.decode(&bytes, &Limits::default()) {
+                Ok(picture) => newest = picture,
+                Err(_) => {
+                    self.pending.lock().on_damage();
+                    return None;
+                }
+            }
         }
-        let picture = pending.decode(frame.ordinal, &Limits::default()).ok()?;
-        Some(picture?.payload())
+        newest.map(Picture::payload)
     }
 
     fn count(&mut self, ordinal: u64) -> u32 {

@@ -4,11 +4,8 @@ use std::collections::VecDeque;
 
 use bytes::Bytes;
 
-use super::Decoder;
-use crate::core::{codec_error::CodecError, limits::Limits, picture::Picture};
-
-/// The number of bytes and frames that wait for a program that does not read, at most. Beyond them, all are dropped, and the
-/// video continues with the next key frame.
+/// The number of bytes and frames that wait for a program that does not read, at most. Beyond them, the oldest are dropped, up to
+/// the next key frame.
 const MAX_BYTES: usize = 8 << 20;
 /// See [`MAX_BYTES`].
 const MAX_FRAMES: usize = 600;
@@ -16,15 +13,21 @@ const MAX_FRAMES: usize = 600;
 /// The frames since the last key frame that have not been decoded.
 #[derive(Debug, Default)]
 pub struct Pending {
-    frames: VecDeque<(u64, Bytes)>,
+    frames: VecDeque<Frame>,
     bytes: usize,
-    decoder: Decoder,
     /// Whether frames are useless until there is a key frame.
     needs_key: bool,
     /// Whether the program decodes the video itself.
     is_undecoded: bool,
     /// Whether the program wants a key frame, although the frames could be decoded without one.
     is_asked_for: bool,
+}
+
+#[derive(Debug)]
+struct Frame {
+    ordinal: u64,
+    bytes: Bytes,
+    is_key: bool,
 }
 
 impl Pending {
@@ -58,56 +61,61 @@ impl Pending {
         self.needs_key || self.is_asked_for
     }
 
-    /// Handles that a frame is missing: those after it cannot be decoded.
+    /// Handles that a frame is missing: those that follow cannot be decoded.
     pub fn on_gap(&mut self) {
+        self.needs_key = true;
+    }
+
+    /// Handles that a frame is damaged: those that wait cannot be decoded either.
+    pub fn on_damage(&mut self) {
+        self.clear();
         self.needs_key = true;
     }
 
     /// Handles a frame that has arrived. Returns whether it can be decoded.
     pub fn on_frame(&mut self, ordinal: u64, bytes: &Bytes, is_key: bool) -> bool {
         if is_key {
-            self.clear();
             self.needs_key = false;
             self.is_asked_for = false;
         }
         if self.needs_key || self.is_undecoded {
             return !self.needs_key;
         }
-        self.frames.push_back((ordinal, bytes.clone()));
         self.bytes += bytes.len();
-        if self.bytes > MAX_BYTES || self.frames.len() > MAX_FRAMES {
-            self.clear();
-            self.needs_key = true;
+        self.frames.push_back(Frame {
+            ordinal,
+            bytes: bytes.clone(),
+            is_key,
+        });
+        while self.bytes > MAX_BYTES || self.frames.len() > MAX_FRAMES {
+            self.drop_oldest();
         }
         !self.needs_key
     }
 
-    /// Decodes the frames up to `ordinal`, and returns the picture of the last one; `None` if it is not available any more,
-    /// because a later key frame has arrived.
-    ///
-    /// # Errors
-    /// Returns the error of the decoder. The video continues with the next key frame.
-    pub fn decode(&mut self, ordinal: u64, limits: &Limits) -> Result<Option<Picture>, CodecError> {
-        let mut newest = None;
-        while self
+    /// Drops the frames up to the next key frame; if there is none, all.
+    fn drop_oldest(&mut self) {
+        let next_key = self.frames.iter().skip(1).position(|frame| frame.is_key);
+        let Some(before) = next_key else {
+            self.on_damage();
+            return;
+        };
+        let dropped = self.frames.drain(..=before);
+        self.bytes -= dropped.map(|frame| frame.bytes.len()).sum::<usize>();
+    }
+
+    /// Removes and returns the frames up to `ordinal` that are needed for its picture, in the order in which they are to be
+    /// decoded.
+    pub fn take(&mut self, ordinal: u64) -> Vec<Bytes> {
+        let count = self
             .frames
-            .front()
-            .is_some_and(|(waiting, _)| *waiting <= ordinal)
-        {
-            let Some((_, bytes)) = self.frames.pop_front() else {
-                break;
-            };
-            self.bytes -= bytes.len();
-            match self.decoder.decode(&bytes, limits) {
-                Ok(picture) => newest = picture,
-                Err(error) => {
-                    self.clear();
-                    self.needs_key = true;
-                    return Err(error);
-                }
-            }
-        }
-        Ok(newest)
+            .partition_point(|frame| frame.ordinal <= ordinal);
+        let taken: Vec<Frame> = self.frames.drain(..count).collect();
+        self.bytes -= taken.iter().map(|frame| frame.bytes.len()).sum::<usize>();
+        // Nothing before a key frame is needed.
+        let first = taken.iter().rposition(|frame| frame.is_key).unwrap_or(0);
+        let needed = taken.into_iter().skip(first);
+        needed.map(|frame| frame.bytes).collect()
     }
 
     fn clear(&mut self) {

@@ -102,10 +102,15 @@ fn odd_sizes_and_all_formats_are_encoded() {
 #[test]
 fn another_size_or_a_request_gives_a_key_frame() {
     let (mut encoder, now) = (Encoder::default(), Instant::now());
-    let mut is_key = |n, settings| {
+    let mut decoder = Decoder::default();
+    let mut is_key = |n, settings: Settings| {
         let picture = scene(320, 240, Format::Rgb8, n);
         let at = now + Duration::from_millis(67) * n;
         let payload = encoder.encode(&picture, settings, at).expect("encoded");
+        // The same decoder follows the size.
+        let decoded = decoder.decode(&payload.bytes, &Limits::default());
+        let width = decoded.expect("valid").expect("a picture").width();
+        assert_eq!(width, 80 * u32::from(settings.quarters));
         is_key_frame(&payload.bytes)
     };
     let half = Settings {
@@ -168,37 +173,69 @@ fn the_rate_follows_the_settings() {
 #[test]
 fn damaged_frames_are_errors_and_the_next_key_frame_continues() {
     let frames = encoded((320, 240), Format::Rgb8, 5);
+    let (mut decoder, limits) = (Decoder::default(), Limits::default());
+    let garbage = [[0, 0, 1, 0x67], [0xff; 4]].concat();
+    decoder.decode(&garbage, &limits).expect_err("garbage");
+    for frame in &frames {
+        decoder.decode(frame, &limits).expect("valid");
+    }
+    let mut damaged = frames[0].to_vec();
+    damaged.truncate(40);
+    let _ = decoder.decode(&damaged, &limits);
+    for frame in &frames {
+        let picture = decoder.decode(frame, &limits).expect("valid");
+        assert_eq!(picture.expect("a picture").width(), 320);
+    }
+}
+
+#[test]
+fn frames_wait_from_a_key_frame_on() {
+    let frames = encoded((160, 120), Format::Rgb8, 4);
     let mut pending = Pending::new();
-    let limits = Limits::default();
+    assert!(pending.needs_key());
     assert!(
         !pending.on_frame(1, &frames[1], false),
         "begins with a key frame"
     );
-    let garbage = Bytes::from([[0, 0, 1, 0x67], [0xff; 4]].concat());
-    assert!(pending.on_frame(2, &garbage, true));
-    pending.decode(2, &limits).expect_err("garbage");
-    assert!(pending.needs_key());
-    assert!(pending.on_frame(3, &frames[0], true));
-    assert!(pending.on_frame(4, &frames[1], false));
-    let picture = pending
-        .decode(4, &limits)
-        .expect("valid")
-        .expect("a picture");
-    assert_eq!(picture.width(), 320);
+    assert!(pending.on_frame(2, &frames[0], true));
+    assert!(pending.on_frame(3, &frames[1], false));
+    assert_eq!(pending.take(2), [frames[0].clone()]);
+    assert_eq!(pending.take(2), Vec::<Bytes>::new());
     pending.on_gap();
-    assert!(!pending.on_frame(6, &frames[3], false));
+    assert!(pending.needs_key() && !pending.on_frame(5, &frames[3], false));
+    assert!(pending.on_frame(6, &frames[0], true));
+    assert!(pending.on_frame(7, &frames[1], false));
+    assert!(pending.on_frame(8, &frames[0], true));
+    assert_eq!(
+        pending.take(7),
+        Vec::<Bytes>::new(),
+        "a later key frame has replaced it"
+    );
+    assert_eq!(pending.take(9).len(), 1);
+    pending.ask_for_key();
+    assert!(pending.needs_key() && pending.on_frame(13, &frames[1], false));
+    pending.leave_undecoded();
+    assert!(pending.on_frame(14, &frames[2], false));
+    assert_eq!(pending.take(14), Vec::<Bytes>::new());
 }
 
 #[test]
 fn a_program_that_does_not_read_costs_little_memory() {
-    let frames = encoded((160, 120), Format::Rgb8, 2);
+    let frame = Bytes::from(vec![0; 1000]);
     let mut pending = Pending::new();
-    pending.on_frame(0, &frames[0], true);
+    // Without a key frame, all are dropped.
+    pending.on_frame(0, &frame, true);
     let kept = (1..)
-        .take_while(|&n| pending.on_frame(n, &frames[1], false))
+        .take_while(|&n| pending.on_frame(n, &frame, false))
         .count();
     assert!(kept < 1000, "{kept}");
     assert!(pending.needs_key());
+    // With key frames, the oldest are.
+    for n in 1000..5000 {
+        assert!(pending.on_frame(n, &frame, n % 100 == 0));
+    }
+    assert_eq!(pending.take(4000), Vec::<Bytes>::new());
+    assert_eq!(pending.take(4999).len(), 100);
 }
 
 #[test]
