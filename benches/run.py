@@ -32,7 +32,7 @@ BENCHES = {
     "plugin": "RECT in a stock zenohd compared with rect-router: urgent messages, throughput, memory, threads",
     "registry": "time to an answer with 5 and 500 connections, and until another router's registry shows a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",
-    "stream": "a camera over a slow link, adaptive and fixed: frames, ages, quality, concurrent urgent messages",
+    "stream": "a camera over a slow link, as video, adaptive and fixed: frames, ages, quality, urgent messages",
     "video_faults": "a camera's video while the radio is cut, or the Wi-Fi of an `any` link falls silent",
     "transfer": "a file of 5 MB over a slow link, without and with three cuts; concurrent urgent messages",
     "python": "the Python package compared with plain eclipse-zenoh: latency, frames, import time, memory",

@@ -10,10 +10,11 @@ use pyo3::{
     types::{PyBytes, PyTuple},
 };
 use rect::core::stream::{
+    frame, job,
     ladder::Coding,
     options::{OptionError, PartialOptions},
     picture::{LossyFormat, PictureEncoder},
-    publish, read, sender, watch,
+    publish, read, watch,
 };
 
 use crate::{
@@ -38,7 +39,7 @@ pub struct StreamPublish {
 
 /// A frame to encode for one group of receivers.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Job(sender::Job);
+pub struct Job(job::Job);
 
 /// The receiving end of a stream.
 #[pyclass(frozen, module = "rect._rect")]
@@ -245,7 +246,7 @@ impl FrameReader {
         frame: (u64, u32, Option<f64>, PyBackedBytes, String),
     ) -> Option<(Parts<'py>, u32, usize)> {
         let (ordinal, number, age_s, bytes, encoding) = frame;
-        let received = watch::ReceivedFrame {
+        let received = frame::ReceivedFrame {
             payload: payload(bytes, &encoding),
             number,
             age: age_s.map(Duration::from_secs_f64),

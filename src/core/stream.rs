@@ -16,7 +16,9 @@
 //! The [`sender`] chooses the step of its [`ladder`] by that rate, spaces the frames ([`pacer`]), and separates
 //! receivers with very different links into [`groups`].
 pub mod feedback;
+pub mod frame;
 pub mod groups;
+pub mod job;
 pub mod ladder;
 pub mod notice;
 pub mod offset;

@@ -9,7 +9,7 @@ use rect::core::{
     payload::Payload,
     peers::Waited,
     registry::RegistryError,
-    stream::watch::ReceivedFrame,
+    stream::frame::ReceivedFrame,
     transfer::{push::SendError, reception::Arrival, Fault, Progress},
     urgency::Qos,
 };

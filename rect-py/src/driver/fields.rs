@@ -15,7 +15,7 @@ use rect::core::{
     payload::Payload,
     peers::Waited,
     registry::RegistryError,
-    stream::watch::ReceivedFrame,
+    stream::frame::ReceivedFrame,
     transfer::Progress,
 };
 use rect::recording::report::EventReport;

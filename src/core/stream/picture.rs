@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use super::{
+    job::Job,
     ladder::{Coding, Step},
-    sender::Job,
 };
 use crate::core::{
     codec::{jpeg::Jpeg, png::Png, webp::Webp, Codec, CodecError},

@@ -4,9 +4,11 @@ use std::{collections::VecDeque, time::Instant};
 
 use super::{
     feedback::Feedback,
-    feedback_from, feedback_keys, notice_key,
+    feedback_from, feedback_keys,
+    job::Job,
+    notice_key,
     picture::LossyFormat,
-    sender::{Job, Options, Sender},
+    sender::{Options, Sender},
     status::Status,
     Group,
 };

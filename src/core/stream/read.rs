@@ -1,31 +1,13 @@
 //! Reads the frames of a stream for the program: decodes video, and counts what the program did not read.
-use std::{
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Duration,
-};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::watch::ReceivedFrame;
+use super::frame::{ReadFrame, ReceivedFrame};
 use crate::core::{
     codec::Limits,
     payload::Payload,
     picture::Picture,
     video::{bitstream, pending::Pending, Decoder, IS_AVAILABLE},
 };
-
-/// A frame that a program reads.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ReadFrame {
-    /// The picture or value. Of a video, the raw picture, or the frame as it was sent if it is left undecoded.
-    pub payload: Payload,
-    /// The number of the frame.
-    pub number: u32,
-    /// The age of the frame on arrival.
-    pub age: Option<Duration>,
-    /// The number of frames between the previous frame that was read and this one.
-    pub skipped: u32,
-    /// The length of the frame as it was sent, in bytes.
-    pub sent_bytes: usize,
-}
 
 /// The frames of a video that wait for the program. The receiving end adds them; the reader decodes them.
 #[derive(Clone, Debug)]

@@ -8,6 +8,7 @@ pub use super::options::{Mode, Options};
 use super::{
     feedback::Feedback,
     groups::Groups,
+    job::Job,
     ladder::{Ladder, Step},
     notice::{Notice, MAX_NAMES},
     offset::MillisecondClock,
@@ -21,7 +22,7 @@ use crate::core::{
     attachment::{Attachment, Sent},
     name::Name,
     payload::Payload,
-    video::{self, bitstream, Settings},
+    video::{self, bitstream},
 };
 
 /// How long a receiver may be silent before it is removed, but at least three feedback intervals.
@@ -39,17 +40,6 @@ const NEWCOMER: Duration = Duration::from_secs(3);
 const LEAVES_WITHIN: Duration = Duration::from_secs(3);
 /// The slowest robot of the slow group limits the rate to no less than this share of the second slowest one's rate.
 const MIN_SHARE_OF_NEXT: f64 = 1.0 / 3.0;
-
-/// A frame that is to be encoded and sent.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Job {
-    /// Group to which the frame is sent.
-    pub group: Group,
-    /// Step at which to encode the frame. `None` to send it unchanged, or as video.
-    pub step: Option<Step>,
-    /// How to encode the frame as video.
-    pub video: Option<Settings>,
-}
 
 #[derive(Debug)]
 struct GroupOutput {

@@ -7,6 +7,7 @@ use std::{
 
 use super::{
     feedback_key,
+    frame::ReceivedFrame,
     notice::Notice,
     notice_key,
     read::{FrameReader, SharedPending},
@@ -34,20 +35,6 @@ const NOTICES: Id = Id(1);
 const FRAMES: [Id; 2] = [Id(2), Id(3)];
 /// The id of the first question; the next ones follow.
 const FIRST_QUESTION: u64 = 16;
-
-/// A frame that arrived.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ReceivedFrame {
-    /// The picture or value, or a frame of a video, for the [`FrameReader`].
-    pub payload: Payload,
-    /// The number of the frame. It starts again when the sender restarts or assigns this receiver to another group.
-    pub number: u32,
-    /// The age of the frame on arrival. Until the offset of the clocks is known, the delay relative to the fastest frame of
-    /// the last minute. `None` if the sender is a stock Zenoh program.
-    pub age: Option<Duration>,
-    /// The number of frames that were sent since the first one that arrived, including this one.
-    pub ordinal: u64,
-}
 
 /// The receiving end of a stream.
 #[derive(Debug)]

@@ -10,10 +10,7 @@ use crate::{
         name::Name,
         payload::Payload,
         queue::{Queue, WhenFull},
-        stream::{
-            read::FrameReader,
-            watch::{ReceivedFrame, StreamWatch},
-        },
+        stream::{frame::ReceivedFrame, read::FrameReader, watch::StreamWatch},
         topic::Topic,
     },
     error::Error,

@@ -10,11 +10,8 @@ use crate::{
         payload::{Payload, ToPayload},
         picture::Picture,
         stream::{
-            ladder::Step,
-            picture::PictureEncoder,
-            publish::StreamPublish,
-            sender::{Job, Options},
-            status::Status,
+            job::Job, ladder::Step, picture::PictureEncoder, publish::StreamPublish,
+            sender::Options, status::Status,
         },
         topic::Topic,
     },
