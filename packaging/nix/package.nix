@@ -9,6 +9,7 @@
   stdenv,
   rustPlatform,
   installShellFiles,
+  nasm,
   cmake,
   ninja,
 }:
@@ -77,7 +78,11 @@ rustPlatform.buildRustPackage (finalAttrs: {
     "library"
   ];
 
-  nativeBuildInputs = [ installShellFiles ];
+  # nasm: OpenH264's code for SIMD.
+  nativeBuildInputs = [
+    installShellFiles
+    nasm
+  ];
 
   postInstall = ''
     mkdir -p $library/lib
