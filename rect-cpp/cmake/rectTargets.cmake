@@ -11,4 +11,4 @@ add_library(rect::rect_static STATIC IMPORTED GLOBAL)
 set_target_properties(rect::rect_static PROPERTIES
   IMPORTED_LOCATION ${RECT_LIB_DIR}/librect.a
   INTERFACE_INCLUDE_DIRECTORIES ${RECT_INCLUDE_DIR}
-  INTERFACE_LINK_LIBRARIES "pthread;dl;m;gcc_s")
+  INTERFACE_LINK_LIBRARIES "pthread;dl;m;gcc_s;stdc++")
