@@ -188,6 +188,7 @@ let
     "doxygen"
     "catch2_3"
     "installShellFiles"
+    "nasm"
     "ninja"
     "nlohmann_json"
     "pkg-config"
