@@ -341,7 +341,7 @@ _NO_SECONDS = "timeout must be a number of seconds, not str"
         (lambda robot: robot.wait_for_message("a", "x", -1), rect.OptionError, "the option timeout cannot be -1"),
         (lambda robot: robot.request("a", "x", timeout="1"), TypeError, "timeout must be a number of seconds, not str"),
         (lambda robot: robot.serve("x", 7), TypeError, "handler must be a function, not int"),
-        (lambda robot: robot.stream("x", mode="fast"), rect.OptionError, '"adaptive", "fixed" or "sensor"'),
+        (lambda robot: robot.stream("x", mode="fast"), rect.OptionError, '"video", "fixed" or "sensor"'),
         (
             lambda robot: robot.stream("x", max_frames_per_s=0),
             rect.OptionError,
