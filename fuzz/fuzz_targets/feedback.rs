@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use libfuzzer_sys::fuzz_target;
 use rect::core::{
+    encoding::Encoding,
     name::Name,
+    payload::Payload,
     stream::{
         feedback::{Feedback, MAX_BYTES},
         notice::Notice,
@@ -21,6 +23,7 @@ fuzz_target!(|input: &[u8]| {
     let mut now = Instant::now();
     let robot = Name::new("wombat-2").expect("a name");
     let mut sender = Sender::new(Options::default(), 1, 0, now);
+    let frame = Payload::new(vec![0; 3000], Encoding::JPEG);
     for message in input.chunks(MAX_BYTES) {
         let Ok(feedback) = Feedback::decode(message) else {
             continue;
@@ -32,7 +35,7 @@ fuzz_target!(|input: &[u8]| {
         sender.on_feedback(&robot, &feedback, now);
         sender.on_subscribers(Group::Main, true);
         for job in sender.offer(320 * 240, now) {
-            sender.on_encoded(job, 3000, now);
+            sender.on_encoded(job, &frame, now);
         }
         let limits = Options::default().rates;
         for group in sender.status().groups {

@@ -28,7 +28,9 @@ fn video() -> &'static Vec<Vec<u8>> {
     VIDEO.get_or_init(|| {
         let (mut encoder, start) = (Encoder::default(), Instant::now());
         let encode = |n: u32| {
-            let pixels: Vec<u8> = (0..64 * 48u32).map(|at| (at * (n + 7) % 253) as u8).collect();
+            let pixels: Vec<u8> = (0..64 * 48u32)
+                .map(|at| (at * (n + 7) % 253) as u8)
+                .collect();
             let picture = Picture::new(64, 48, Format::Grey8, pixels).expect("a picture");
             let settings = Settings {
                 bytes_per_s: 20_000.0,

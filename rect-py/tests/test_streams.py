@@ -75,16 +75,16 @@ def test_video_arrives_as_pictures(pair: Pair) -> None:
 
 def test_ffmpeg_decodes_video(pair: Pair) -> None:
     one, two = pair
-    sent, frames = [], []
+    numbers = itertools.count()
+    frames: list[rect.Frame] = []
 
-    def send() -> None:
-        picture = moving(len(sent))
-        sent.append(picture)
-        camera.send(picture)
+    def is_enough(frame: rect.Frame) -> bool:
+        frames.append(frame)
+        return len(frames) == 20
 
     with one.stream("camera", mode="video") as camera:
         watch = two.watch("wombat-1", "camera", decode=False, capacity=100)
-        send_until(watch, send, lambda frame: frames.append(frame) or len(frames) == 20)
+        send_until(watch, lambda: camera.send(moving(next(numbers))), is_enough)
     assert {frame.payload.encoding for frame in frames} == {"video/h264"}
     decoder = av.CodecContext.create("h264", "r")
     decoded = [picture for frame in frames for picture in decoder.decode(av.Packet(frame.payload.bytes))]
