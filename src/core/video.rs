@@ -18,6 +18,7 @@ pub use encoder::{Encoder, Settings};
 pub const IS_AVAILABLE: bool = cfg!(feature = "video");
 
 /// The name of the format in messages.
+#[cfg(feature = "video")]
 const FORMAT: &str = "H.264";
 /// The smallest width and height of a picture that is sent as video, in pixels.
 const MIN_SIDE: u32 = 16;

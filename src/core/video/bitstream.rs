@@ -17,6 +17,7 @@ use crate::core::{encoding::Encoding, payload::Payload};
 const SLICE: u8 = 1;
 const KEY_SLICE: u8 = 5;
 const PARAMETERS: u8 = 7;
+#[cfg(feature = "video")]
 const PICTURE_PARAMETERS: u8 = 8;
 
 /// Returns whether a payload is a frame of a video.
