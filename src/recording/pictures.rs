@@ -1,6 +1,6 @@
 //! Writes the pictures and videos of a recording to files.
 use std::{
-    collections::BTreeMap,
+    collections::{btree_map, BTreeMap},
     fs::{self, File},
     io::{self, Write},
     path::PathBuf,
@@ -66,18 +66,17 @@ impl Pictures {
     }
 
     fn add_frame(&mut self, entry: &Entry) -> io::Result<()> {
-        if !self.videos.contains_key(&entry.topic) {
-            let mut name = folder_name(&entry.topic);
-            // Two topics may have the same name here.
-            while self.folder.join(format!("{name}.mkv")).exists() {
-                name.push('_');
+        let video = match self.videos.entry(entry.topic.clone()) {
+            btree_map::Entry::Occupied(known) => known.into_mut(),
+            btree_map::Entry::Vacant(vacant) => {
+                let mut name = folder_name(&entry.topic);
+                // Two topics may have the same name here.
+                while self.folder.join(format!("{name}.mkv")).exists() {
+                    name.push('_');
+                }
+                let path = self.folder.join(format!("{name}.mkv"));
+                vacant.insert(VideoFile::new(path).map_err(io::Error::other)?)
             }
-            let path = self.folder.join(format!("{name}.mkv"));
-            let video = VideoFile::new(path).map_err(io::Error::other)?;
-            self.videos.insert(entry.topic.clone(), video);
-        }
-        let Some(video) = self.videos.get_mut(&entry.topic) else {
-            return Ok(());
         };
         let added = video.add(&entry.payload.bytes, entry.sent);
         added.map_err(io::Error::other)

@@ -2,5 +2,6 @@
 mod receiver;
 mod sender;
 
-pub use receiver::{Frame, Watch};
+pub use crate::core::stream::frame::Frame;
+pub use receiver::Watch;
 pub use sender::Stream;

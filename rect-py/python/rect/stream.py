@@ -192,12 +192,8 @@ class Watch:
 
         Raises `TimedOut` if no frame arrives in time, and `Closed` if the watch or the robot is closed.
         """
-        deadline = Deadline(timeout)
         try:
-            while True:
-                frame = self._read(self._queue.pop(deadline.remaining()))
-                if frame is not None:
-                    return frame
+            return self._next(timeout)
         except Ended:
             raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
@@ -208,10 +204,7 @@ class Watch:
 
     def __next__(self) -> Frame:
         try:
-            while True:
-                frame = self._read(self._queue.pop())
-                if frame is not None:
-                    return frame
+            return self._next(None)
         except Ended:
             raise StopIteration from None
 
@@ -252,6 +245,14 @@ class Watch:
 
     def __repr__(self) -> str:
         return f"Watch({self._name})"
+
+    def _next(self, timeout: float | None) -> Frame:
+        """Waits for a frame that can be shown. Raises `Ended` and `TimeoutError`."""
+        deadline = Deadline(timeout)
+        while True:
+            frame = self._read(self._queue.pop(deadline.remaining()))
+            if frame is not None:
+                return frame
 
     def _read(self, received: tuple[int, int, float | None, bytes, str]) -> Frame | None:
         read = self._reader.read(received)

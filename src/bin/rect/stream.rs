@@ -166,8 +166,9 @@ fn as_text(frame: &Frame) -> String {
     });
     let (number, skipped) = (frame.number, frame.skipped);
     let is_decoded = frame.sent_bytes != frame.payload.bytes.len();
-    let shown = match frame.payload.picture(&Limits::default()) {
-        Ok(picture) if is_decoded => display::picture(&picture, "video", frame.sent_bytes),
+    let decoded = is_decoded.then(|| frame.payload.picture(&Limits::default()));
+    let shown = match decoded {
+        Some(Ok(picture)) => display::picture(&picture, "video", frame.sent_bytes),
         _ => display::text(&frame.payload),
     };
     format!("{number}, {age}, {skipped} skipped: {shown}")
@@ -213,11 +214,11 @@ fn save_frame(video: &mut VideoFile, frame: &Frame, began: Instant) -> Result<()
 fn replace(file: &PathBuf, payload: &Payload) -> Result<(), Failure> {
     let new_file = file.with_extension("new");
     let named = |error: std::io::Error| format!("{}: {error}", file.display());
-    let bytes = match payload.picture(&Limits::default()) {
-        Ok(_) if payload.encoding.media_type() == Encoding::RAW => {
-            Jpeg::new(QUALITY).encode(payload)?.bytes
-        }
-        _ => payload.bytes.clone(),
+    // Only a raw payload is decoded here: a picture in another form is written as it is.
+    let is_raw = payload.encoding.media_type() == Encoding::RAW;
+    let bytes = match is_raw && payload.picture(&Limits::default()).is_ok() {
+        true => Jpeg::new(QUALITY).encode(payload)?.bytes,
+        false => payload.bytes.clone(),
     };
     fs::write(&new_file, &bytes).map_err(named)?;
     Ok(fs::rename(&new_file, file).map_err(named)?)

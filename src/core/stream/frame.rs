@@ -17,16 +17,19 @@ pub struct ReceivedFrame {
     pub ordinal: u64,
 }
 
-/// A frame that a program reads.
+/// A frame of a stream, as the program reads it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ReadFrame {
-    /// The picture or value. Of a video, the raw picture, or the frame as it was sent if it is left undecoded.
+pub struct Frame {
+    /// The picture or value. A frame of a video is decoded: the payload is the raw picture ([`Payload::picture`]), unless the
+    /// program decodes it.
     pub payload: Payload,
-    /// The number of the frame.
+    /// The number of the frame. It starts again when the sender restarts or assigns this receiver to another group.
     pub number: u32,
-    /// The age of the frame on arrival.
+    /// The age of the frame on arrival. Until the offset of the clocks is known, the delay relative to the fastest frame of
+    /// the last minute. `None` if the sender is a stock Zenoh program.
     pub age: Option<Duration>,
-    /// The number of frames between the previous frame that was read and this one.
+    /// The number of frames between the previous frame that the program read and this one. The link dropped them, or
+    /// newer frames replaced them in the receive queue.
     pub skipped: u32,
     /// The length of the frame as it was sent, in bytes.
     pub sent_bytes: usize,

@@ -1,7 +1,7 @@
 //! Reads the frames of a stream for the program: decodes video, and counts what the program did not read.
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::frame::{ReadFrame, ReceivedFrame};
+use super::frame::{Frame, ReceivedFrame};
 use crate::core::{
     codec::Limits,
     payload::Payload,
@@ -41,13 +41,13 @@ impl FrameReader {
     }
 
     /// Reads a frame. Returns `None` if there is nothing to show: it is damaged, or a later one replaces it.
-    pub fn read(&mut self, frame: ReceivedFrame) -> Option<ReadFrame> {
+    pub fn read(&mut self, frame: ReceivedFrame) -> Option<Frame> {
         let sent_bytes = frame.payload.bytes.len();
         let payload = match bitstream::is_video(&frame.payload) {
             true => self.decoded(&frame)?,
             false => frame.payload,
         };
-        Some(ReadFrame {
+        Some(Frame {
             payload,
             number: frame.number,
             age: frame.age,

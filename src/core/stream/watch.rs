@@ -141,7 +141,7 @@ impl StreamWatch {
         pending.on_frame(self.ordinal, &payload.bytes, is_key)
     }
 
-    /// Returns whether the video needs a key frame.
+    /// Passes the state of the video to the receiver. Returns whether it needs a key frame.
     fn tell_receiver(&mut self) -> bool {
         let pending = self.pending.lock();
         let accepts_video = video::IS_AVAILABLE || pending.is_undecoded();
@@ -209,7 +209,7 @@ impl Driver for StreamWatch {
             },
             Event::Sample { sample, .. } => {
                 let items = self.on_frame(now, sample).into_iter().collect();
-                let polls = self.tell_receiver();
+                let polls = self.sees_video && self.tell_receiver();
                 Reaction { items, polls }
             }
             Event::Reply {

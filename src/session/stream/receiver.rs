@@ -8,9 +8,12 @@ use std::{
 use crate::{
     core::{
         name::Name,
-        payload::Payload,
         queue::{Queue, WhenFull},
-        stream::{frame::ReceivedFrame, read::FrameReader, watch::StreamWatch},
+        stream::{
+            frame::{Frame, ReceivedFrame},
+            read::FrameReader,
+            watch::StreamWatch,
+        },
         topic::Topic,
     },
     error::Error,
@@ -21,23 +24,6 @@ use crate::{
         subscriber::QueueOptions,
     },
 };
-
-/// A frame of a stream, received by a [`Watch`].
-#[derive(Clone, Debug)]
-pub struct Frame {
-    /// The picture or value. A frame of a video is decoded: the payload is the raw picture ([`Payload::picture`]).
-    pub payload: Payload,
-    /// The number of the frame. It starts again when the sender restarts or assigns this receiver to another group.
-    pub number: u32,
-    /// The age of the frame on arrival. Until the offset of the clocks is known, the delay relative to the fastest frame of
-    /// the last minute. `None` if the sender is a stock Zenoh program.
-    pub age: Option<Duration>,
-    /// The number of frames between the previous frame that the program read and this one. The link dropped them, or
-    /// newer frames replaced them in the receive queue.
-    pub skipped: u32,
-    /// The length of the frame as it was sent, in bytes.
-    pub sent_bytes: usize,
-}
 
 /// Receives a stream of another robot; created by [`Robot::watch`]. Dropping it ends the subscription.
 pub struct Watch {
@@ -149,14 +135,7 @@ impl Watch {
 
     fn read(&self, received: ReceivedFrame) -> Option<Frame> {
         let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
-        let frame = reader.read(received)?;
-        Some(Frame {
-            payload: frame.payload,
-            number: frame.number,
-            age: frame.age,
-            skipped: frame.skipped,
-            sent_bytes: frame.sent_bytes,
-        })
+        reader.read(received)
     }
 }
 

@@ -18,11 +18,7 @@ export function pictureView() {
     isBusy = true;
     try {
       const bitmap = await createImageBitmap(new Blob([bytes]));
-      canvas.width = bitmap.width;
-      canvas.height = bitmap.height;
-      canvas.getContext("2d").drawImage(bitmap, 0, 0);
-      bitmap.close();
-      canvas.hidden = false;
+      draw(canvas, bitmap, bitmap.width, bitmap.height);
       setText(problem, "");
     } catch {
       setText(problem, "This picture is damaged and cannot be shown.");
@@ -36,4 +32,13 @@ export function pictureView() {
   }
 
   return { element, show, canvas };
+}
+
+/** Shows a bitmap or a frame of a video in its size, and releases it. */
+export function draw(canvas, image, width, height) {
+  canvas.width = width;
+  canvas.height = height;
+  canvas.getContext("2d").drawImage(image, 0, 0);
+  image.close();
+  canvas.hidden = false;
 }

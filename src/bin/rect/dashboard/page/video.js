@@ -1,6 +1,7 @@
 // Decodes video with the browser's own decoder (WebCodecs), and shows it as it arrives.
 
 import { setText } from "./dom.js";
+import { draw } from "./picture.js";
 
 /** Whether this browser decodes video. It does so only for pages of this computer, and over HTTPS. */
 export const canDecode = "VideoDecoder" in globalThis;
@@ -44,18 +45,14 @@ export function videoView(canvas, problem, askForKey) {
       return true;
     }
     close();
-    decoder = new VideoDecoder({ output: draw, error: fail });
+    decoder = new VideoDecoder({ output, error: fail });
     decoder.configure({ codec: name, optimizeForLatency: true });
     codec = name;
     return true;
   }
 
-  function draw(frame) {
-    canvas.width = frame.displayWidth;
-    canvas.height = frame.displayHeight;
-    canvas.getContext("2d").drawImage(frame, 0, 0);
-    frame.close();
-    canvas.hidden = false;
+  function output(frame) {
+    draw(canvas, frame, frame.displayWidth, frame.displayHeight);
     setText(problem, "");
   }
 
