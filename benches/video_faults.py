@@ -6,7 +6,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy
@@ -17,6 +17,7 @@ from table import Table
 
 SIZE, FRAMES_PER_S = (640, 480), 15
 BEFORE_S, AFTER_S, ROUNDS = 8, 8, 3
+OTHERS = 9
 
 
 @dataclass
@@ -44,9 +45,23 @@ def both() -> Iterator[Link]:
         yield Link(one.endpoint(), two.endpoint(), lambda: room.set_wifi("silent"), lambda: room.set_wifi("on"))
 
 
+@contextmanager
+def crowded() -> Iterator[Link]:
+    """Nine more programs receive the video, and do not read it, from the fault on."""
+    with bluetooth() as link, ExitStack() as others:
+
+        def join() -> None:
+            for _ in range(OTHERS):
+                other = others.enter_context(rect.connect("wombat-2", router=link.far))
+                others.enter_context(other.watch("wombat-1", "camera"))
+
+        yield Link(link.near, link.far, join, lambda: None)
+
+
 #: The link, and how long it fails.
 CASES = {
     "Bluetooth, cut for 1 s": (bluetooth, 1.0),
+    "Bluetooth, nine more receivers": (crowded, 1.0),
     "any, Wi-Fi silent for 3 s": (both, 3.0),
     "any, Wi-Fi on again": (both, None),
 }
@@ -67,7 +82,8 @@ def run() -> Table:
     table.notes = [
         f"The simulated air (desk, packets of 27 bytes) and the simulated Wi-Fi; a camera of {SIZE[0]}x{SIZE[1]} at "
         f"{FRAMES_PER_S} Hz, the mode `video`; the longest of {ROUNDS} rounds. Pause: the longest time between two "
-        "pictures that the program gets, from the fault on. Back: from the end of the fault to the next picture. Wi-Fi "
+        "pictures that the program gets, from the fault on. Back: from the end of the fault to the next picture. Nine "
+        "more receivers: programs of the far robot that join at the same time, and do not read. Wi-Fi "
         "on again: from Bluetooth back to Wi-Fi. Damaged: pictures without the camera's moving stripe. "
         "Target: back within 1 s after a cut of 1 s, and a pause of at most 0.5 s with `any`.",
     ]

@@ -10,6 +10,7 @@ pub mod entry;
 pub mod excerpt;
 pub mod export;
 pub mod file;
+pub mod key_frames;
 pub mod merge;
 pub mod pace;
 pub mod parts;

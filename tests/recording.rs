@@ -11,14 +11,19 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pair::{free_endpoint, stock_client, TIMEOUT};
+use pair::{free_endpoint, pair, stock_client, TIMEOUT};
 use rect::{
     blocking,
-    core::encoding::Encoding,
+    core::{
+        encoding::Encoding,
+        picture::{Format, Picture},
+        video::bitstream::is_key_frame,
+    },
     recording::{
         file, file::OpenFile, segments, Entry, ReadError, Reader, Recorder, Settings, Split,
     },
-    Json, Message, Name, Options, Payload, QueueOptions, Topic, Urgency, WhenFull,
+    Json, Message, Name, Options, Payload, QueueOptions, RecordOptions, StreamOptions, Topic,
+    Urgency, WhenFull,
 };
 use zenoh::Wait;
 
@@ -681,4 +686,48 @@ fn stock_zenoh_programs_query_a_running_recording() {
         let answers = ask("**?_time=[now(-1m)..]");
         matches!(answers.last(), Some(Err(error)) if error.contains("rect recording fetch b"))
     });
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_of_a_video_begins_with_a_key_frame() {
+    let (one, two) = pair("wombat-1", "wombat-2").await;
+    let camera = one.stream("camera", StreamOptions::video()).await;
+    let camera = camera.expect("a stream");
+    let sending = tokio::spawn(async move {
+        let mut ticks = tokio::time::interval(Duration::from_millis(50));
+        for n in (0..200u8).cycle() {
+            ticks.tick().await;
+            let pixels = (0..160 * 120).map(|at: u32| (at as u8 / 2).wrapping_add(n));
+            let picture = Picture::new(160, 120, Format::Grey8, pixels.collect::<Vec<_>>());
+            camera
+                .send_picture(&picture.expect("a picture"))
+                .expect("sent");
+        }
+    });
+    // The video runs already.
+    let watch = two.watch("wombat-1", "camera").await.expect("watched");
+    while watch.next().await.expect("open").number < 10 {}
+    let folder = tempfile::tempdir().expect("a folder");
+    let options = RecordOptions {
+        patterns: vec!["wombat-1/camera".parse().expect("a pattern")],
+        ..RecordOptions::default()
+    };
+    let recorder = two.record(folder.path().join("match.mcap"), options).await;
+    let recorder = recorder.expect("a recorder");
+    let begun = Instant::now();
+    while recorder.progress().written < 30 {
+        assert!(begun.elapsed() < TIMEOUT, "{:?}", recorder.progress());
+        watch.next().await;
+    }
+    sending.abort();
+    let (files, _) = recorder.finish().await.expect("finished");
+    let (entries, error) = read(&files[0]);
+    assert!(error.is_none(), "{error:?}");
+    let is_frame = |entry: &&Entry| entry.topic == "wombat-1/camera";
+    let frames = entries.iter().filter(is_frame);
+    let keys: Vec<_> = frames
+        .map(|entry| is_key_frame(&entry.payload.bytes))
+        .collect();
+    // Without the recorder's request, one of two hundred would be a key frame.
+    assert!(keys[..15].contains(&true), "{keys:?}");
 }

@@ -25,6 +25,8 @@ pub struct Frame {
     /// Number of frames directly before this one that the program did not receive: the link or the receive queue dropped
     /// them.
     pub skipped: u32,
+    /// Number of these that did not arrive.
+    pub lost: u32,
     /// The length of the frame as it was sent, in bytes.
     pub sent_bytes: usize,
 }
@@ -44,6 +46,7 @@ pub fn view(frame: &rect::Frame) -> Frame {
         age_us: age_us.map_or(-1, |age| i64::try_from(age).unwrap_or(i64::MAX)),
         number: frame.number,
         skipped: frame.skipped,
+        lost: frame.lost,
         sent_bytes: frame.sent_bytes,
     }
 }

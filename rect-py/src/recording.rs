@@ -1,8 +1,8 @@
 //! Writes and reads recordings.
 use std::{
     path::PathBuf,
-    sync::{Mutex, PoisonError},
-    time::Duration,
+    sync::{Mutex, MutexGuard},
+    time::{Duration, Instant},
 };
 
 use bytes::Bytes;
@@ -13,12 +13,13 @@ use rect::{
         topic::Pattern,
     },
     recording::{
-        self, file::about, report::EventReport, Entry, ReadError, Reader, RecorderError, Selection,
-        Settings, Split,
+        self, file::about, key_frames::KeyFrames, report::EventReport, Entry, ReadError, Reader,
+        RecorderError, Selection, Settings, Split,
     },
 };
 
 use crate::{
+    driver::lock,
     errors::{raised, OrRaise, Raised},
     key_space::KeySpace,
     message::MessageMetadata,
@@ -26,7 +27,10 @@ use crate::{
 
 /// Records messages to a file, on a thread of its own.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Recorder(Mutex<Option<recording::Recorder>>);
+pub struct Recorder {
+    recorder: Mutex<Option<recording::Recorder>>,
+    videos: Mutex<KeyFrames>,
+}
 
 /// The fields of an `Event` of Python.
 type EventFields = (
@@ -69,18 +73,29 @@ impl Recorder {
             },
         };
         let recorder = py.detach(|| recording::Recorder::start(settings));
-        Ok(Self(Mutex::new(Some(recorder.or_raise()?))))
+        Ok(Self {
+            recorder: Mutex::new(Some(recorder.or_raise()?)),
+            videos: Mutex::new(KeyFrames::new(place.0.clone())),
+        })
     }
 
-    /// Records a message, which has arrived now.
-    fn add(&self, metadata: &MessageMetadata, payload: &[u8], encoding: String) {
+    /// Records a message, which has arrived now. Returns the key and the bytes of a request to the sender of a video, if one is to be
+    /// sent.
+    fn add(
+        &self,
+        metadata: &MessageMetadata,
+        payload: &[u8],
+        encoding: String,
+    ) -> Option<(String, Vec<u8>)> {
+        let message = Message {
+            payload: Payload::new(Bytes::copy_from_slice(payload), Encoding::new(encoding)),
+            ..metadata.message()
+        };
+        let request = lock(&self.videos).on_message(&message, Instant::now());
         if let Some(recorder) = &*self.recorder() {
-            let payload = Payload::new(Bytes::copy_from_slice(payload), Encoding::new(encoding));
-            recorder.on_message(Message {
-                payload,
-                ..metadata.message()
-            });
+            recorder.on_message(message);
         }
+        request.map(|request| (request.key, request.bytes))
     }
 
     /// Records an event that a program of `robot` has received.
@@ -130,8 +145,8 @@ impl Recorder {
 }
 
 impl Recorder {
-    fn recorder(&self) -> std::sync::MutexGuard<'_, Option<recording::Recorder>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    fn recorder(&self) -> MutexGuard<'_, Option<recording::Recorder>> {
+        lock(&self.recorder)
     }
 }
 
@@ -163,7 +178,7 @@ impl RecordingReader {
     /// Returns when the first message of a robot or the first report was recorded, in seconds since 1970; `None` if there is neither.
     fn started(&self, py: Python<'_>) -> PyResult<Option<f64>> {
         let found = py.detach(|| {
-            let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut reader = lock(&self.reader);
             reader.find(|entry| {
                 let entry = entry.as_ref();
                 entry.map_or(true, |entry| entry.is_report() || entry.address().is_some())
@@ -177,7 +192,7 @@ impl RecordingReader {
     /// `None` at the end. Messages are skipped.
     fn next_report(&self, py: Python<'_>) -> PyResult<Option<(String, String, f64)>> {
         let found = py.detach(|| {
-            let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut reader = lock(&self.reader);
             reader.find(|entry| entry.as_ref().map_or(true, Entry::is_report))
         });
         Ok(found.transpose().or_raise()?.map(|entry| {
@@ -189,7 +204,7 @@ impl RecordingReader {
     /// Returns the next message; `None` at the end. Messages of other programs, whose topics have no robot, are skipped.
     fn next<'py>(&self, py: Python<'py>) -> PyResult<Option<Recorded<'py>>> {
         let found = py.detach(|| {
-            let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut reader = lock(&self.reader);
             reader.find_map(|entry| match entry {
                 Ok(entry) if !self.selection.matches(&entry) => None,
                 Ok(entry) => message(&entry).map(|message| Ok((message, entry))),

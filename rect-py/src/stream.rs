@@ -239,20 +239,22 @@ impl StreamWatch {
 #[pymethods]
 impl FrameReader {
     /// Reads a frame that the driver has delivered. Returns the payload, the number of frames since the previous one that was
-    /// read, and the length of the frame as it was sent; `None` if there is nothing to show.
+    /// read, how many of them did not arrive, and the length of the frame as it was sent; `None` if there is nothing to show.
     fn read<'py>(
         &self,
         py: Python<'py>,
-        frame: (u64, u32, Option<f64>, PyBackedBytes, String),
-    ) -> Option<(Parts<'py>, u32, usize)> {
-        let (ordinal, number, age_s, bytes, encoding) = frame;
+        frame: (u64, u64, u32, Option<f64>, PyBackedBytes, String),
+    ) -> Option<(Parts<'py>, u32, u32, usize)> {
+        let (ordinal, lost, number, age_s, bytes, encoding) = frame;
         let received = frame::ReceivedFrame {
             payload: payload(bytes, &encoding),
             number,
             age: age_s.map(Duration::from_secs_f64),
             ordinal,
+            lost,
         };
         let frame = detached(py, || lock(&self.0).read(received))?;
-        Some((parts(py, &frame.payload), frame.skipped, frame.sent_bytes))
+        let payload = parts(py, &frame.payload);
+        Some((payload, frame.skipped, frame.lost, frame.sent_bytes))
     }
 }

@@ -1,17 +1,22 @@
 //! Records the messages that a program receives, with its events and the state of its router's links.
-use std::{path::PathBuf, sync::Arc, time::Duration};
+use std::{
+    path::PathBuf,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use tokio::{
     task::JoinSet,
     time::{interval, MissedTickBehavior},
 };
 
-use super::{recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
+use super::{queries, recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
 use crate::{
-    core::topic::Pattern,
+    core::{encoding::Encoding, payload::Payload, topic::Pattern, urgency::Urgency},
     error::Error,
     recording::{
-        file::about, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder, Settings, Split,
+        file::about, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress,
+        Recorder, Settings, Split,
     },
 };
 
@@ -39,7 +44,8 @@ pub struct RobotRecorder {
 
 impl Robot {
     /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called, with the events of this robot and, once a
-    /// second, the state of its router's links. Requests and the frames of streams are not recorded.
+    /// second, the state of its router's links. Requests are not recorded. Of a stream, the frames of the
+    /// faster group of receivers are, and the sender of a video is asked for a key frame at the beginning and every 5 s.
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
     /// counted, urgent messages last.
@@ -83,7 +89,7 @@ impl Robot {
             };
             let subscriber = Arc::new(self.subscribe_with(pattern, queue).await?);
             subscribers.push(subscriber.clone());
-            messages.spawn(forward(subscriber, recorder.clone()));
+            messages.spawn(forward(subscriber, self.clone(), recorder.clone()));
         }
         let events = self.events().await?;
         let events = forward_events(events, self.clone(), recorder.clone());
@@ -149,8 +155,17 @@ impl RobotRecorder {
     }
 }
 
-async fn forward(subscriber: Arc<Subscriber>, recorder: Arc<Recorder>) {
+async fn forward(subscriber: Arc<Subscriber>, robot: Robot, recorder: Arc<Recorder>) {
+    let mut videos = KeyFrames::new(robot.inner.place.clone());
     while let Some(message) = subscriber.next().await {
+        if let Some(request) = videos.on_message(&message, Instant::now()) {
+            let payload = Payload::new(request.bytes, Encoding::BYTES);
+            let qos = Urgency::Normal.qos().drop_when_congested();
+            if let Err(error) = queries::put_once(&robot.inner.session, &request.key, payload, qos)
+            {
+                tracing::warn!("cannot ask for a key frame: {error}");
+            }
+        }
         recorder.on_message(message);
     }
 }

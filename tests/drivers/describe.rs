@@ -194,7 +194,7 @@ impl Describe for ReceivedFrame {
     fn describe(self) -> Value {
         let age = self.age.map(|age| age.as_secs_f64());
         let (payload, encoding) = (bytes(&self.payload.bytes), self.payload.encoding.as_str());
-        json!([self.ordinal, self.number, age, payload, encoding])
+        json!([self.ordinal, self.lost, self.number, age, payload, encoding])
     }
 }
 

@@ -131,6 +131,8 @@ public:
     /// Returns how many frames directly before this one the program did not receive, because the link or the receive queue
     /// dropped them.
     [[nodiscard]] std::uint32_t skipped() const noexcept { return raw_.skipped; }
+    /// Returns how many of these did not arrive.
+    [[nodiscard]] std::uint32_t lost() const noexcept { return raw_.lost; }
     /// Returns the length of the frame as it was sent, in bytes.
     [[nodiscard]] std::size_t sent_bytes() const noexcept { return raw_.sent_bytes; }
 

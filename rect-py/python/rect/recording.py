@@ -10,6 +10,8 @@ import threading
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Union
 
+import zenoh
+
 from rect import _rect, registry
 from rect.errors import Closed, NoService, PayloadError, RectError
 from rect.events import Event, Events
@@ -63,7 +65,11 @@ class Recorder:
         return Subscription(subscriber, self._add, pattern)
 
     def _add(self, message: Message) -> None:
-        self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)
+        request = self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)
+        if request is not None:
+            # The sender of a video is asked for a key frame; the session may be closing.
+            with contextlib.suppress(zenoh.ZError):
+                self._session.zenoh.put(*request)
 
     def _add_event(self, event: Event) -> None:
         self._recorder.add_event(self._session.key_space.robot, dataclasses.astuple(event))

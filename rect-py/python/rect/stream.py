@@ -151,6 +151,8 @@ class Frame:
     age: float | None
     #: Number of frames directly before this one that a link dropped, or that the program was too slow to read.
     skipped: int
+    #: Number of these that did not arrive.
+    lost: int
     #: Length of the frame as it was sent, in bytes.
     sent_bytes: int
 
@@ -175,8 +177,8 @@ class Watch:
     def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str, decode: bool) -> None:
         self._session = session
         self._name = f"{robot}/{topic}"
-        #: Ordinal, number, age, bytes and encoding of a frame.
-        self._queue: ReceiveQueue[tuple[int, int, float | None, bytes, str]] = ReceiveQueue(capacity, when_full)
+        #: Ordinal, number of lost frames until then, number, age, bytes and encoding of a frame.
+        self._queue: ReceiveQueue[tuple[int, int, int, float | None, bytes, str]] = ReceiveQueue(capacity, when_full)
         self._core = _rect.StreamWatch(session.key_space, robot, topic, random.getrandbits(16))
         if not decode:
             self._core.leave_undecoded()
@@ -254,13 +256,13 @@ class Watch:
             if frame is not None:
                 return frame
 
-    def _read(self, received: tuple[int, int, float | None, bytes, str]) -> Frame | None:
+    def _read(self, received: tuple[int, int, int, float | None, bytes, str]) -> Frame | None:
         read = self._reader.read(received)
         if read is None:
             return None
-        (payload, encoding), skipped, sent_bytes = read
-        _, number, age, _, _ = received
-        return Frame(Payload(payload, encoding), number, age, skipped, sent_bytes)
+        (payload, encoding), skipped, lost, sent_bytes = read
+        _, _, number, age, _, _ = received
+        return Frame(Payload(payload, encoding), number, age, skipped, lost, sent_bytes)
 
 
 def _picture(frame: Any) -> Picture | None:

@@ -105,7 +105,7 @@ impl ToPython for ReceivedFrame {
         let age = self.age.map(|age| age.as_secs_f64());
         let bytes = PyBytes::new(py, &self.payload.bytes);
         let encoding = self.payload.encoding.as_str();
-        (self.ordinal, self.number, age, bytes, encoding).into_py_any(py)
+        (self.ordinal, self.lost, self.number, age, bytes, encoding).into_py_any(py)
     }
 }
 

@@ -164,14 +164,18 @@ fn as_text(frame: &Frame) -> String {
     let age = frame.age.map_or("age unknown".to_owned(), |age| {
         format!("{} ms old", age.as_millis())
     });
-    let (number, skipped) = (frame.number, frame.skipped);
+    let number = frame.number;
+    let missing = match (frame.skipped, frame.lost) {
+        (skipped, 0) => format!("{skipped} skipped"),
+        (skipped, lost) => format!("{skipped} skipped ({lost} lost)"),
+    };
     let is_decoded = frame.sent_bytes != frame.payload.bytes.len();
     let decoded = is_decoded.then(|| frame.payload.picture(&Limits::default()));
     let shown = match decoded {
         Some(Ok(picture)) => display::picture(&picture, "video", frame.sent_bytes),
         _ => display::text(&frame.payload),
     };
-    format!("{number}, {age}, {skipped} skipped: {shown}")
+    format!("{number}, {age}, {missing}: {shown}")
 }
 
 fn as_json(frame: &Frame) -> Value {
@@ -179,6 +183,7 @@ fn as_json(frame: &Frame) -> Value {
         "number": frame.number,
         "age_ms": frame.age.map(|age| age.as_millis() as u64),
         "skipped": frame.skipped,
+        "lost": frame.lost,
         "encoding": frame.payload.encoding.as_str(),
         "bytes": frame.sent_bytes,
     })

@@ -4,7 +4,7 @@
 //! | bytes | content |
 //! |---|---|
 //! | 1 | upper half: version 1; flag 1: the slow group; flag 2: the pace is present; flag 4: video is decoded here; flag 8: the video needs a key frame |
-//! | 2 | the receiver: a random number that it chooses when it starts, little endian |
+//! | 2 | the receiver: a random number that it chooses when it starts, little endian; 0: a recorder, which only asks for a key frame |
 //! | 2 | the source of the received frames, little endian |
 //! | 1 to 5 each | LEB128: the sequence number of the last frame; then, since the previous feedback: milliseconds, frames, bytes, frames skipped, and the 90th percentile of the age in milliseconds |
 //! | 1 to 5 | with flag 2: the pace in bytes per second, LEB128 |
@@ -12,6 +12,9 @@ use super::Group;
 
 /// The maximum length of feedback, in bytes.
 pub const MAX_BYTES: usize = 40;
+
+/// The receiver's number in the request of a recorder, whose pace does not matter to the stream.
+pub const RECORDER: u16 = 0;
 
 const VERSION: u8 = 1 << 4;
 const SLOW: u8 = 1;
@@ -63,6 +66,16 @@ pub enum FeedbackError {
 }
 
 impl Feedback {
+    /// Returns the request of a recorder for a key frame.
+    pub fn of_recorder() -> Self {
+        Self {
+            receiver: RECORDER,
+            accepts_video: true,
+            needs_key: true,
+            ..Self::default()
+        }
+    }
+
     /// Encodes the feedback.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(MAX_BYTES);

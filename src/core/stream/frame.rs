@@ -15,6 +15,8 @@ pub struct ReceivedFrame {
     pub age: Option<Duration>,
     /// The number of frames that were sent since the first one that arrived, including this one.
     pub ordinal: u64,
+    /// The number of those that did not arrive.
+    pub lost: u64,
 }
 
 /// A frame of a stream, as the program reads it.
@@ -31,6 +33,8 @@ pub struct Frame {
     /// The number of frames between the previous frame that the program read and this one. The link dropped them, or
     /// newer frames replaced them in the receive queue.
     pub skipped: u32,
+    /// The part of the skipped frames that did not arrive.
+    pub lost: u32,
     /// The length of the frame as it was sent, in bytes.
     pub sent_bytes: usize,
 }

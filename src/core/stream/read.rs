@@ -28,7 +28,8 @@ impl SharedPending {
 pub struct FrameReader {
     pending: SharedPending,
     decoder: Decoder,
-    last: Option<u64>,
+    /// The ordinal of the previous frame, and how many had not arrived until then.
+    last: Option<(u64, u64)>,
 }
 
 impl FrameReader {
@@ -47,11 +48,13 @@ impl FrameReader {
             true => self.decoded(&frame)?,
             false => frame.payload,
         };
+        let (skipped, lost) = self.count(frame.ordinal, frame.lost);
         Some(Frame {
             payload,
             number: frame.number,
             age: frame.age,
-            skipped: self.count(frame.ordinal),
+            skipped,
+            lost,
             sent_bytes,
         })
     }
@@ -78,10 +81,14 @@ impl FrameReader {
         newest.map(Picture::payload)
     }
 
-    fn count(&mut self, ordinal: u64) -> u32 {
-        let last = self.last.replace(ordinal);
-        let skipped = last.map_or(0, |last| ordinal.saturating_sub(last + 1));
-        u32::try_from(skipped).unwrap_or(u32::MAX)
+    /// Returns how many frames were skipped before this one, and how many of them did not arrive.
+    fn count(&mut self, ordinal: u64, lost: u64) -> (u32, u32) {
+        let Some((last, lost_before)) = self.last.replace((ordinal, lost)) else {
+            return (0, 0);
+        };
+        let capped = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
+        let skipped = ordinal.saturating_sub(last + 1);
+        (capped(skipped), capped(lost.saturating_sub(lost_before)))
     }
 }
 
@@ -93,15 +100,17 @@ mod tests {
     #[test]
     fn counts_the_frames_that_the_program_did_not_read() {
         let mut reader = FrameReader::new(SharedPending::new());
-        let skipped = [3, 4, 7].map(|ordinal| {
+        let counts = [(3, 0), (4, 0), (8, 2), (10, 2)].map(|(ordinal, lost)| {
             let frame = ReceivedFrame {
                 payload: Payload::new("1", Encoding::JSON),
                 number: 0,
                 age: None,
                 ordinal,
+                lost,
             };
-            reader.read(frame).map(|frame| frame.skipped)
+            let frame = reader.read(frame).expect("a frame");
+            (frame.skipped, frame.lost)
         });
-        assert_eq!(skipped, [Some(0), Some(0), Some(2)]);
+        assert_eq!(counts, [(0, 0), (0, 0), (3, 2), (1, 0)]);
     }
 }

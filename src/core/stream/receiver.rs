@@ -107,11 +107,11 @@ pub struct Receiver {
 }
 
 impl Receiver {
-    /// Creates the receiver of a program of `robot`. `id` is a random number.
+    /// Creates the receiver of a program of `robot`. `id` is a random number; 0 counts as 1.
     pub fn new(robot: Name, id: u16, now: Instant) -> Self {
         Self {
             robot,
-            id,
+            id: id.max(1),
             created_at: now,
             group: None,
             offset: Offset::new(now),

@@ -6,7 +6,7 @@ use std::{
 
 pub use super::options::{Mode, Options};
 use super::{
-    feedback::Feedback,
+    feedback::{Feedback, RECORDER},
     groups::Groups,
     job::Job,
     ladder::{Ladder, Step},
@@ -231,6 +231,12 @@ impl Sender {
     /// Handles the feedback of a receiver of `robot`. The key proves that the robot sent it, but its content may be
     /// wrong or forged; its influence on other robots is therefore limited.
     pub fn on_feedback(&mut self, robot: &Name, feedback: &Feedback, now: Instant) {
+        if feedback.receiver == RECORDER {
+            if feedback.needs_key {
+                self.outputs[feedback.group.index()].video.ask_for_key();
+            }
+            return;
+        }
         let key = (robot.clone(), feedback.receiver);
         let of_robot = self
             .receivers

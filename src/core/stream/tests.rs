@@ -4,6 +4,7 @@ use std::time::Duration;
 use super::{
     feedback::Feedback,
     ladder::Coding,
+    options::Mode,
     sender::{Options, Sender, MAX_RECEIVERS, MAX_RECEIVERS_OF_ROBOT},
     simulation::{Arrival, Condition, Random, World},
     Group,
@@ -575,7 +576,7 @@ fn a_robot_that_reports_a_low_rate_leaves_the_slow_group_a_third() {
 fn one_robot_does_not_displace_the_receivers_of_others() {
     let now = std::time::Instant::now();
     let mut sender = Sender::new(Options::default(), 1, 0, now);
-    for receiver in 0..1000 {
+    for receiver in 1..1000 {
         let feedback = Feedback {
             receiver,
             ..Feedback::default()
@@ -585,7 +586,40 @@ fn one_robot_does_not_displace_the_receivers_of_others() {
     assert_eq!(sender.status().receivers.len(), MAX_RECEIVERS_OF_ROBOT);
     for robot in 0..MAX_RECEIVERS {
         let name = Name::new(&format!("wombat-{robot}")).expect("valid name");
-        sender.on_feedback(&name, &Feedback::default(), now);
+        let feedback = Feedback {
+            receiver: 1,
+            ..Feedback::default()
+        };
+        sender.on_feedback(&name, &feedback, now);
     }
     assert_eq!(sender.status().receivers.len(), MAX_RECEIVERS);
+}
+
+#[cfg(feature = "video")]
+#[test]
+fn a_recorder_gets_a_key_frame_and_is_no_receiver() {
+    let start = std::time::Instant::now();
+    let options = Options {
+        mode: Mode::Video,
+        ..Options::default()
+    };
+    let mut sender = Sender::new(options, 1, 0, start);
+    sender.on_subscribers(Group::Main, true);
+    let is_key = |sender: &mut Sender, seconds| {
+        let now = start + Duration::from_secs(seconds);
+        let jobs = sender.offer_picture(320, 240, now);
+        let is_key = jobs[0].video.expect("a video").is_key;
+        let units: &[u8] = match is_key {
+            true => &[0, 0, 1, 0x67, 1, 0, 0, 1, 0x65, 1],
+            false => &[0, 0, 1, 0x61, 1],
+        };
+        let frame = Payload::new(units, Encoding::H264);
+        sender.on_encoded(jobs[0], &frame, now);
+        is_key
+    };
+    assert!(is_key(&mut sender, 0), "the first frame");
+    assert!(!is_key(&mut sender, 1));
+    sender.on_feedback(&attacker(), &Feedback::of_recorder(), start);
+    assert!(is_key(&mut sender, 2));
+    assert!(sender.status().receivers.is_empty());
 }

@@ -43,6 +43,7 @@ pub struct StreamWatch {
     topic: Topic,
     receiver: Receiver,
     ordinal: u64,
+    lost: u64,
     pending: SharedPending,
     sees_video: bool,
     actions: VecDeque<Action>,
@@ -79,6 +80,7 @@ impl StreamWatch {
             sender,
             topic,
             ordinal: 0,
+            lost: 0,
             pending: SharedPending::new(),
             sees_video: false,
             actions: actions.into(),
@@ -115,6 +117,7 @@ impl StreamWatch {
         let bytes = sample.payload.bytes.len();
         let seen = self.receiver.on_frame(attachment, bytes, now)?;
         self.ordinal += 1 + u64::from(seen.skipped);
+        self.lost += u64::from(seen.skipped);
         self.sees_video = bitstream::is_video(&sample.payload);
         let is_after_gap = seen.skipped > 0 || seen.is_restarted;
         if self.sees_video && !self.can_decode(&sample.payload, is_after_gap) {
@@ -125,6 +128,7 @@ impl StreamWatch {
             number: seen.number,
             age: seen.age,
             ordinal: self.ordinal,
+            lost: self.lost,
         })
     }
 
