@@ -183,4 +183,28 @@ for library in rect zenoh; do
   cat /tmp/receive.log /tmp/publish.log | while read -r line; do report "$line"; done
   report "{\"library\": \"$library\", \"role\": \"router\", \"us\": $(((router_us - few_us) / (many - few)))}"
 done
+# The dashboard at the first router, with one browser, which sends what a browser sends to open the connection.
+mkdir /sys/fs/cgroup/dashboard
+{
+  echo 0 >/sys/fs/cgroup/dashboard/cgroup.procs
+  exec rect dashboard --router "tcp/127.0.0.1:$one_port" --listen 127.0.0.1:8080
+} >/tmp/dashboard.log 2>&1 &
+dashboard=$!
+page_hex=$(hex 8080)
+within 60 'the dashboard accepts' listens "$page_hex"
+{
+  printf 'GET /socket HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nOrigin: http://127.0.0.1:8080\r\nConnection: Upgrade\r\n'
+  printf 'Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n'
+  sleep $((IDLE_S * 3))
+} | nc 127.0.0.1 8080 >/tmp/page.bin &
+# shellcheck disable=SC2317,SC2329 # called by within
+fleet_is_shown() { grep -q 'wombat-2' /tmp/page.bin; }
+within 60 'the page shows the fleet' fleet_is_shown
+sleep 15
+from_cs=$(uptime_cs) used_us=$(cpu_us dashboard)
+sleep "$IDLE_S"
+rollup=/proc/$dashboard/smaps_rollup
+report "{\"program\": \"dashboard\", \"idle_cs\": $(($(uptime_cs) - from_cs)), \"cpu_us\": $(($(cpu_us dashboard) - used_us))," \
+  "\"pss_kb\": $(number "$rollup" Pss), \"own_kb\": $(number "$rollup" Anonymous)," \
+  "\"threads\": $(number "/proc/$dashboard/status" Threads)}"
 end ''

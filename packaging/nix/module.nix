@@ -226,6 +226,21 @@ in
       '';
     };
 
+    dashboard = mkOption {
+      type = types.nullOr (types.listOf types.str);
+      default = null;
+      example = [
+        "--listen"
+        "0.0.0.0:8080"
+        "--stop"
+        "stop"
+      ];
+      description = ''
+        Options of `rect dashboard`, which then runs as a service and serves a page that shows the robots. With the empty list,
+        only this computer can open the page, at port 8080. `null` for no page.
+      '';
+    };
+
     configureBluetooth = mkOption {
       type = types.bool;
       default = true;
@@ -292,6 +307,20 @@ in
           # with an unknown group.
           SupplementaryGroups = [ "" ];
         };
+      };
+
+      systemd.services.rect-dashboard = mkIf (cfg.dashboard != null) {
+        wantedBy = [ "multi-user.target" ];
+        serviceConfig.ExecStart = [
+          ""
+          (utils.escapeSystemdExecArgs (
+            [
+              (lib.getExe' cfg.package "rect")
+              "dashboard"
+            ]
+            ++ cfg.dashboard
+          ))
+        ];
       };
 
       # The connections file, initially empty, in a folder where the config service can change it.

@@ -21,7 +21,10 @@ let
     ../../Cargo.toml
     ../../Cargo.lock
     (fileset.fileFilter (file: !file.hasExt "md") ../../config)
+    ../systemd/rect-dashboard.service
     ../systemd/rect-router.service
+    # The page of the dashboard is a part of the program.
+    ../../src/bin/rect/dashboard/page
     ../../benches/codecs.rs
     ../../benches/rounds.rs
     (fileset.unions (
@@ -90,7 +93,8 @@ rustPlatform.buildRustPackage (finalAttrs: {
 
     install -Dm644 -t $out/share/rect/config config/*.json* config/*.conf
     substituteInPlace packaging/systemd/rect-router.service --replace-fail /usr/bin/rect-router $out/bin/rect-router
-    install -Dm644 -t $out/lib/systemd/system packaging/systemd/rect-router.service
+    substituteInPlace packaging/systemd/rect-dashboard.service --replace-fail /usr/bin/rect $out/bin/rect
+    install -Dm644 -t $out/lib/systemd/system packaging/systemd/rect-{dashboard,router}.service
   ''
   # The programs print their manual pages and completions, which is not possible when cross-compiling.
   + lib.optionalString (stdenv.buildPlatform.canExecute stdenv.hostPlatform) ''

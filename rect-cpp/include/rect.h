@@ -313,6 +313,12 @@ typedef struct rect_connection {
     double last_switch_gap_ms;
     // Time since that change, in seconds.
     double last_switch_ago_s;
+    // Number of bytes that wait to be sent, for the methods `any` and `ble`.
+    int64_t waiting_bytes;
+    // Time until the peer has acknowledged an urgent message, in milliseconds, for these methods.
+    double urgent_delay_ms;
+    // Number of batches that were not sent because Zenoh dropped their message, for these methods.
+    int64_t dropped_batches;
     // Number of bytes sent.
     int64_t sent_bytes;
     // Number of bytes received.
@@ -750,6 +756,8 @@ typedef struct rect_frame {
     // Number of frames directly before this one that the program did not receive: the link or the receive queue dropped
     // them.
     uint32_t skipped;
+    // Number of these that did not arrive.
+    uint32_t lost;
     // The length of the frame as it was sent, in bytes.
     size_t sent_bytes;
 } rect_frame;

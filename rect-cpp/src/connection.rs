@@ -59,6 +59,12 @@ pub struct Connection {
     pub last_switch_gap_ms: f64,
     /// Time since that change, in seconds.
     pub last_switch_ago_s: f64,
+    /// Number of bytes that wait to be sent, for the methods `any` and `ble`.
+    pub waiting_bytes: i64,
+    /// Time until the peer has acknowledged an urgent message, in milliseconds, for these methods.
+    pub urgent_delay_ms: f64,
+    /// Number of batches that were not sent because Zenoh dropped their message, for these methods.
+    pub dropped_batches: i64,
     /// Number of bytes sent.
     pub sent_bytes: i64,
     /// Number of bytes received.
@@ -146,6 +152,9 @@ fn view(connection: &rect::Connection) -> Connection {
         last_switch_reason: Text::of_some(switch.map(|switch| switch.reason.as_str())),
         last_switch_gap_ms: switch.map_or(f64::NAN, |switch| switch.gap_ms),
         last_switch_ago_s: switch.map_or(f64::NAN, |switch| switch.ago_s),
+        waiting_bytes: number_or_unknown(connection.waiting_bytes()),
+        urgent_delay_ms: connection.urgent_delay_ms().unwrap_or(f64::NAN),
+        dropped_batches: number_or_unknown(connection.dropped_batches()),
         sent_bytes: number_or_unknown(connection.sent.map(|sent| sent.bytes)),
         received_bytes: number_or_unknown(connection.received.map(|received| received.bytes)),
         linked: number_or_unknown(connection.linked),

@@ -6,6 +6,7 @@ pub mod commands;
 pub mod config;
 mod config_service;
 pub mod connections;
+pub mod doctor;
 pub mod limits;
 pub mod logging;
 mod paths;

@@ -1,5 +1,7 @@
-//! Describes the paths of `any` links for the registry and the admin space.
-use rect::core::connection::{LinkPath, LinkPathState, PathSwitch, SwitchReason, Traffic};
+//! Describes the paths and lanes of `any` links for the registry and the admin space.
+use rect::core::connection::{
+    LinkLane, LinkPath, LinkPathState, PathSwitch, SwitchReason, Traffic,
+};
 use serde::Serialize;
 use zenoh_link::{
     any::{
@@ -24,6 +26,7 @@ pub struct LinkDocument {
     /// The batches received.
     received: Traffic,
     paths: Vec<LinkPath>,
+    lanes: Vec<LinkLane>,
     /// How often the path that carries the bulk was replaced.
     switches: u64,
     last_switch: Option<PathSwitch>,
@@ -38,6 +41,7 @@ pub fn links() -> Vec<LinkDocument> {
         sent: traffic(link.sent),
         received: traffic(link.received),
         paths: paths_of(link),
+        lanes: lanes_of(link),
         switches: link.switches,
         last_switch: last_switch_of(link),
     };
@@ -60,6 +64,17 @@ pub fn paths_of(link: &LinkStatus) -> Vec<LinkPath> {
         resent_bytes: path.resent_bytes,
     });
     paths.collect()
+}
+
+/// Describes the lanes of a link.
+pub fn lanes_of(link: &LinkStatus) -> Vec<LinkLane> {
+    let lanes = link.lanes.iter().map(|(priority, lane)| LinkLane {
+        priority: format!("{priority:?}"),
+        waiting_bytes: lane.waiting_bytes,
+        delay_ms: lane.delay.map(|delay| delay.as_secs_f64() * 1000.0),
+        dropped_batches: lane.abandoned_batches,
+    });
+    lanes.collect()
 }
 
 /// Describes the last change of the path that carries the bulk of a link.

@@ -42,7 +42,7 @@ use self::{
 use crate::{
     config::Settings,
     connections::{self, Connections, FleetConnector, LinkEnds, Snapshot},
-    version,
+    doctor, version,
 };
 
 /// A running registry. It answers queries until its session is closed, and publishes changes until it is dropped.
@@ -131,6 +131,9 @@ impl Registry {
                 chooses_intervals: management::is_permitted(),
                 connections: Counts::of(&connections),
             }
+        })?;
+        sources.answer(own, "doctor", |connections, _| {
+            doctor::of_router(&connections, management::is_permitted())
         })?;
         sources.answer(own, "clock", |_, _| Clock { unix_s: now_s() })?;
         let key = format!("{own}/connections");
@@ -313,6 +316,7 @@ impl Sources {
             paths: link.and_then(|link| radio.paths(link)),
             switches: link.and_then(|link| radio.switches(link)),
             last_switch: link.and_then(|link| radio.last_switch(link)),
+            lanes: link.and_then(|link| radio.lanes(link)),
             linked: Some(snapshot.linked),
             failed: Some(snapshot.failed),
             last_error: snapshot.last_error.map(failure),
@@ -334,6 +338,7 @@ impl Sources {
             paths: radio.paths(link),
             switches: radio.switches(link),
             last_switch: radio.last_switch(link),
+            lanes: radio.lanes(link),
             ..Connection::of(method.as_str(), address.as_str(), State::Connected)
         }
     }

@@ -16,7 +16,10 @@ use std::{
 };
 
 use parking_lot::Mutex;
-use rect::core::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS};
+use rect::core::{
+    attachment::Attachment,
+    topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
+};
 use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
@@ -119,9 +122,13 @@ impl TopicService {
                 return;
             };
             let (bytes, encoding) = (sample.payload().len(), sample.encoding().to_string());
+            let attachment = sample
+                .attachment()
+                .and_then(|bytes| Attachment::decode(&bytes.to_bytes()));
+            let numbers = attachment.map(|attachment| (attachment.source, attachment.sequence));
             counting
                 .lock()
-                .on_message(Instant::now(), topic, bytes, &encoding);
+                .on_message(Instant::now(), topic, bytes, &encoding, numbers);
         };
         let subscriber = self.session.declare_subscriber(format!("{}/**", self.own));
         let subscriber = subscriber.callback(on_sample).wait()?;

@@ -64,6 +64,9 @@ pub struct Connection {
     /// The last time it was.
     #[serde(default)]
     pub last_switch: Option<PathSwitch>,
+    /// The lanes of the link that were used, the most urgent first, if its method is `any` or `ble`.
+    #[serde(default)]
+    pub lanes: Option<Vec<LinkLane>>,
     /// How often the connection was established.
     pub linked: Option<u64>,
     /// Attempts that have failed since it was last established.
@@ -90,11 +93,50 @@ impl Connection {
             paths: None,
             switches: None,
             last_switch: None,
+            lanes: None,
             linked: None,
             failed: None,
             last_error: None,
         }
     }
+}
+
+impl Connection {
+    /// Returns how many bytes wait to be sent, if it is known.
+    pub fn waiting_bytes(&self) -> Option<u64> {
+        let lanes = self.lanes.as_ref()?;
+        Some(lanes.iter().map(|lane| lane.waiting_bytes).sum())
+    }
+
+    /// Returns the number of batches that the link did not carry because their message was dropped, if it is known.
+    pub fn dropped_batches(&self) -> Option<u64> {
+        let lanes = self.lanes.as_ref()?;
+        Some(lanes.iter().map(|lane| lane.dropped_batches).sum())
+    }
+
+    /// Returns how long an urgent message takes until the peer has acknowledged it, in milliseconds, if it was measured.
+    pub fn urgent_delay_ms(&self) -> Option<f64> {
+        let lanes = self.lanes.iter().flatten();
+        let urgent = lanes.filter(|lane| URGENT.contains(&lane.priority.as_str()));
+        urgent.filter_map(|lane| lane.delay_ms).next_back()
+    }
+}
+
+/// Zenoh's priorities that are at least as urgent as an urgent message.
+const URGENT: [&str; 3] = ["Control", "RealTime", "InteractiveHigh"];
+
+/// The sending side of a link for one of Zenoh's priorities.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkLane {
+    /// Zenoh's priority, such as `Data`.
+    pub priority: String,
+    /// Bytes that wait to be sent.
+    pub waiting_bytes: u64,
+    /// Moving average of the time until the peer has acknowledged a batch, in milliseconds, if it was measured. It includes the
+    /// time for which the batch has waited.
+    pub delay_ms: Option<f64>,
+    /// Batches that were withdrawn, because Zenoh dropped their message while a part of it waited.
+    pub dropped_batches: u64,
 }
 
 /// A path of a link whose method is `any`.

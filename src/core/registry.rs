@@ -10,6 +10,7 @@ use super::{
     payload::Payload,
     peers::{PeersQuery, TIMEOUT},
     request::{error_from_payload, is_timeout},
+    urgency::Qos,
 };
 
 const QUERY: Id = Id(100);
@@ -81,6 +82,7 @@ impl RegistryQuery {
         };
         let get = Get {
             payload,
+            qos: Qos::REGISTRY,
             ..Get::new(selector, TIMEOUT)
         };
         Self {

@@ -18,6 +18,8 @@ const BUCKET: Duration = Duration::from_millis(500);
 const MAX_ENCODING_BYTES: usize = 64;
 /// The maximum length of a topic that is counted, in bytes.
 const MAX_TOPIC_BYTES: usize = 220;
+/// The maximum number of publishers of a topic whose sequence numbers are followed.
+const MAX_PUBLISHERS: usize = 16;
 
 /// The part of RECT's internal keys under which a router answers questions about its robot's topics.
 pub const TOPICS: &str = "topics";
@@ -60,26 +62,38 @@ pub struct TopicReport {
     pub bytes_per_s: u64,
     /// The size of the last payload, in bytes.
     pub last_bytes: u64,
+    /// The number of messages that did not reach the robot's own router since the count began, by their sequence numbers.
+    pub lost: u64,
     /// The shortest and the longest interval between two messages, in milliseconds. `None` if the question does
     /// not select a single topic, or if no interval ended within the window.
     pub interval_ms: Option<(f64, f64)>,
 }
 
-/// A report with the intervals, or without them.
+/// A report with what is not always there: the losses, and the intervals.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 enum Row {
+    LossyLong(String, String, f64, u64, u64, u64, (f64, f64)),
     Long(String, String, f64, u64, u64, (f64, f64)),
+    Lossy(String, String, f64, u64, u64, u64),
     Short(String, String, f64, u64, u64),
 }
 
 impl From<Row> for TopicReport {
     fn from(row: Row) -> Self {
-        let (topic, encoding, hz, bytes_per_s, last_bytes, interval_ms) = match row {
-            Row::Long(topic, encoding, hz, rate, last, intervals) => {
-                (topic, encoding, hz, rate, last, Some(intervals))
+        let (topic, encoding, hz, bytes_per_s, last_bytes, lost, interval_ms) = match row {
+            Row::LossyLong(topic, encoding, hz, rate, last, lost, intervals) => {
+                (topic, encoding, hz, rate, last, lost, Some(intervals))
             }
-            Row::Short(topic, encoding, hz, rate, last) => (topic, encoding, hz, rate, last, None),
+            Row::Long(topic, encoding, hz, rate, last, intervals) => {
+                (topic, encoding, hz, rate, last, 0, Some(intervals))
+            }
+            Row::Lossy(topic, encoding, hz, rate, last, lost) => {
+                (topic, encoding, hz, rate, last, lost, None)
+            }
+            Row::Short(topic, encoding, hz, rate, last) => {
+                (topic, encoding, hz, rate, last, 0, None)
+            }
         };
         Self {
             topic,
@@ -87,6 +101,7 @@ impl From<Row> for TopicReport {
             hz,
             bytes_per_s,
             last_bytes,
+            lost,
             interval_ms,
         }
     }
@@ -100,11 +115,16 @@ impl From<TopicReport> for Row {
             hz,
             bytes_per_s: rate,
             last_bytes: last,
+            lost,
             interval_ms,
         } = report;
-        match interval_ms {
-            Some(intervals) => Self::Long(topic, encoding, hz, rate, last, intervals),
-            None => Self::Short(topic, encoding, hz, rate, last),
+        match (lost, interval_ms) {
+            (0, Some(intervals)) => Self::Long(topic, encoding, hz, rate, last, intervals),
+            (0, None) => Self::Short(topic, encoding, hz, rate, last),
+            (lost, Some(intervals)) => {
+                Self::LossyLong(topic, encoding, hz, rate, last, lost, intervals)
+            }
+            (lost, None) => Self::Lossy(topic, encoding, hz, rate, last, lost),
         }
     }
 }
@@ -124,6 +144,9 @@ struct Counted {
     encoding: String,
     last_bytes: u64,
     last: Option<Instant>,
+    /// The last sequence number of each publisher.
+    sequences: BTreeMap<u16, u32>,
+    lost: u64,
 }
 
 /// The messages within one part of the window.
@@ -148,8 +171,15 @@ impl Counter {
         }
     }
 
-    /// Counts a message.
-    pub fn on_message(&mut self, now: Instant, topic: &str, payload_bytes: usize, encoding: &str) {
+    /// Counts a message. `number` is the number of its publisher and its sequence number, if it has them.
+    pub fn on_message(
+        &mut self,
+        now: Instant,
+        topic: &str,
+        payload_bytes: usize,
+        encoding: &str,
+        numbers: Option<(u16, u32)>,
+    ) {
         let number = self.bucket(now);
         let is_counted = self.topics.contains_key(topic);
         if !is_counted && (self.topics.len() >= MAX_TOPICS || topic.len() > MAX_TOPIC_BYTES) {
@@ -161,6 +191,9 @@ impl Counter {
         }
         if let Some(counted) = self.topics.get_mut(topic) {
             counted.on_message(now, number, payload_bytes as u64, encoding);
+            if let Some((publisher, sequence)) = numbers {
+                counted.on_sequence(publisher, sequence);
+            }
         }
     }
 
@@ -227,6 +260,23 @@ impl Counted {
         }
     }
 
+    /// Counts the messages of a publisher that are missing before this one. One that was overtaken is missing no more.
+    fn on_sequence(&mut self, publisher: u16, sequence: u32) {
+        let Some(last) = self.sequences.get_mut(&publisher) else {
+            if self.sequences.len() < MAX_PUBLISHERS {
+                self.sequences.insert(publisher, sequence);
+            }
+            return;
+        };
+        let ahead = sequence.wrapping_sub(*last);
+        if ahead > u32::MAX / 2 {
+            self.lost = self.lost.saturating_sub(1);
+        } else if ahead > 0 {
+            self.lost += u64::from(ahead - 1);
+            *last = sequence;
+        }
+    }
+
     fn report(&self, topic: &str, now: Instant, window: Duration, oldest: u128) -> TopicReport {
         let buckets = || self.buckets.iter().filter(|bucket| bucket.number >= oldest);
         let messages: u64 = buckets().map(|bucket| bucket.messages).sum();
@@ -254,6 +304,7 @@ impl Counted {
             hz: tenths(hz),
             bytes_per_s: (bytes as f64 / seconds).round() as u64,
             last_bytes: self.last_bytes,
+            lost: self.lost,
             interval_ms: intervals.map(|(min, max)| (tenths_ms(min), tenths_ms(max))),
         }
     }
@@ -278,7 +329,7 @@ mod tests {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for at in (100..=ms).step_by(100) {
-            counter.on_message(start + at * MS, "arm/angle", 24, "application/json");
+            counter.on_message(start + at * MS, "arm/angle", 24, "application/json", None);
         }
         (counter, start + ms * MS)
     }
@@ -313,7 +364,7 @@ mod tests {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for second in 1..=4 {
-            counter.on_message(start + second * 1000 * MS, "slow", 1, "");
+            counter.on_message(start + second * 1000 * MS, "slow", 1, "", None);
         }
         let hz = |ms: u32| counter.report(start + ms * MS, None).topics[0].hz;
         assert_eq!(hz(4_400), 1.0);
@@ -323,7 +374,7 @@ mod tests {
     #[test]
     fn reports_intervals_only_for_a_selected_topic() {
         let (mut counter, now) = counted(2_000);
-        counter.on_message(now + 250 * MS, "arm/angle", 24, "application/json");
+        counter.on_message(now + 250 * MS, "arm/angle", 24, "application/json", None);
         let report = counter.report(now + 300 * MS, Some("arm/angle"));
         assert_eq!(report.topics[0].interval_ms, Some((100.0, 250.0)));
         let all = counter.report(now + 300 * MS, None);
@@ -332,15 +383,40 @@ mod tests {
     }
 
     #[test]
+    fn counts_messages_that_did_not_arrive_for_each_publisher() {
+        let start = Instant::now();
+        let mut counter = Counter::new(start);
+        for (publisher, sequence) in [(1, 7), (2, u32::MAX), (1, 8), (1, 11), (2, 1), (1, 10)] {
+            let numbers = Some((publisher, sequence));
+            counter.on_message(start + MS, "pose", 1, "", numbers);
+        }
+        let report = counter.report(start + MS, None);
+        assert_eq!(report.topics[0].lost, 2, "9 of the first, 0 of the second");
+        let json = serde_json::to_string(&report).expect("JSON");
+        let back: Topics = serde_json::from_str(&json).expect("valid JSON");
+        assert_eq!(back, report);
+        let one = counter.report(start + MS, Some("pose"));
+        let json = serde_json::to_string(&one).expect("JSON");
+        let back: Topics = serde_json::from_str(&json).expect("valid JSON");
+        assert_eq!(back, one);
+    }
+
+    #[test]
     fn memory_is_bounded() {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for n in 0..2 * MAX_TOPICS {
-            counter.on_message(start + MS, &format!("t{n}"), 1, &"e".repeat(1000));
+            counter.on_message(start + MS, &format!("t{n}"), 1, &"e".repeat(1000), None);
         }
-        counter.on_message(start + MS, &"x".repeat(MAX_TOPIC_BYTES + 1), 1, "");
+        counter.on_message(start + MS, &"x".repeat(MAX_TOPIC_BYTES + 1), 1, "", None);
         for second in 0..1000 {
-            counter.on_message(start + 1000 * second * MS, "t0", 1, &"\u{e4}".repeat(1000));
+            counter.on_message(
+                start + 1000 * second * MS,
+                "t0",
+                1,
+                &"\u{e4}".repeat(1000),
+                None,
+            );
         }
         let report = counter.report(start + 2 * MS, None);
         assert_eq!(report.topics.len(), MAX_TOPICS);
@@ -360,7 +436,13 @@ mod tests {
         let start = Instant::now();
         let mut counter = Counter::new(start);
         for n in 0..10 {
-            counter.on_message(start + MS, &format!("sensor/{n}"), 24, "application/json");
+            counter.on_message(
+                start + MS,
+                &format!("sensor/{n}"),
+                24,
+                "application/json",
+                None,
+            );
         }
         let report = counter.report(start + 2000 * MS, None);
         let json = serde_json::to_string(&report).expect("JSON");
@@ -370,7 +452,7 @@ mod tests {
             serde_json::from_str::<Topics>(&json).expect("valid JSON")
         };
         assert_eq!(back(&report), report);
-        counter.on_message(start + 1000 * MS, "sensor/1", 24, "application/json");
+        counter.on_message(start + 1000 * MS, "sensor/1", 24, "application/json", None);
         let one = counter.report(start + 2000 * MS, Some("sensor/1"));
         assert!(one.topics[0].interval_ms.is_some());
         assert_eq!(back(&one), one);

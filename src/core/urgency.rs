@@ -38,6 +38,16 @@ pub struct Qos {
     pub droppable: bool,
 }
 
+impl Qos {
+    /// The quality of service of a question to a registry and of its answer, which overtake messages that are not urgent: a team
+    /// asks when its robots are busy.
+    pub const REGISTRY: Self = Self {
+        priority: 4,
+        express: false,
+        droppable: false,
+    };
+}
+
 impl Urgency {
     /// Returns the quality of service of a message that must not be dropped.
     pub fn qos(self) -> Qos {

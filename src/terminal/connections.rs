@@ -60,6 +60,9 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
         let last = last.unwrap_or_default();
         table.note(&format!("paths: {}{switches}{last}", paths.join(", ")));
     }
+    if let Some(waiting) = waiting(connection) {
+        table.note(&waiting);
+    }
     if let Some(failure) = &connection.last_error {
         let ago = duration_of_s(failure.ago_s);
         table.note(&format!(
@@ -67,6 +70,20 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
             short_reason(&failure.what)
         ));
     }
+}
+
+/// Describes what waits on a link or was dropped, such as `waiting: Data 3.1 kB (210 ms), 2 batches dropped`.
+fn waiting(connection: &Connection) -> Option<String> {
+    let lanes = connection.lanes.iter().flatten();
+    let waits = lanes.filter(|lane| lane.waiting_bytes > 0).map(|lane| {
+        let delay = lane.delay_ms.map(milliseconds);
+        let delay = delay.map_or_else(String::new, |delay| format!(" ({delay})"));
+        format!("{} {}{delay}", lane.priority, bytes(lane.waiting_bytes))
+    });
+    let dropped = connection.dropped_batches().filter(|&count| count > 0);
+    let dropped = dropped.map(|count| format!("{count} batches dropped"));
+    let parts: Vec<_> = waits.chain(dropped).collect();
+    (!parts.is_empty()).then(|| format!("waiting: {}", parts.join(", ")))
 }
 
 /// Describes the last switch, such as `, 12s ago from tcp to ble (silent for 120 ms)`.

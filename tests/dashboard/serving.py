@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
-from playwright.sync_api import Browser, Playwright
+from playwright.sync_api import Browser, Page, Playwright
 from robots import free_port
 
 
@@ -27,6 +30,28 @@ def dashboard(endpoint: str, *options: str) -> Iterator[tuple[str, int]]:
             raise AssertionError(f"the dashboard has ended: {command}")
         finally:
             process.terminate()
+
+
+def list_topics(page: Page, count: int) -> None:
+    """Makes a page list as many topics, instead of those that the routers count."""
+    figures = {"robot": "wombat-2", "encoding": "application/json", "hz": 10.0, "bytes_per_s": 100, "last_bytes": 10}
+    rows = [{**figures, "topic": f"sensor/{number}", "lost": 0} for number in range(count)]
+    state = json.dumps({"type": "topics", "topics": rows, "more": 0, "problem": None})
+
+    def serve(route: Any) -> None:
+        server = route.connect_to_server()
+
+        def pass_on(message: bytes) -> None:
+            if b'"type":"topics"' in message:
+                message = b"\x01" + state.encode()
+            route.send(message)
+            # The page takes messages now.
+            if b'"type":"hello"' in message:
+                route.send(b"\x01" + state.encode())
+
+        server.on_message(pass_on)
+
+    page.route_web_socket(re.compile("/socket$"), serve)
 
 
 def launched(playwright: Playwright) -> Browser:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 import re
 import signal
@@ -61,6 +60,33 @@ def test_robots_and_their_links_are_shown(page: Page, dashboard: str) -> None:
     expect(own).to_contain_text("ble")
     links = ROBOTS * (ROBOTS - 1) // 2
     expect(page.get_by_role("img", name=f"{ROBOTS} robots, {links} links")).to_be_visible()
+    linked = own.get_by_role("row", name=re.compile("wombat-2"))
+    # How long an urgent message takes, what waits, and what was lost.
+    expect(linked.get_by_role("cell").nth(4)).to_have_text(re.compile(r"^\d.* ms$"))
+    expect(linked.get_by_role("cell").nth(7)).to_have_text(re.compile(r"\d k?B"))
+    expect(linked.get_by_role("cell").nth(8)).to_have_text("0 dropped")
+
+
+def test_bytes_that_wait_are_shown(page: Page, fleet: Fleet, dashboard: str) -> None:
+    with fleet.program(0) as robot, fleet.program(1) as other, other.subscribe("wombat-1/large"):
+        large = robot.publisher("large", urgency="bulk")
+        large.wait_for_subscriber(30)
+        page.goto(dashboard)
+        own = page.get_by_role("region", name="wombat-1", exact=True)
+        waiting = own.get_by_role("row", name=re.compile("wombat-2")).get_by_role("cell").nth(7)
+        expect(waiting).to_have_text("0 B")
+        large.publish(bytes(400_000))
+        expect(waiting).to_have_text(re.compile(r"Background \d+ kB"))
+
+
+def test_a_robot_is_checked(page: Page, dashboard: str) -> None:
+    page.goto(dashboard)
+    page.get_by_role("button", name="Check wombat-2").click()
+    other = page.get_by_role("region", name="wombat-2", exact=True)
+    expect(other).to_contain_text("kernel: Linux")
+    # The advice on what is wrong on a computer without Bluetooth.
+    expect(other).to_contain_text("adapter")
+    expect(other).to_contain_text("→")
 
 
 def test_cut_and_restored_radio_is_shown(page: Page, fleet: Fleet, dashboard: str) -> None:
@@ -89,6 +115,11 @@ def test_topics_are_listed_shown_and_plotted(page: Page, fleet: Fleet, dashboard
         expect(line).to_contain_text("Hz")
         line.click()
         expect(page.locator(".tree")).to_contain_text("x: 1.5")
+        # The part that was chosen by keyboard stays so while values arrive.
+        part = page.locator(".tree summary").last
+        part.focus()
+        expect(page.locator(".tree")).not_to_have_text(page.locator(".tree").inner_text())
+        expect(part).to_be_focused()
         expect(page.locator(".plot canvas")).to_be_visible()
         for series in ("angle", "at.x"):
             expect(page.get_by_role("group", name="Series").get_by_label(series)).to_be_checked()
@@ -268,23 +299,7 @@ def test_first_data_arrives_within_seconds_and_the_page_is_small(page: Page, fle
 
 
 def test_thousand_topics_are_listed_without_as_many_elements(page: Page, dashboard: str) -> None:
-    figures = {"robot": "wombat-2", "encoding": "application/json", "hz": 10.0, "bytes_per_s": 100, "last_bytes": 10}
-    rows = [{**figures, "topic": f"sensor/{number}"} for number in range(1000)]
-    state = json.dumps({"type": "topics", "topics": rows, "more": 0, "problem": None})
-
-    def serve(route: Any) -> None:
-        server = route.connect_to_server()
-
-        def pass_on(message: bytes) -> None:
-            if b'"type":"topics"' not in message:
-                route.send(message)
-            # The page takes messages now.
-            if b'"type":"hello"' in message:
-                route.send(b"\x01" + state.encode())
-
-        server.on_message(pass_on)
-
-    page.route_web_socket(re.compile("/socket$"), serve)
+    serving.list_topics(page, 1000)
     page.goto(f"{dashboard}/#topics")
     expect(page.get_by_text("1000 of 1000")).to_be_visible()
     lines = page.locator(".lines li")

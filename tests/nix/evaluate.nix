@@ -48,6 +48,11 @@ let
     {
       failed = map (assertion: assertion.message) (lib.filter (assertion: !assertion.assertion) configuration.assertions);
       start = lib.last service.serviceConfig.ExecStart;
+      dashboard =
+        if configuration.systemd.services ? rect-dashboard then
+          lib.last configuration.systemd.services.rect-dashboard.serviceConfig.ExecStart
+        else
+          null;
       conditions = service.unitConfig.ConditionPathExists;
       bluetooth = configuration.hardware.bluetooth.settings or null;
       firewall = configuration.networking.firewall.allowedTCPPorts or null;
@@ -87,6 +92,10 @@ in
       listen = [ "tcp/0.0.0.0:7448" ];
       openFirewall = true;
       configureBluetooth = false;
+      dashboard = [
+        "--stop"
+        "stop"
+      ];
     };
     own_file = enabled { configFile = "/etc/rect/robot.json5"; };
     with_secret = enabled {

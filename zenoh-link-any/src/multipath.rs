@@ -29,6 +29,8 @@ use crate::{
     path::{Medium, Path},
 };
 
+pub use crate::out_lane::LaneReport;
+
 pub use self::{
     options::{Bounds, Options},
     outcome::{Change, End, PathReport, Switch, SwitchReason, Violation},
@@ -461,6 +463,14 @@ impl Multipath {
     /// Returns the batches sent and received.
     pub fn traffic(&self) -> (Count, Count) {
         (self.sent, self.received)
+    }
+
+    /// Returns the lanes that were used, the most urgent first.
+    pub fn lanes(&self) -> Vec<(Lane, LaneReport)> {
+        let lanes = Lane::all().map(|lane| (lane, self.out[lane.index()].report()));
+        lanes
+            .filter_map(|(lane, report)| Some((lane, report?)))
+            .collect()
     }
 
     /// Returns the number of bytes that arrived a second time.

@@ -1,12 +1,28 @@
 //! The sending side of a lane: a stream of batches, kept until the peer has acknowledged them.
-use std::{collections::VecDeque, ops::Range, time::Instant};
+use std::{
+    collections::VecDeque,
+    ops::Range,
+    time::{Duration, Instant},
+};
 
 use zenoh_link_ble::protocol::lanes::{
     backlog::{Backlog, Limits, Queued},
     batch_kind::BatchKind,
+    report::MeanTime,
 };
 
 use crate::{batch_length, ranges::Ranges};
+
+/// The sending side of a lane.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LaneReport {
+    /// Bytes that no path has carried yet.
+    pub waiting_bytes: u64,
+    /// Moving average of the time from the queueing of a batch to its acknowledgement; `None` until it was measured.
+    pub delay: Option<Duration>,
+    /// Number of batches that were withdrawn because Zenoh abandoned their message.
+    pub abandoned_batches: u64,
+}
 
 /// A batch whose bytes are not all acknowledged.
 #[derive(Debug)]
@@ -20,6 +36,8 @@ struct Batch {
     counts: bool,
     /// Whether every live path carries it.
     is_copied: bool,
+    /// When it was queued.
+    since: Instant,
 }
 
 impl Batch {
@@ -63,6 +81,11 @@ pub(crate) struct OutLane {
     lost: Ranges,
     /// Whether the peer has stopped the lane.
     pub(crate) is_stopped: bool,
+    /// How long it took until the batches were acknowledged.
+    delay: MeanTime,
+    /// The number of batches that were withdrawn.
+    abandoned: u64,
+    is_used: bool,
 }
 
 impl OutLane {
@@ -86,8 +109,10 @@ impl OutLane {
             kind,
             counts: false,
             is_copied,
+            since: now,
             bytes,
         };
+        self.is_used = true;
         self.end = batch.end();
         self.memory += batch.memory();
         self.backlog.queue(&mut self.batches, batch, now);
@@ -96,12 +121,14 @@ impl OutLane {
     /// Withdraws the fragments of the last message that no path has carried yet.
     pub(crate) fn abandon_message(&mut self) {
         let (end, memory, next) = (&mut self.end, &mut self.memory, self.next);
+        let abandoned = &mut self.abandoned;
         self.backlog.abandon(
             &mut self.batches,
             |batch| batch.start >= next,
             |batch| {
                 *end = batch.start;
                 *memory -= batch.memory();
+                *abandoned += 1;
             },
         );
     }
@@ -114,6 +141,15 @@ impl OutLane {
     /// Returns the number of bytes that no path has carried yet.
     pub(crate) fn unsent_bytes(&self) -> usize {
         (self.end - self.next) as usize
+    }
+
+    /// Returns the state of the lane; `None` if it was never used.
+    pub(crate) fn report(&self) -> Option<LaneReport> {
+        self.is_used.then(|| LaneReport {
+            waiting_bytes: self.unsent_bytes() as u64,
+            delay: self.delay.get(),
+            abandoned_batches: self.abandoned,
+        })
     }
 
     /// Returns whether all was acknowledged.
@@ -172,6 +208,7 @@ impl OutLane {
                 break;
             }
             self.memory -= first.memory();
+            self.delay.add(now.saturating_duration_since(first.since));
             if first.counts {
                 self.backlog.on_sent(first.bytes.len(), now);
             }

@@ -21,7 +21,7 @@ use zenoh_link_ble::protocol::{
 use crate::{
     error::AnyError,
     frame::{self, Frame},
-    multipath::{Change, Multipath, Options, PathId, PathReport, Switch, Violation},
+    multipath::{Change, LaneReport, Multipath, Options, PathId, PathReport, Switch, Violation},
     observers, offer,
     path::{Medium, PathState},
     proof::{Proof, Role},
@@ -223,6 +223,11 @@ impl Shared {
     /// Returns the batches sent and received.
     pub(crate) fn traffic(&self) -> (Count, Count) {
         self.state.lock().multipath.traffic()
+    }
+
+    /// Returns the lanes that were used, the most urgent first.
+    pub(crate) fn lanes(&self) -> Vec<(Lane, LaneReport)> {
+        self.state.lock().multipath.lanes()
     }
 
     /// Returns how often the path that carries the bulk was replaced, and the last time.

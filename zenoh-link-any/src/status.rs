@@ -1,11 +1,12 @@
 //! Reports the state of all `any` links of the process.
 use std::time::Duration;
 
-use zenoh_link_ble::status::Count;
+use zenoh_link_ble::{protocol::lanes::Lane, status::Count};
+use zenoh_protocol::core::Priority;
 
 use crate::{
     hub::Hub,
-    multipath::{PathReport, Switch},
+    multipath::{LaneReport, PathReport, Switch},
 };
 
 /// The state of a link.
@@ -21,6 +22,8 @@ pub struct LinkStatus {
     pub is_encrypted: bool,
     /// Its paths.
     pub paths: Vec<PathReport>,
+    /// The lanes that were used, the most urgent first, by Zenoh's priority.
+    pub lanes: Vec<(Priority, LaneReport)>,
     /// The batches sent.
     pub sent: Count,
     /// The batches received.
@@ -47,6 +50,7 @@ pub fn links() -> Vec<LinkStatus> {
                 up: link.since.elapsed(),
                 is_encrypted: link.proof.is_some(),
                 paths: link.paths(),
+                lanes: by_priority(link.lanes()),
                 sent,
                 received,
                 switches,
@@ -54,4 +58,12 @@ pub fn links() -> Vec<LinkStatus> {
             }
         })
         .collect()
+}
+
+fn by_priority(lanes: Vec<(Lane, LaneReport)>) -> Vec<(Priority, LaneReport)> {
+    let known = |(lane, report): (Lane, LaneReport)| {
+        let priority = Priority::try_from(lane.number()).ok()?;
+        Some((priority, report))
+    };
+    lanes.into_iter().filter_map(known).collect()
 }

@@ -70,6 +70,12 @@ struct Connection {
     std::optional<double> last_switch_gap_ms;
     /// Time since that change, in seconds.
     std::optional<double> last_switch_ago_s;
+    /// Number of bytes that wait to be sent, for the methods `any` and `ble`.
+    std::optional<std::uint64_t> waiting_bytes;
+    /// Time until the peer has acknowledged an urgent message, in milliseconds, for these methods.
+    std::optional<double> urgent_delay_ms;
+    /// Number of batches that were not sent because Zenoh dropped their message, for these methods.
+    std::optional<std::uint64_t> dropped_batches;
     /// Number of bytes sent.
     std::optional<std::uint64_t> sent_bytes;
     /// Number of bytes received.
@@ -100,6 +106,9 @@ struct Connection {
           last_switch_reason(detail::view(raw.last_switch_reason)),
           last_switch_gap_ms(detail::value_if_known(raw.last_switch_gap_ms)),
           last_switch_ago_s(detail::value_if_known(raw.last_switch_ago_s)),
+          waiting_bytes(detail::value_if_known(raw.waiting_bytes)),
+          urgent_delay_ms(detail::value_if_known(raw.urgent_delay_ms)),
+          dropped_batches(detail::value_if_known(raw.dropped_batches)),
           sent_bytes(detail::value_if_known(raw.sent_bytes)),
           received_bytes(detail::value_if_known(raw.received_bytes)),
           linked(detail::value_if_known(raw.linked)),

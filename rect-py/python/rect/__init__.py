@@ -40,7 +40,7 @@ from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.publisher import Publisher
 from rect.recording import RecordedEvent, RecordedMessage, Recorder, Recording
-from rect.registry import Connection, Connections, LinkPath, Peer
+from rect.registry import Connection, Connections, LinkLane, LinkPath, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
@@ -67,6 +67,7 @@ __all__ = [
     "Frame",
     "InvalidNameError",
     "InvalidTopicError",
+    "LinkLane",
     "LinkPath",
     "LoginRefused",
     "LossyFormat",

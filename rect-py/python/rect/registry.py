@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rect import _rect
 from rect.choices import ConnectionState
@@ -15,6 +15,9 @@ from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
+
+#: A part of a connection.
+_Part = TypeVar("_Part", "LinkPath", "LinkLane")
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,21 @@ class LinkPath:
     sent_bytes: int
     #: Those of them that another path had carried before.
     resent_bytes: int
+
+
+@dataclass(frozen=True)
+class LinkLane:
+    """The sending side of a link for one of Zenoh's priorities."""
+
+    #: Zenoh's priority, such as `Data`.
+    priority: str
+    #: Bytes that wait to be sent.
+    waiting_bytes: int
+    #: Mean time until the peer has acknowledged a batch, in milliseconds, with the time for which it has waited. `None`
+    #: if it was not measured.
+    delay_ms: float | None
+    #: Batches that were withdrawn, because Zenoh dropped their message while a part of it waited.
+    dropped_batches: int
 
 
 @dataclass(frozen=True)
@@ -81,6 +99,8 @@ class Connection:
     switches: int | None = None
     #: The last time it was: `{"previous": ..., "path": ..., "reason": ..., "gap_ms": ..., "ago_s": ...}`.
     last_switch: dict[str, Any] | None = None
+    #: Lanes of the link that were used, the most urgent first, if its method is `any` or `ble`.
+    lanes: list[LinkLane] | None = None
     #: Number of times that the link was opened. `None` if it is not counted.
     linked: int | None = None
     #: Number of failed attempts since the link was last opened. `None` if they are not counted.
@@ -159,19 +179,20 @@ def connections(session: Session, robot: str, filter: str) -> Connections:
 def _connection(row: Any) -> Connection:
     try:
         values = {field.name: row.get(field.name) for field in fields(Connection)}
-        peer, paths = values.pop("peer"), values.pop("paths")
+        peer, paths, lanes = values.pop("peer"), values.pop("paths"), values.pop("lanes")
         return Connection(
             **values,
             peer=None if peer is None else Peer(peer["id"], peer.get("robot")),
-            paths=None if paths is None else [_path(path) for path in paths],
+            paths=None if paths is None else [_fields_of(LinkPath, path) for path in paths],
+            lanes=None if lanes is None else [_fields_of(LinkLane, lane) for lane in lanes],
         )
     except (AttributeError, KeyError, TypeError) as error:
         text = f"the payload is not a list of connections in JSON: {error!r}"
         raise PayloadError(text, "read") from None
 
 
-def _path(row: Any) -> LinkPath:
-    return LinkPath(**{field.name: row[field.name] for field in fields(LinkPath)})
+def _fields_of(kind: type[_Part], row: Any) -> _Part:
+    return kind(**{field.name: row[field.name] for field in fields(kind)})
 
 
 def _cell(value: object) -> str:

@@ -1,11 +1,7 @@
 //! Implements `rect-router doctor`: finds problems that keep this computer from reaching other robots, and gives advice on
 //! each.
-mod encryption;
 mod login;
-mod names;
 mod network;
-mod radio;
-mod system;
 
 use std::{path::Path, process::ExitCode};
 
@@ -13,63 +9,12 @@ use rect::{
     core::display::line,
     terminal::{self, paint, Style},
 };
-use serde::Serialize;
-use serde_json::Value;
-use zenoh_link::any::locator;
 
 use super::Failure;
-use crate::args::DoctorArgs;
-
-/// The result of one check.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    /// Subject of the check.
-    pub about: &'static str,
-    /// Result of the check.
-    pub verdict: Verdict,
-    /// Description of the result.
-    pub what: String,
-    /// Advice, if there is a problem that the user can solve.
-    pub advice: Option<String>,
-}
-
-/// The verdict of a check.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Verdict {
-    /// There is no problem.
-    Good,
-    /// It works, but could be improved.
-    Poor,
-    /// It does not work.
-    Wrong,
-}
-
-impl Finding {
-    fn good(about: &'static str, what: impl Into<String>) -> Self {
-        Self {
-            about,
-            verdict: Verdict::Good,
-            what: what.into(),
-            advice: None,
-        }
-    }
-
-    fn poor(about: &'static str, what: impl Into<String>, advice: impl Into<String>) -> Self {
-        Self {
-            verdict: Verdict::Poor,
-            advice: Some(advice.into()),
-            ..Self::good(about, what)
-        }
-    }
-
-    fn wrong(about: &'static str, what: impl Into<String>, advice: impl Into<String>) -> Self {
-        Self {
-            verdict: Verdict::Wrong,
-            ..Self::poor(about, what, advice)
-        }
-    }
-}
+use crate::{
+    args::DoctorArgs,
+    doctor::{system, Verdict},
+};
 
 /// Width of the text before a finding and before advice, in columns.
 const MARK_WIDTH: usize = 7;
@@ -91,18 +36,6 @@ fn show(mark: &str, text: &str) {
             rect::outln!("{:indent$}{text}", "");
         }
     }
-}
-
-/// Returns whether a connection uses Bluetooth.
-fn has_radio(connection: &Value) -> bool {
-    (connection["method"].as_str()).is_some_and(locator::has_radio)
-}
-
-/// Returns the name of the robot or program at the other end of a connection, or else its address.
-fn peer(connection: &Value) -> &str {
-    let mut paths = ["/peer/robot", "/address"].iter();
-    let peer = paths.find_map(|path| connection.pointer(path)?.as_str());
-    peer.unwrap_or("a robot")
 }
 
 /// Runs all checks and prints their findings. The exit status is 1 if something does not work.

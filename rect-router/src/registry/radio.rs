@@ -1,5 +1,5 @@
 //! Collects the links over Bluetooth, those over several paths, and the discovered robots for the registry.
-use rect::core::connection::{LinkPath, PathSwitch};
+use rect::core::connection::{LinkLane, LinkPath, PathSwitch};
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link::{
@@ -8,7 +8,7 @@ use zenoh_link::{
         status::{self as any, LinkStatus as AnyStatus},
         ANY_LOCATOR_PREFIX as ANY,
     },
-    ble::status::{nodes, DiscoveredStatus, LinkStatus},
+    ble::status::{nodes, DiscoveredStatus, LanesStatus, LinkStatus},
 };
 
 use super::LinkTraffic;
@@ -72,6 +72,14 @@ impl Radio {
         paths::last_switch_of(self.any(link)?)
     }
 
+    /// Returns the lanes of a link.
+    pub fn lanes(&self, link: &Link) -> Option<Vec<LinkLane>> {
+        match self.any(link) {
+            Some(any) => Some(paths::lanes_of(any)),
+            None => self.link(link)?.lanes.as_ref().map(lanes_of_radio),
+        }
+    }
+
     /// Returns whether a link is encrypted; `None` if it is of another kind.
     pub fn is_encrypted(&self, link: &Link) -> Option<bool> {
         match self.any(link) {
@@ -123,4 +131,14 @@ impl Radio {
         };
         self.discovered.iter().find(is_peer)?.rssi_dbm
     }
+}
+
+fn lanes_of_radio(status: &LanesStatus) -> Vec<LinkLane> {
+    let lanes = status.lanes.iter().map(|lane| LinkLane {
+        priority: lane.priority.clone(),
+        waiting_bytes: lane.waiting.bytes,
+        delay_ms: lane.delay_ms,
+        dropped_batches: lane.abandoned,
+    });
+    lanes.collect()
 }

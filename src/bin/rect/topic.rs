@@ -226,7 +226,7 @@ pub async fn query(
 }
 
 fn list(answers: &[(String, Topics)]) {
-    let mut table = Table::new(&["TOPIC", "RATE", "?BYTES/S", "?LAST", "?ENCODING"]);
+    let mut table = Table::new(&["TOPIC", "RATE", "?BYTES/S", "?LAST", "?LOST", "?ENCODING"]);
     let mut more = 0;
     for (robot, topics) in answers {
         more += topics.more;
@@ -236,6 +236,7 @@ fn list(answers: &[(String, Topics)]) {
                 format!("{:.1} Hz", report.hz).into(),
                 bytes(report.bytes_per_s).into(),
                 bytes(report.last_bytes).into(),
+                (report.lost > 0).then(|| report.lost.to_string()).into(),
                 report.encoding.as_str().into(),
             ]);
         }
@@ -294,6 +295,7 @@ fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
     rect::outln!("rate:     {}", rate(report, topics.window_s));
     rect::outln!("encoding: {}", line(&report.encoding));
     rect::outln!("last:     {}", bytes(report.last_bytes));
+    rect::outln!("lost:     {}", report.lost);
 }
 
 fn as_json(topics: &Topics) -> serde_json::Value {
@@ -312,6 +314,7 @@ fn report_as_json(report: &TopicReport) -> serde_json::Value {
         "hz": report.hz,
         "bytes_per_s": report.bytes_per_s,
         "last_bytes": report.last_bytes,
+        "lost": report.lost,
         "interval_ms": report.interval_ms,
     })
 }

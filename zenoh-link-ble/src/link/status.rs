@@ -79,6 +79,9 @@ pub struct LaneStatus {
     pub backlog_bytes: u64,
     /// How long the oldest waiting batch has waited, in milliseconds; `None` if none waits.
     pub oldest_ms: Option<f64>,
+    /// Moving average of the time from the queueing of a batch to its acknowledgement, in milliseconds; `None` until it was
+    /// measured.
+    pub delay_ms: Option<f64>,
     /// Number of batches that were withdrawn because Zenoh abandoned their message.
     pub abandoned: u64,
     /// Whether the peer has stopped the lane.
@@ -108,6 +111,7 @@ impl LanesStatus {
                 waiting: out.waiting,
                 backlog_bytes: out.backlog_bytes,
                 oldest_ms: out.oldest.map(milliseconds),
+                delay_ms: out.delay.map(milliseconds),
                 abandoned: out.abandoned_sdus,
                 is_stopped: out.is_stopped,
                 received: into.received,

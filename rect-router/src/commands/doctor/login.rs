@@ -3,8 +3,10 @@ use std::{io::ErrorKind, path::Path};
 
 use rect::core::login::logins;
 
-use super::Finding;
-use crate::config::{read_login_file, ExposedLogins};
+use crate::{
+    config::{read_login_file, ExposedLogins},
+    doctor::Finding,
+};
 
 const ABOUT: &str = "login";
 
@@ -48,7 +50,8 @@ mod tests {
 
     use nix::{sys::stat::Mode, unistd::mkfifo};
 
-    use super::{super::Verdict, *};
+    use super::*;
+    use crate::doctor::Verdict;
 
     fn verdicts(text: &str, mode: u32) -> Vec<(Verdict, String)> {
         let folder = tempfile::tempdir().expect("a folder");

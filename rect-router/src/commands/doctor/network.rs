@@ -5,11 +5,12 @@ use serde_json::Value;
 use std::{collections::BTreeSet, time::Duration};
 use zenoh::{Session, Wait};
 
-use super::{encryption, login, names, radio, Finding};
+use super::login;
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
     connections::file::{self, Limits},
+    doctor::{encryption, names, radio, Finding},
     registry::now_s,
 };
 

@@ -1,4 +1,4 @@
-//! Executes the commands of the page that are answered: publish, request, connections, stop and record.
+//! Executes the commands of the page that are answered: publish, request, connections, check, stop and record.
 use std::time::{Duration, Instant};
 
 use rect::{recording::view, Name, NamedConnection, Topic};
@@ -28,6 +28,7 @@ pub fn id_of(command: &Command) -> u32 {
         | Command::Request { id, .. }
         | Command::Connect { id, .. }
         | Command::Disconnect { id, .. }
+        | Command::Check { id, .. }
         | Command::Stop { id }
         | Command::Record { id, .. } => *id,
     }
@@ -39,7 +40,8 @@ pub fn id_of(command: &Command) -> u32 {
 /// Fails with what the user of the page reads.
 pub async fn execute(app: &App, command: Command) -> Answer {
     // A stop is always permitted to those who see the page, because somebody may be in danger.
-    if app.read_only && !matches!(command, Command::Stop { .. }) {
+    let changes_nothing = matches!(command, Command::Stop { .. } | Command::Check { .. });
+    if app.read_only && !changes_nothing {
         return Err("this dashboard only shows: it was started with --read-only".to_owned());
     }
     match command {
@@ -62,6 +64,11 @@ pub async fn execute(app: &App, command: Command) -> Answer {
         Command::Disconnect { robot, name, .. } => {
             let removed = app.robot.remove_connection_of(robot.as_str(), &name);
             removed.await.map(|()| Value::Null).map_err(text)
+        }
+        Command::Check { robot, .. } => {
+            let robot = Name::new(&robot).map_err(text)?;
+            let findings = app.robot.query_registry(robot, "doctor", "");
+            findings.await.map_err(text)
         }
         Command::Stop { .. } => stop(app).await,
         Command::Record { on, .. } => {

@@ -275,6 +275,7 @@ impl Observer {
                 hz: report.hz,
                 bytes_per_s: report.bytes_per_s,
                 last_bytes: report.last_bytes,
+                lost: report.lost,
             })
         });
         let state = State::Topics {

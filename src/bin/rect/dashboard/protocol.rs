@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -89,6 +89,13 @@ pub enum Command {
         robot: String,
         /// The name of the connection.
         name: String,
+    },
+    /// Ask the router of a robot what is wrong with its computer and its links.
+    Check {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
     },
     /// Send an urgent request to the configured service of all robots.
     Stop {
@@ -209,6 +216,8 @@ pub struct TopicRow<'a> {
     pub bytes_per_s: u64,
     /// The size of the last payload in bytes.
     pub last_bytes: u64,
+    /// Messages that did not reach the robot's own router.
+    pub lost: u64,
 }
 
 /// A robot of the fleet, as the page shows it.

@@ -1,7 +1,9 @@
 //! Estimates the rate and the round-trip time of the path to the peer from the times of acknowledgements.
 use std::time::{Duration, Instant};
 
-/// Reciprocal of the weight of one measurement in an estimate.
+use super::report::MeanTime;
+
+/// Reciprocal of the weight of one measurement in the rate.
 const WEIGHT: f64 = 4.0;
 /// The shortest time over which the rate is measured. Acknowledgements arrive in bursts, once per connection event.
 const MIN_SPAN: Duration = Duration::from_millis(200);
@@ -10,7 +12,7 @@ const MIN_SPAN: Duration = Duration::from_millis(200);
 #[derive(Clone, Debug, Default)]
 pub struct Path {
     rate_bytes_per_s: Option<f64>,
-    round_trip: Option<Duration>,
+    round_trip: MeanTime,
     /// Set while there is always something to send.
     busy: Option<Busy>,
 }
@@ -50,8 +52,7 @@ impl Path {
             }
         }
         if let Some(measured) = round_trip {
-            let estimate = self.round_trip.unwrap_or(measured);
-            self.round_trip = Some((estimate.mul_f64(WEIGHT - 1.0) + measured).div_f64(WEIGHT));
+            self.round_trip.add(measured);
         }
     }
 
@@ -62,7 +63,7 @@ impl Path {
 
     /// Returns the moving average of the time from sending an SDU to its acknowledgement; `None` until it was measured.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.round_trip
+        self.round_trip.get()
     }
 }
 

@@ -31,6 +31,26 @@ impl Add for Count {
     }
 }
 
+/// A moving average of times.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeanTime(Option<Duration>);
+
+impl MeanTime {
+    /// Reciprocal of the weight of one measurement.
+    const WEIGHT: u32 = 4;
+
+    /// Adds a measurement.
+    pub fn add(&mut self, measured: Duration) {
+        let mean = self.0.unwrap_or(measured);
+        self.0 = Some((mean * (Self::WEIGHT - 1) + measured) / Self::WEIGHT);
+    }
+
+    /// Returns the average; `None` until it was measured.
+    pub fn get(self) -> Option<Duration> {
+        self.0
+    }
+}
+
 /// The sending side of a lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutLaneReport {
@@ -40,6 +60,8 @@ pub struct OutLaneReport {
     pub waiting: Count,
     /// How long the oldest of them has waited.
     pub oldest: Option<Duration>,
+    /// Moving average of the time from the queueing of a batch to its acknowledgement; `None` until it was measured.
+    pub delay: Option<Duration>,
     /// Number of waiting bytes that count towards the lane's backlog.
     pub backlog_bytes: u64,
     /// Number of SDUs that were withdrawn because Zenoh abandoned their message.

@@ -12,7 +12,7 @@ use super::{
     credits::{cost, Allowance, CreditError},
     flight::Flight,
     path::Path,
-    report::{Count, OutLaneReport},
+    report::{Count, MeanTime, OutLaneReport},
     sdu::{Content, Sealer, HEAD_BYTES},
     Lane, LANES,
 };
@@ -58,6 +58,8 @@ struct OutLane {
     /// The part of the window that the lane leaves to more urgent ones, in bytes.
     reserve: u16,
     sent: Count,
+    /// How long the batches have waited to be sent.
+    wait: MeanTime,
     abandoned: u64,
 }
 
@@ -184,6 +186,7 @@ impl Scheduler {
                 is_stopped: false,
                 reserve: step * number as u16,
                 sent: Count::default(),
+                wait: MeanTime::default(),
                 abandoned: 0,
             }),
             signals: VecDeque::new(),
@@ -306,6 +309,7 @@ impl Scheduler {
                 let out = self.lane(lane);
                 if let Some(batch) = out.queue.pop_front() {
                     out.sent.count(batch.sdu.len() - HEAD_BYTES);
+                    out.wait.add(now.saturating_duration_since(batch.since));
                     out.bytes -= batch.bytes();
                     if batch.counts {
                         out.backlog.on_sent(usize::from(batch.cost()), now);
@@ -351,6 +355,7 @@ impl Scheduler {
                 bytes: out.bytes as u64,
             },
             oldest: oldest.map(|since| now.saturating_duration_since(since)),
+            delay: (out.wait.get().zip(self.path.round_trip())).map(|(wait, trip)| wait + trip),
             backlog_bytes: out.backlog.bytes() as u64,
             abandoned_sdus: out.abandoned,
             is_stopped: out.is_stopped,

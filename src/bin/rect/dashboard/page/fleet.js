@@ -4,7 +4,21 @@ import { eachFrame, h, setText, svg, table, updateList } from "./dom.js";
 import { bytes, milliseconds, seconds, visible } from "./format.js";
 import { connectionKey, Rates } from "./rates.js";
 
-const LINKS = ["With", "By", "Signal", "Round trip", "Sent", "Received", "Since", "State"];
+const LINKS = [
+  "With",
+  "By",
+  "Signal",
+  "Round trip",
+  "Urgent",
+  "Sent",
+  "Received",
+  "Waiting",
+  "Lost",
+  "Since",
+  "State",
+];
+/** Zenoh's priorities that are at least as urgent as an urgent message. */
+const URGENT = ["Control", "RealTime", "InteractiveHigh"];
 
 /** Shows the fleet in `parent`, until the returned function is called. */
 export function fleet(link, parent) {
@@ -24,7 +38,7 @@ export function fleet(link, parent) {
       cards,
       robots,
       (robot) => robot.name,
-      () => card(),
+      () => card(link),
       (element, robot) => element.show(robot, own, rates, link.states.time?.at_s),
     );
   });
@@ -42,16 +56,44 @@ function emptyText(link, robots) {
     : "No other robot is in range: is its router running? `rect scan` on this computer shows what its radio receives.";
 }
 
-function card() {
+function card(link) {
   const name = h("h2");
   const state = h("span", { class: "badge" });
   const about = h("p", { class: "about" });
   const problems = h("ul", { class: "problems" });
   const none = h("p", { class: "about" });
   const links = table("Links", LINKS);
-  const element = h("section", { class: "card" }, h("header", {}, name, state), about, problems, none, links.element);
+  const checkButton = h("button", { click: check }, "Check");
+  const findings = h("ul", { class: "findings" });
+  const foot = h("div", { class: "row" }, checkButton);
+  const element = h(
+    "section",
+    { class: "card" },
+    h("header", {}, name, state),
+    about,
+    problems,
+    none,
+    links.element,
+    foot,
+    findings,
+  );
+
+  async function check() {
+    checkButton.disabled = true;
+    try {
+      const found = await link.command("check", { robot: name.textContent });
+      findings.replaceChildren(...found.map(findingItem));
+    } catch (error) {
+      findings.replaceChildren(h("li", { class: "error" }, visible(error.message, 300)));
+    } finally {
+      checkButton.disabled = false;
+    }
+  }
+
   element.show = (robot, own, rates, now) => {
     setText(name, robot.name);
+    checkButton.hidden = !robot.reachable;
+    checkButton.setAttribute("aria-label", `Check ${robot.name}`);
     element.setAttribute("aria-label", robot.name);
     links.element.setAttribute("aria-label", `Links of ${robot.name}`);
     const isOwn = robot.name === own;
@@ -79,6 +121,13 @@ function card() {
   return element;
 }
 
+/** Returns the line of a finding of a robot's router about itself, with its advice. */
+function findingItem({ about, verdict, what, advice }) {
+  const mark = { good: "✓", poor: "△", wrong: "✗" }[verdict] ?? "?";
+  const text = `${mark} ${visible(about, 40)}: ${visible(what, 300)}`;
+  return h("li", { "data-verdict": verdict }, text, advice ? h("p", { class: "about" }, `→ ${visible(advice, 400)}`) : "");
+}
+
 /** Returns whether a connection is to a robot, rather than to a program. */
 function isRobot(connection) {
   return Boolean(connection.peer?.robot) || connection.state === "discovered";
@@ -87,13 +136,17 @@ function isRobot(connection) {
 function row() {
   const cells = LINKS.map(() => h("td"));
   const line = h("tr", {}, cells);
-  const [peer, method, signal, roundTrip, sent, received, since, more] = cells;
+  const [peer, method, signal, roundTrip, urgent, sent, received, waiting, lost, since, more] = cells;
   line.show = (connection, rate) => {
     const isLinked = connection.state === "connected";
     setText(peer, visible(connection.peer?.robot ?? connection.address, 60));
     setText(method, pathText(connection));
     setText(signal, connection.rssi_dbm === null ? "–" : `${bars(connection.rssi_dbm)} ${connection.rssi_dbm} dBm`);
     setText(roundTrip, milliseconds(connection.round_trip_ms));
+    const lanes = connection.lanes ?? [];
+    setText(urgent, milliseconds(urgentDelay(lanes)));
+    setText(waiting, connection.lanes ? waitingText(lanes) : "–");
+    setText(lost, connection.lanes ? lostText(connection) : "–");
     setText(sent, rate ? `${bytes(rate.sent)}/s` : bytes(connection.sent?.bytes));
     setText(received, rate ? `${bytes(rate.received)}/s` : bytes(connection.received?.bytes));
     setText(since, isLinked ? seconds(connection.up_s) : "");
@@ -101,6 +154,25 @@ function row() {
     line.classList.toggle("faint", !isLinked);
   };
   return line;
+}
+
+/** Returns how long an urgent message takes until it is acknowledged, in milliseconds; null if it was not measured. */
+function urgentDelay(lanes) {
+  const measured = lanes.filter((lane) => URGENT.includes(lane.priority) && lane.delay_ms !== null);
+  return measured.at(-1)?.delay_ms ?? null;
+}
+
+/** Returns the bytes that wait on each lane. */
+function waitingText(lanes) {
+  const waits = lanes.filter((lane) => lane.waiting_bytes > 0);
+  return waits.map((lane) => `${visible(lane.priority, 20)} ${bytes(lane.waiting_bytes)}`).join(", ") || bytes(0);
+}
+
+/** Returns how many batches were dropped, and the share that had to be sent again. */
+function lostText({ lanes, paths }) {
+  const dropped = lanes.reduce((sum, lane) => sum + lane.dropped_batches, 0);
+  const resent = (paths ?? []).reduce((sum, path) => sum + path.resent_bytes, 0);
+  return [`${dropped} dropped`, ...(resent > 0 ? [`${bytes(resent)} sent again`] : [])].join(", ");
 }
 
 /** Returns the method, and the path that carries the load if there are several. */

@@ -61,11 +61,12 @@ export function topics(link, parent, notify) {
   function line(row, index) {
     const name = `${row.robot}/${row.topic}`;
     const { hz, bytes_per_s: rate, last_bytes: size, encoding } = row;
+    const lost = row.lost > 0 ? ` · ${row.lost} lost` : "";
     const button = h(
       "button",
       { "data-topic": name, "aria-pressed": String(name === selected), click: () => choose(name) },
       h("span", { class: "name" }, visible(name)),
-      h("span", { class: "figures" }, `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}`),
+      h("span", { class: "figures" }, `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}${lost}`),
     );
     const item = h("li", {}, button);
     item.style.top = `${index * LINE_PX}px`;

@@ -22,7 +22,13 @@ export function valueTree() {
     }
     shown = text;
     const budget = { lines: MAX_LINES };
+    // A part that was chosen by keyboard stays so.
+    const focused = element.contains(document.activeElement) ? document.activeElement.dataset.path : undefined;
     element.replaceChildren(build("", value, "", 0, budget));
+    if (focused !== undefined) {
+      const parts = [...element.querySelectorAll("summary")];
+      parts.find((part) => part.dataset.path === focused)?.focus({ preventScroll: true });
+    }
     if (budget.lines <= 0) {
       element.append(h("p", { class: "about" }, `The first ${MAX_LINES} lines are shown.`));
     }
@@ -37,7 +43,11 @@ export function valueTree() {
     const entries = Object.entries(value);
     const about = Array.isArray(value) ? `${entries.length} items` : `${entries.length} fields`;
     const isOpen = chosen.get(path) ?? (depth < OPEN_DEPTH && entries.length <= 100);
-    const details = h("details", { open: isOpen }, h("summary", {}, label, h("span", { class: "about" }, about)));
+    const details = h(
+      "details",
+      { open: isOpen },
+      h("summary", { "data-path": path }, label, h("span", { class: "about" }, about)),
+    );
     details.addEventListener("toggle", () => {
       if (details.open !== isOpen) {
         chosen.set(path, details.open);

@@ -249,7 +249,7 @@ mod tests {
             ("etc/group", "root:x:0:\nbluetooth:x:112:pi\n"),
             (
                 "etc/bluetooth/main.conf",
-                include_str!("../../../../config/bluetooth.conf"),
+                include_str!("../../../config/bluetooth.conf"),
             ),
         ];
         for (path, text) in healthy.iter().chain(files) {

@@ -45,7 +45,7 @@ pub fn findings(connections: &Value, may_choose: Option<bool>) -> Vec<Finding> {
 }
 
 fn crowd(links: usize, robots: usize) -> Finding {
-    let what = format!("{links} Bluetooth links, {robots} robots of the fleet in range");
+    let what = format!("Bluetooth links: {links}, robots of the fleet in range: {robots}");
     if links > MAX_LINKS {
         return Finding::poor(
             ABOUT,
@@ -106,7 +106,7 @@ mod tests {
         assert_eq!(found.len(), 1);
         assert_eq!(
             found[0].what,
-            "1 Bluetooth links, 2 robots of the fleet in range"
+            "Bluetooth links: 1, robots of the fleet in range: 2"
         );
         assert_eq!(findings(&json!([other]), None), []);
     }
@@ -116,7 +116,7 @@ mod tests {
         let mut link = link(None, -60);
         link["method"] = json!("any");
         let found = findings(&json!([link]), None);
-        assert!(found[0].what.starts_with("1 Bluetooth links"), "{found:?}");
+        assert!(found[0].what.starts_with("Bluetooth links: 1,"), "{found:?}");
     }
 
     #[test]
@@ -136,12 +136,12 @@ mod tests {
         assert!(not_good(json!([link(None, -80)]), None).is_empty());
         let links = |count| Value::from(vec![link(Some("a"), -60); count]);
         assert!(not_good(links(7), None).is_empty());
-        assert!(not_good(links(8), None)[0].starts_with("8 Bluetooth links"));
+        assert!(not_good(links(8), None)[0].starts_with("Bluetooth links: 8,"));
         let robots = |count| {
             let robot = json!({ "name": null, "method": "ble", "state": "discovered" });
             Value::from(vec![robot; count])
         };
         assert!(not_good(robots(100), None).is_empty());
-        assert!(not_good(robots(101), None)[0].contains("101 robots"));
+        assert!(not_good(robots(101), None)[0].ends_with(": 101"));
     }
 }
