@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/debug
 
-.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench fuzz dist router
+.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench soak fuzz dist router
 
 help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -43,6 +43,10 @@ python: ## Install the Python package into .venv, with the router and the rect t
 bench: ## Run the benches, and write their tables to benches/results/ (an hour; BENCH="goodput idle" selects some)
 	@scripts/setup bench
 	@scripts/bench $(BENCH)
+
+soak: ## Run ten robots with traffic and faults for two hours (HOURS=6: for six)
+	@scripts/setup bench
+	@scripts/soak --hours $(or $(HOURS),2)
 
 fuzz: ## Run each fuzz target for 300 s (SECONDS_EACH=60: for 60 s)
 	@scripts/setup test

@@ -51,11 +51,13 @@ class Room:
         arguments: tuple[str, ...] = (),
         kind: type[Robot] = Robot,
         ble_options: str = "",
+        dials: list[Robot] | None = None,
     ) -> Robot:
-        """Starts a robot's router, which dials all earlier robots with `dial_options` in the locator. `ble_options` are
-        those of its listener."""
+        """Starts a robot's router, which dials `dials` (default: all earlier robots) with `dial_options` in the
+        locator. `ble_options` are those of its listener."""
         robot = kind(name, f"sim-{name}", self._folder / f"{name}.log", self._environment, arguments)
-        robot.start([f"{kind.method}/{other.name}{dial_options}" for other in self._robots], ble_options)
+        others = self._robots if dials is None else dials
+        robot.start([f"{kind.method}/{other.name}{dial_options}" for other in others], ble_options)
         self._robots.append(robot)
         return robot
 

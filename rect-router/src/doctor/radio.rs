@@ -116,7 +116,10 @@ mod tests {
         let mut link = link(None, -60);
         link["method"] = json!("any");
         let found = findings(&json!([link]), None);
-        assert!(found[0].what.starts_with("Bluetooth links: 1,"), "{found:?}");
+        assert!(
+            found[0].what.starts_with("Bluetooth links: 1,"),
+            "{found:?}"
+        );
     }
 
     #[test]

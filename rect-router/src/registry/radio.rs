@@ -136,7 +136,7 @@ impl Radio {
 fn lanes_of_radio(status: &LanesStatus) -> Vec<LinkLane> {
     let lanes = status.lanes.iter().map(|lane| LinkLane {
         priority: lane.priority.clone(),
-        waiting_bytes: lane.waiting.bytes,
+        waiting_bytes: lane.unsent_bytes,
         delay_ms: lane.delay_ms,
         dropped_batches: lane.abandoned,
     });

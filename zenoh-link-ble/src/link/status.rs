@@ -75,6 +75,8 @@ pub struct LaneStatus {
     pub sent: Count,
     /// Batches that wait to be sent. Here, `bytes` is the memory that they occupy.
     pub waiting: Count,
+    /// Number of bytes of these batches, without framing.
+    pub unsent_bytes: u64,
     /// Number of waiting bytes that count towards `backlog_limit_bytes`: those of messages that are not large.
     pub backlog_bytes: u64,
     /// How long the oldest waiting batch has waited, in milliseconds; `None` if none waits.
@@ -109,6 +111,7 @@ impl LanesStatus {
                 priority: priority.map_or_else(|_| lane.number().to_string(), |p| format!("{p:?}")),
                 sent: out.sent,
                 waiting: out.waiting,
+                unsent_bytes: out.unsent_bytes,
                 backlog_bytes: out.backlog_bytes,
                 oldest_ms: out.oldest.map(milliseconds),
                 delay_ms: out.delay.map(milliseconds),

@@ -58,6 +58,8 @@ pub struct OutLaneReport {
     pub sent: Count,
     /// Batches that wait to be sent; `bytes` is the memory they occupy.
     pub waiting: Count,
+    /// Number of bytes of these batches, without framing.
+    pub unsent_bytes: u64,
     /// How long the oldest of them has waited.
     pub oldest: Option<Duration>,
     /// Moving average of the time from the queueing of a batch to its acknowledgement; `None` until it was measured.
