@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from playwright.sync_api import Browser, Page, Playwright
 from robots import free_port
@@ -32,26 +29,35 @@ def dashboard(endpoint: str, *options: str) -> Iterator[tuple[str, int]]:
             process.terminate()
 
 
+#: Replaces the list of topics in what the page receives, within the browser.
+LIST_TOPICS = """
+const rows = Array.from({ length: COUNT }, (_, number) => ({
+  robot: "wombat-2", topic: `sensor/${number}`, encoding: "application/json", hz: 10, bytes_per_s: 100, last_bytes: 10,
+  lost: 0,
+}));
+const state = JSON.stringify({ type: "topics", topics: rows, more: 0, problem: null });
+const listed = new Uint8Array([1, ...new TextEncoder().encode(state)]).buffer;
+window.WebSocket = class extends WebSocket {
+  constructor(...where) {
+    super(...where);
+    this.addEventListener("message", (event) => {
+      const head = new TextDecoder().decode(new Uint8Array(event.data, 0, Math.min(40, event.data.byteLength)));
+      const isList = head.includes('"type":"topics"') && event.isTrusted;
+      if (isList) {
+        event.stopImmediatePropagation();
+      }
+      if (isList || head.includes('"type":"hello"')) {
+        queueMicrotask(() => this.dispatchEvent(new MessageEvent("message", { data: listed })));
+      }
+    });
+  }
+};
+"""
+
+
 def list_topics(page: Page, count: int) -> None:
     """Makes a page list as many topics, instead of those that the routers count."""
-    figures = {"robot": "wombat-2", "encoding": "application/json", "hz": 10.0, "bytes_per_s": 100, "last_bytes": 10}
-    rows = [{**figures, "topic": f"sensor/{number}", "lost": 0} for number in range(count)]
-    state = json.dumps({"type": "topics", "topics": rows, "more": 0, "problem": None})
-
-    def serve(route: Any) -> None:
-        server = route.connect_to_server()
-
-        def pass_on(message: bytes) -> None:
-            if b'"type":"topics"' in message:
-                message = b"\x01" + state.encode()
-            route.send(message)
-            # The page takes messages now.
-            if b'"type":"hello"' in message:
-                route.send(b"\x01" + state.encode())
-
-        server.on_message(pass_on)
-
-    page.route_web_socket(re.compile("/socket$"), serve)
+    page.add_init_script(LIST_TOPICS.replace("COUNT", str(count)))
 
 
 def launched(playwright: Playwright) -> Browser:
