@@ -65,13 +65,13 @@ matplotlib.rcParams["svg.hashsalt"] = "rect"
 
 @dataclass
 class Counts:
-    """What was sent, and what became of it."""
+    """The numbers of messages, requests and transfers."""
 
     sent: Counter[str] = field(default_factory=Counter)
     arrived: Counter[str] = field(default_factory=Counter)
-    #: What is missing because of a fault.
+    #: The ones that are missing because of a fault.
     excused: Counter[str] = field(default_factory=Counter)
-    #: What is missing without one.
+    #: The ones that are missing without one.
     lost: Counter[str] = field(default_factory=Counter)
     examples: list[str] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -86,7 +86,7 @@ class Sample:
 
 
 class Calm:
-    """Tells whether the last fault was long enough ago."""
+    """The faults, and whether the last one was long enough ago."""
 
     def __init__(self) -> None:
         self._disturbed_until = 0.0
@@ -320,8 +320,8 @@ def table_of(soak: Soak, hours: float) -> Table:
     table.notes = [
         memory_note(soak.samples),
         f"Faults, one every two minutes: {', '.join(faults)}. All robots reached each other again within "
-        f"{max(soak.recoveries[1:]):.0f} s. What is missing within {RECOVERY_S:.0f} s after that counts as missing in "
-        "a fault.",
+        f"{max(soak.recoveries[1:]):.0f} s. Messages that are missing until {RECOVERY_S:.0f} s after that count as "
+        "missing in a fault.",
         *(f"Lost: {example}." for example in counts.examples[:20]),
     ]
     return table
