@@ -4,19 +4,7 @@ import { eachFrame, h, setText, svg, table, updateList } from "./dom.js";
 import { bytes, milliseconds, seconds, visible } from "./format.js";
 import { connectionKey, Rates } from "./rates.js";
 
-const LINKS = [
-  "With",
-  "By",
-  "Signal",
-  "Round trip",
-  "Urgent",
-  "Sent",
-  "Received",
-  "Waiting",
-  "Lost",
-  "Since",
-  "State",
-];
+const LINKS = ["With", "By", "Signal", "Round trip", "Urgent", "Sent", "Received", "Waiting", "Lost", "Since", "State"];
 /** Zenoh's priorities that are at least as urgent as an urgent message. */
 const URGENT = ["Control", "RealTime", "InteractiveHigh"];
 
@@ -125,7 +113,12 @@ function card(link) {
 function findingItem({ about, verdict, what, advice }) {
   const mark = { good: "✓", poor: "△", wrong: "✗" }[verdict] ?? "?";
   const text = `${mark} ${visible(about, 40)}: ${visible(what, 300)}`;
-  return h("li", { "data-verdict": verdict }, text, advice ? h("p", { class: "about" }, `→ ${visible(advice, 400)}`) : "");
+  return h(
+    "li",
+    { "data-verdict": verdict },
+    text,
+    advice ? h("p", { class: "about" }, `→ ${visible(advice, 400)}`) : "",
+  );
 }
 
 /** Returns whether a connection is to a robot, rather than to a program. */

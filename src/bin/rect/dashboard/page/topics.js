@@ -66,7 +66,11 @@ export function topics(link, parent, notify) {
       "button",
       { "data-topic": name, "aria-pressed": String(name === selected), click: () => choose(name) },
       h("span", { class: "name" }, visible(name)),
-      h("span", { class: "figures" }, `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}${lost}`),
+      h(
+        "span",
+        { class: "figures" },
+        `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}${lost}`,
+      ),
     );
     const item = h("li", {}, button);
     item.style.top = `${index * LINE_PX}px`;
