@@ -226,19 +226,28 @@ pub async fn query(
 }
 
 fn list(answers: &[(String, Topics)]) {
-    let mut table = Table::new(&["TOPIC", "RATE", "?BYTES/S", "?LAST", "?LOST", "?ENCODING"]);
+    let mut columns = vec!["TOPIC", "RATE", "?BYTES/S", "?LAST", "?ENCODING"];
+    let mut reports = answers.iter().flat_map(|(_, topics)| &topics.topics);
+    let has_losses = reports.any(|report| report.lost > 0);
+    if has_losses {
+        columns.push("?LOST");
+    }
+    let mut table = Table::new(&columns);
     let mut more = 0;
     for (robot, topics) in answers {
         more += topics.more;
         for report in &topics.topics {
-            table.row(vec![
+            let mut cells = vec![
                 Cell::styled(Style::Name, format!("{robot}/{}", report.topic)),
                 format!("{:.1} Hz", report.hz).into(),
                 bytes(report.bytes_per_s).into(),
                 bytes(report.last_bytes).into(),
-                (report.lost > 0).then(|| report.lost.to_string()).into(),
                 report.encoding.as_str().into(),
-            ]);
+            ];
+            if has_losses {
+                cells.push(report.lost.to_string().into());
+            }
+            table.row(cells);
         }
     }
     table.print();
