@@ -68,11 +68,11 @@ pub fn paths_of(link: &LinkStatus) -> Vec<LinkPath> {
 
 /// Describes the lanes of a link.
 pub fn lanes_of(link: &LinkStatus) -> Vec<LinkLane> {
-    let lanes = link.lanes.iter().map(|(priority, lane)| LinkLane {
-        priority: format!("{priority:?}"),
-        waiting_bytes: lane.waiting_bytes,
-        delay_ms: lane.delay.map(|delay| delay.as_secs_f64() * 1000.0),
-        dropped_batches: lane.abandoned_batches,
+    let lanes = link.lanes.iter().map(|(lane, report)| LinkLane {
+        priority: lane.priority(),
+        waiting_bytes: report.waiting_bytes,
+        delay_ms: report.delay.map(|delay| delay.as_secs_f64() * 1000.0),
+        dropped_batches: report.abandoned_batches,
     });
     lanes.collect()
 }

@@ -99,9 +99,7 @@ impl Connection {
             last_error: None,
         }
     }
-}
 
-impl Connection {
     /// Returns how many bytes wait to be sent, if it is known.
     pub fn waiting_bytes(&self) -> Option<u64> {
         let lanes = self.lanes.as_ref()?;

@@ -82,6 +82,13 @@ mod tests {
     ];
     const OTHER: &[u8] = &[0, 0, 0, 1, 0x61, 1];
 
+    fn videos_of_base() -> KeyFrames {
+        KeyFrames::new(KeySpace {
+            fleet: Name::new("rect").expect("a fleet"),
+            robot: Name::new("base").expect("a name"),
+        })
+    }
+
     fn frame(topic: &str, bytes: &'static [u8]) -> Message {
         Message {
             sender: Name::new("wombat-1").expect("a name"),
@@ -103,11 +110,7 @@ mod tests {
 
     #[test]
     fn asks_at_the_beginning_and_when_a_file_has_none() {
-        let place = KeySpace {
-            fleet: Name::new("rect").expect("a fleet"),
-            robot: Name::new("base").expect("a name"),
-        };
-        let mut videos = KeyFrames::new(place);
+        let mut videos = videos_of_base();
         let start = Instant::now();
         let mut asks = |topic, bytes, seconds| {
             let message = frame(topic, bytes);
@@ -130,11 +133,7 @@ mod tests {
 
     #[test]
     fn ignores_what_is_not_live_video() {
-        let place = KeySpace {
-            fleet: Name::new("rect").expect("a fleet"),
-            robot: Name::new("base").expect("a name"),
-        };
-        let mut videos = KeyFrames::new(place);
+        let mut videos = videos_of_base();
         let replayed = Message {
             replayed: true,
             ..frame("camera", OTHER)

@@ -2,7 +2,6 @@
 use std::time::Duration;
 
 use zenoh_link_ble::{protocol::lanes::Lane, status::Count};
-use zenoh_protocol::core::Priority;
 
 use crate::{
     hub::Hub,
@@ -22,8 +21,8 @@ pub struct LinkStatus {
     pub is_encrypted: bool,
     /// Its paths.
     pub paths: Vec<PathReport>,
-    /// The lanes that were used, the most urgent first, by Zenoh's priority.
-    pub lanes: Vec<(Priority, LaneReport)>,
+    /// The lanes that were used, the most urgent first.
+    pub lanes: Vec<(Lane, LaneReport)>,
     /// The batches sent.
     pub sent: Count,
     /// The batches received.
@@ -50,7 +49,7 @@ pub fn links() -> Vec<LinkStatus> {
                 up: link.since.elapsed(),
                 is_encrypted: link.proof.is_some(),
                 paths: link.paths(),
-                lanes: by_priority(link.lanes()),
+                lanes: link.lanes(),
                 sent,
                 received,
                 switches,
@@ -58,12 +57,4 @@ pub fn links() -> Vec<LinkStatus> {
             }
         })
         .collect()
-}
-
-fn by_priority(lanes: Vec<(Lane, LaneReport)>) -> Vec<(Priority, LaneReport)> {
-    let known = |(lane, report): (Lane, LaneReport)| {
-        let priority = Priority::try_from(lane.number()).ok()?;
-        Some((priority, report))
-    };
-    lanes.into_iter().filter_map(known).collect()
 }

@@ -2,7 +2,6 @@
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
-use zenoh_protocol::core::Priority;
 
 use crate::{
     discovered::DiscoveredStatus,
@@ -103,12 +102,11 @@ impl LanesStatus {
             let (out, into) = lanes.lane_report(lane, now);
             sent = sent + out.sent;
             received = received + into.received;
-            let priority = Priority::try_from(lane.number());
             if out.sent + out.waiting + into.received == Count::default() {
                 continue;
             }
             used.push(LaneStatus {
-                priority: priority.map_or_else(|_| lane.number().to_string(), |p| format!("{p:?}")),
+                priority: lane.priority(),
                 sent: out.sent,
                 waiting: out.waiting,
                 unsent_bytes: out.unsent_bytes,

@@ -74,6 +74,12 @@ impl Lane {
         self.0
     }
 
+    /// Returns the name of Zenoh's priority, such as `Data`.
+    pub fn priority(self) -> String {
+        let priority = Priority::try_from(self.0);
+        priority.map_or_else(|_| self.0.to_string(), |priority| format!("{priority:?}"))
+    }
+
     /// Returns the number of the lane as an index into an array of [`LANES`] elements.
     pub fn index(self) -> usize {
         usize::from(self.0)

@@ -348,14 +348,14 @@ impl Scheduler {
         // A `Lane` is always less than LANES.
         let out = &self.lanes[lane.index()];
         let oldest = out.queue.front().map(|waiting| waiting.since);
-        let unsent = out.queue.iter().map(|batch| batch.sdu.len() - HEAD_BYTES);
+        let unsent_bytes = out.bytes - out.queue.len() * Waiting::bytes_of(HEAD_BYTES);
         OutLaneReport {
             sent: out.sent,
             waiting: Count {
                 sdus: out.queue.len() as u64,
                 bytes: out.bytes as u64,
             },
-            unsent_bytes: unsent.sum::<usize>() as u64,
+            unsent_bytes: unsent_bytes as u64,
             oldest: oldest.map(|since| now.saturating_duration_since(since)),
             delay: (out.wait.get().zip(self.path.round_trip())).map(|(wait, trip)| wait + trip),
             backlog_bytes: out.backlog.bytes() as u64,
