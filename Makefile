@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/debug
 
-.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench soak fuzz dist router
+.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench soak survey-sim fuzz dist router
 
 help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -47,6 +47,11 @@ bench: ## Run the benches, and write their tables to benches/results/ (an hour; 
 soak: ## Run ten robots with traffic and faults for two hours (HOURS=6: for six)
 	@scripts/setup bench
 	@scripts/soak --hours $(or $(HOURS),2)
+
+survey-sim: ## Run `rect survey` on the simulated air, and write surveys/simulated-air.json (5 minutes after the build)
+	@scripts/setup demo
+	@scripts/build-programs
+	@PATH="$(bin):$$PATH" scripts/survey-sim
 
 fuzz: ## Run each fuzz target for 300 s (SECONDS_EACH=60: for 60 s)
 	@scripts/setup test

@@ -23,8 +23,10 @@ let
     (fileset.fileFilter (file: !file.hasExt "md") ../../config)
     ../systemd/rect-dashboard.service
     ../systemd/rect-router.service
-    # The page of the dashboard is a part of the program.
+    # The pages of the dashboard and of a survey are parts of the program.
     ../../src/bin/rect/dashboard/page
+    ../../src/bin/rect/survey/page
+    ../../surveys/simulated-air.json
     ../../benches/codecs.rs
     ../../benches/rounds.rs
     (fileset.unions (

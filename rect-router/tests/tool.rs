@@ -2,12 +2,16 @@
 mod support;
 
 use std::{
+    fs,
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
     process::{Child, Command, Output, Stdio},
     time::Instant,
 };
 
 use serde_json::Value;
 use support::{built_with, file, skip, Air, Wombat, DEADLINE};
+use tempfile::TempDir;
 
 /// A command that is killed at the end of its test.
 struct RunningCommand(Child);
@@ -111,6 +115,8 @@ fn connects_shows_and_measures_robots() {
     ] {
         assert!(figure.as_f64() > Some(0.0), "{measured:#}");
     }
+    surveys(&one, &two, &folder);
+
     // The round trip has been measured in the meantime.
     wait_for(&two, &["peers"], " ms");
 
@@ -178,4 +184,94 @@ fn connects_shows_and_measures_robots() {
     );
     let wrong = text_of(&run(&two, &["connect", "x", "tcp", "10.0.0.2"]));
     assert!(wrong.contains("tcp needs a port"), "{wrong}");
+}
+
+/// Measures the link of wombat-2 and wombat-1 in the short form of `rect survey`.
+fn surveys(one: &Wombat, two: &Wombat, folder: &TempDir) {
+    let serving = rect(one, &["survey", "--serve"])
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut serving = RunningCommand(serving.expect("it runs"));
+    let stderr = serving.0.stderr.take().expect("it is a pipe");
+    let ready = BufReader::new(stderr).lines().next();
+    assert!(ready.is_some_and(|line| line.is_ok_and(|line| line.contains("rect survey wombat-1"))));
+
+    let path = folder.path().join("survey.json");
+    let measured = run(
+        two,
+        &[
+            "survey",
+            "wombat-1",
+            "--here",
+            "--duration",
+            "500ms",
+            "--adapter",
+            "sim-survey",
+            "--output",
+            path.to_str().expect("UTF-8"),
+        ],
+    );
+    let shown = text_of(&measured);
+    assert!(measured.status.success(), "{shown}");
+    let survey: Value = serde_json::from_str(&read(&path)).expect("JSON");
+    follows_schema(&survey);
+    let place = &survey["places"][0];
+    assert_eq!(
+        (&place["path"], &place["error"]),
+        (&"ble".into(), &Value::Null),
+        "{shown}"
+    );
+    assert_eq!(
+        place["discovery"]["seconds"].as_array().map(Vec::len),
+        Some(5),
+        "{place:#}"
+    );
+    for load in [&place["sent"], &place["received"]] {
+        assert!(
+            load[0]["kb_per_s"].as_f64() > Some(1.0) && load[0]["lost"] == 0,
+            "{load:#}"
+        );
+    }
+    let page = read(&path.with_extension("html"));
+    assert!(
+        page.contains("\"rect-survey\"") && !page.contains("{{"),
+        "the page is complete"
+    );
+
+    // Without a terminal there is nobody to ask.
+    let asking = text_of(&run(two, &["survey", "wombat-1"]));
+    assert!(asking.contains("use --by or --here"), "{asking}");
+}
+
+fn read(path: &Path) -> String {
+    fs::read_to_string(path).expect("it was written")
+}
+
+fn follows_schema(survey: &Value) {
+    let schema = concat!(env!("CARGO_MANIFEST_DIR"), "/../surveys/survey.schema.json");
+    let schema = serde_json::from_str(&read(Path::new(schema))).expect("JSON");
+    let schema = jsonschema::validator_for(&schema).expect("a schema");
+    let errors: Vec<_> = schema
+        .iter_errors(survey)
+        .map(|error| error.to_string())
+        .collect();
+    assert_eq!(errors, Vec::<String>::new());
+}
+
+#[test]
+fn contributed_surveys_follow_the_schema() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../surveys");
+    let files = fs::read_dir(folder)
+        .expect("a folder")
+        .flatten()
+        .map(|file| file.path());
+    let is_survey = |path: &PathBuf| {
+        let name = path.to_string_lossy();
+        name.ends_with(".json") && !name.ends_with(".schema.json")
+    };
+    let surveys: Vec<_> = files.filter(is_survey).collect();
+    assert!(!surveys.is_empty());
+    for path in surveys {
+        follows_schema(&serde_json::from_str(&read(&path)).expect("JSON"));
+    }
 }

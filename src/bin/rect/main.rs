@@ -12,6 +12,7 @@ mod duration;
 mod foxglove;
 mod keyboard;
 mod manual;
+mod measure;
 mod payload;
 mod publish;
 mod record;
@@ -23,6 +24,7 @@ mod router;
 mod session;
 mod stream;
 mod subscribe;
+mod survey;
 mod topic;
 mod transfer;
 
@@ -52,6 +54,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect record                              # records what this robot publishes; `rect replay` plays it
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection
   rect bench wombat-2                      # measures the link (run `rect bench --serve` on wombat-2)
+  rect survey wombat-2                     # measures the radios, step by step, and writes a page with plots
   rect doctor                              # finds problems and suggests solutions";
 
 /// The Robot Extensible Communication Toolkit: communication between robots over Bluetooth LE, TCP and UDP.
@@ -97,6 +100,7 @@ enum Command {
     Disconnect(configure::DisconnectArguments),
     Scan(router::ScanArguments),
     Bench(bench::BenchArguments),
+    Survey(survey::SurveyArguments),
     Doctor(router::DoctorArguments),
     Init(router::InitArguments),
     Check(router::CheckArguments),
@@ -153,6 +157,7 @@ fn main() -> ExitCode {
         Command::Connect(arguments) => wait_on_one_thread(configure::connect(arguments)),
         Command::Disconnect(arguments) => wait_on_one_thread(configure::disconnect(arguments)),
         Command::Bench(arguments) => wait(bench::run(arguments)),
+        Command::Survey(arguments) => wait(survey::run(arguments)),
         Command::Sim(arguments) => router::sim(arguments),
         Command::Wifi(arguments) => router::wifi(arguments),
         Command::Status(arguments) => router::status(arguments),

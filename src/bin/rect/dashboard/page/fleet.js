@@ -1,7 +1,8 @@
 // The view of the fleet: a picture of the robots and their links, and a card for each robot.
 
-import { eachFrame, h, setText, svg, table, updateList } from "./dom.js";
-import { bytes, milliseconds, seconds, visible } from "./format.js";
+import { eachFrame, h, setText, table, updateList } from "./dom.js";
+import { bytes, milliseconds, pathText, seconds, visible } from "./format.js";
+import { drawMap } from "./map.js";
 import { connectionKey, Rates } from "./rates.js";
 
 const LINKS = ["With", "By", "Signal", "Round trip", "Urgent", "Sent", "Received", "Waiting", "Lost", "Since", "State"];
@@ -20,7 +21,7 @@ export function fleet(link, parent) {
     const own = link.states.hello?.robot;
     setText(empty, emptyText(link, robots));
     empty.hidden = empty.textContent === "";
-    draw(picture, robots, own);
+    drawMap(picture, robots, own);
     rates.update(robots);
     updateList(
       cards,
@@ -168,13 +169,6 @@ function lostText({ lanes, paths }) {
   return [`${dropped} dropped`, ...(resent > 0 ? [`${bytes(resent)} sent again`] : [])].join(", ");
 }
 
-/** Returns the method, and the path that carries the load if there are several. */
-function pathText({ method, paths }) {
-  const primary = paths?.find((path) => path.is_primary);
-  const others = paths?.filter((path) => !path.is_primary).map((path) => `${path.method} ${path.state}`);
-  return primary ? `${primary.method}${others.length ? ` (${others.join(", ")})` : ""}` : method;
-}
-
 function bars(dbm) {
   const steps = [-90, -80, -70, -60];
   return "▂▄▆█".slice(0, steps.filter((step) => dbm >= step).length) || "▁";
@@ -182,77 +176,4 @@ function bars(dbm) {
 
 function encryption(isEncrypted) {
   return isEncrypted === null ? "linked" : isEncrypted ? "encrypted" : "not encrypted";
-}
-
-/** Draws the robots on a circle, with a line for each link. */
-function draw(picture, robots, own) {
-  const size = { width: 640, height: robots.length > 12 ? 520 : robots.length > 3 ? 320 : 180 };
-  const centre = { x: size.width / 2, y: size.height / 2 };
-  const places = new Map();
-  const names = new Set(robots.map((robot) => robot.name));
-  for (const connection of robots.flatMap((robot) => robot.connections ?? [])) {
-    if (connection.peer?.robot) {
-      names.add(connection.peer.robot);
-    }
-  }
-  const all = [...names];
-  for (const [index, name] of all.entries()) {
-    const angle = Math.PI + (2 * Math.PI * index) / all.length;
-    const radius = all.length === 1 ? 0 : 1;
-    places.set(name, {
-      x: centre.x + radius * (centre.x - 90) * Math.cos(angle),
-      y: centre.y + radius * (centre.y - 50) * Math.sin(angle),
-    });
-  }
-  const lines = linesOf(robots).map((line) => drawLine(line, places));
-  const nodes = all.map((name) => {
-    const { x, y } = places.get(name);
-    const robot = robots.find((one) => one.name === name);
-    const state = robot?.reachable ? (robot.problems.length > 0 ? "warn" : "good") : "bad";
-    return svg(
-      "g",
-      { class: `node ${state}${name === own ? " own" : ""}`, transform: `translate(${x} ${y})` },
-      svg("rect", { x: -70, y: -18, width: 140, height: 36, rx: 18 }),
-      svg("text", { "text-anchor": "middle", dy: "0.35em" }, visible(name, 16)),
-    );
-  });
-  const label = `${all.length} robots, ${lines.length} links`;
-  picture.replaceChildren(
-    svg("svg", { viewBox: `0 0 ${size.width} ${size.height}`, role: "img", "aria-label": label }, lines, nodes),
-    h("figcaption", {}, "Solid: linked. Dashed: in range, not linked. The label is the path and its round trip."),
-  );
-}
-
-/** Returns the links without their second ends. */
-function linesOf(robots) {
-  const lines = new Map();
-  for (const robot of robots) {
-    for (const connection of robot.connections ?? []) {
-      const peer = connection.peer?.robot;
-      if (!peer || connection.state === "connecting") {
-        continue;
-      }
-      const ends = [robot.name, peer].toSorted();
-      const key = [...ends, connection.state === "connected" ? connection.method : ""].join("\n");
-      const known = lines.get(key);
-      if (!known || known.connection.round_trip_ms === null) {
-        lines.set(key, { ends, connection });
-      }
-    }
-  }
-  return [...lines.values()];
-}
-
-function drawLine({ ends, connection }, places) {
-  const [from, to] = ends.map((end) => places.get(end));
-  const isLinked = connection.state === "connected";
-  // Not in the middle, where lines cross.
-  const label = { x: from.x + 0.36 * (to.x - from.x), y: from.y + 0.36 * (to.y - from.y) };
-  const text = isLinked ? `${pathText(connection)} ${milliseconds(connection.round_trip_ms)}` : "";
-  return svg(
-    "g",
-    { class: isLinked ? "line" : "line discovered" },
-    svg("line", { x1: from.x, y1: from.y, x2: to.x, y2: to.y }),
-    svg("text", { x: label.x, y: label.y - 6, "text-anchor": "middle" }, text),
-  );
 }

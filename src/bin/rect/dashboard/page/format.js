@@ -68,3 +68,10 @@ export function visible(text, limit = 200) {
   const shown = text.length > limit ? `${text.slice(0, limit)}… (${text.length} characters)` : text;
   return shown.replace(HIDDEN, "\u2423");
 }
+
+/** Returns the method, and the path that carries the load if there are several. */
+export function pathText({ method, paths }) {
+  const primary = paths?.find((path) => path.is_primary);
+  const others = paths?.filter((path) => !path.is_primary).map((path) => `${path.method} ${path.state}`);
+  return primary ? `${primary.method}${others.length ? ` (${others.join(", ")})` : ""}` : method;
+}
