@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/debug
 
-.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench soak survey-sim fuzz dist router
+.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench report soak survey-sim fuzz dist router
 
 help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -43,6 +43,11 @@ python: ## Install the Python package into .venv, with the router and the rect t
 bench: ## Run the benches, and write their tables to benches/results/ (an hour; BENCH="goodput idle" selects some)
 	@scripts/setup bench
 	@scripts/bench $(BENCH)
+
+report: ## Print the measurements with plots as a PDF (MEASURE="radio goodput": measure these first; MEASURE=all: all)
+	@scripts/setup bench
+	@[[ -z "$(MEASURE)" ]] || scripts/bench $(filter-out all,$(MEASURE))
+	@scripts/report
 
 soak: ## Run ten robots with traffic and faults for two hours (HOURS=6: for six)
 	@scripts/setup bench

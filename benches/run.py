@@ -17,6 +17,9 @@ sys.path.insert(0, str(HERE.parent / "examples" / "demo"))
 
 BENCHES = {
     "goodput": "Zenoh over two routers compared with a raw L2CAP channel, on a real kernel's Bluetooth stack in the VM",
+    "radio": "what each PHY and packet size carries, compared with a bare channel, on the simulated air",
+    "conditions": "losses and ages of messages by radio condition: Bluetooth, TCP and UDP",
+    "buffering": "more messages than the link carries: the size of the queue, ages and losses, beside stock Zenoh",
     "round_trip": "a Zenoh query over two routers compared with a bare channel's ping, on the simulated air",
     "on_air": "bytes of a message, bytes and time for establishing a link, on the simulated air",
     "loopback": "rect-router compared with stock zenohd on TCP loopback",

@@ -71,6 +71,10 @@ class Room:
     def restore(self) -> None:
         self._control("restore")
 
+    def set_condition(self, condition: str) -> None:
+        """Changes the radio condition, such as `edge-of-range`."""
+        self._control("condition", condition)
+
     def set_wifi(self, state: str) -> None:
         """Sets the state of the simulated Wi-Fi: `on`, `silent` or `off`."""
         command = [os.environ.get("RECT_ROUTER", "rect-router"), "wifi", state]

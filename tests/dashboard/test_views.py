@@ -79,6 +79,25 @@ def test_bytes_that_wait_are_shown(page: Page, fleet: Fleet, dashboard: str) -> 
         expect(waiting).to_have_text(re.compile(r"Background \d+ kB"))
 
 
+def test_map_of_many_robots_shows_each_name(page: Page, dashboard: str) -> None:
+    page.goto(dashboard)
+    names, outside = page.evaluate("""async () => {
+      const { drawMap } = await import("/assets/map.js");
+      const figure = document.querySelector(".picture").cloneNode();
+      document.body.append(figure);
+      const names = Array.from({ length: 45 }, (_, index) => `wombat-${45 - index}`);
+      const robots = names.map((name) => ({ name, reachable: true, problems: [], connections: [] }));
+      drawMap(figure, robots, "wombat-1");
+      const frame = figure.querySelector("svg").getBoundingClientRect();
+      const isOutside = ({ left, right, top, bottom }) =>
+        left < frame.left || right > frame.right || top < frame.top || bottom > frame.bottom;
+      const texts = [...figure.querySelectorAll("text")];
+      const outside = texts.filter((text) => isOutside(text.getBoundingClientRect()));
+      return [texts.map((text) => text.textContent), outside.length];
+    }""")
+    assert (names, outside) == ([f"wombat-{number}" for number in range(1, 46)], 0)
+
+
 def test_a_robot_is_checked(page: Page, dashboard: str) -> None:
     page.goto(dashboard)
     page.get_by_role("button", name="Check wombat-2").click()
