@@ -15,11 +15,13 @@ use std::{
     fs,
     path::{Path, PathBuf},
     process::ExitCode,
-    time::{Duration, SystemTime},
+    time::{Duration, Instant, SystemTime},
 };
 
 use clap::Args;
 use rect::{core::connection::ConnectionState, Connection, Json, LinkPathState, Name, Robot};
+use serde_json::Value;
+use tokio::time::sleep;
 
 use self::{
     computer::Computer,
@@ -42,6 +44,9 @@ use crate::{
 const COMPUTER: &str = "rect-survey/computer";
 /// How long the other robot is awaited.
 const PEER_TIMEOUT: Duration = Duration::from_secs(30);
+/// How long the registry may take to show the link.
+const LINKED_WITHIN: Duration = Duration::from_secs(5);
+const POLL: Duration = Duration::from_millis(100);
 /// Methods of paths.
 const BLE: &str = "ble";
 const TCP: &str = "tcp";
@@ -172,7 +177,7 @@ impl Surveyor<'_> {
                 (self.robot.name().clone(), own),
                 (self.other.clone(), theirs.payload.value()?),
             ],
-            Link::of(&link),
+            Link::of(&link, self.batch_bytes().await),
         );
         let has_wifi = is_live(&link, TCP);
         if has_wifi {
@@ -204,7 +209,8 @@ impl Surveyor<'_> {
             return Ok(());
         }
         for label in &arguments.places {
-            if self.guide.ask(&Step::Place(label.clone())).await? {
+            let step = Step::Place(label.clone());
+            if self.guide.ask(&step).await?.is_some() {
                 survey.places.push(self.place(label).await);
             }
         }
@@ -214,6 +220,10 @@ impl Surveyor<'_> {
 
     async fn place(&self, label: &Label) -> Place {
         let measured = place::measure(self, label).await;
+        let measured = measured.map(|place| Place {
+            resembles: expected::resembles(&place),
+            ..place
+        });
         measured.unwrap_or_else(|error| {
             // Out of range, for example: the other places are measured nevertheless.
             rect::errln!("rect: {label}: {error}");
@@ -238,8 +248,43 @@ impl Surveyor<'_> {
         })
     }
 
-    /// Returns the connection of the two robots.
+    /// Returns the largest batch of the Bluetooth link, in bytes, from the admin space of the routers.
+    async fn batch_bytes(&self) -> Option<u64> {
+        let replies = self.robot.zenoh().get("@/*/router/ble").await.ok()?;
+        while let Ok(reply) = replies.recv_async().await {
+            let Ok(sample) = reply.into_result() else {
+                continue;
+            };
+            let nodes: Value = serde_json::from_slice(&sample.payload().to_bytes()).ok()?;
+            let nodes = nodes.as_array().into_iter().flatten();
+            let mut links = nodes.flat_map(|node| node["links"].as_array().into_iter().flatten());
+            if let Some(link) = links.find(|link| link["peer"] == self.other.as_str()) {
+                return link["mtu"].as_u64();
+            }
+        }
+        None
+    }
+
+    /// Waits for the connection of the two robots. The registry shows it a moment after the robots reach each other.
     async fn link(&self) -> Result<Connection, Failure> {
+        let deadline = Instant::now() + LINKED_WITHIN;
+        loop {
+            if let Some(link) = self.linked().await? {
+                return Ok(link);
+            }
+            if Instant::now() > deadline {
+                return Err(format!(
+                    "{} is not linked with this robot, only reachable through others: see `rect connections`",
+                    self.other
+                )
+                .into());
+            }
+            sleep(POLL).await;
+        }
+    }
+
+    /// Returns the connection of the two robots, if there is one.
+    async fn linked(&self) -> Result<Option<Connection>, Failure> {
         let other = Some(self.other.as_str());
         let all = self.robot.connections().await?.into_iter();
         let is_link = |one: &Connection| {
@@ -250,13 +295,7 @@ impl Surveyor<'_> {
         let mut links: Vec<_> = all.filter(is_link).collect();
         // Both robots may have dialled.
         links.sort_by_key(|link| link.method != "any");
-        let link = links.into_iter().next();
-        Ok(link.ok_or_else(|| {
-            format!(
-                "{} is not linked with this robot, only reachable through others: see `rect connections`",
-                self.other
-            )
-        })?)
+        Ok(links.into_iter().next())
     }
 }
 

@@ -47,6 +47,8 @@ pub struct Link {
     pub method: String,
     encrypted: Option<bool>,
     paths: Vec<String>,
+    /// The largest batch that the Bluetooth link accepts, in bytes, if the router tells it.
+    batch_bytes: Option<u64>,
 }
 
 /// How soon the other robot is discovered.
@@ -87,6 +89,8 @@ pub struct Place {
     pub sent: Vec<Goodput>,
     /// Loads from the other robot.
     pub received: Vec<Goodput>,
+    /// The radio that has such a goodput in theory, for a place that is near.
+    pub resembles: Option<&'static str>,
     /// Why nothing was measured.
     pub error: Option<String>,
 }
@@ -139,12 +143,13 @@ impl Survey {
 }
 
 impl Link {
-    pub fn of(connection: &Connection) -> Self {
+    pub fn of(connection: &Connection, batch_bytes: Option<u64>) -> Self {
         let paths = connection.paths.iter().flatten();
         Self {
             method: connection.method.clone(),
             encrypted: connection.encrypted,
             paths: paths.map(|path| path.method.clone()).collect(),
+            batch_bytes,
         }
     }
 }
@@ -161,6 +166,7 @@ impl Place {
             round_trip_under_load: None,
             sent: Vec::new(),
             received: Vec::new(),
+            resembles: None,
             error: None,
         }
     }

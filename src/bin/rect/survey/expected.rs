@@ -49,22 +49,49 @@ fn free_space_dbm(distance_m: f64) -> f64 {
     -(40.2 + 20.0 * distance_m.log10())
 }
 
+/// Radios whose goodput is known from the specification.
+const RADIOS: [(&str, Phy, LlPayload); 3] = [
+    (
+        "2M PHY, packets of 251 bytes",
+        Phy::Le2M,
+        LlPayload::Bytes251,
+    ),
+    (
+        "1M PHY, packets of 251 bytes",
+        Phy::Le1M,
+        LlPayload::Bytes251,
+    ),
+    ("1M PHY, packets of 27 bytes", Phy::Le1M, LlPayload::Bytes27),
+];
+/// How far the goodput may be from that of a radio that it resembles, as a factor.
+const SIMILAR: f64 = 1.6;
+
+/// Returns the radio whose goodput is the nearest one to that of a near place, if one is near enough.
+pub fn resembles(place: &Place) -> Option<&'static str> {
+    if !is_near(place) {
+        return None;
+    }
+    let load = place.sent.last()?;
+    let distance = |(_, phy, payload): &(&str, Phy, LlPayload)| {
+        (load.kb_per_s / goodput(load.bytes, *phy, *payload))
+            .ln()
+            .abs()
+    };
+    let nearest = RADIOS
+        .iter()
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    (distance(nearest) <= SIMILAR.ln()).then_some(nearest.0)
+}
+
+/// Returns whether the link at a place is one over Bluetooth with nearly no losses.
+fn is_near(place: &Place) -> bool {
+    let is_near = place.distance_m.is_none_or(|m| m <= NEAR_M) && !place.behind_body;
+    is_near && place.path.as_deref() == Some(BLE)
+}
+
 /// Returns the curves beside which the page draws the measurements.
 pub fn curves() -> serde_json::Result<Value> {
-    let theory = [
-        (
-            "2M PHY, packets of 251 bytes",
-            Phy::Le2M,
-            LlPayload::Bytes251,
-        ),
-        (
-            "1M PHY, packets of 251 bytes",
-            Phy::Le1M,
-            LlPayload::Bytes251,
-        ),
-        ("1M PHY, packets of 27 bytes", Phy::Le1M, LlPayload::Bytes27),
-    ];
-    let theory = theory.map(|(name, phy, payload)| {
+    let theory = RADIOS.map(|(name, phy, payload)| {
         let points = SIZES.map(|bytes| [bytes as f64, goodput(bytes, phy, payload)]);
         json!({ "name": name, "points": points })
     });
@@ -165,8 +192,7 @@ fn of_place(place: &Place, found: &mut Vec<String>) {
             ));
         }
     }
-    let is_near = place.distance_m.is_none_or(|m| m <= NEAR_M) && !place.behind_body;
-    if !is_near || place.path.as_deref() != Some(BLE) {
+    if !is_near(place) {
         return;
     }
     if let Some(ms) = p50(&place.round_trip).filter(|ms| *ms > LONG_ROUND_TRIP_MS) {
@@ -203,11 +229,10 @@ mod tests {
             .map(|name| (name.parse().expect("a name"), Default::default()));
         Survey::new(
             robots,
-            Link::of(&Connection::of(
-                "ble",
-                "wombat-2",
-                ConnectionState::Connected,
-            )),
+            Link::of(
+                &Connection::of("ble", "wombat-2", ConnectionState::Connected),
+                None,
+            ),
         )
     }
 
@@ -244,6 +269,19 @@ mod tests {
         let mut survey = survey();
         survey.places.push(near());
         assert_eq!(deviations(&survey), Vec::<String>::new());
+    }
+
+    #[test]
+    fn goodput_resembles_that_of_a_radio() {
+        let mut place = near();
+        assert_eq!(resembles(&place), Some("1M PHY, packets of 27 bytes"));
+        place.sent[0].kb_per_s = 90.0;
+        assert_eq!(resembles(&place), Some("1M PHY, packets of 251 bytes"));
+        place.sent[0].kb_per_s = 1000.0;
+        assert_eq!(resembles(&place), None);
+        place.sent[0].kb_per_s = 34.0;
+        place.distance_m = Some(30.0);
+        assert_eq!(resembles(&place), None);
     }
 
     #[test]

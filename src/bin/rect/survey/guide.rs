@@ -3,6 +3,7 @@ use std::{
     fmt,
     io::{self, IsTerminal},
     path::PathBuf,
+    time::Instant,
 };
 
 use rect::terminal::{paint_err, Style};
@@ -64,17 +65,19 @@ impl fmt::Display for Step {
 }
 
 impl Guide {
-    /// Has a step carried out. Returns whether it was, rather than skipped.
-    pub async fn ask(&self, step: &Step) -> Result<bool, Failure> {
+    /// Has a step carried out. Returns from when on its effects are expected: since the program was started, or since the person
+    /// has pressed Enter. `None` if the step is skipped.
+    pub async fn ask(&self, step: &Step) -> Result<Option<Instant>, Failure> {
         match self {
-            Self::Nobody => Ok(false),
+            Self::Nobody => Ok(None),
             Self::Program(program) => {
                 let arguments = step.arguments();
                 super::say(&format!("{} {}", program.display(), arguments.join(" ")));
+                let began = Instant::now();
                 let status = Command::new(program).args(arguments).status().await;
                 let status =
                     status.map_err(|error| format!("cannot run {}: {error}", program.display()))?;
-                Ok(status.success())
+                Ok(status.success().then_some(began))
             }
             Self::Person => {
                 if !io::stdin().is_terminal() {
@@ -88,7 +91,8 @@ impl Guide {
                     let mut line = String::new();
                     io::stdin().read_line(&mut line).map(|_| line)
                 });
-                Ok(!answer.await??.trim().eq_ignore_ascii_case("s"))
+                let is_skipped = answer.await??.trim().eq_ignore_ascii_case("s");
+                Ok((!is_skipped).then(Instant::now))
             }
         }
     }

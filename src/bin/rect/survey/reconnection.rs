@@ -1,5 +1,5 @@
 //! Measures how soon the robots reach each other again after the radio was off.
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rect::{Name, Robot};
 use tokio::time::{sleep, timeout};
@@ -23,10 +23,9 @@ pub async fn measure(
     other: &Name,
     guide: &Guide,
 ) -> Result<Vec<Reconnection>, Failure> {
-    if !guide.ask(&Step::RadioOff).await? {
+    let Some(off) = guide.ask(&Step::RadioOff).await? else {
         return Ok(Vec::new());
-    }
-    let off = Instant::now();
+    };
     if timeout(LOST_WITHIN, wait_until_lost(robot, other))
         .await
         .is_err()
@@ -36,10 +35,9 @@ pub async fn measure(
     }
     let noticed_s = off.elapsed().as_secs_f64();
     say(&format!("  noticed after {noticed_s:.1} s"));
-    if !guide.ask(&Step::RadioOn).await? {
+    let Some(on) = guide.ask(&Step::RadioOn).await? else {
         return Ok(Vec::new());
-    }
-    let on = Instant::now();
+    };
     robot.wait_for_peer(other, BACK_WITHIN).await?;
     let reachable_s = on.elapsed().as_secs_f64();
     say(&format!("  reachable again after {reachable_s:.1} s"));

@@ -66,7 +66,7 @@ async fn wait_for_switch(
     step: &Step,
     before: Option<u64>,
 ) -> Result<Option<Switch>, Failure> {
-    if !surveyor.guide.ask(step).await? {
+    if surveyor.guide.ask(step).await?.is_none() {
         return Ok(None);
     }
     let deadline = Instant::now() + LIMIT;

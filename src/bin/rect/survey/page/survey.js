@@ -97,6 +97,13 @@ document.title = `RECT survey: ${own.name} and ${other.name}`;
 add("h1", `${own.name} and ${other.name}, linked by ${survey.link.method}`);
 add("p", `Made by rect survey ${survey.rect_version} at ${survey.date}.`);
 
+for (const place of survey.places.filter((one) => one.resembles)) {
+  add("p", `${place.label}, the goodput is that of a radio with ${place.resembles}.`);
+}
+if (survey.link.batch_bytes) {
+  add("p", `The Bluetooth link accepts batches of up to ${survey.link.batch_bytes} bytes.`);
+}
+
 add("h2", "Not as expected");
 if (survey.deviations.length === 0) {
   add("p", "Nothing: everything is as on the simulated air, or better.");
