@@ -214,7 +214,7 @@ impl Surveyor<'_> {
                 survey.places.push(self.place(label).await);
             }
         }
-        survey.reconnections = reconnection::measure(self.robot, self.other, self.guide).await?;
+        survey.reconnections = reconnection::measure(self).await?;
         Ok(())
     }
 
