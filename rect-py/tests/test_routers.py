@@ -246,3 +246,17 @@ def test_missing_router_error_says_what_to_do(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "has no router" in done.stderr
     assert module._ROUTER.name == "rect-router"
+
+
+def test_program_that_connects_again_and_again_keeps_no_files_open(routers: Routers) -> None:
+    """Zenoh keeps a session that has publishers, and Python's collector does not know what a closed session holds."""
+
+    def open_files() -> int:
+        with routers.connect("wombat-1") as robot, robot.subscribe("*/arm/*"), robot.serve("sum", lambda _: 1):
+            robot.publish("arm/angle", 12.5)
+            robot.publish("stop", "", urgency="urgent")
+            robot.publisher("arm/state").publish("ready")
+        return len(os.listdir("/proc/self/fd"))
+
+    first = open_files()
+    assert [open_files() for _ in range(5)] == [first] * 5

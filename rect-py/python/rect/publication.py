@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import zenoh_error
+from rect._zenoh import undeclared, zenoh_error
 from rect.values import Payload
 
 
@@ -41,6 +41,14 @@ class Publication:
                 self._check()
                 raise zenoh_error("cannot send the message", error) from error
             self._numbering.on_sent()
+
+    def undeclare(self) -> None:
+        """Undeclares the publisher, unless a message is being sent. Zenoh keeps a session that has publishers."""
+        if self._lock.acquire(blocking=False):
+            try:
+                undeclared(self.publisher)
+            finally:
+                self._lock.release()
 
     def finish(self, timeout: float) -> None:
         """Waits for a message that is being sent: Python aborts if a thread is inside Zenoh when it exits."""

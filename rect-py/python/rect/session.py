@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import gc
 import os
 import threading
 import time
@@ -66,6 +67,11 @@ class Session:
     def __init__(self, options: Options) -> None:
         if _FORKED:
             raise Closed(_AFTER_FORK)
+        if _CLOSED:
+            # A closed session holds Zenoh's memory and open files until the collector frees it. The collector does not
+            # know them, and would run too seldom in a program that connects again and again.
+            _CLOSED.clear()
+            gc.collect()
         self.key_space = options.key_space()
         self.is_direct = options.is_direct
         _ONCE_OPEN[:] = [True]
@@ -156,11 +162,19 @@ class Session:
             queue.close()
         _OPEN.discard(self)
         try:
-            call_interruptibly(self.urgency_sessions.close)
+            call_interruptibly(self._close_zenoh)
         except zenoh.ZError as error:
             raise zenoh_error("cannot close the session", error) from error
         finally:
             self._finish()
+            _CLOSED[:] = [True]
+
+    def _close_zenoh(self) -> None:
+        with self._lock:
+            publications = list(self._publications.values())
+        for publication in publications:
+            publication.undeclare()
+        self.urgency_sessions.close()
 
     def start(self, name: str, run: Callable[[], object]) -> None:
         """Runs a function on a new thread, which has to end soon after the session is closed."""
@@ -206,6 +220,8 @@ _FORKED: list[bool] = []
 _ONCE_OPEN: list[bool] = []
 #: All open sessions. They are closed before Python exits, because Zenoh's threads would wait for Python's.
 _OPEN: weakref.WeakSet[Session] = weakref.WeakSet()
+#: Not empty if a session was closed since the last one was opened.
+_CLOSED: list[bool] = []
 
 
 def _close_all() -> None:
