@@ -1,5 +1,8 @@
 //! Measures the goodput of a load.
-use std::time::{Duration, Instant};
+use std::{
+    future::Future,
+    time::{Duration, Instant},
+};
 
 use rect::{Name, Robot};
 use serde::Serialize;
@@ -13,6 +16,8 @@ use crate::Failure;
 
 /// How often the receiver is asked whether everything has arrived.
 const POLL: Duration = Duration::from_millis(250);
+/// Time without a message after which the missing ones count as lost. A bad radio is silent for a second now and then.
+const LOST_AFTER: Duration = Duration::from_secs(3);
 
 /// The part of a load that arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -58,16 +63,8 @@ pub async fn to(
     let before = partner::count(robot, other).await?;
     let began = Instant::now();
     let sent = load::send(robot, other, bytes, duration).await?;
-    let mut after = partner::count(robot, other).await?;
-    loop {
-        sleep(POLL).await;
-        let now = partner::count(robot, other).await?;
-        let is_settled = now.messages == after.messages;
-        after = now;
-        if is_settled {
-            return Ok(Goodput::of(bytes, sent, before, after, began.elapsed()));
-        }
-    }
+    let after = settled(before, sent, || partner::count(robot, other)).await?;
+    Ok(Goodput::of(bytes, sent, before, after, began.elapsed()))
 }
 
 /// Measures the goodput from `other`, which sends as [`to`] does. `own` counts what arrives.
@@ -81,14 +78,25 @@ pub async fn from(
     let before = own.received();
     let began = Instant::now();
     let sent = partner::request_load(robot, other, bytes, duration).await?;
-    let mut after = own.received();
+    let after = settled(before, sent, || async { Ok(own.received()) }).await?;
+    Ok(Goodput::of(bytes, sent, before, after, began.elapsed()))
+}
+
+/// Waits until all of `sent` messages have arrived, or none for `LOST_AFTER`, and returns the count then.
+async fn settled<C>(
+    before: ReceivedLoad,
+    sent: u64,
+    count: impl Fn() -> C,
+) -> Result<ReceivedLoad, Failure>
+where
+    C: Future<Output = Result<ReceivedLoad, Failure>>,
+{
     loop {
-        sleep(POLL).await;
-        let now = own.received();
-        let is_settled = now.messages == after.messages;
-        after = now;
-        if is_settled {
-            return Ok(Goodput::of(bytes, sent, before, after, began.elapsed()));
+        let now = count().await?;
+        let has_all = now.messages.saturating_sub(before.messages) >= sent;
+        if has_all || now.last_ago_s > LOST_AFTER.as_secs_f64() {
+            return Ok(now);
         }
+        sleep(POLL).await;
     }
 }

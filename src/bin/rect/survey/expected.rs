@@ -137,7 +137,7 @@ pub fn deviations(survey: &Survey) -> Vec<String> {
         }
         if switch.lost > 0 {
             found.push(format!(
-                "{} messages were lost while the link switched to {}.",
+                "Lost messages while the link switched to {1}: {0}.",
                 switch.lost, switch.path
             ));
         }
@@ -160,7 +160,7 @@ fn of_place(place: &Place, found: &mut Vec<String>) {
         return;
     }
     if place.lost() > 0 {
-        found.push(format!("{label}: {} messages were lost.", place.lost()));
+        found.push(format!("{label}: lost messages: {}.", place.lost()));
     }
     if let Some(discovery) = &place.discovery {
         let error = discovery.error.as_ref();
@@ -312,11 +312,11 @@ mod tests {
             "5.5 s",
             "21.0 s",
             "9.0 s after",
-            "2 messages were lost",
+            "lost messages: 2",
             "9.0 kB/s",
             "-80 dBm",
             "2500 ms",
-            "1 messages were lost while",
+            "Lost messages while the link switched to ble: 1",
         ] {
             assert!(found.contains(part), "{part}: {found}");
         }
