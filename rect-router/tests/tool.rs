@@ -115,7 +115,7 @@ fn connects_shows_and_measures_robots() {
     ] {
         assert!(figure.as_f64() > Some(0.0), "{measured:#}");
     }
-    surveys(&one, &two, &folder);
+    surveys(&air, &one, &two, &folder);
 
     // The round trip has been measured in the meantime.
     wait_for(&two, &["peers"], " ms");
@@ -187,7 +187,7 @@ fn connects_shows_and_measures_robots() {
 }
 
 /// Measures the link of wombat-2 and wombat-1 in the short form of `rect survey`.
-fn surveys(one: &Wombat, two: &Wombat, folder: &TempDir) {
+fn surveys(air: &Air, one: &Wombat, two: &Wombat, folder: &TempDir) {
     let serving = rect(one, &["survey", "--serve"])
         .stderr(Stdio::piped())
         .spawn();
@@ -197,7 +197,7 @@ fn surveys(one: &Wombat, two: &Wombat, folder: &TempDir) {
     assert!(ready.is_some_and(|line| line.is_ok_and(|line| line.contains("rect survey wombat-1"))));
 
     let path = folder.path().join("survey.json");
-    let measured = run(
+    let measured = rect(
         two,
         &[
             "survey",
@@ -210,7 +210,10 @@ fn surveys(one: &Wombat, two: &Wombat, folder: &TempDir) {
             "--output",
             path.to_str().expect("UTF-8"),
         ],
-    );
+    )
+    .env("RECT_AIR", air.socket())
+    .output()
+    .expect("it runs");
     let shown = text_of(&measured);
     assert!(measured.status.success(), "{shown}");
     let survey: Value = serde_json::from_str(&read(&path)).expect("JSON");
