@@ -22,9 +22,12 @@ pub async fn measure(surveyor: &Surveyor<'_>) -> Result<Vec<Reconnection>, Failu
     let Some(off) = guide.ask(&Step::RadioOff).await? else {
         return Ok(Vec::new());
     };
-    // The registry is asked, which is on this computer: a question to the other robot would only not be answered.
+    // The registry comes first: it is on this computer, while a question to all routers only gets no answer from the other one.
     let lost = async {
         while surveyor.linked().await?.is_some() {
+            sleep(POLL).await;
+        }
+        while robot.peers().await?.contains(other) {
             sleep(POLL).await;
         }
         Ok::<_, Failure>(())
