@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 import zenoh
-from pairs import pair, room
+from pairs import declare_reached, pair, room
 from room import wait_for_link
 from table import Table
 from traffic import percentile
@@ -78,9 +78,7 @@ def add(table: Table, peer: str, queue: str, link: AbstractContextManager[Sessio
 
     with link as (near, far):
         subscriber = far.declare_subscriber(KEY, on_sample)
-        publisher = near.declare_publisher(KEY, congestion_control=CongestionControl.DROP)
-        while not publisher.matching_status.matching:
-            time.sleep(0.02)
+        publisher = declare_reached(near, KEY, CongestionControl.DROP)
         began = due = time.monotonic()
         sent = 0
         while due < began + SECONDS:

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 import zenoh
 from lossy import LossyTcp, LossyUdp
-from pairs import ble_pair_endpoints
+from pairs import ble_pair_endpoints, declare_reached
 from robots import free_port, open_client
 from room import Room
 from table import Table
@@ -92,9 +92,7 @@ def measure(link: AbstractContextManager[Link]) -> list[float]:
 
     with link as (near, far, worsen):
         subscriber = far.declare_subscriber(KEY, on_sample)
-        publisher = near.declare_publisher(KEY, congestion_control=CongestionControl.BLOCK)
-        while not publisher.matching_status.matching:
-            time.sleep(0.02)
+        publisher = declare_reached(near, KEY, CongestionControl.BLOCK)
         worsen()
         due = time.monotonic()
         for _ in range(MESSAGES):

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
-from robots import PluginRobot, Robot, open_client
+from robots import PluginRobot, Robot, open_client, wait_until
 from room import Room, wait_for_link
 from routers import Router, status
 from shaper import Shaper
+from zenoh import CongestionControl
 
 PEERS = ["lanes", "plain link", "stock over TCP"]
 INTERVAL_MS = 30
@@ -76,6 +77,13 @@ def ble_pair(
             complaints=lambda: complaints(one.log() + two.log()),
             pids=[one.pid(), two.pid()],
         )
+
+
+def declare_reached(session: zenoh.Session, key: str, congestion: CongestionControl) -> zenoh.Publisher:
+    """Declares a publisher, and waits until the router knows that a subscriber matches."""
+    publisher = session.declare_publisher(key, congestion_control=congestion)
+    wait_until(f"a subscriber to {key} is known", 20, lambda: publisher.matching_status.matching)
+    return publisher
 
 
 def carried(air: Room) -> int:

@@ -6,9 +6,9 @@ import time
 from dataclasses import dataclass, field
 
 import zenoh
-from pairs import ble_pair_endpoints
+from pairs import ble_pair_endpoints, declare_reached
 from peers import bare_channel
-from robots import open_client
+from robots import open_client, wait_until
 from room import Room
 from table import Table
 from zenoh import CongestionControl
@@ -25,6 +25,8 @@ SIZES = [20, 100, 1000, 4000, 16000]
 SDU_BYTES = (1000, 4000)
 RAW_S = 5
 PUT_S = 4
+#: How long the messages in flight may take over the slowest radio.
+LIMIT_S = 30
 #: The bytes of messages in flight. They fill every link.
 WINDOW_BYTES = 64_000
 INTERVAL = "30ms"
@@ -83,9 +85,7 @@ def goodput_of_bare_channel(room: Room) -> float:
 def goodput(near: zenoh.Session, far: zenoh.Session, size: int) -> float:
     arrivals = Arrivals()
     subscriber = far.declare_subscriber(f"{KEY}/{size}", arrivals.on_sample)
-    publisher = near.declare_publisher(f"{KEY}/{size}", congestion_control=CongestionControl.BLOCK)
-    while not publisher.matching_status.matching:
-        time.sleep(0.02)
+    publisher = declare_reached(near, f"{KEY}/{size}", CongestionControl.BLOCK)
     payload, end, sent = bytes(size), time.monotonic() + PUT_S, 0
     while time.monotonic() < end:
         # Without a limit, the sockets between programs and routers take megabytes.
@@ -94,8 +94,7 @@ def goodput(near: zenoh.Session, far: zenoh.Session, size: int) -> float:
             continue
         publisher.put(payload)
         sent += 1
-    while arrivals.messages < sent - 1:
-        time.sleep(0.02)
+    wait_until("all messages arrive", LIMIT_S, lambda: arrivals.messages >= sent - 1)
     subscriber.undeclare()
     publisher.undeclare()
     return arrivals.messages * size / 1000 / (arrivals.last_at - arrivals.began_at)

@@ -84,6 +84,14 @@ def bars(axes: Axes, groups: list[str], series: dict[str, list[float]], unit: st
     axes.grid(visible=False, axis="x")
 
 
+def grouped(
+    rows: list[dict[str, str]], column: str, value: Callable[[dict[str, str]], float]
+) -> dict[str, list[float]]:
+    """Returns the values of the rows, by the text in a column."""
+    names = dict.fromkeys(row[column] for row in rows)
+    return {name: [value(row) for row in rows if row[column] == name] for name in names}
+
+
 def legend(figure: Figure, axes: Axes, columns: int = 3) -> None:
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize=8)
 
@@ -134,16 +142,12 @@ def latency() -> Figure:
 def conditions() -> Figure:
     rows = read("conditions").rows
     names = list(dict.fromkeys(row["condition"] for row in rows))
-    peers = list(dict.fromkeys(row["peer"] for row in rows))
     lost = {row["condition"]: row["packets lost"] for row in rows}
     groups = [f"{name.replace('-', chr(10), 1).replace('-', ' ')}\n{lost[name]}" for name in names]
 
-    def of(column: str) -> dict[str, list[float]]:
-        return {peer: [number(row[column]) for row in rows if row["peer"] == peer] for peer in peers}
-
     figure, axes = panels(2, 3)
-    bars(axes[0], groups, of("messages lost"), "% of the messages lost")
-    bars(axes[1], groups, of("p99"), "age, p99 (ms)")
+    bars(axes[0], groups, grouped(rows, "peer", lambda row: number(row["messages lost"])), "% of the messages lost")
+    bars(axes[1], groups, grouped(rows, "peer", lambda row: number(row["p99"])), "age, p99 (ms)")
     axes[1].set_yscale("log")
     logarithmic(axes[1].yaxis)
     for panel in axes:
@@ -172,17 +176,12 @@ def buffering() -> Figure:
 def failover() -> Figure:
     rows = read("failover").rows
     peers = list(dict.fromkeys(row["peer"] for row in rows))
-    faults = list(dict.fromkeys(row["Wi-Fi"] for row in rows))
-
-    def of(value: Callable[[dict[str, str]], float]) -> dict[str, list[float]]:
-        return {fault: [value(row) for row in rows if row["Wi-Fi"] == fault] for fault in faults}
-
     figure, axes = panels(2, 3)
     groups = [peer.replace(", ", ",\n").replace(": ", ":\n").replace(" alone", "\nalone") for peer in peers]
-    bars(axes[0], groups, of(lambda row: number(row["small p99"])), "age of a message, p99 (ms)")
+    bars(axes[0], groups, grouped(rows, "Wi-Fi", lambda row: number(row["small p99"])), "age of a message, p99 (ms)")
     axes[0].set_yscale("log")
     logarithmic(axes[0].yaxis)
-    bars(axes[1], groups, of(lambda row: 100 * share(row["small lost"])), "% of the messages lost")
+    bars(axes[1], groups, grouped(rows, "Wi-Fi", lambda row: 100 * share(row["small lost"])), "% of the messages lost")
     for panel in axes:
         panel.tick_params(axis="x", labelsize=6)
     legend(figure, axes[0])
