@@ -100,6 +100,11 @@ impl Connection {
         }
     }
 
+    /// Returns the name of the robot at the other end, if it is known.
+    pub fn robot(&self) -> Option<&str> {
+        self.peer.as_ref()?.robot.as_deref()
+    }
+
     /// Returns how many bytes wait to be sent, if it is known.
     pub fn waiting_bytes(&self) -> Option<u64> {
         let lanes = self.lanes.as_ref()?;

@@ -12,7 +12,7 @@ use super::Finding;
 pub fn findings(root: &Path) -> Vec<Finding> {
     let system = System { root };
     let mut findings = vec![system.kernel()];
-    let adapters = system.adapters();
+    let adapters = bluez::adapters(root);
     let has_adapter = !adapters.is_empty();
     findings.push(system.adapter(&adapters));
     findings.extend(system.rfkill());
@@ -62,14 +62,6 @@ impl System<'_> {
             ),
             _ => Finding::good("kernel", kernel),
         }
-    }
-
-    fn adapters(&self) -> Vec<String> {
-        let mut adapters = self.names("sys/class/bluetooth");
-        // The folder also contains links, such as hci0:64.
-        adapters.retain(|name| name.starts_with("hci") && !name.contains(':'));
-        adapters.sort();
-        adapters
     }
 
     fn adapter(&self, adapters: &[String]) -> Finding {

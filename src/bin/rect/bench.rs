@@ -105,10 +105,9 @@ async fn serve(robot: &Robot) -> Done {
 async fn method(robot: &Robot, other: &Name) -> Option<String> {
     let me = robot.name().as_str();
     let connections = robot.connections_of(other, "").await.ok()?;
-    let is_me = |peer: &rect::core::connection::PeerId| peer.robot.as_deref() == Some(me);
     let mut connections = connections.into_iter();
     connections
-        .find(|connection| connection.peer.as_ref().is_some_and(is_me))
+        .find(|connection| connection.robot() == Some(me))
         .map(|connection| connection.method)
 }
 

@@ -68,9 +68,7 @@ pub async fn peers(arguments: PeersArguments) -> Done {
     let connections = robot.connections().await.unwrap_or_default();
     let mut linked: BTreeMap<&str, Vec<&Connection>> = BTreeMap::new();
     for connection in &connections {
-        let peer = connection.peer.as_ref();
-        let peer = peer.and_then(|peer| peer.robot.as_deref());
-        if let (Some(peer), ConnectionState::Connected) = (peer, connection.state) {
+        if let (Some(peer), ConnectionState::Connected) = (connection.robot(), connection.state) {
             linked.entry(peer).or_default().push(connection);
         }
     }

@@ -184,13 +184,17 @@ impl Surveyor<'_> {
             say("Measuring over Wi-Fi.");
             let label = Label::named("over Wi-Fi");
             survey.places.push(self.place(&label).await);
-            survey.switches.extend(self.switch(Step::WifiOff).await?);
+            survey
+                .switches
+                .extend(switch::measure(self, Step::WifiOff).await?);
         }
         if !has_wifi || survey.switches.iter().any(|switch| switch.path == BLE) {
             self.places(arguments, &mut survey).await?;
         }
         if has_wifi {
-            survey.switches.extend(self.switch(Step::WifiOn).await?);
+            survey
+                .switches
+                .extend(switch::measure(self, Step::WifiOn).await?);
         }
         if let Some(DurationArgument(duration)) = arguments.soak {
             survey.soak = Some(self.soak(duration).await?);
@@ -229,10 +233,6 @@ impl Surveyor<'_> {
             rect::errln!("rect: {label}: {error}");
             Place::failed(label, &error.to_string())
         })
-    }
-
-    async fn switch(&self, step: Step) -> Result<Option<document::Switch>, Failure> {
-        switch::measure(self, step).await
     }
 
     /// Watches the link for a long time.
@@ -287,11 +287,8 @@ impl Surveyor<'_> {
     async fn linked(&self) -> Result<Option<Connection>, Failure> {
         let other = Some(self.other.as_str());
         let all = self.robot.connections().await?.into_iter();
-        let is_link = |one: &Connection| {
-            let peer = one.peer.as_ref();
-            one.state == ConnectionState::Connected
-                && peer.and_then(|peer| peer.robot.as_deref()) == other
-        };
+        let is_link =
+            |one: &Connection| one.state == ConnectionState::Connected && one.robot() == other;
         let mut links: Vec<_> = all.filter(is_link).collect();
         // Both robots may have dialled.
         links.sort_by_key(|link| link.method != "any");

@@ -1,5 +1,6 @@
 //! Implements [`Radio`] with the Bluetooth stack of Linux: bluetoothd over D-Bus for adapters, advertising and
 //! scanning, and kernel sockets for channels. Only this file and its folder use the crate `bluer`.
+mod adapters;
 mod channel;
 mod errors;
 mod identity;
@@ -44,7 +45,7 @@ use crate::{
     interval::ConnectionInterval,
 };
 
-pub use self::timing::is_configured_externally as is_timing_configured;
+pub use self::{adapters::adapters, timing::is_configured_externally as is_timing_configured};
 
 /// Adapter that is used if none is named.
 const DEFAULT_ADAPTER: &str = "hci0";

@@ -4,8 +4,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Json, Name, Robot, Service, Subscriber};
-use serde::{Deserialize, Serialize};
+use rect::{Json, Name, Robot, Service, Subscriber, ToPayload};
+use serde::{de::DeserializeOwned, Deserialize, Serialize};
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
@@ -140,9 +140,7 @@ async fn count_load(
 
 /// Requests the load that the other robot has received so far.
 pub async fn count(robot: &Robot, other: &Name) -> Result<ReceivedLoad, Failure> {
-    let reply = robot.request(other, COUNT, "", TIMEOUT).await;
-    let reply = reply.map_err(|error| not_served(other, &error))?;
-    Ok(reply.payload.value()?)
+    request(robot, other, COUNT, "", TIMEOUT).await
 }
 
 /// Lets the other robot send a load to this one, and returns the number of its messages.
@@ -154,9 +152,17 @@ pub async fn request_load(
 ) -> Result<u64, Failure> {
     let seconds = duration.as_secs_f64();
     let requested = Json(RequestedLoad { bytes, seconds });
-    let reply = robot
-        .request(other, SEND, requested, duration + TIMEOUT)
-        .await;
+    request(robot, other, SEND, requested, duration + TIMEOUT).await
+}
+
+async fn request<T: DeserializeOwned>(
+    robot: &Robot,
+    other: &Name,
+    service: &str,
+    value: impl ToPayload,
+    timeout: Duration,
+) -> Result<T, Failure> {
+    let reply = robot.request(other, service, value, timeout).await;
     let reply = reply.map_err(|error| not_served(other, &error))?;
     Ok(reply.payload.value()?)
 }

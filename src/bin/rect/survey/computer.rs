@@ -11,6 +11,7 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
+use zenoh_link_ble::radio::bluez;
 
 /// Commands that describe the adapters, if they are installed: claimed features, PHYs and roles; chip and firmware; BlueZ.
 const COMMANDS: [&[&str]; 5] = [
@@ -61,12 +62,16 @@ impl Computer {
             .iter()
             .flat_map(|text| text.lines())
             .find_map(|line| line.strip_prefix("PRETTY_NAME="));
+        let adapters = bluez::adapters(root);
         Self {
             model: model.iter().find_map(|path| text(root, path)),
             system: system.map(|name| name.trim_matches('"').to_owned()),
             kernel: text(root, "proc/sys/kernel/osrelease"),
             architecture: std::env::consts::ARCH.to_owned(),
-            adapters: adapters(root),
+            adapters: adapters
+                .into_iter()
+                .map(|name| adapter(root, name))
+                .collect(),
             outputs: outputs(),
         }
     }
@@ -81,27 +86,16 @@ fn text(root: &Path, path: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
 
-fn adapters(root: &Path) -> Vec<Adapter> {
-    let folder = root.join("sys/class/bluetooth");
-    let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
-    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-    // The folder also contains links, such as hci0:64.
-    let names = names.filter(|name| name.starts_with("hci") && !name.contains(':'));
-    let mut adapters: Vec<_> = names
-        .map(|name| {
-            let device = folder.join(&name).join("device");
-            let usb = |file: &str| text(&device, &format!("../{file}"));
-            Adapter {
-                driver: file_name(&device.join("driver")),
-                usb: usb("idVendor")
-                    .zip(usb("idProduct"))
-                    .map(|(vendor, product)| format!("{vendor}:{product}")),
-                name,
-            }
-        })
-        .collect();
-    adapters.sort_by(|a, b| a.name.cmp(&b.name));
-    adapters
+fn adapter(root: &Path, name: String) -> Adapter {
+    let device = root.join("sys/class/bluetooth").join(&name).join("device");
+    let usb = |file: &str| text(&device, &format!("../{file}"));
+    Adapter {
+        driver: file_name(&device.join("driver")),
+        usb: usb("idVendor")
+            .zip(usb("idProduct"))
+            .map(|(vendor, product)| format!("{vendor}:{product}")),
+        name,
+    }
 }
 
 /// Returns the name of the file to which a link leads.
