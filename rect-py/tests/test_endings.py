@@ -57,6 +57,10 @@ def run(ending: str) -> subprocess.CompletedProcess[str]:
         "maps = two.receive_transfers('*/maps'); one.transfer('wombat-2', 'maps', b'x' * 1_000_000)",
         "threading.Thread(target=lambda: one.transfer('nobody', 'maps', b''), daemon=True).start()",
         "threading.Thread(target=lambda: list(two.subscribe('*/x')), daemon=True).start()",
+        # Some of these threads are inside Zenoh when the program ends.
+        "peers = lambda: [two.peers() for _ in range(10**7)]; "
+        "[threading.Thread(target=peers, daemon=True).start() for _ in range(8)]; "
+        "time.sleep(0.1)",
         "two.on_event(print)",
         "sys.exit(0)",
         "circle = [one]; circle.append(circle); del one",
@@ -113,8 +117,11 @@ _CAMERA = """
     watch = two.watch("wombat-1", "camera")
     picture = numpy.random.default_rng(1).integers(0, 256, (480, 640, 3), numpy.uint8)
     def send_frames():
-        while not one.is_closed:
-            camera.send(picture)
+        try:
+            while True:
+                camera.send(picture)
+        except rect.Closed:
+            pass
     threading.Thread(target=send_frames, daemon=True).start()
     watch.next(timeout=20)
 """

@@ -61,7 +61,8 @@ class Declared:
         declared, self._declared = self._declared, []
         for one in declared:
             if not self._session.is_closed:
-                undeclared(one)
+                with self._session.calls:
+                    undeclared(one)
 
     def on_fork(self) -> None:
         """Drops the declarations in a child process: they belong to threads of the parent."""

@@ -65,7 +65,8 @@ class Decoder:
                 query.reply(key, bytes(dictionary))
 
         try:
-            self._served.append(self._session.zenoh.declare_queryable(key, direct(answer), complete=True))
+            with self._session.calls:
+                self._served.append(self._session.zenoh.declare_queryable(key, direct(answer), complete=True))
         except zenoh.ZError as error:
             self._core.on_not_served(dictionary.id)
             raise zenoh_error("cannot share the dictionary", error) from error

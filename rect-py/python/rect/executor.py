@@ -86,7 +86,11 @@ class Executor:
 
     def act(self, step: tuple[Any, ...]) -> None:
         """Performs an action of the driver. Raises `zenoh.ZError`, and `Closed` if the handle is closed."""
-        getattr(self, "_" + step[0])(*step[1:])
+        if step[0] == "deliver":
+            self._deliver(*step[1:])
+            return
+        with self._session.calls:
+            getattr(self, "_" + step[0])(*step[1:])
 
     def wake(self) -> None:
         """Makes the thread poll the driver."""

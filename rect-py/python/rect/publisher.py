@@ -39,10 +39,11 @@ class Publisher:
         self._declared = Declared(session, on_end=matching.close)
         publisher = session.publication(topic, None, urgency, lifetime is not None).publisher
         try:
-            listener = publisher.declare_matching_listener(direct(lambda status: matching.set(status.matching)))
-            self._declared.add(listener)
-            # This is a `MatchingStatus`; the stubs of eclipse-zenoh 1.10 are wrong here.
-            status: Any = publisher.matching_status
+            with session.calls:
+                listener = publisher.declare_matching_listener(direct(lambda status: matching.set(status.matching)))
+                self._declared.add(listener)
+                # This is a `MatchingStatus`; the stubs of eclipse-zenoh 1.10 are wrong here.
+                status: Any = publisher.matching_status
         except zenoh.ZError as error:
             self._declared.end()
             raise zenoh_error("cannot observe the subscribers", error) from error

@@ -68,7 +68,7 @@ class Recorder:
         request = self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)
         if request is not None:
             # The sender of a video is asked for a key frame; the session may be closing.
-            with contextlib.suppress(zenoh.ZError):
+            with contextlib.suppress(zenoh.ZError, Closed), self._session.calls:
                 self._session.zenoh.put(*request)
 
     def _add_event(self, event: Event) -> None:

@@ -55,13 +55,14 @@ class Replies:
         _, _, *query = self._inquiry.get(payload.bytes, payload.encoding, urgency)
         selector, arguments = get_arguments(*query)
         try:
-            session.urgency_sessions.of(urgency).get(
-                selector,
-                # Zenoh drops the callback after the last reply.
-                direct(self._queue.queue, self._queue.queue.end),
-                cancellation_token=self._cancellation,
-                **arguments,
-            )
+            with session.calls:
+                session.urgency_sessions.of(urgency).get(
+                    selector,
+                    # Zenoh drops the callback after the last reply.
+                    direct(self._queue.queue, self._queue.queue.end),
+                    cancellation_token=self._cancellation,
+                    **arguments,
+                )
         except zenoh.ZError as error:
             raise zenoh_error("cannot send the request", error) from error
 
@@ -106,7 +107,8 @@ class Replies:
         self._session.receive_queues.discard(self._queue)
         if not self._queue.queue.is_finished and not self._session.is_closed:
             # This waits for a running callback; since the queue is closed, that callback does not block.
-            self._cancellation.cancel()
+            with self._session.calls:
+                self._cancellation.cancel()
 
     def __enter__(self) -> Replies:
         return self

@@ -39,14 +39,14 @@ class Refusal(Exception):
 class Request:
     """A request to a service. If a request is closed without a reply, the requester receives none."""
 
-    __slots__ = ("_key", "_me", "_query", "deadline", "payload", "sender")
+    __slots__ = ("_key", "_query", "_session", "deadline", "payload", "sender")
 
-    def __init__(self, query: zenoh.Query, me: str, key: str, age: float = 0) -> None:
+    def __init__(self, query: zenoh.Query, session: Session, key: str, age: float = 0) -> None:
         attachment = query.attachment
         sender, timeout = _rect.requester(None if attachment is None else attachment.to_bytes())
         encoding = query.encoding
         self._query = query
-        self._me = me
+        self._session = session
         self._key = key
         #: Name of the robot that sent the request, as stated by its program. `None` if that program does not use RECT.
         #: The name is not verified: do not base permissions on it.
@@ -78,7 +78,8 @@ class Request:
         """
         payload = payload_of(value)
         try:
-            self._query.reply(self._key, payload.bytes, encoding=payload.encoding)
+            with self._session.calls:
+                self._query.reply(self._key, payload.bytes, encoding=payload.encoding)
         except zenoh.ZError as error:
             raise zenoh_error("cannot send the reply", error) from error
 
@@ -88,9 +89,10 @@ class Request:
         Raises `PayloadError` and `ZenohError`.
         """
         payload = payload_of(error)
-        encoding = _rect.error_encoding(self._me, payload.encoding)
+        encoding = _rect.error_encoding(self._session.key_space.robot, payload.encoding)
         try:
-            self._query.reply_err(payload.bytes, encoding=encoding)
+            with self._session.calls:
+                self._query.reply_err(payload.bytes, encoding=encoding)
         except zenoh.ZError as refusal:
             raise zenoh_error("cannot send the reply", refusal) from refusal
 
@@ -126,7 +128,8 @@ class Requests:
         on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot))
         self._declared = Declared(session, self._queue)
         try:
-            self._declared.add(session.zenoh.declare_queryable(self._key, direct(on_request), complete=True))
+            with session.calls:
+                self._declared.add(session.zenoh.declare_queryable(self._key, direct(on_request), complete=True))
         except zenoh.ZError as error:
             self._declared.end()
             raise zenoh_error("cannot declare the service", error) from error
@@ -146,7 +149,7 @@ class Requests:
                 return request
 
     def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request:
-        return Request(query, self._session.key_space.robot, self._key, arrived_at.ago())
+        return Request(query, self._session, self._key, arrived_at.ago())
 
     def _decode(self, request: Request) -> bool:
         """Decodes the request, and returns whether to handle it.

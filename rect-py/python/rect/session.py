@@ -23,6 +23,7 @@ from rect.publication import Publication
 from rect.receive_queue import ReceiveQueue
 from rect.urgency_sessions import UrgencySessions
 from rect.values import Payload
+from rect.zenoh_calls import ZenohCalls
 
 
 class Ending(Protocol):
@@ -37,13 +38,6 @@ class Declaring(Ending, Protocol):
 
     def on_fork(self) -> None:
         """Drops the declarations in a child process."""
-
-
-class FrameSender(Protocol):
-    """A stream, which may be sending a frame."""
-
-    def finish(self, timeout: float) -> None:
-        """Waits until no frame is being sent."""
 
 
 class Decoding(Protocol):
@@ -88,8 +82,8 @@ class Session:
         self.receive_queues: set[ReceiveQueue[Any]] = set()
         #: Functions to call on close, before the Zenoh sessions are closed.
         self.close_callbacks: list[Callable[[], object]] = []
-        #: Streams that send frames.
-        self.streams: weakref.WeakSet[FrameSender] = weakref.WeakSet()
+        #: Calls of Zenoh that are in progress.
+        self.calls = ZenohCalls(self.closed_error)
         self._threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._why_closed: str | None = None
@@ -125,7 +119,8 @@ class Session:
             return publication
         key = self.key_space.publication(topic, recipient)
         service = qos(_rect.qos(urgency, expires))
-        publication = Publication(self.urgency_sessions.of(urgency), key, service, self.check)
+        with self.calls:
+            publication = Publication(self.urgency_sessions.of(urgency), key, service, self.check)
         with self._lock:
             if len(self._publications) >= _rect.MAX_PUBLICATIONS:
                 self._publications.clear()
@@ -191,8 +186,7 @@ class Session:
             publications = list(self._publications.values())
         for publication in publications:
             publication.finish(_FINISH_S)
-        for stream in list(self.streams):
-            stream.finish(_FINISH_S)
+        self.calls.end(_FINISH_S)
         for thread in list(self._threads):
             if thread is not threading.current_thread():
                 thread.join(_FINISH_S)

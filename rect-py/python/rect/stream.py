@@ -50,7 +50,6 @@ class Stream:
         self._sending = threading.Lock()
         self._executor = Executor(session, self._core.driver())
         self._executor.start("rect stream")
-        session.streams.add(self)
         self._executor.leave_with(self)
 
     def send(self, frame: Any) -> int:
@@ -111,14 +110,6 @@ class Stream:
     def close(self) -> None:
         """Ends the stream."""
         self._executor.end()
-
-    def finish(self, timeout: float) -> None:
-        """Waits until no frame is being sent, for at most `timeout` seconds.
-
-        Python aborts on exit if a thread is inside Zenoh.
-        """
-        if self._sending.acquire(timeout=timeout):
-            self._sending.release()
 
     def __enter__(self) -> Stream:
         return self

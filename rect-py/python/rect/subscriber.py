@@ -64,7 +64,8 @@ class Subscriber:
         for key, directed in zip(keys, (False, True)):
             on_message = _rect.OnMessage(self._queue.queue, self._inbound, session.counters, session.links, directed)
             try:
-                self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
+                with session.calls:
+                    self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
             except zenoh.ZError as error:
                 self._declared.end()
                 raise zenoh_error("cannot declare the subscriber", error) from error
