@@ -102,6 +102,10 @@ class Calm:
     def since(self, started: float) -> bool:
         return started > self._disturbed_until
 
+    def age(self) -> str:
+        """How long nothing has been excused."""
+        return f"{time.monotonic() - self._disturbed_until:.1f} s into a calm time"
+
 
 class Program:
     """The program of a robot, whose threads send until it is closed."""
@@ -156,6 +160,8 @@ class Program:
         is_calm = self._calm.since(since)
         self._count(what, self._counts.lost if is_calm else self._counts.excused, number)
         if is_calm:
+            example += f" ({self._calm.age()})"
+            print(f"  lost: {example}", flush=True)
             self._counts.examples.append(example)
 
     def _state(self) -> None:
