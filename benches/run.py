@@ -33,6 +33,7 @@ BENCHES = {
     "lanes_cost": "throughput and round trip of lanes compared with a plain link, unpaced, in the VM",
     "encryption": "a link with a secret compared with one without, on a real kernel's Bluetooth stack in the VM",
     "plugin": "RECT in a stock zenohd compared with rect-router: urgent messages, throughput, memory, threads",
+    "isolation": "the effect of 98 other fleets behind the same stock router, without and with config/cloud.json5",
     "registry": "time to an answer with 5 and 500 connections, and until another router's registry shows a change",
     "codecs": "size and time of small JSON messages: JSON, CBOR, MessagePack, zstd without and with a dictionary",
     "stream": "a camera over a slow link, as video, adaptive and fixed: frames, ages, quality, urgent messages",
@@ -42,6 +43,7 @@ BENCHES = {
     "cpp": "the C++ library compared with the Rust library, micro-benchmarks, allocations, size of a static program",
     "recording": "`rect record` and `rect replay`: processor time, memory, size beside the reference writer, timing",
     "dashboard": "a page of `rect dashboard`: bytes on the air, urgent messages, memory, processor time, time to open",
+    "churn": "memory of a router whose neighbour is killed 200 times, beside stock zenohd",
     "idle": "memory, threads and size compared with stock zenohd",
 }
 #: The benches that also run in the VM's steady time. They need only loopback.

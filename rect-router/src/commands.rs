@@ -2,6 +2,7 @@
 //! diagnose problems. Their arguments are in `args::command`.
 mod check;
 mod client;
+mod cloud;
 mod connections;
 mod doctor;
 mod init;

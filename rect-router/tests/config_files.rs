@@ -43,7 +43,12 @@ fn all_files_load() {
     names.sort();
     assert_eq!(
         names,
-        ["base-station.json5", "robot.json5", "simulation.json5"]
+        [
+            "base-station.json5",
+            "cloud.json5",
+            "robot.json5",
+            "simulation.json5"
+        ]
     );
     for name in names {
         assert_eq!(loaded(&name)["mode"], "router", "{name}");
@@ -52,7 +57,12 @@ fn all_files_load() {
 
 #[test]
 fn multicast_scouting_is_off_in_all_files() {
-    for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
+    for name in [
+        "robot.json5",
+        "base-station.json5",
+        "cloud.json5",
+        "simulation.json5",
+    ] {
         assert_eq!(
             loaded(name).pointer("/scouting/multicast/enabled"),
             Some(&json!(false)),
@@ -63,13 +73,18 @@ fn multicast_scouting_is_off_in_all_files() {
 
 #[test]
 fn no_listener_accepts_connections_from_the_network() {
-    for name in ["robot.json5", "base-station.json5", "simulation.json5"] {
+    for (name, at_least) in [
+        ("robot.json5", 2),
+        ("base-station.json5", 2),
+        ("cloud.json5", 1),
+        ("simulation.json5", 2),
+    ] {
         let config = loaded(name);
         let listeners = config
             .pointer("/listen/endpoints")
             .and_then(Value::as_array)
             .expect("a list");
-        assert!(listeners.len() >= 2, "{name}");
+        assert!(listeners.len() >= at_least, "{name}");
         for listener in listeners.iter().map(|l| l.as_str().expect("text")) {
             // `any/` accepts connections only of peers that have the key of a link over Bluetooth.
             let reach = ["tcp/127.0.0.1:", "unixsock-stream/", "any/", "ble/"];
@@ -82,8 +97,8 @@ fn no_listener_accepts_connections_from_the_network() {
 }
 
 #[test]
-fn robots_and_base_stations_require_logins_and_access_control() {
-    for name in WITH_LOGIN {
+fn robots_base_stations_and_shared_routers_require_logins_and_access_control() {
+    for name in WITH_LOGIN.into_iter().chain(["cloud.json5"]) {
         let config = loaded(name);
         let at = |pointer| config.pointer(pointer).unwrap_or(&Value::Null);
         assert_eq!(

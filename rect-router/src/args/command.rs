@@ -51,6 +51,12 @@ pub struct InitArgs {
     /// Write the configuration of a base station, from which the robots' connections may be changed
     #[arg(long)]
     pub base_station: bool,
+    /// Router that many fleets share, to connect to; the login file needs the fleet's login there
+    #[arg(long, value_name = "ENDPOINT")]
+    pub cloud: Option<String>,
+    /// Write the configuration of such a router, with a login and a region for each of these fleets
+    #[arg(long, value_name = "FLEET", value_delimiter = ',', conflicts_with_all = ["base_station", "cloud", "fleet", "users"])]
+    pub fleets: Vec<String>,
     /// Folder for the files; a relative path is relative to the current folder
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]
     pub folder: PathBuf,

@@ -10,6 +10,7 @@ use std::{
 use rect::core::{login, name::Name};
 
 use super::{
+    cloud,
     service::{self, Owner},
     Failure,
 };
@@ -25,6 +26,8 @@ const BASE_STATION: (&str, &str) = (
 const TEMPLATE_FLEET: &str = "\"rect/";
 /// The socket file that both configurations contain. Its folder is created by systemd, for the installed service only.
 const SERVICE_SOCKET: &str = "unixsock-stream//run/rect/router.sock";
+/// The beginning of the list of robots to dial, of which both configurations contain only an example.
+const TEMPLATE_DIALLED: &str = "    endpoints: [\n      // \"any/";
 /// The TCP listener that both configurations contain.
 const TEMPLATE_LISTENER: &str = "tcp/127.0.0.1:7447";
 /// Characters that would end a path in an endpoint.
@@ -46,7 +49,9 @@ const PRIVATE_FOLDER_MODE: u32 = 0o750;
 /// Fails if a name is invalid, if one of the files exists already, if a file cannot be written, or if the service cannot be
 /// started. No existing file is changed.
 pub fn run(args: &InitArgs) -> Result<(), Failure> {
-    for (argument, name) in [("robot", &args.robot), ("--fleet", &args.fleet)] {
+    let names = [("robot", &args.robot), ("--fleet", &args.fleet)];
+    let fleets = args.fleets.iter().map(|fleet| ("--fleets", fleet));
+    for (argument, name) in names.into_iter().chain(fleets) {
         Name::new(name).map_err(|error| format!("{argument}: {error}"))?;
     }
     let users = match &args.users {
@@ -54,7 +59,11 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
             .map_err(|error| format!("cannot read the login file {}: {error}", path.display()))?,
         None => {
             let login = |user| Ok(format!("{user}:{}\n", secret()?));
-            LOGINS
+            let users = match args.fleets.as_slice() {
+                [] => LOGINS.to_vec(),
+                fleets => fleets.iter().map(String::as_str).collect(),
+            };
+            users
                 .into_iter()
                 .map(login)
                 .collect::<Result<_, Failure>>()?
@@ -70,22 +79,20 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     } else {
         &folder
     };
-    let login_as = login_as(args, &users);
+    let text = if args.fleets.is_empty() {
+        let login_as = login_as(args, &users)?;
+        configuration(args, &folder, state, login_as)
+    } else {
+        for_this_computer(&cloud::configuration(&args.fleets), args, &folder)
+    };
     let (root, router) = (Owner::root(), Owner::router());
-    let files = [
-        (folder.join("users"), users, &root),
+    let mut files = vec![(folder.join("users"), users, &root)];
+    if args.fleets.is_empty() {
         // The config service writes this file and temporary files beside it.
-        (
-            state.join("connections.json"),
-            NO_CONNECTIONS.to_owned(),
-            &router,
-        ),
-        (
-            folder.join("robot.json5"),
-            configuration(args, &folder, state, login_as),
-            &root,
-        ),
-    ];
+        let connections = state.join("connections.json");
+        files.push((connections, NO_CONNECTIONS.to_owned(), &router));
+    }
+    files.push((folder.join("robot.json5"), text, &root));
     // If one of the files exists, none is written.
     for (path, ..) in &files {
         if path.exists() {
@@ -112,8 +119,13 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
         let config = quoted(&folder.join("robot.json5").display().to_string());
         rect::outln!("start it with: {} -c {config}", program());
     }
-    if args.users.is_none() {
-        let users = folder.join("users");
+    let users = folder.join("users");
+    if !args.fleets.is_empty() {
+        rect::outln!(
+            "give each fleet its line of {}, and let it connect to this router: docs/how-to/cloud.md",
+            users.display()
+        );
+    } else if args.users.is_none() {
         rect::outln!(
             "the other robots of the team need the same login: copy {} to them and give it with --users",
             users.display()
@@ -182,21 +194,39 @@ fn quoted(text: &str) -> String {
     }
 }
 
-/// Returns the user to log in as: the robot's name if the login file has that user, otherwise the common user of robots or
-/// base stations if the file has it.
-fn login_as<'a>(args: &'a InitArgs, users: &str) -> Option<&'a str> {
+/// Returns the user to log in as: the fleet's name if the router connects to one that many fleets share. Otherwise the robot's
+/// name if the login file has that user, or else the common user of robots or base stations if the file has it.
+fn login_as<'a>(args: &'a InitArgs, users: &str) -> Result<Option<&'a str>, Failure> {
+    let has = |user: &str| login::logins(users).any(|(name, _)| name == user);
+    if args.cloud.is_some() {
+        return match has(&args.fleet) {
+            true => Ok(Some(&args.fleet)),
+            false => Err(format!(
+                "--cloud: the login file has no line `{0}:<password>`, with which the fleet {0} logs in there; add the line that \
+                 the owner of that router has given you, and give the file with --users",
+                args.fleet
+            )
+            .into()),
+        };
+    }
     let [fleet, config] = LOGINS;
     let of_all = if args.base_station { config } else { fleet };
-    [args.robot.as_str(), of_all]
+    Ok([args.robot.as_str(), of_all]
         .into_iter()
-        .find(|user| login::logins(users).any(|(name, _)| name == *user))
+        .find(|user| has(user)))
 }
 
 /// Returns the shipped configuration with this robot's name, fleet, adapter, port and folders.
 fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<&str>) -> String {
     let login_as = login_as.map_or_else(String::new, |user| format!(", login_as: {}", json(user)));
+    let region = args.cloud.as_ref().map_or_else(String::new, |_| {
+        format!(
+            "  // The region of the router that many fleets share.\n  region_name: \"{}\",\n\n",
+            args.fleet
+        )
+    });
     let settings = format!(
-        "  // RECT's own settings: the fleet and this robot's name, its named connections, and the user as which it logs in.\n  plugins: {{\n    \
+        "{region}  // RECT's own settings: the fleet and this robot's name, its named connections, and the user as which it logs in.\n  plugins: {{\n    \
          rect: {{ fleet: \"{}\", robot: \"{}\", connections: {}{login_as} }},\n  }},\n}}\n",
         args.fleet,
         args.robot,
@@ -207,9 +237,21 @@ fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<
     } else {
         ROBOT
     };
-    let text = template
+    let mut text = template
         .replace(template_name, &args.robot)
-        .replace(TEMPLATE_FLEET, &format!("\"{}/", args.fleet))
+        .replace(TEMPLATE_FLEET, &format!("\"{}/", args.fleet));
+    if let Some(cloud) = &args.cloud {
+        let dialled = TEMPLATE_DIALLED.replacen("// ", &format!("{},\n      // ", json(cloud)), 1);
+        text = text.replacen(TEMPLATE_DIALLED, &dialled, 1);
+    }
+    let text = for_this_computer(&text, args, folder);
+    let body = text.trim_end().strip_suffix('}').unwrap_or(&text);
+    format!("{body}\n{settings}")
+}
+
+/// Replaces the adapter, port and folders of a shipped configuration.
+fn for_this_computer(template: &str, args: &InitArgs, folder: &Path) -> String {
+    let text = template
         .replace(TEMPLATE_LISTENER, &format!("tcp/127.0.0.1:{}", args.port))
         .replace("any/hci0", &format!("any/{}", args.adapter))
         .replace(
@@ -220,13 +262,11 @@ fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<
             "/etc/rect/users",
             &escaped(&folder.join("users").display().to_string()),
         );
-    let text = if service::is_installed_for(folder) {
+    if service::is_installed_for(folder) {
         text
     } else {
         with_socket_in(folder, &text)
-    };
-    let body = text.trim_end().strip_suffix('}').unwrap_or(&text);
-    format!("{body}\n{settings}")
+    }
 }
 
 /// Moves the socket file to the folder, or removes that listener if its path would exceed the system's limit.
