@@ -77,7 +77,7 @@ def bars(axes: Axes, groups: list[str], series: dict[str, list[float]], unit: st
         drawn = axes.bar(
             places, values, width, label=name, color=COLOURS[at], hatch=HATCHES[at], edgecolor="white", linewidth=0.5
         )
-        labels = ["" if math.isnan(value) or value == 0 else f"{value:,.{digits}f}" for value in values]
+        labels = ["" if math.isnan(value) else f"{value:,.{digits if value else 0}f}" for value in values]
         axes.bar_label(drawn, labels, fontsize=7, padding=1)
     axes.set_xticks(range(len(groups)), groups)
     axes.set_ylabel(unit)
@@ -223,7 +223,7 @@ def compression() -> Figure:
 
 def middleware() -> Figure:
     rows = [row for row in read("middleware").rows if row["payload, what"].startswith("64 B: ")]
-    names = [row["payload, what"].removeprefix("64 B: ").replace(" over ", "\nover ") for row in rows]
+    names = [row["payload, what"].removeprefix("64 B: ").replace(" over ", "\nover\n") for row in rows]
     figure, axes = panels(2, 2.8)
     latencies = {
         "publish": [number(row["publish p50"]) for row in rows],
@@ -260,6 +260,61 @@ def memory() -> Figure:
     return figure
 
 
+def encryption() -> Figure:
+    rows = [row for row in read("encryption").rows if row["pace"] != "none"]
+    paces = list(dict.fromkeys(row["pace"] for row in rows))
+    links = ["encrypted", "not encrypted"]
+
+    def of(what: str, factor: float = 1) -> dict[str, list[float]]:
+        return {link: [factor * number(row[link]) for row in rows if row["what"].startswith(what)] for link in links}
+
+    figure, axes = panels(3)
+    bars(axes[0], paces, of("share of raw, put 16000 B", 100), "% of a bare channel", 1)
+    bars(axes[1], paces, of("round trip, p50"), "round trip, p50 (ms)", 1)
+    bars(axes[2], paces, of("urgent, p99"), "urgent messages, p99 (ms)")
+    legend(figure, axes[0])
+    return figure
+
+
+def transfer() -> Figure:
+    rows = read("transfer").rows
+    figure, (panel,) = panels(1, 2.6)
+    rates = {row["link"]: row["link"].split(" (")[0] for row in rows}
+    cases = [case.replace(" and three", "\nand three") for case in dict.fromkeys(row["case"] for row in rows)]
+    of_raw = grouped(rows, "link", lambda row: 100 * number(row["kB/s (of raw)"].split("(")[1]))
+    bars(panel, cases, {rates[link]: shares for link, shares in of_raw.items()}, "% of a bare channel")
+    legend(figure, panel)
+    return figure
+
+
+def isolation() -> Figure:
+    rows = read("isolation").rows
+    groups = [
+        row["router"].replace(", ", ",\n").replace("router without", "router\nwithout").replace("`", "") for row in rows
+    ]
+    columns = [column for column in rows[0] if column.startswith(("bytes", "while", "when"))]
+    figure, axes = panels(2, 2.8)
+    air = [sum(number(row[column]) for column in columns) for row in rows]
+    bars(axes[0], groups, {"": air}, "kB on the air for other fleets", 1)
+    bars(
+        axes[1], groups, {"": [number(row["growth of a robot's router"]) for row in rows]}, "MB in a robot's router", 1
+    )
+    for panel in axes:
+        panel.tick_params(axis="x", labelsize=7)
+    return figure
+
+
+def churn() -> Figure:
+    figure, (panel,) = panels(1, 2.8)
+    # The third colour is too light for a line.
+    for at, row in zip((0, 1, 3), reversed(read("churn").rows), strict=True):
+        sizes = {number(column): number(cell) for column, cell in row.items() if column.endswith("times")}
+        line(panel, at, list(sizes), list(sizes.values()), row["router, link"])
+    panel.set(xlabel="times that the neighbour was killed", ylabel="private memory (MB)", ylim=(0, None))
+    legend(figure, panel)
+    return figure
+
+
 #: The figures, by the name of their file.
 DRAWINGS = {
     "goodput": Drawing(goodput, ("goodput",)),
@@ -268,11 +323,15 @@ DRAWINGS = {
     "conditions": Drawing(conditions, ("conditions",)),
     "buffering": Drawing(buffering, ("buffering",)),
     "failover": Drawing(failover, ("failover",)),
+    "encryption": Drawing(encryption, ("encryption",)),
     "video": Drawing(video, ("stream",)),
+    "transfer": Drawing(transfer, ("transfer",)),
     "compression": Drawing(compression, ("codecs",)),
     "middleware": Drawing(middleware, ("middleware",)),
     "registry": Drawing(registry, ("registry",)),
     "memory": Drawing(memory, ("idle",)),
+    "churn": Drawing(churn, ("churn",)),
+    "isolation": Drawing(isolation, ("isolation",)),
 }
 
 
