@@ -1,4 +1,4 @@
-"""Runs two candidates alternately, and calculates the ratio of their figures."""
+"""Runs candidates alternately, and calculates the ratio of their figures."""
 
 import os
 import statistics
@@ -17,13 +17,15 @@ def rounds(usual: int) -> int:
     return min(usual, 4) if IS_STEADY else usual
 
 
-def alternate(rounds: int, ours: Callable[[], T], others: Callable[[], T]) -> tuple[list[T], list[T]]:
-    """Runs both candidates in each round, and returns the figures of each."""
-    found: tuple[list[T], list[T]] = ([], [])
-    for n in range(rounds):
-        # The candidates alternate in going first, because the first one may find a cooler or a hotter machine.
-        for index in (0, 1) if n % 2 else (1, 0):
-            found[index].append((ours, others)[index]())
+def alternate(rounds: int, *candidates: Callable[[], T]) -> tuple[list[T], ...]:
+    """Runs all candidates in each round, and returns the figures of each."""
+    found: tuple[list[T], ...] = tuple([] for _ in candidates)
+    order = list(range(len(candidates)))
+    for _ in range(rounds):
+        # Another one goes first each time, because the first one may find a cooler or a hotter machine.
+        order = [*order[1:], order[0]]
+        for index in order:
+            found[index].append(candidates[index]())
     return found
 
 

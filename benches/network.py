@@ -1,5 +1,5 @@
-"""Compares a link with the method `any` on its network path with a plain `tcp/` link: goodput, round trip and memory
-of two routers in two network namespaces."""
+"""Compares a link with the method `any` on its network path with a `tls/` and a plain `tcp/` link: goodput, round trip
+and memory of two routers in two network namespaces."""
 
 import os
 import statistics
@@ -21,6 +21,7 @@ from zenoh import CongestionControl, Priority
 
 NEAR, FAR, PORT = "10.77.0.1", "10.77.0.2", 7460
 NETWORKS = {"100 Mbit/s": "100mbit", "unlimited": None}
+LINKS = ["any", "tls", "tcp"]
 SIZES = [1000, 8000, 100_000]
 ROUNDS = 5
 SECONDS = 2.0
@@ -37,22 +38,26 @@ def run() -> Table:
         "memory, kB",
         "idle processor, us/s",
     ]
-    table = Table("The network path of an `any` link compared with a `tcp` link", columns)
+    table = Table("The network path of an `any` link compared with `tls` and `tcp` links", columns)
     for network, rate in NETWORKS.items():
         print(f"  {network}", flush=True)
-        rounds = alternate(ROUNDS, partial(figures, "any", rate), partial(figures, "tcp", rate))
-        ours, theirs = ([list(column) for column in zip(*found, strict=True)] for found in rounds)
-        for link, found in (("any", ours), ("tcp", theirs)):
+        rounds = alternate(ROUNDS, *(partial(figures, link, rate) for link in LINKS))
+        by_link = {
+            link: [list(column) for column in zip(*found, strict=True)]
+            for link, found in zip(LINKS, rounds, strict=True)
+        }
+        for link, found in by_link.items():
             medians = [statistics.median(column) for column in found]
             rates, others = medians[: len(SIZES)], medians[len(SIZES) :]
             table.add(network, link, *(f"{value:.1f}" for value in rates), *(f"{value:.0f}" for value in others))
-        table.add(network, "ratio", *map(ratio, ours, theirs))
+        for peer in LINKS[1:]:
+            table.add(network, f"any to {peer}", *map(ratio, by_link["any"], by_link[peer]))
     table.notes = [
-        f"Medians of {ROUNDS} rounds, in each of which both links run. Ratio: any to tcp, median of the rounds, with "
-        "the range of the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
+        f"Medians of {ROUNDS} rounds, in each of which all links run. Ratios: median of the rounds, with the range of "
+        "the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
         "run in two network namespaces with a pair of virtual Ethernet devices between them, limited by `tc` or not at "
-        "all. The `any` link has only its network path and is encrypted; the `tcp` link is not. Memory: the private "
-        "memory of the dialling router afterwards. Idle processor: its processor time while nothing is published.",
+        "all. The `any` link has only its network path. It is encrypted, as `tls` is; `tcp` is not. Memory: the "
+        "private memory of the dialling router afterwards. Idle processor: its processor time while nothing is published.",
     ]
     return table
 
@@ -72,17 +77,39 @@ def pair(link: str, rate: str | None) -> Iterator[tuple[zenoh.Session, zenoh.Ses
         stack.enter_context(namespaces(rate))
         secret = folder / "secret"
         secret.write_text("team:the secret of the team\n")
-        if link == "tcp":
-            listen, dial = f"tcp/{NEAR}:{PORT}", ["-e", f"tcp/{NEAR}:{PORT}"]
+        settings = certified(folder) if link == "tls" else []
+        if link in ("tcp", "tls"):
+            listen, dial = f"{link}/{NEAR}:{PORT}", ["-e", f"{link}/{NEAR}:{PORT}"]
         else:
             options = f"wait=true;secret={secret}"
             listen = f"any/hci99#name=near;{options};port={PORT}"
             dial = ["-l", f"any/hci99#name=far;{options}", "-e", f"any/{NEAR}:{PORT}"]
-        near = stack.enter_context(router(folder / "near", [], ["-l", listen]))
-        far = stack.enter_context(router(folder / "far", ["ip", "netns", "exec", "rect-far"], dial))
+        near = stack.enter_context(router(folder / "near", [], ["-l", listen, *settings]))
+        far = stack.enter_context(router(folder / "far", ["ip", "netns", "exec", "rect-far"], [*dial, *settings]))
         sessions = [stack.enter_context(open_client(endpoint)) for endpoint, _ in (near, far)]
         wait_for_link(*sessions)
         yield sessions[0], sessions[1], far[1]
+
+
+def certified(folder: Path) -> list[str]:
+    """Makes a certificate of the near router that signs itself, and returns the settings of both routers for it."""
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:P-256",
+        "-nodes",
+        "-days",
+        "1",
+    ]
+    command += ["-subj", "/CN=near", "-addext", f"subjectAltName=IP:{NEAR}", "-keyout", key, "-out", certificate]
+    subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+    files = {"listen_private_key": key, "listen_certificate": certificate, "root_ca_certificate": certificate}
+    return [part for name, file in files.items() for part in ("--cfg", f'transport/link/tls/{name}:"{file}"')]
 
 
 @contextmanager

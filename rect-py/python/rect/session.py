@@ -165,11 +165,13 @@ class Session:
             _CLOSED[:] = [True]
 
     def _close_zenoh(self) -> None:
-        with self._lock:
-            publications = list(self._publications.values())
-        for publication in publications:
+        for publication in self._all_publications():
             publication.undeclare()
         self.urgency_sessions.close()
+
+    def _all_publications(self) -> list[Publication]:
+        with self._lock:
+            return list(self._publications.values())
 
     def start(self, name: str, run: Callable[[], object]) -> None:
         """Runs a function on a new thread, which has to end soon after the session is closed."""
@@ -182,9 +184,7 @@ class Session:
 
     def _finish(self) -> None:
         """Waits for threads that are still inside Zenoh: none may be there when Python exits."""
-        with self._lock:
-            publications = list(self._publications.values())
-        for publication in publications:
+        for publication in self._all_publications():
             publication.finish(_FINISH_S)
         self.calls.end(_FINISH_S)
         for thread in list(self._threads):
