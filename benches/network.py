@@ -57,7 +57,8 @@ def run() -> Table:
         "the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
         "run in two network namespaces with a pair of virtual Ethernet devices between them, limited by `tc` or not at "
         "all. The `any` link has only its network path. It is encrypted, as `tls` is; `tcp` is not. Memory: the "
-        "private memory of the dialling router afterwards. Idle processor: its processor time while nothing is published.",
+        "private memory of the dialling router afterwards. Idle processor: its processor time while nothing is "
+        "published.",
     ]
     return table
 
