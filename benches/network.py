@@ -107,7 +107,8 @@ def certified(folder: Path) -> list[str]:
         "-days",
         "1",
     ]
-    command += ["-subj", "/CN=near", "-addext", f"subjectAltName=IP:{NEAR}", "-keyout", key, "-out", certificate]
+    command += ["-subj", "/CN=near", "-addext", f"subjectAltName=IP:{NEAR}", "-addext", "basicConstraints=CA:FALSE"]
+    command += ["-keyout", key, "-out", certificate]
     subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
     files = {"listen_private_key": key, "listen_certificate": certificate, "root_ca_certificate": certificate}
     return [part for name, file in files.items() for part in ("--cfg", f'transport/link/tls/{name}:"{file}"')]
