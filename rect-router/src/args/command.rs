@@ -55,7 +55,7 @@ pub struct InitArgs {
     #[arg(long, value_name = "ENDPOINT")]
     pub cloud: Option<String>,
     /// Write the configuration of such a router, with a login and a region for each of these fleets
-    #[arg(long, value_name = "FLEET", value_delimiter = ',', conflicts_with_all = ["base_station", "cloud", "fleet", "users"])]
+    #[arg(long, value_name = "FLEET", value_delimiter = ',', conflicts_with_all = ["adapter", "base_station", "cloud", "fleet", "users"])]
     pub fleets: Vec<String>,
     /// Folder for the files; a relative path is relative to the current folder
     #[arg(long, value_name = "FOLDER", default_value = "/etc/rect")]

@@ -54,6 +54,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     for (argument, name) in names.into_iter().chain(fleets) {
         Name::new(name).map_err(|error| format!("{argument}: {error}"))?;
     }
+    cloud::check(&args.fleets, args.cloud.as_deref())?;
     let users = match &args.users {
         Some(path) => fs::read_to_string(path)
             .map_err(|error| format!("cannot read the login file {}: {error}", path.display()))?,
