@@ -1,32 +1,53 @@
-//! Makes the configuration of a router that many fleets share from `config/cloud.json5`.
-use zenoh::config::EndPoint;
+//! Makes the configuration of a router that many fleets share from `config/cloud.json5`, and the connection to such a router.
+use serde_json::json;
 
 use super::Failure;
+use crate::connections::spec::{RawSpec, Spec};
 
 const TEMPLATE: &str = include_str!("../../../config/cloud.json5");
 /// The fleets of the template. Each line that belongs to one contains its name after a quotation mark.
 const TEMPLATE_FLEETS: [&str; 2] = ["\"red", "\"blue"];
+/// The name of the connection to the shared router.
+const NAME: &str = "cloud";
 
-/// Checks the fleets of such a router, and the endpoint of the one to connect to.
+/// Returns the connection to the router at that endpoint, as it is in a connections file.
 ///
 /// # Errors
-/// Fails if a fleet is given twice, or if the endpoint is invalid.
-pub fn check(fleets: &[String], endpoint: Option<&str>) -> Result<(), Failure> {
+/// Fails if it is not an endpoint with a host and a port.
+pub fn connection(endpoint: &str) -> Result<String, Failure> {
+    let parts = endpoint.split_once('/').and_then(|(method, place)| {
+        let (host, port) = place.rsplit_once(':')?;
+        Some((method, host, port.parse().ok()?))
+    });
+    let Some((method, host, port)) = parts else {
+        return Err(format!(
+            "--cloud {endpoint}: give the method, the host and the port, such as tls/cloud.example.org:7448"
+        )
+        .into());
+    };
+    let spec = RawSpec {
+        name: NAME.to_owned(),
+        method: method.to_owned(),
+        address: host.to_owned(),
+        port: Some(port),
+        ..RawSpec::default()
+    };
+    Spec::of(spec).map_err(|error| format!("--cloud {endpoint}: {error}"))?;
+    let connection = json!({ "name": NAME, "method": method, "address": host, "port": port });
+    Ok(connection.to_string())
+}
+
+/// Checks that no fleet is given twice.
+///
+/// # Errors
+/// Fails if one is.
+pub fn check(fleets: &[String]) -> Result<(), Failure> {
     for (number, fleet) in fleets.iter().enumerate() {
         if fleets[..number].contains(fleet) {
             return Err(format!("--fleets: {fleet} is given twice").into());
         }
     }
-    let Some(endpoint) = endpoint else {
-        return Ok(());
-    };
-    match endpoint.parse::<EndPoint>() {
-        Ok(_) => Ok(()),
-        Err(_) => Err(format!(
-            "--cloud {endpoint}: this is not an endpoint; give one such as tls/cloud.example.org:7448"
-        )
-        .into()),
-    }
+    Ok(())
 }
 
 /// Returns the configuration for these fleets.
@@ -52,18 +73,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn wrong_fleets_and_endpoints_are_named() {
-        let reason = |fleets: &[&str], endpoint| {
-            let fleets: Vec<_> = fleets.iter().map(|&fleet| fleet.to_owned()).collect();
-            let checked = check(&fleets, endpoint);
-            checked.err().map(|reason| reason.to_string())
-        };
-        assert_eq!(reason(&["red", "blue"], None), None);
-        assert_eq!(reason(&[], Some("tls/example.org:7448")), None);
-        let twice = "--fleets: red is given twice".to_owned();
-        assert_eq!(reason(&["red", "blue", "red"], None), Some(twice));
-        let endpoint = reason(&[], Some("example.org"));
-        assert!(endpoint.expect("wrong").contains("not an endpoint"));
+    fn a_fleet_that_is_given_twice_is_named() {
+        let fleets = ["red", "blue", "red"].map(str::to_owned);
+        assert!(check(&fleets[..2]).is_ok());
+        let error = check(&fleets).expect_err("twice");
+        assert_eq!(error.to_string(), "--fleets: red is given twice");
+    }
+
+    #[test]
+    fn an_endpoint_becomes_a_connection() {
+        let text = connection("tls/[::1]:7448").expect("valid");
+        let expected =
+            json!({ "name": "cloud", "method": "tls", "address": "[::1]", "port": 7448 });
+        let read: serde_json::Value = text.parse().expect("JSON");
+        assert_eq!(read, expected);
+        for wrong in ["example.org", "tls/example.org", "tls/a:99999", "smoke/a:1"] {
+            let error = connection(wrong).expect_err("invalid").to_string();
+            assert!(error.starts_with(&format!("--cloud {wrong}: ")), "{error}");
+        }
     }
 
     #[test]

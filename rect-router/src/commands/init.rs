@@ -26,8 +26,6 @@ const BASE_STATION: (&str, &str) = (
 const TEMPLATE_FLEET: &str = "\"rect/";
 /// The socket file that both configurations contain. Its folder is created by systemd, for the installed service only.
 const SERVICE_SOCKET: &str = "unixsock-stream//run/rect/router.sock";
-/// The beginning of the list of robots to dial, of which both configurations contain only an example.
-const TEMPLATE_DIALLED: &str = "    endpoints: [\n      // \"any/";
 /// The TCP listener that both configurations contain.
 const TEMPLATE_LISTENER: &str = "tcp/127.0.0.1:7447";
 /// Characters that would end a path in an endpoint.
@@ -35,8 +33,6 @@ const FORBIDDEN_IN_PATH: [char; 4] = ['#', '?', ';', '|'];
 /// The users of a new login file. Robots log in as the first one when they dial, base stations as the second one, which may
 /// change the connections of robots.
 const LOGINS: [&str; 2] = ["fleet", "config"];
-const NO_CONNECTIONS: &str =
-    "// Named connections: see docs/reference/configuration.md.\n{\n  \"connections\": [\n  ],\n}\n";
 /// Number of random bytes in a password, too many for a brute-force search.
 const SECRET_BYTES: usize = 18;
 /// Permissions of files and folders: for the owner and the router's group.
@@ -54,7 +50,7 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     for (argument, name) in names.into_iter().chain(fleets) {
         Name::new(name).map_err(|error| format!("{argument}: {error}"))?;
     }
-    cloud::check(&args.fleets, args.cloud.as_deref())?;
+    cloud::check(&args.fleets)?;
     let users = match &args.users {
         Some(path) => fs::read_to_string(path)
             .map_err(|error| format!("cannot read the login file {}: {error}", path.display()))?,
@@ -90,8 +86,8 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     let mut files = vec![(folder.join("users"), users, &root)];
     if args.fleets.is_empty() {
         // The config service writes this file and temporary files beside it.
-        let connections = state.join("connections.json");
-        files.push((connections, NO_CONNECTIONS.to_owned(), &router));
+        let text = connections(args.cloud.as_deref())?;
+        files.push((state.join("connections.json"), text, &router));
     }
     files.push((folder.join("robot.json5"), text, &root));
     // If one of the files exists, none is written.
@@ -217,6 +213,17 @@ fn login_as<'a>(args: &'a InitArgs, users: &str) -> Result<Option<&'a str>, Fail
         .find(|user| has(user)))
 }
 
+/// Returns the text of a new connections file, with the connection to a router that many fleets share, if there is one.
+fn connections(cloud: Option<&str>) -> Result<String, Failure> {
+    let first = match cloud {
+        Some(endpoint) => format!("    {},\n", cloud::connection(endpoint)?),
+        None => String::new(),
+    };
+    Ok(format!(
+        "// Named connections: see docs/reference/configuration.md.\n{{\n  \"connections\": [\n{first}  ],\n}}\n"
+    ))
+}
+
 /// Returns the shipped configuration with this robot's name, fleet, adapter, port and folders.
 fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<&str>) -> String {
     let login_as = login_as.map_or_else(String::new, |user| format!(", login_as: {}", json(user)));
@@ -238,13 +245,9 @@ fn configuration(args: &InitArgs, folder: &Path, state: &Path, login_as: Option<
     } else {
         ROBOT
     };
-    let mut text = template
+    let text = template
         .replace(template_name, &args.robot)
         .replace(TEMPLATE_FLEET, &format!("\"{}/", args.fleet));
-    if let Some(cloud) = &args.cloud {
-        let dialled = TEMPLATE_DIALLED.replacen("// ", &format!("{},\n      // ", json(cloud)), 1);
-        text = text.replacen(TEMPLATE_DIALLED, &dialled, 1);
-    }
     let text = for_this_computer(&text, args, folder);
     let body = text.trim_end().strip_suffix('}').unwrap_or(&text);
     format!("{body}\n{settings}")
