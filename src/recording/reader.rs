@@ -338,12 +338,12 @@ fn strings_fit(opcode: u8, data: &[u8]) -> bool {
         op::CHUNK => return data.get(28..).and_then(without_string).is_some(),
         _ => return true,
     };
-    // Names and values, after their length in bytes.
+    // Pairs of a name and a value, after their length in bytes. The parser looks for a missing value behind them.
     let rest = rest.and_then(|rest| rest.split_first_chunk());
     let map = rest.and_then(|(length, rest)| rest.get(..u32::from_le_bytes(*length) as usize));
     let Some(mut rest) = map else { return false };
     while !rest.is_empty() {
-        match without_string(rest) {
+        match without_string(rest).and_then(without_string) {
             Some(after) => rest = after,
             None => return false,
         }
@@ -355,4 +355,29 @@ fn strings_fit(opcode: u8, data: &[u8]) -> bool {
 fn without_string(bytes: &[u8]) -> Option<&[u8]> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.get(u32::from_le_bytes(*length) as usize..)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns a metadata record without a name, whose map has that length, followed by these bytes.
+    fn metadata(length: u32, rest: &[u8]) -> Vec<u8> {
+        [[0; 4].as_slice(), &length.to_le_bytes(), rest].concat()
+    }
+
+    #[test]
+    fn a_name_without_a_value_is_refused() {
+        // Behind the map is what the parser would take for the length of a string.
+        let record = metadata(4, &[[0; 4], [0xaa; 4]].concat());
+        assert!(matches!(
+            parsed(op::METADATA, &record),
+            Err(McapError::UnexpectedEoc)
+        ));
+        let pair = metadata(8, &[0; 8]);
+        assert!(matches!(
+            parsed(op::METADATA, &pair),
+            Ok(Record::Metadata(_))
+        ));
+    }
 }
