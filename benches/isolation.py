@@ -96,7 +96,8 @@ class Outcome:
 class Hall:
     """The shared router, and two fleets with a robot and a base station each."""
 
-    def __init__(self, air: Room, cloud: Router, logins: dict[str, str]) -> None:
+    def __init__(self, folder: Path, air: Room, cloud: Router, logins: dict[str, str]) -> None:
+        self._folder = folder
         self._air = air
         self.cloud = cloud
         self._logins = logins
@@ -145,7 +146,7 @@ class Hall:
     def _arguments(self, fleet: str) -> list[str]:
         if fleet not in self._logins:
             return []
-        users = Path(tempfile.mkdtemp()) / "users"
+        users = self._folder / f"{fleet}-users"
         users.write_text(f"{fleet}:{self._logins[fleet]}\n")
         given = {"transport/auth/usrpwd/dictionary_file": str(users), "region_name": fleet, **self.settings(fleet)}
         return [part for key, value in given.items() for part in ("--cfg", f"{key}:{json.dumps(value)}")]
@@ -175,7 +176,7 @@ def hall(case: Case) -> Iterator[Hall]:
             logins = dict(line.split(":", 1) for line in lines)
             arguments = ["-c", str(made / "robot.json5")]
         with Router("stock zenohd", *arguments) as cloud:
-            yield Hall(air, cloud, logins)
+            yield Hall(Path(folder), air, cloud, logins)
 
 
 def outcome_of(case: Case) -> Outcome:

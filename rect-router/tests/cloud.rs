@@ -7,14 +7,9 @@ use std::{fs, path::Path, time::Instant};
 
 use support::{
     admin, arrives, client_with, init, program, rect_router, start_with, text_of, Air, Router,
-    DEADLINE,
+    AS_ROBOTS, DEADLINE,
 };
 use zenoh::{Session, Wait};
-
-/// Applies the rules for links to other computers to the TCP links of a test; programs use the socket file.
-const AS_ROBOTS: &str = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
-                         {id:'programs over tcp',link_protocols:['ws']},\
-                         {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
 
 /// The cloud's router with the fleets `red` and `blue`.
 struct Cloud {

@@ -10,7 +10,7 @@ use std::{
 
 use serde_json::{json, Value};
 use support::{
-    admin, answers, arrives, client_with, login_file, repository, Air, Router, DEADLINE,
+    admin, answers, arrives, client_with, login_file, repository, Air, Router, AS_ROBOTS, DEADLINE,
 };
 use zenoh::{Session, Wait};
 
@@ -208,12 +208,6 @@ fn programs_need_a_valid_login_and_then_have_full_access() {
         );
     }
 }
-
-/// Applies the rules for Bluetooth links to the TCP links of a test.
-const AS_ROBOTS: &str = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
-                         {id:'programs over tcp',link_protocols:['ws']},\
-                         {id:'configuration users',link_protocols:['ws']},\
-                         {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
 
 #[test]
 fn robots_get_the_fleets_data_and_no_more() {

@@ -33,6 +33,7 @@ fn world(a: &str, b: &str) -> World {
     World {
         a: bluez::radio(Some(a)).expect("opens"),
         b: bluez::radio(Some(b)).expect("opens"),
+        is_simulated: false,
         lose_links: Box::new(move || run("room", &["drop", &one])),
         set_pace: Box::new(move |bytes_per_s| {
             for adapter in &both {

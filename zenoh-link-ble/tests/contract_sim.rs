@@ -20,6 +20,7 @@ async fn world(condition: Condition) -> World {
         b: air.radio("sim-b").await.expect("attaches"),
         lose_links: Box::new(move || air.cut()),
         set_pace: Box::new(|_| ()),
+        is_simulated: true,
     }
 }
 

@@ -33,6 +33,12 @@ pub use self::{
 /// Timeout of each step of a test, sufficient even on a busy machine.
 pub const DEADLINE: Duration = Duration::from_secs(30);
 
+/// Applies the shipped rules for links to other computers to the TCP links of a test; programs use the socket file.
+pub const AS_ROBOTS: &str = "access_control/subjects:[{id:'robots',link_protocols:['tcp']},\
+                         {id:'programs over tcp',link_protocols:['ws']},\
+                         {id:'configuration users',link_protocols:['ws']},\
+                         {id:'programs over a socket file',link_protocols:['unixsock-stream']}]";
+
 /// A running router, killed at the end of the test.
 pub struct Router {
     child: Child,

@@ -25,6 +25,8 @@ pub struct World {
     pub lose_links: Box<dyn Fn() + Send + Sync>,
     /// Limits the rate of both radios, in bytes per second; 0: no limit. The simulated air always has its own rate.
     pub set_pace: Box<dyn Fn(u32) + Send + Sync>,
+    /// Whether the time is virtual: a busy computer misses nothing.
+    pub is_simulated: bool,
 }
 
 /// Limits the rate of both radios of a world while it lives.
