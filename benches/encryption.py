@@ -9,11 +9,12 @@ import tempfile
 import time
 from pathlib import Path
 
+import zenoh
 from goodput import MAX_PUTS, put_rate
 from guest import CLOCK, figures_of, set_pace
-from lanes_cost import query_times_ms
 from peers import bare_channel
 from robots import Robot, wait_until
+from round_trip import ask
 from routers import own_kb
 from table import Table
 from traffic import Urgent, bulk, percentile
@@ -25,6 +26,8 @@ UNPACED_BYTES = 500_000
 SDU_BYTES = [2000, 4000]
 PUT_BYTES = [1000, 16_000]
 BULK_LIMIT_S = 60
+QUERIES = 80
+PAYLOAD = bytes(64)
 # The name of the dialled robot, the adapters.
 LINKS = {"encrypted": ("wombat-1", "hci0", "hci1"), "not encrypted": ("wombat-3", "hci2", "hci3")}
 SECRET = "fleet:a secret of the team, long enough"
@@ -126,3 +129,12 @@ def processor_ms(robot: Robot) -> float:
     """Returns the processor time of a router's threads. /proc/PID/stat is only a sample at each tick of the kernel."""
     threads = Path(f"/proc/{robot.pid()}/task").glob("*/schedstat")
     return sum(int(thread.read_text().split()[0]) for thread in threads) / 1e6
+
+
+def query_times_ms(here: zenoh.Session, there: zenoh.Session) -> list[float]:
+    key = "rect/wombat-2/bench"
+    service = there.declare_queryable(key, lambda query: query.reply(key, PAYLOAD))
+    querier = here.declare_querier(key, timeout=5)
+    times = ask(querier, PAYLOAD, QUERIES)
+    service.undeclare()
+    return times

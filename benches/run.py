@@ -30,7 +30,6 @@ BENCHES = {
     "urgent_vm": "two cases of `urgent` on a real kernel's Bluetooth stack in the VM, paced",
     "failover": "two robots whose Wi-Fi is silent or lost: any, Bluetooth alone, TCP alone, stock Zenoh with two links",
     "network": "the network path of an `any` link compared with `tls` and `tcp`: goodput, latency, memory (needs root)",
-    "lanes_cost": "throughput and round trip of lanes compared with a plain link, unpaced, in the VM",
     "encryption": "a link with a secret compared with one without, on a real kernel's Bluetooth stack in the VM",
     "plugin": "RECT in a stock zenohd compared with rect-router: urgent messages, throughput, memory, threads",
     "isolation": "the effect of 98 other fleets behind the same stock router, without and with config/cloud.json5",

@@ -3,6 +3,7 @@
 //! While a [`Recorder`] runs, a recording is a folder of short files ([`segments`]). Each one is complete, synced and renamed
 //! before the next one begins, so that after a power cut only the last seconds are missing. When the recorder stops, they
 //! become one file. [`Reader`] reads the folder as well as the file.
+pub mod answer;
 pub mod backlog;
 pub mod channel;
 mod chunk;

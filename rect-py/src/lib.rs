@@ -73,7 +73,7 @@ mod _rect {
             request::DEFAULT_TIMEOUT_MS,
             router, service, settings,
         };
-        use rect::recording::{recorder, report};
+        use rect::recording::{answer, recorder, report};
         module.add("ADD", named_connection::ADD)?;
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_S", f64::from(DEFAULT_TIMEOUT_MS) / 1000.0)?;
@@ -88,6 +88,7 @@ mod _rect {
         module.add("RECORDED_EVENTS", report::EVENTS)?;
         module.add("RECORDED_LINK", report::LINK)?;
         module.add("RECORDER_CAPACITY", recorder::CAPACITY)?;
+        module.add("RECORDING_QUERIES", answer::WAITING)?;
         module.add("REMOVE", named_connection::REMOVE)?;
         module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
         module.add("ROUTER_VARIABLE", endpoint::ROUTER_VARIABLE)?;

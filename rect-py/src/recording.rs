@@ -1,7 +1,7 @@
 //! Writes and reads recordings.
 use std::{
     path::PathBuf,
-    sync::{Mutex, MutexGuard},
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
@@ -9,16 +9,21 @@ use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes};
 use rect::{
     core::{
-        connection::Connection, encoding::Encoding, message::Message, name::Name, payload::Payload,
-        topic::Pattern,
+        connection::Connection, encoding::Encoding, key, message::Message, name::Name,
+        payload::Payload, topic::Pattern,
     },
     recording::{
-        self, file::about, key_frames::KeyFrames, report::EventReport, Entry, ReadError, Reader,
-        RecorderError, Selection, Settings, Split,
+        self,
+        answer::{self, Answer},
+        file::about,
+        key_frames::KeyFrames,
+        report::EventReport,
+        Entry, ReadError, Reader, RecorderError, Selection, Settings, Split,
     },
 };
 
 use crate::{
+    codec::{parts, Parts},
     driver::lock,
     errors::{raised, OrRaise, Raised},
     key_space::KeySpace,
@@ -28,7 +33,9 @@ use crate::{
 /// Records messages to a file, on a thread of its own.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Recorder {
-    recorder: Mutex<Option<recording::Recorder>>,
+    /// `None` once it has been stopped. It is locked for a moment only, because it may be locked while Python's lock is held.
+    recorder: Mutex<Option<Arc<recording::Recorder>>>,
+    place: key::KeySpace,
     videos: Mutex<KeyFrames>,
 }
 
@@ -40,6 +47,12 @@ type EventFields = (
     Option<String>,
     Option<String>,
     Option<String>,
+);
+
+/// The replies to a query for the recording, and an error that follows them.
+type Answered<'py> = (
+    Vec<(String, Parts<'py>, Option<(u64, u32)>)>,
+    Option<Parts<'py>>,
 );
 
 /// The number of messages in a recording, and of those that were dropped.
@@ -74,7 +87,8 @@ impl Recorder {
         };
         let recorder = py.detach(|| recording::Recorder::start(settings));
         Ok(Self {
-            recorder: Mutex::new(Some(recorder.or_raise()?)),
+            recorder: Mutex::new(Some(Arc::new(recorder.or_raise()?))),
+            place: place.0.clone(),
             videos: Mutex::new(KeyFrames::new(place.0.clone())),
         })
     }
@@ -92,7 +106,7 @@ impl Recorder {
             ..metadata.message()
         };
         let request = lock(&self.videos).on_message(&message, Instant::now());
-        if let Some(recorder) = &*self.recorder() {
+        if let Some(recorder) = self.recorder() {
             recorder.on_message(message);
         }
         request.map(|request| (request.key, request.bytes))
@@ -102,7 +116,7 @@ impl Recorder {
     fn add_event(&self, robot: &str, event: EventFields) -> PyResult<()> {
         let robot = Name::new(robot).or_raise()?;
         let (kind, peer, method, address, path, reason) = &event;
-        if let Some(recorder) = &*self.recorder() {
+        if let Some(recorder) = self.recorder() {
             let event = EventReport {
                 kind,
                 robot: peer.as_deref(),
@@ -121,7 +135,7 @@ impl Recorder {
     fn add_connections(&self, robot: &str, json: &[u8]) -> PyResult<()> {
         let robot = Name::new(robot).or_raise()?;
         let connections: Vec<Connection> = serde_json::from_slice(json).unwrap_or_default();
-        if let Some(recorder) = &*self.recorder() {
+        if let Some(recorder) = self.recorder() {
             recorder.on_connections(&robot, &connections);
         }
         Ok(())
@@ -129,14 +143,39 @@ impl Recorder {
 
     /// Returns the counts, and why the disk takes nothing at the moment. `None` after the end.
     fn progress(&self) -> Option<(Counts, Option<String>)> {
-        let recorder = self.recorder();
-        let progress = recorder.as_ref()?.progress();
+        let progress = self.recorder()?.progress();
         Some(((progress.written, progress.dropped), progress.problem))
+    }
+
+    /// Returns the key expression of the queries that it answers.
+    #[getter]
+    fn queries(&self) -> String {
+        format!("{}/**", answer::key(&self.place, &self.place.robot))
+    }
+
+    /// Returns the answer to a query: the keys, payloads and times of the replies (seconds and nanoseconds since 1970), and the
+    /// payload of an error that follows them. `None` after the end. May take a second.
+    fn answer<'py>(&self, py: Python<'py>, asked: &str, parameters: &str) -> Option<Answered<'py>> {
+        let recorder = self.recorder()?;
+        let answer = py.detach(|| Answer::to(asked, parameters, &recorder, &self.place));
+        let replies = answer.replies.into_iter().map(|reply| {
+            let recorded = reply
+                .recorded
+                .map(|time| (time.as_secs(), time.subsec_nanos()));
+            (reply.key, parts(py, &reply.payload), recorded)
+        });
+        let error = answer.error.as_ref().map(|error| parts(py, error));
+        Some((replies.collect(), error))
+    }
+
+    /// Returns the payload of the error for a query that finds too many others waiting.
+    fn busy<'py>(&self, py: Python<'py>) -> Parts<'py> {
+        parts(py, &answer::busy(&self.place))
     }
 
     /// Stops, and makes one file of the recording. Returns the counts. `None` if it had been stopped before.
     fn finish(&self, py: Python<'_>) -> PyResult<Option<Counts>> {
-        let Some(recorder) = self.recorder().take() else {
+        let Some(recorder) = lock(&self.recorder).take() else {
             return Ok(None);
         };
         let (_, progress) = py.detach(|| recorder.finish()).or_raise()?;
@@ -145,8 +184,8 @@ impl Recorder {
 }
 
 impl Recorder {
-    fn recorder(&self) -> MutexGuard<'_, Option<recording::Recorder>> {
-        lock(&self.recorder)
+    fn recorder(&self) -> Option<Arc<recording::Recorder>> {
+        lock(&self.recorder).clone()
     }
 }
 

@@ -22,6 +22,7 @@ import av
 import numpy
 import pytest
 import rect
+import zenoh
 from conftest import free_port, repeating
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -248,6 +249,35 @@ out=$2; cd "$1"; shift 2
 "$@" & echo $! > "$out/pid"
 wait $!; status=$?; cp match.mcap "$out"; exit $status
 """
+
+
+def test_other_robots_and_stock_programs_get_parts_of_a_recording_of_the_library(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    fetched = tmp_path / "fetched.mcap"
+    fetch = ["recording", "fetch", "wombat-1", "--as", "wombat-2", "--router", endpoint, "--output", str(fetched)]
+    with rect.connect("wombat-1", listen=[endpoint]) as robot:
+        with robot.record(tmp_path / "match.mcap", "wombat-1/**") as recorder:
+            for number in range(300):
+                robot.publish("pose", {"n": number, "padding": "x" * 500})
+            robot.publish("note", "hello")
+            until_recorded(recorder, 301)
+            # In several parts.
+            copied = tool(*fetch, "--topic", "wombat-1/pose")
+            assert copied.stdout == f"{fetched}: 300 messages\n", copied.stderr
+            config = zenoh.Config.from_json5(json.dumps({"mode": "client", "connect": {"endpoints": [endpoint]}}))
+            with zenoh.open(config) as session:
+                key = "rect/wombat-1/@rect/recording/wombat-1/note"
+                (reply,) = session.get(f"{key}?_time=[now(-1m)..]")
+                assert reply.ok and str(reply.ok.key_expr) == key and reply.ok.payload.to_string() == "hello"
+                assert reply.ok.timestamp
+                age_s = time.time() - reply.ok.timestamp.get_time().timestamp()
+                assert 0 <= age_s < DEADLINE
+                (refused,) = session.get(key)
+                assert refused.err and "name the time" in refused.err.payload.to_string()
+        after = tool(*fetch[:-1], str(tmp_path / "after.mcap"))
+        assert after.returncode == 1 and "no program serves recording" in after.stderr
+    numbers = [message.value["n"] for message in rect.Recording(fetched)]
+    assert numbers == list(range(300))
 
 
 def test_recording_continues_when_a_full_disk_has_room(tmp_path: Path) -> None:

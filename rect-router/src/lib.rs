@@ -9,6 +9,7 @@ pub mod connections;
 pub mod doctor;
 pub mod limits;
 pub mod logging;
+pub mod memory;
 mod paths;
 pub mod privileges;
 pub mod registry;

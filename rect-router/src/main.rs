@@ -1,9 +1,8 @@
 //! `rect-router`: a router that accepts zenohd's flags and configuration files and adds Bluetooth LE links.
 //!
 //! This file only defines the order of the steps. The flags become a configuration (`config.rs`), the configuration becomes
-//! a running router (`router.rs`) with its threads (`threads.rs`), and a signal stops it (`signals.rs`). Before
-//! all that, the router gives up its privileges (`privileges.rs`). An error is
-//! reported once, on stderr.
+//! a running router (`router.rs`) with its threads (`threads.rs`) and memory (`memory.rs`), and a signal stops it
+//! (`signals.rs`). Before all that, the router gives up its privileges (`privileges.rs`). An error is reported once, on stderr.
 
 use std::process::ExitCode;
 
@@ -12,13 +11,14 @@ use rect_router::{
     args, commands,
     config::{self, SessionSettings},
     limits::SessionLimits,
-    logging, privileges,
+    logging, memory, privileges,
     robot_services::RobotServices,
     router, threads, version,
 };
 
 fn main() -> ExitCode {
     threads::set();
+    memory::limit_arenas();
     let args = args::parse();
     if let Some(command) = &args.command {
         return commands::run(command);

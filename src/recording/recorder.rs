@@ -60,7 +60,8 @@ pub struct Recorder {
     about: About,
     parts: PartPaths,
     shared: Arc<Shared>,
-    thread: Option<JoinHandle<Parts>>,
+    /// `None` once it has stopped.
+    thread: Mutex<Option<JoinHandle<Parts>>>,
     clock: Clock,
 }
 
@@ -147,7 +148,7 @@ impl Recorder {
             about,
             parts: part_paths,
             shared,
-            thread: Some(thread),
+            thread: Mutex::new(Some(thread)),
             clock,
         })
     }
@@ -219,18 +220,20 @@ impl Recorder {
     ///
     /// # Errors
     /// Fails if the disk does; then the folder remains, and can be read.
-    pub fn finish(mut self) -> Result<(Vec<PathBuf>, Progress), RecorderError> {
+    pub fn finish(&self) -> Result<(Vec<PathBuf>, Progress), RecorderError> {
         let parts = self.stop();
         let files = parts.map_or(Ok(Vec::new()), Parts::finish)?;
         Ok((files, self.progress()))
     }
 
     /// Stops writing. Returns `None` if that was done before.
-    fn stop(&mut self) -> Option<Parts> {
+    fn stop(&self) -> Option<Parts> {
         self.shared.state().is_stopped = true;
         self.shared.changed.notify_one();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        let thread = { thread }.take()?;
         // It does not panic, and there is nothing to do if it did.
-        self.thread.take()?.join().ok()
+        thread.join().ok()
     }
 }
 

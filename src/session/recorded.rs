@@ -1,51 +1,36 @@
 //! Answers queries for the recording that a program makes, and asks the recorders of other robots.
 use std::{
     fmt,
-    sync::{Arc, Weak},
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    sync::Arc,
+    time::{Duration, UNIX_EPOCH},
 };
 
 use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
 use zenoh::{
     query::{
         ConsolidationMode, Query, QueryTarget, Queryable, ReplyError, ReplyKeyExpr, TimeBound,
-        TimeRange, ZenohParameters,
+        TimeRange,
     },
     time::{Timestamp, TimestampId, NTP64},
     Wait,
 };
-use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{convert, queries, robot::Robot};
 use crate::{
     core::{
-        driver::Answer,
-        encoding::Encoding,
+        driver,
         name::Name,
-        payload::Payload,
-        request::{error_from_payload, error_to_payload, is_timeout},
+        request::{error_from_payload, is_timeout},
     },
     error::Error,
     recording::{
-        excerpt::{Excerpt, Question},
+        answer::{busy, key, Answer, FORM, MCAP, WAITING},
+        excerpt::Excerpt,
         file::About,
         Entry, Recorder, RecorderError,
     },
 };
 
-/// The part of RECT's internal keys under which a recorder answers. The key expression behind it selects `<robot>/<topic>`.
-const RECORDING: &str = "recording";
-/// Selects all messages.
-const ALL: &str = "**";
-/// The parameter for an answer in one file.
-const FORM: &str = "form";
-const MCAP: &str = "mcap";
-/// The number of queries that wait at most. Further ones are refused.
-const WAITING: usize = 8;
-/// The size of the messages in one answer, in bytes, so that it takes about a second over Bluetooth.
-const PAGE_BYTES: usize = 64 * 1024;
-/// The largest number of messages that are sent one by one.
-const MAX_MESSAGES: usize = 1000;
 /// How long the end of a recording waits for the answer that is being sent.
 const SENT_WITHIN: Duration = Duration::from_secs(2);
 /// How long an answer may take.
@@ -61,16 +46,12 @@ impl RecordingQueries {
     /// Begins to answer.
     pub(super) fn start(robot: &Robot, recorder: &Arc<Recorder>) -> Result<Self, Error> {
         let inner = &robot.inner;
-        let own = inner.place.own(Some(&inner.place.robot), RECORDING);
+        let place = inner.place.clone();
+        let own = key(&place, &place.robot);
         let (queue, mut waiting) = mpsc::channel::<Query>(WAITING);
-        let me = inner.place.robot.clone();
         let on_query = move |query: Query| {
             if let Err(mpsc::error::TrySendError::Full(query)) = queue.try_send(query) {
-                refuse(
-                    &query,
-                    &me,
-                    "too many questions about the recording at once: try again",
-                );
+                queries::answer(&query, driver::Answer::Error(busy(&place)));
             }
         };
         let declared = inner.session.declare_queryable(format!("{own}/**"));
@@ -79,19 +60,24 @@ impl RecordingQueries {
             .callback(on_query)
             .wait()
             .map_err(Error::zenoh("cannot offer the recording"))?;
-        let answering = Answering {
-            id: inner.session.zid().into(),
-            me: inner.place.robot.clone(),
-            own,
-            // The recorder is finished by its only owner.
-            recorder: Arc::downgrade(recorder),
-        };
+        let id = TimestampId::from(inner.session.zid());
+        let place = Arc::new(inner.place.clone());
+        // A recording also ends while answers wait for a slow link.
+        let recorder = Arc::downgrade(recorder);
         let task = inner.runtime.spawn(async move {
-            let answering = Arc::new(answering);
             while let Some(query) = waiting.recv().await {
-                let answering = answering.clone();
+                let Some(recorder) = recorder.upgrade() else {
+                    return;
+                };
+                let place = place.clone();
                 // Reading takes time, and so does a slow link.
-                let answered = tokio::task::spawn_blocking(move || answering.answer(&query));
+                let answered = tokio::task::spawn_blocking(move || {
+                    let asked = query.key_expr().as_str();
+                    let parameters = query.parameters().as_str();
+                    let answer = Answer::to(asked, parameters, &recorder, &place);
+                    drop(recorder);
+                    send(&query, answer, id);
+                });
                 if let Err(error) = answered.await {
                     tracing::warn!("a question about the recording was not answered: {error}");
                 }
@@ -108,115 +94,20 @@ impl RecordingQueries {
     }
 }
 
-struct Answering {
-    id: TimestampId,
-    me: Name,
-    /// The key under which the recording is.
-    own: String,
-    recorder: Weak<Recorder>,
-}
-
-impl Answering {
-    fn answer(&self, query: &Query) {
-        if let Err(problem) = self.reply(query) {
-            refuse(query, &self.me, &problem);
-        }
+fn send(query: &Query, answer: Answer, id: TimestampId) {
+    let sent = answer.replies.into_iter().try_for_each(|reply| {
+        let time = reply
+            .recorded
+            .map(|time| Timestamp::new(NTP64::from(time), id));
+        let encoding = reply.payload.encoding;
+        let reply = query.reply(reply.key, reply.payload.bytes);
+        reply.encoding(encoding.as_str()).timestamp(time).wait()
+    });
+    match (sent, answer.error) {
+        (Err(error), _) => tracing::debug!("cannot reply on {}: {error}", query.key_expr()),
+        (Ok(()), Some(error)) => queries::answer(query, driver::Answer::Error(error)),
+        (Ok(()), None) => {}
     }
-
-    fn reply(&self, query: &Query) -> Result<(), String> {
-        // Not kept while the answer is sent: a recording ends also if a link stands still.
-        let recorder = self.recorder.upgrade();
-        let recorder = recorder.ok_or("the recording has ended")?;
-        let (question, is_file) = self.question(query, recorder.now())?;
-        let max_count = if is_file { usize::MAX } else { MAX_MESSAGES };
-        let excerpt = Excerpt::read(&recorder.readable(), &question, PAGE_BYTES, max_count);
-        let about = recorder.about().clone();
-        drop(recorder);
-        let excerpt = excerpt.map_err(text)?;
-        if is_file {
-            let file = excerpt.encode(about, question.until).map_err(text)?;
-            let reply = query.reply(&self.own, file);
-            return reply.encoding("application/mcap").wait().map_err(text);
-        }
-        for entry in excerpt.entries {
-            self.send(query, entry)?;
-        }
-        match excerpt.more {
-            false => Ok(()),
-            true => Err(format!(
-                "more messages follow: at most {MAX_MESSAGES} or {PAGE_BYTES} bytes are sent at once; ask for a shorter time, or \
-                 use `rect recording fetch {}`",
-                self.me
-            )),
-        }
-    }
-
-    fn send(&self, query: &Query, entry: Entry) -> Result<(), String> {
-        let time = Timestamp::new(NTP64::from(entry.logged), self.id);
-        let reply = query.reply(format!("{}/{}", self.own, entry.topic), entry.payload.bytes);
-        let reply = reply.encoding(entry.payload.encoding.as_str());
-        reply.timestamp(time).wait().map_err(text)
-    }
-
-    /// Returns the selected messages, and whether they are to be sent as a file.
-    fn question(&self, query: &Query, now: Duration) -> Result<(Question, bool), String> {
-        let key = query.key_expr().as_str();
-        let topics = key.strip_prefix(self.own.as_str());
-        // A wildcard in the robot's name: the rest has no wildcards before the internal keys.
-        let topics = topics.or_else(|| {
-            key.split_once(&format!("@rect/{RECORDING}"))
-                .map(|(_, rest)| rest)
-        });
-        let topics = topics.unwrap_or_default().trim_start_matches('/');
-        let topics = if topics.is_empty() { ALL } else { topics };
-        let mut is_file = false;
-        for (name, value) in query.parameters().iter() {
-            match (name, value) {
-                (FORM, MCAP) => is_file = true,
-                (FORM, _) => return Err(format!("{FORM} is {MCAP}, or is left out")),
-                (name, _) if name.is_empty() || name.starts_with('_') => {}
-                (name, _) => {
-                    return Err(format!("`{name}` is unknown; known are _time and {FORM}"))
-                }
-            }
-        }
-        let range = query.parameters().time_range();
-        let range = range.ok_or("name the time, such as _time=[now(-10s)..]")?;
-        let at = UNIX_EPOCH + now;
-        let range = range.map_err(text)?.resolve_at(at);
-        let step = Duration::from_nanos(1);
-        let begin = match range.start {
-            TimeBound::Inclusive(time) => since_1970(time),
-            TimeBound::Exclusive(time) => since_1970(time) + step,
-            TimeBound::Unbounded => Duration::ZERO,
-        };
-        let until = match range.end {
-            TimeBound::Inclusive(time) => since_1970(time),
-            TimeBound::Exclusive(time) => since_1970(time).saturating_sub(step),
-            TimeBound::Unbounded => now,
-        };
-        let question = Question {
-            topics: OwnedKeyExpr::new(topics).map_err(text)?,
-            // They have keys of RECT's own, which a stock program has not asked for.
-            reports: is_file && topics == ALL,
-            begin,
-            until,
-        };
-        Ok((question, is_file))
-    }
-}
-
-fn since_1970(time: SystemTime) -> Duration {
-    time.duration_since(UNIX_EPOCH).unwrap_or_default()
-}
-
-fn text(error: impl fmt::Display) -> String {
-    error.to_string()
-}
-
-fn refuse(query: &Query, me: &Name, problem: &str) {
-    let error = error_to_payload(me, Payload::new(problem.to_owned(), Encoding::TEXT));
-    queries::answer(query, Answer::Error(error));
 }
 
 /// Reads the recording that another robot makes, a part at a time; created by [`Robot::recorded`].
@@ -288,7 +179,7 @@ impl Recorded {
             return Ok(None);
         }
         let inner = &self.robot.inner;
-        let own = inner.place.own(Some(&self.recorder), RECORDING);
+        let own = key(&inner.place, &self.recorder);
         let selector = format!("{own}/{}?_time={};{FORM}={MCAP}", self.topics, self.time);
         let replies = inner
             .session
@@ -300,7 +191,7 @@ impl Recorded {
             .await
             .map_err(Error::zenoh("cannot ask for the recording"))?;
         let Ok(reply) = replies.recv_async().await else {
-            let service = format!("{RECORDING} (`rect record`)");
+            let service = "recording (`rect record`)".to_owned();
             let recorder = self.recorder.to_string();
             return Err(self.robot.no_service(recorder, service).await);
         };

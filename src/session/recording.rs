@@ -147,8 +147,8 @@ impl RobotRecorder {
         self.ended().await;
         let unread = self.unread();
         self.queries.close().await;
-        let recorder = Arc::into_inner(self.recorder).ok_or(Error::Closed)?;
-        let finished = tokio::task::spawn_blocking(|| recorder.finish());
+        let recorder = self.recorder;
+        let finished = tokio::task::spawn_blocking(move || recorder.finish());
         let (files, mut progress) = finished.await.map_err(|_| Error::Closed)??;
         progress.dropped += unread;
         Ok((files, progress))

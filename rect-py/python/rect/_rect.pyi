@@ -21,6 +21,7 @@ QUERY_TIMEOUT_S: float
 RECORDED_EVENTS: str
 RECORDED_LINK: str
 RECORDER_CAPACITY: int
+RECORDING_QUERIES: int
 REMOVE: str
 ROBOT_TIMEOUT_S: float
 ROUTER_VARIABLE: str
@@ -29,6 +30,8 @@ __version__: str
 
 _Size = tuple[int, int, PixelFormat]
 _Qos = tuple[int, bool, bool]
+#: A payload and its encoding.
+_Parts = tuple[bytes, str]
 #: The items that a driver delivers, and whether to poll it.
 _Reaction = tuple[list[Any], bool]
 
@@ -159,6 +162,12 @@ class Recorder:
     def add_connections(self, robot: str, json: bytes) -> None: ...
     def add(self, metadata: MessageMetadata, payload: bytes, encoding: str) -> tuple[str, bytes] | None: ...
     def progress(self) -> tuple[tuple[int, int], str | None] | None: ...
+    @property
+    def queries(self) -> str: ...
+    def answer(
+        self, asked: str, parameters: str
+    ) -> tuple[list[tuple[str, _Parts, tuple[int, int] | None]], _Parts | None] | None: ...
+    def busy(self) -> _Parts: ...
     def finish(self) -> tuple[int, int] | None: ...
 
 @final

@@ -17,6 +17,7 @@ from rect.errors import Closed, NoService, PayloadError, RectError
 from rect.events import Event, Events
 from rect.message import Message
 from rect.options import text
+from rect.recording_queries import RecordingQueries
 from rect.subscriber import Subscriber, Subscription
 from rect.values import Payload
 
@@ -33,7 +34,8 @@ class Recorder:
 
     Recording never blocks the program: messages that a slow or full disk does not take wait in 8 MB of memory, and are
     then dropped and counted, urgent ones last. Until the recorder is closed, the recording is a folder, in which a file
-    is completed every five seconds; `Recording` reads it, too.
+    is completed every five seconds; `Recording` reads it, too. Meanwhile, `rect recording fetch` copies parts of it to
+    other robots.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class Recorder:
         try:
             self._subscriptions: list[Subscription[Any]] = [self._subscribe(session, pattern) for pattern in patterns]
             self._subscriptions.append(Subscription(Events(session), self._add_event, "events"))
+            self._queries = RecordingQueries(session, self._recorder)
         except BaseException:
             self._recorder.finish()
             raise
@@ -110,6 +113,7 @@ class Recorder:
         self._closing.set()
         for subscription in self._subscriptions:
             subscription.close()
+        self._queries.close()
         self._counts = self._recorder.finish() or self._counts
 
     def __enter__(self) -> Recorder:

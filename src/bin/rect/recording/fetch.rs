@@ -25,6 +25,8 @@ use crate::{
 
 /// The pause before a question is repeated.
 const PAUSE: Duration = Duration::from_secs(1);
+/// How long to repeat a question that no program answers, because the recorder has just begun.
+const BEGUN_WITHIN: Duration = Duration::from_secs(2);
 /// How often the progress is drawn.
 const DRAWN_EVERY: Duration = Duration::from_millis(200);
 
@@ -141,25 +143,29 @@ impl Copy {
     }
 }
 
-/// Reads the next messages. Repeats the question while the robot cannot be reached, at most for `timeout`.
+/// Reads the next messages. Repeats the question while the robot cannot be reached, at most for `timeout`, and the first
+/// question at most for [`BEGUN_WITHIN`].
 async fn next(
     recorded: &mut Recorded,
     timeout: Duration,
     bar: &ProgressBar,
 ) -> Result<Option<Vec<Entry>>, Failure> {
-    let ends = Instant::now() + timeout;
-    let has_begun = !recorded.about().is_empty();
+    // At first, the robot may not record at all, or may just have begun.
+    let ends = Instant::now()
+        + match recorded.about().is_empty() {
+            true => timeout.min(BEGUN_WITHIN),
+            false => timeout,
+        };
     loop {
         let error = match recorded.next().await {
             Ok(entries) => return Ok(entries),
             Err(error) => error,
         };
         let is_lost = matches!(error, Error::TimedOut { .. } | Error::NoService { .. });
-        // At first, the robot may not record at all.
-        if !is_lost || !has_begun || Instant::now() >= ends {
+        if !is_lost || Instant::now() >= ends {
             return Err(error.into());
         }
-        bar.set_message(format!("waiting for the link: {error}"));
+        bar.set_message(format!("asking again: {error}"));
         sleep(PAUSE).await;
     }
 }

@@ -1,0 +1,74 @@
+"""Answers the queries of other programs for a recording that runs."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import TYPE_CHECKING
+
+import zenoh
+
+from rect import _rect
+from rect._zenoh import direct, zenoh_error
+from rect.declared import Declared
+from rect.receive_queue import Ended, ReceiveQueue
+
+if TYPE_CHECKING:
+    from rect.session import Session
+
+_LOG = logging.getLogger("rect")
+
+
+class RecordingQueries:
+    """Answers queries for a recording on a thread of its own, until it is closed."""
+
+    def __init__(self, session: Session, recorder: _rect.Recorder) -> None:
+        self._session = session
+        self._recorder = recorder
+        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(
+            _rect.RECORDING_QUERIES, "drop_newest"
+        )
+        self._declared = Declared(session, self._queue)
+        on_query = direct(_rect.OnRequest(self._queue.queue, self._refuse))
+        try:
+            with session.calls:
+                self._id = session.zenoh.new_timestamp().get_id()
+                self._declared.add(session.zenoh.declare_queryable(recorder.queries, on_query, complete=True))
+        except zenoh.ZError as error:
+            self._declared.end()
+            raise zenoh_error("cannot offer the recording", error) from error
+        threading.Thread(target=self._answer_all, name="rect recording", daemon=True).start()
+
+    def close(self) -> None:
+        self._declared.end()
+
+    def _refuse(self, query: zenoh.Query) -> None:
+        payload, encoding = self._recorder.busy()
+        with query:
+            query.reply_err(payload, encoding=encoding)
+
+    def _answer_all(self) -> None:
+        while True:
+            try:
+                query, _ = self._queue.pop()
+            except Ended:
+                return
+            try:
+                self._answer(query)
+            except Exception as error:
+                _LOG.debug("cannot reply on %s: %s", query.key_expr, error)
+            finally:
+                query.drop()
+
+    def _answer(self, query: zenoh.Query) -> None:
+        answer = self._recorder.answer(str(query.key_expr), str(query.parameters))
+        if answer is None:
+            return
+        replies, error = answer
+        with self._session.calls:
+            for key, (payload, encoding), recorded in replies:
+                time = None if recorded is None else zenoh.Timestamp(zenoh.NTP64(*recorded), self._id)
+                query.reply(key, payload, encoding=encoding, timestamp=time)
+            if error is not None:
+                payload, encoding = error
+                query.reply_err(payload, encoding=encoding)
