@@ -4,12 +4,15 @@
 //!
 //! Start the receiver first. The publisher sends a message of 64 bytes every 5 ms, so that each travels alone. Both print one
 //! line of JSON. `packaging/footprint/run` runs it on an emulated Raspberry Pi 3B, where processor time counts instructions.
+mod processor_time;
+
 use std::{
     error::Error,
     process::ExitCode,
     time::{Duration, Instant},
 };
 
+use processor_time::processor_time;
 use rect::{QueueOptions, WhenFull};
 use zenoh::qos::CongestionControl;
 
@@ -138,18 +141,4 @@ async fn zenoh_session(router: &str) -> Outcome<zenoh::Session> {
 
 fn us_each(time: Duration, messages: u32) -> f64 {
     time.as_secs_f64() * 1e6 / f64::from(messages)
-}
-
-/// Returns the processor time of all threads of this process.
-fn processor_time() -> Outcome<Duration> {
-    let mut time = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    // SAFETY: `time` is a valid place for the result.
-    let status = unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
-    match status {
-        0 => Ok(Duration::new(time.tv_sec as u64, time.tv_nsec as u32)),
-        _ => Err(std::io::Error::last_os_error().into()),
-    }
 }

@@ -636,6 +636,54 @@ fn part_of_a_running_recording_is_fetched() {
 }
 
 #[test]
+fn requests_are_recorded_at_the_service() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let endpoint = free_endpoint();
+    let listening = Options::new("wombat-1")
+        .expect("a name")
+        .login_file("/none");
+    let robot = blocking::Robot::connect(listening.listen(&endpoint)).expect("connected");
+    let asking = Options::new("wombat-2")
+        .expect("a name")
+        .login_file("/none");
+    let asking = blocking::Robot::connect(asking.router(&endpoint)).expect("connected");
+    let options = RecordOptions::default();
+    let recorder = robot.record(folder.path().join("match.mcap"), options);
+    let recorder = recorder.expect("a recorder");
+    let sum = |request: &rect::Request| {
+        let numbers: Vec<f64> = request.payload.value().map_err(|error| error.to_string())?;
+        Ok::<_, String>(Json(numbers.iter().sum::<f64>()))
+    };
+    let _service = robot.serve("sum", sum).expect("a service");
+    let reply = asking.request("wombat-1", "sum", Json([1, 2]), TIMEOUT);
+    let sum: f64 = reply.expect("a reply").payload.value().expect("a number");
+    assert_eq!(sum, 3.0);
+    let large = asking.request("wombat-1", "sum", vec![7; 5000], TIMEOUT);
+    assert!(large.is_err());
+    // A recorder does not count as a service.
+    let nobody = asking.request("wombat-1", "difference", "now", TIMEOUT);
+    assert!(
+        matches!(nobody, Err(rect::Error::NoService { .. })),
+        "{nobody:?}"
+    );
+    let (files, _) = recorder.finish().expect("finished");
+    let (entries, error) = read(&files[0]);
+    assert!(error.is_none(), "{error:?}");
+    let requests = entries
+        .iter()
+        .filter(|entry| entry.topic == "wombat-1/@rect/requests");
+    let requests: Vec<_> = requests.map(|entry| text(&entry.payload.bytes)).collect();
+    assert_eq!(
+        requests,
+        [
+            r#"{"sender":"wombat-2","topic":"sum","value":[1,2],"encoding":"application/json","bytes":5}"#,
+            r#"{"sender":"wombat-2","topic":"sum","value":null,"encoding":"zenoh/bytes","bytes":5000}"#,
+            r#"{"sender":"wombat-2","topic":"difference","value":"now","encoding":"text/plain","bytes":3}"#,
+        ]
+    );
+}
+
+#[test]
 fn stock_zenoh_programs_query_a_running_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let endpoint = free_endpoint();

@@ -3,7 +3,7 @@
 # routers. Results are written to the console, one line `@rect {JSON}` each, which `run` reads. The last line is always
 # {"end": ...}; then the board is switched off.
 #
-# IDLE_S, METHOD (the method of the link) and ONLY_VIDEO are given on the kernel's command line: parameters unknown to the kernel
+# IDLE_S, METHOD (the method of the link) and ONLY (`video` or `recording`, empty for everything) are given on the kernel's command line: parameters unknown to the kernel
 # become environment variables of init.
 b=/bin/busybox
 $b mount -t proc proc /proc
@@ -108,9 +108,19 @@ available_kb nothing
 echo 'team:the secret of the team' >/tmp/secret
 chmod 600 /tmp/secret
 
-video_cost >/tmp/video.log 2>&1 || end 'cannot measure the video'
-while read -r line; do report "$line"; done </tmp/video.log
-[ -z "$ONLY_VIDEO" ] || end ''
+measures() { [ -z "$ONLY" ] || [ "$ONLY" = "$1" ]; }
+if measures video; then
+  video_cost >/tmp/video.log 2>&1 || end 'cannot measure the video'
+  while read -r line; do report "$line"; done </tmp/video.log
+fi
+if measures recording; then
+  for writer in rect mcap; do
+    record_cost $writer /tmp/match.mcap >/tmp/record.log 2>&1 || end 'cannot measure a recording'
+    report "$(cat /tmp/record.log)"
+    rm /tmp/match.mcap
+  done
+fi
+[ -z "$ONLY" ] || end ''
 ciphers >/tmp/ciphers.log 2>&1 || end 'cannot measure the ciphers'
 while read -r line; do report "$line"; done </tmp/ciphers.log
 

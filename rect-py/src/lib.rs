@@ -87,6 +87,7 @@ mod _rect {
         module.add("QUERY_TIMEOUT_S", peers::TIMEOUT.as_secs_f64())?;
         module.add("RECORDED_EVENTS", report::EVENTS)?;
         module.add("RECORDED_LINK", report::LINK)?;
+        module.add("RECORDED_REQUESTS", report::REQUESTS)?;
         module.add("RECORDER_CAPACITY", recorder::CAPACITY)?;
         module.add("RECORDING_QUERIES", answer::WAITING)?;
         module.add("REMOVE", named_connection::REMOVE)?;

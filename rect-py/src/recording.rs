@@ -147,6 +147,20 @@ impl Recorder {
         Some(((progress.written, progress.dropped), progress.problem))
     }
 
+    /// Returns the key expression of the requests that it records.
+    #[getter]
+    fn services(&self) -> String {
+        self.place.services()
+    }
+
+    /// Records a request to the service with this key.
+    fn add_request(&self, key: &str, attachment: Option<&[u8]>, payload: &[u8], encoding: String) {
+        if let Some(recorder) = self.recorder() {
+            let payload = Payload::new(Bytes::copy_from_slice(payload), Encoding::new(encoding));
+            recorder.on_request(&self.place, key, attachment, &payload);
+        }
+    }
+
     /// Returns the key expression of the queries that it answers.
     #[getter]
     fn queries(&self) -> String {

@@ -39,6 +39,7 @@ class Viewer:
         self.channels: dict[str, dict[str, Any]] = {}
         self.services: dict[str, int] = {}
         self.status: list[str] = []
+        self.parameters: dict[str, Any] = {}
         self._shown: dict[str, int] = {}
         self._next = 1
 
@@ -79,6 +80,16 @@ class Viewer:
         while not any(expected in text for text in self.status):
             self._receive()
 
+    def until_parameter(self, name: str, expected: Callable[[Any], bool]) -> None:
+        """Waits for a value of a parameter, of which every change is sent."""
+        self._send(op="subscribeParameterUpdates", parameterNames=[name])
+        self._send(op="getParameters", parameterNames=[], id="all")
+        while not expected(self.parameters.get(name)):
+            self._receive()
+
+    def set_parameter(self, name: str, value: Any) -> None:
+        self._send(op="setParameters", parameters=[{"name": name, "value": value}], id="set")
+
     def _subscribe(self, topic: str) -> None:
         number = self._next
         self._next += 1
@@ -101,6 +112,8 @@ class Viewer:
                     self._subscribe(channel["topic"])
         elif message["op"] == "advertiseServices":
             self.services |= {service["name"]: service["id"] for service in message["services"]}
+        elif message["op"] == "parameterValues":
+            self.parameters |= {one["name"]: one["value"] for one in message["parameters"]}
         elif message["op"] in ("status", "serviceCallFailure"):
             self.status.append(message["message"])
         return b""
@@ -242,6 +255,20 @@ def test_viewer_publishes_and_sends_requests_only_if_permitted(routers: Routers)
             with routers.connect("wombat-2") as other:
                 other.publish("after", "")
             assert messages.next(DEADLINE).topic == "after"
+
+
+def test_named_connections_are_parameters(routers: Routers) -> None:
+    with routers.connect("wombat-2") as robot, serving(routers) as address, viewer(address) as shown:
+        robot.add_connection("laptop", "tcp", "127.0.0.1", port=9)
+        shown.until_parameter(
+            "connections/laptop",
+            lambda laptop: laptop is not None
+            and (laptop["method"], laptop["address"], laptop["state"]) == ("tcp", "127.0.0.1:9", "connecting")
+            and "last_error" in laptop,
+        )
+        shown.set_parameter("connections/laptop", {"method": "tcp"})
+        shown.until_status("rect connect")
+        robot.remove_connection("laptop")
 
 
 def test_stalled_viewer_does_not_delay_another(routers: Routers) -> None:

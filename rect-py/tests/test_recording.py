@@ -280,6 +280,24 @@ def test_other_robots_and_stock_programs_get_parts_of_a_recording_of_the_library
     assert numbers == list(range(300))
 
 
+def test_requests_are_recorded_at_the_service(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with (
+        rect.connect("wombat-1", listen=[endpoint]) as robot,
+        rect.connect("wombat-2", router=endpoint) as asking,
+        robot.record(tmp_path / "match.mcap"),
+        robot.serve("sum", lambda request: sum(request.value)),
+    ):
+        assert asking.request("wombat-1", "sum", [1, 2]).value == 3
+        with pytest.raises(rect.NoService):
+            asking.request("wombat-1", "difference", "now")
+    requests = list(rect.Recording(tmp_path / "match.mcap").requests())
+    assert [(one.robot, one.sender, one.topic, one.value) for one in requests] == [
+        ("wombat-1", "wombat-2", "sum", [1, 2]),
+        ("wombat-1", "wombat-2", "difference", "now"),
+    ]
+
+
 def test_recording_continues_when_a_full_disk_has_room(tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()

@@ -62,6 +62,11 @@ impl KeySpace {
         format!("{}/{}/{topic}", self.fleet, robot.map_or("*", Name::as_str))
     }
 
+    /// Returns the key expression of all services of this robot.
+    pub fn services(&self) -> String {
+        format!("{}/{}/**", self.fleet, self.robot)
+    }
+
     /// Returns an internal key, `@rect/<rest>`, of `robot` or of all robots (`None`).
     pub fn own(&self, robot: Option<&Name>, rest: &str) -> String {
         let robot = robot.map_or("*", Name::as_str);

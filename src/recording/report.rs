@@ -1,18 +1,26 @@
-//! Decides what a recording contains besides messages: events, and the state of the links.
+//! Decides what a recording contains besides messages: events, the state of the links, and the requests to services.
 use std::time::Duration;
 
 use serde::Serialize;
+use serde_json::Value;
 
 use super::recorder::Recorder;
 use crate::core::{
     connection::{Connection, ConnectionState, Event, Link},
+    key::KeySpace,
     name::Name,
+    payload::Payload,
+    service::Requester,
 };
 
 /// The subject of events.
 pub const EVENTS: &str = "events";
 /// The first part of the subjects of links. The second one is the robot at the other end.
 pub const LINK: &str = "link";
+/// The subject of requests.
+pub const REQUESTS: &str = "requests";
+/// The size of the values that are part of the report of a request, at most.
+const MAX_VALUE_BYTES: usize = 4096;
 /// The interval at which the state of the links is recorded.
 pub const LINKS_EVERY: Duration = Duration::from_secs(1);
 
@@ -31,6 +39,20 @@ pub struct EventReport<'a> {
     pub path: Option<&'a str>,
     /// Why that path has changed.
     pub reason: Option<&'a str>,
+}
+
+/// The form of a request in a recording.
+#[derive(Debug, Serialize)]
+struct RequestReport<'a> {
+    /// The robot that asked; `None` if a stock Zenoh program did.
+    sender: Option<&'a str>,
+    /// The topic of the service.
+    topic: &'a str,
+    /// The value; `None` if it is larger than 4 kB, or neither text nor one that JSON can express.
+    value: Option<Value>,
+    encoding: &'a str,
+    /// The size of the payload.
+    bytes: usize,
 }
 
 impl<'a> EventReport<'a> {
@@ -108,6 +130,27 @@ impl Recorder {
                 self.report(robot, &format!("{LINK}/{peer}"), connection);
             }
         }
+    }
+
+    /// Records a request to the service with this key, which is one of the robot of `place`.
+    pub fn on_request(
+        &self,
+        place: &KeySpace,
+        key: &str,
+        attachment: Option<&[u8]>,
+        payload: &Payload,
+    ) {
+        let sender = Requester::of(attachment).robot;
+        let is_short = payload.bytes.len() <= MAX_VALUE_BYTES;
+        let value = is_short.then(|| payload.value().or_else(|_| payload.text().map(Value::from)));
+        let report = RequestReport {
+            sender: sender.as_ref().map(Name::as_str),
+            topic: key.splitn(3, '/').nth(2).unwrap_or(key),
+            value: value.and_then(Result::ok),
+            encoding: payload.encoding.as_str(),
+            bytes: payload.bytes.len(),
+        };
+        self.report(&place.robot, REQUESTS, &report);
     }
 
     fn report(&self, robot: &Name, subject: &str, value: &impl Serialize) {

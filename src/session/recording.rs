@@ -1,4 +1,4 @@
-//! Records the messages that a program receives, with its events and the state of its router's links.
+//! Records the messages that a program receives, with its events, the state of its router's links, and the requests to its robot.
 use std::{
     path::PathBuf,
     sync::Arc,
@@ -8,6 +8,11 @@ use std::{
 use tokio::{
     task::JoinSet,
     time::{interval, MissedTickBehavior},
+};
+use zenoh::{
+    bytes::ZBytes,
+    query::{Query, Queryable},
+    Wait,
 };
 
 use super::{queries, recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
@@ -39,12 +44,13 @@ pub struct RobotRecorder {
     subscribers: Vec<Arc<Subscriber>>,
     messages: JoinSet<()>,
     reports: JoinSet<()>,
+    requests: Queryable<()>,
     queries: RecordingQueries,
 }
 
 impl Robot {
-    /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called, with the events of this robot and, once a
-    /// second, the state of its router's links. Requests are not recorded. Of a stream, the frames of the
+    /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called, with the events of this robot, the
+    /// requests to its services and, once a second, the state of its router's links. Of a stream, the frames of the
     /// faster group of receivers are, and the sender of a video is asked for a key frame at the beginning and every 5 s.
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
@@ -98,9 +104,11 @@ impl Robot {
             let links = record_links(self.clone(), recorder.clone());
             reports.spawn(links);
         }
+        let requests = record_requests(self, &recorder)?;
         let queries = RecordingQueries::start(self, &recorder)?;
         Ok(RobotRecorder {
             recorder,
+            requests,
             queries,
             patterns,
             subscribers,
@@ -146,6 +154,7 @@ impl RobotRecorder {
         // Until what has arrived is recorded.
         self.ended().await;
         let unread = self.unread();
+        drop(self.requests);
         self.queries.close().await;
         let recorder = self.recorder;
         let finished = tokio::task::spawn_blocking(move || recorder.finish());
@@ -174,6 +183,25 @@ async fn forward_events(events: Events, robot: Robot, recorder: Arc<Recorder>) {
     while let Some(event) = events.next().await {
         recorder.on_event(robot.name(), (&event).into());
     }
+}
+
+/// Records the requests to the services of the robot, beside those that answer: a request is sent to all programs that declare
+/// its key.
+fn record_requests(robot: &Robot, recorder: &Arc<Recorder>) -> Result<Queryable<()>, Error> {
+    let inner = &robot.inner;
+    let place = inner.place.clone();
+    let recorder = Arc::downgrade(recorder);
+    let on_query = move |query: Query| {
+        if let Some(recorder) = recorder.upgrade() {
+            let attachment = query.attachment().map(ZBytes::to_bytes);
+            let key = query.key_expr().as_str();
+            let payload = queries::payload_of(&query);
+            recorder.on_request(&place, key, attachment.as_deref(), &payload);
+        }
+    };
+    let declared = inner.session.declare_queryable(inner.place.services());
+    let declared = declared.complete(false).callback(on_query).wait();
+    declared.map_err(Error::zenoh("cannot record requests"))
 }
 
 async fn record_links(robot: Robot, recorder: Arc<Recorder>) {

@@ -110,9 +110,9 @@ public:
         return detail::value_or_error<Publisher>(code, error, [&] { return Publisher(publisher.id); });
     }
 
-    /// Records messages to the file `path`, which ends in `.mcap`, until Recorder::finish is called, with the events of this robot
-    /// and, once a second, the state of its router's links. Until then, the recording is a folder of short files, so that a power
-    /// cut costs at most its last seconds. Requests and the frames of streams are not recorded.
+    /// Records messages to the file `path`, which ends in `.mcap`, until Recorder::finish is called, with the events of this robot,
+    /// the requests to its services and, once a second, the state of its router's links. Until then, the recording is a folder of
+    /// short files, so that a power cut costs at most its last seconds.
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
     /// counted, urgent messages last.

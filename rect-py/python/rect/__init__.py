@@ -39,7 +39,7 @@ from rect.errors import (
 from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.publisher import Publisher
-from rect.recording import RecordedEvent, RecordedMessage, Recorder, Recording
+from rect.recording import RecordedEvent, RecordedMessage, RecordedRequest, Recorder, Recording
 from rect.registry import Connection, Connections, LinkLane, LinkPath, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
@@ -86,6 +86,7 @@ __all__ = [
     "Received",
     "RecordedEvent",
     "RecordedMessage",
+    "RecordedRequest",
     "Recorder",
     "Recording",
     "RecordingError",

@@ -205,6 +205,11 @@ class Recording:
             known: dict[str, Any] = {field.name: value.get(field.name) for field in dataclasses.fields(Event)}
             yield RecordedEvent(recorded_at, robot, Event(**known))
 
+    def requests(self) -> Iterator[RecordedRequest]:
+        """Yields the requests to services of the recording robots."""
+        for robot, _, value, recorded_at in self._reports(_rect.RECORDED_REQUESTS):
+            yield RecordedRequest(recorded_at, robot, value.get("sender"), str(value.get("topic")), value.get("value"))
+
     def _reports(self, subject: str) -> Iterator[tuple[str, str, dict[str, Any], float]]:
         """Yields the reports of a subject: the robot, the rest of the subject, the value, and the time of recording."""
         reader = _rect.RecordingReader(self._path, [])
@@ -232,6 +237,22 @@ class RecordedEvent:
     reporter: str
     #: The event.
     event: Event
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedRequest:
+    """A request in a recording. The replies are not recorded."""
+
+    #: When it arrived, in seconds since 1970 by the recorder's clock.
+    recorded_at: float
+    #: The robot that was asked.
+    robot: str
+    #: The robot that asked. `None` if that program does not use RECT.
+    sender: str | None
+    #: Topic of the service.
+    topic: str
+    #: The value. `None` if it is larger than 4 kB, or neither text nor one that JSON can express.
+    value: Any
 
 
 class _Columns:

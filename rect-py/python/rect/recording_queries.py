@@ -1,4 +1,4 @@
-"""Answers the queries of other programs for a recording that runs."""
+"""Receives the queries for a recorder: those for its recording, and the requests to its robot, which it records."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, zenoh_error
+from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.declared import Declared
 from rect.receive_queue import Ended, ReceiveQueue
 
@@ -20,7 +20,7 @@ _LOG = logging.getLogger("rect")
 
 
 class RecordingQueries:
-    """Answers queries for a recording on a thread of its own, until it is closed."""
+    """Answers queries for a recording on a thread of its own, and records requests, until it is closed."""
 
     def __init__(self, session: Session, recorder: _rect.Recorder) -> None:
         self._session = session
@@ -34,6 +34,8 @@ class RecordingQueries:
             with session.calls:
                 self._id = session.zenoh.new_timestamp().get_id()
                 self._declared.add(session.zenoh.declare_queryable(recorder.queries, on_query, complete=True))
+                # A request is sent to all programs that declare its key.
+                self._declared.add(session.zenoh.declare_queryable(recorder.services, direct(self._record)))
         except zenoh.ZError as error:
             self._declared.end()
             raise zenoh_error("cannot offer the recording", error) from error
@@ -41,6 +43,12 @@ class RecordingQueries:
 
     def close(self) -> None:
         self._declared.end()
+
+    def _record(self, query: zenoh.Query) -> None:
+        with query:
+            attachment = None if query.attachment is None else query.attachment.to_bytes()
+            encoding = "" if query.encoding is None else str(query.encoding)
+            self._recorder.add_request(str(query.key_expr), attachment, payload_bytes(query.payload), encoding)
 
     def _refuse(self, query: zenoh.Query) -> None:
         payload, encoding = self._recorder.busy()

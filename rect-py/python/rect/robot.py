@@ -549,7 +549,8 @@ class Robot:
     ) -> Recorder:
         """Records the messages that match the patterns to an MCAP file, until the returned `Recorder` is closed.
 
-        The events of this robot and, once a second, the state of its router's links are recorded, too.
+        The events of this robot, the requests to its services and, once a second, the state of its router's links are
+        recorded, too.
 
         - `path`: the file, such as `match.mcap`.
         - `patterns`: for example `wombat-1/arm/*`. Default: everything that this robot publishes. Messages of other

@@ -2,6 +2,7 @@
 mod input;
 mod listener;
 mod live;
+mod parameters;
 
 use std::{
     net::SocketAddr,
@@ -11,14 +12,17 @@ use std::{
 };
 
 use clap::Args;
-use foxglove::{websocket::Capability, Context, FoxgloveError, WebSocketServer};
+use foxglove::{
+    websocket::{Capability, Parameter},
+    Context, FoxgloveError, WebSocketServer,
+};
 use rect::{
     core::topics::{Topics, KEPT},
     Pattern,
 };
 use tokio::{sync::mpsc, task::JoinSet, time::interval};
 
-use self::{input::Input, listener::Listener, live::Live};
+use self::{input::Input, listener::Listener, live::Live, parameters::Parameters};
 use crate::{
     session::JoinArguments,
     topic::{query, robot_topic, RobotTopic},
@@ -81,6 +85,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         .services(
             (arguments.services.iter()).map(|service| input::service(&robot, service.clone())),
         )
+        .parameter_handler(Arc::new(Parameters::new(robot.clone())))
         .message_backlog_size(BACKLOG)
         .listener(Arc::new(Listener::new(send, input)))
         .start();
@@ -96,19 +101,20 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         rect::errln!("rect: every computer that reaches {at} sees the messages: there is no login");
     }
     let mut live = Live::new(robot.clone(), context, arguments.patterns);
-    let mut asking = JoinSet::<Result<Vec<(String, Topics)>, Failure>>::new();
+    let mut asking = JoinSet::<Result<(Vec<(String, Topics)>, Vec<Parameter>), Failure>>::new();
     let mut tick = interval(UPDATED_EVERY);
     let mut ask_at = Instant::now();
     while !robot.is_closed() {
         tokio::select! {
             Some(event) = events.recv() => live.on_event(event),
             Some(found) = asking.join_next() => match found? {
-                Ok(found) => {
+                Ok((found, parameters)) => {
                     // The first question makes a router count messages.
                     let counts = found.iter().all(|(_, topics)| topics.window_s > 0.0);
                     ask_at = Instant::now() + if counts { ASKED_EVERY } else { COUNTED };
                     live.on_topics(&found);
                     server.publish_connection_graph(live.graph())?;
+                    server.publish_parameter_values(parameters);
                 }
                 Err(error) => {
                     ask_at = Instant::now() + ASKED_EVERY;
@@ -120,7 +126,10 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         // Nobody is asked while no viewer is connected.
         if server.client_count() > 0 && asking.is_empty() && Instant::now() >= ask_at {
             let robot = robot.clone();
-            asking.spawn(async move { query(&robot, None, None, KEPT).await });
+            asking.spawn(async move {
+                let found = query(&robot, None, None, KEPT).await?;
+                Ok((found, parameters::all(&robot).await?))
+            });
         }
         live.update().await?;
     }

@@ -179,7 +179,7 @@ fn print(summary: &Summary) {
     let size = humanize::bytes(summary.bytes);
     let reports = match summary.reports {
         0 => String::new(),
-        reports => format!(", and {reports} reports of events and links"),
+        reports => format!(", and {reports} reports of events, links and requests"),
     };
     rect::outln!(
         "{} messages in {duration}, {size}{reports}",
