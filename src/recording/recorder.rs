@@ -230,8 +230,8 @@ impl Recorder {
     fn stop(&self) -> Option<Parts> {
         self.shared.state().is_stopped = true;
         self.shared.changed.notify_one();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
-        let thread = { thread }.take()?;
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        let thread = thread.take()?;
         // It does not panic, and there is nothing to do if it did.
         thread.join().ok()
     }

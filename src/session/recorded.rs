@@ -46,12 +46,13 @@ impl RecordingQueries {
     /// Begins to answer.
     pub(super) fn start(robot: &Robot, recorder: &Arc<Recorder>) -> Result<Self, Error> {
         let inner = &robot.inner;
-        let place = inner.place.clone();
+        let place = Arc::new(inner.place.clone());
         let own = key(&place, &place.robot);
+        let asked_at = place.clone();
         let (queue, mut waiting) = mpsc::channel::<Query>(WAITING);
         let on_query = move |query: Query| {
             if let Err(mpsc::error::TrySendError::Full(query)) = queue.try_send(query) {
-                queries::answer(&query, driver::Answer::Error(busy(&place)));
+                queries::answer(&query, driver::Answer::Error(busy(&asked_at)));
             }
         };
         let declared = inner.session.declare_queryable(format!("{own}/**"));
@@ -61,7 +62,6 @@ impl RecordingQueries {
             .wait()
             .map_err(Error::zenoh("cannot offer the recording"))?;
         let id = TimestampId::from(inner.session.zid());
-        let place = Arc::new(inner.place.clone());
         // A recording also ends while answers wait for a slow link.
         let recorder = Arc::downgrade(recorder);
         let task = inner.runtime.spawn(async move {

@@ -35,6 +35,8 @@ const MAX_ROBOTS: usize = 100;
 const SHOWN_EVERY: Duration = Duration::from_millis(200);
 /// The factor by which a key changes the rate.
 const RATE_STEP: f64 = 2.0;
+/// Tokio's timers expire up to this much too late. The rest is slept on the thread, for which the kernel's timers are precise.
+const TIMER_STEP: Duration = Duration::from_millis(2);
 /// How many topics are looked at for `--wait`.
 const MAX_WATCHED: usize = 200;
 /// Interval at which that is done.
@@ -196,7 +198,12 @@ impl Player {
             let due = self.pace.due(at, Instant::now());
             let is_due = async {
                 match due {
-                    pace::Due::At(time) => sleep_until(time.into()).await,
+                    pace::Due::At(time) => {
+                        if let Some(early) = time.checked_sub(TIMER_STEP) {
+                            sleep_until(early.into()).await;
+                        }
+                        std::thread::sleep(time.saturating_duration_since(Instant::now()));
+                    }
                     pace::Due::Paused => std::future::pending().await,
                 }
             };
