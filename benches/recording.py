@@ -144,7 +144,7 @@ def run() -> Table:
                 with urgent_ms(endpoint) as taken, recorder(endpoint, file) as process:
                     before = processor_ms(process.pid)
                     published = publish(robot, is_recorded=True)
-                    # What is on the way arrives.
+                    # Messages that are on the way arrive.
                     time.sleep(1)
                     used = (processor_ms(process.pid) - before) / (SECONDS + 1)
                     memory = own_kb(process.pid)
