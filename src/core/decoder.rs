@@ -9,7 +9,10 @@ use std::{
 use super::{
     codec::{self, CodecError, Limits},
     dictionary::{Dictionary, DictionaryError, RobotDictionaries},
-    driver::{Action, Driver, Event, Get, Id, Reaction, Step},
+    driver::{
+        question::{Next, Question},
+        Action, Driver, Event, Get, Id, Reaction, Step,
+    },
     key::KeySpace,
     name::Name,
     payload::Payload,
@@ -136,9 +139,10 @@ impl Decoder {
 pub struct DictionaryFetch {
     sender: Name,
     id: u32,
-    get: Option<Get>,
+    get: Get,
+    question: Question,
+    is_answered: bool,
     dictionary: Option<Dictionary>,
-    has_ended: bool,
 }
 
 /// The outcome of a fetch.
@@ -161,9 +165,10 @@ impl DictionaryFetch {
         Self {
             sender,
             id,
-            get: Some(get),
+            get,
+            question: Question::new(1),
+            is_answered: false,
             dictionary: None,
-            has_ended: false,
         }
     }
 }
@@ -172,33 +177,38 @@ impl Driver for DictionaryFetch {
     type Item = std::convert::Infallible;
     type Output = Fetched;
 
-    fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Self::Item> {
+    fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Self::Item> {
         match event {
-            Event::Reply {
-                reply: Ok(reply), ..
-            } if self.dictionary.is_none() => {
-                let dictionary = Dictionary::new(reply.payload.bytes.to_vec()).ok();
+            Event::Reply { reply, .. } if self.dictionary.is_none() => {
+                self.is_answered = true;
+                let bytes = reply.ok().map(|reply| reply.payload.bytes.to_vec());
+                let dictionary = bytes.and_then(|bytes| Dictionary::new(bytes).ok());
                 self.dictionary = dictionary.filter(|dictionary| dictionary.id() == self.id);
-                self.has_ended |= self.dictionary.is_some();
+                if self.dictionary.is_some() {
+                    self.question.finish();
+                }
             }
-            Event::Ended { .. } | Event::Closed => self.has_ended = true,
+            Event::Ended { .. } => self.question.on_ended(now, self.is_answered),
+            Event::Closed => self.question.finish(),
             _ => return Reaction::NONE,
         }
         Reaction::POLL
     }
 
-    fn poll(&mut self, _now: Instant) -> Step<Self::Item, Self::Output> {
-        if let Some(get) = self.get.take() {
-            return Step::Act(Action::Get { id: QUERY, get });
+    fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
+        match self.question.next(now) {
+            Next::Ask => Step::Act(Action::Get {
+                id: QUERY,
+                get: self.get.clone(),
+            }),
+            Next::At(at) => Step::Wait(Some(at)),
+            Next::Wait => Step::Wait(None),
+            Next::Finish => Step::Finished(Fetched {
+                sender: self.sender.clone(),
+                id: self.id,
+                dictionary: self.dictionary.take(),
+            }),
         }
-        if !self.has_ended {
-            return Step::Wait(None);
-        }
-        Step::Finished(Fetched {
-            sender: self.sender.clone(),
-            id: self.id,
-            dictionary: self.dictionary.take(),
-        })
     }
 }
 

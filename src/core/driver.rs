@@ -5,6 +5,7 @@
 //! It reports what Zenoh delivers with [`Driver::on_event`]. Drivers do no I/O and never block.
 mod action;
 mod event;
+pub mod question;
 
 pub use action::{Action, Answer, Declaration, Get, Target};
 pub use event::{Event, Reaction, Sample};

@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::{
     driver::{
+        question::{Next, Question},
         Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Step, Target,
     },
     encoding::Encoding,
@@ -26,9 +27,8 @@ const ALIVE: &str = "alive/*";
 const CLOCK: &str = "clock";
 /// The maximum number of robots in an answer.
 const MAX_PEERS: usize = 4096;
-/// How often [`PeersQuery`] asks at once, and the pauses before it asks again while nobody has answered.
+/// How often [`PeersQuery`] asks at once.
 const QUESTIONS: usize = 2;
-const PAUSES: [Duration; 2] = [Duration::from_millis(50), Duration::from_millis(200)];
 const QUERY: Id = Id(0);
 const TOKENS: Id = Id(1);
 const OWN_TOKEN: Id = Id(0);
@@ -54,18 +54,7 @@ fn token(place: &KeySpace, id: &str) -> String {
 pub struct PeersQuery {
     place: KeySpace,
     peers: BTreeSet<Name>,
-    next: NextQuestion,
-    ended: usize,
-}
-
-/// The next step of a [`PeersQuery`].
-#[derive(Clone, Copy, Debug)]
-enum NextQuestion {
-    Now,
-    At(Instant),
-    /// A question has been sent.
-    Sent,
-    Never,
+    question: Question,
 }
 
 impl PeersQuery {
@@ -74,20 +63,7 @@ impl PeersQuery {
         Self {
             place,
             peers: BTreeSet::new(),
-            next: NextQuestion::Now,
-            ended: 0,
-        }
-    }
-
-    /// Decides what follows the end of a question.
-    fn after_question(&self, now: Instant) -> NextQuestion {
-        if self.ended < QUESTIONS {
-            return NextQuestion::Now;
-        }
-        let pause = PAUSES.get(self.ended - QUESTIONS);
-        match pause.filter(|_| self.peers.is_empty()) {
-            Some(pause) => NextQuestion::At(now + *pause),
-            None => NextQuestion::Never,
+            question: Question::new(QUESTIONS),
         }
     }
 }
@@ -109,12 +85,11 @@ impl Driver for PeersQuery {
                 Reaction::NONE
             }
             Event::Ended { .. } => {
-                self.ended += 1;
-                self.next = self.after_question(now);
+                self.question.on_ended(now, !self.peers.is_empty());
                 Reaction::POLL
             }
             Event::Closed => {
-                self.next = NextQuestion::Never;
+                self.question.finish();
                 Reaction::POLL
             }
             _ => Reaction::NONE,
@@ -122,17 +97,14 @@ impl Driver for PeersQuery {
     }
 
     fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
-        match self.next {
-            NextQuestion::Never => {
-                Step::Finished(std::mem::take(&mut self.peers).into_iter().collect())
-            }
-            NextQuestion::Sent => Step::Wait(None),
-            NextQuestion::At(at) if now < at => Step::Wait(Some(at)),
-            NextQuestion::Now | NextQuestion::At(_) => {
-                self.next = NextQuestion::Sent;
+        match self.question.next(now) {
+            Next::Ask => {
                 let get = Get::liveliness(tokens(&self.place, None), TIMEOUT);
                 Step::Act(Action::Get { id: QUERY, get })
             }
+            Next::At(at) => Step::Wait(Some(at)),
+            Next::Wait => Step::Wait(None),
+            Next::Finish => Step::Finished(std::mem::take(&mut self.peers).into_iter().collect()),
         }
     }
 }
