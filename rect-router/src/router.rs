@@ -5,7 +5,7 @@ use std::{
     io,
     panic::{self, AssertUnwindSafe},
     sync::{
-        mpsc::{self, Receiver, Sender},
+        mpsc::{self, Receiver, RecvTimeoutError, Sender},
         Arc,
     },
     thread,
@@ -22,6 +22,7 @@ use rect::core::humanize;
 
 use crate::{
     limits::SessionLimits,
+    memory,
     robot_services::{self, RobotServices, RunningServices},
     signals, status,
 };
@@ -68,9 +69,12 @@ pub fn run(
     tracing::info!("rect-router is up, with id {}", opened.session.zid());
     notify_systemd();
 
-    match next.recv() {
-        Ok(Event::StopRequested) => close(opened, &events, &next),
-        _ => Ok(()),
+    loop {
+        match next.recv_timeout(memory::RETURNED_EVERY) {
+            Ok(Event::StopRequested) => return close(opened, &events, &next),
+            Err(RecvTimeoutError::Timeout) => memory::return_freed(),
+            _ => return Ok(()),
+        }
     }
 }
 
