@@ -237,17 +237,18 @@ fn link_survives_the_loss_of_either_path() {
     // Jammed: connections stay open, and nothing arrives.
     world.set_wifi(WifiState::Silent);
     counted.publish(Duration::from_secs(1));
-    let silent = connection(&two, |link| is_primary(link, "ble"));
-    let switch = &silent["last_switch"];
-    assert_eq!(
-        [&switch["previous"], &switch["path"], &switch["reason"]],
-        ["tcp", "ble", "silent"],
-        "{silent:#}"
+    connection(&two, |link| is_primary(link, "ble"));
+    // On a busy computer, Bluetooth may also be silent for a moment afterwards, which is a switch of its own.
+    let published = std::iter::from_fn(|| reports.recv_timeout(DEADLINE).expect("open"));
+    let mut switches = published.map(|report| {
+        let report: Value = serde_json::from_slice(&report.payload().to_bytes()).expect("JSON");
+        let switch = &report[0]["last_switch"];
+        [&switch["previous"], &switch["path"], &switch["reason"]].map(Value::clone)
+    });
+    assert!(
+        switches.any(|switch| switch == ["tcp", "ble", "silent"]),
+        "the switch is published"
     );
-    let report = reports.recv_timeout(DEADLINE).expect("open");
-    let report = report.expect("a switch is published");
-    let report: Value = serde_json::from_slice(&report.payload().to_bytes()).expect("JSON");
-    assert_eq!(report[0]["last_switch"]["path"], "ble", "{report:#}");
     // Both routers answer, each with the other one as its peer.
     answers(&two.session, "@/*/router/any", |links| {
         links[0]["peer"] == "wombat-1" && links[0]["last_switch"]["path"] == "ble"
