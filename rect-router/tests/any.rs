@@ -237,7 +237,13 @@ fn link_survives_the_loss_of_either_path() {
     // Jammed: connections stay open, and nothing arrives.
     world.set_wifi(WifiState::Silent);
     counted.publish(Duration::from_secs(1));
-    connection(&two, |link| is_primary(link, "ble"));
+    let silent = connection(&two, |link| is_primary(link, "ble"));
+    let switch = &silent["last_switch"];
+    assert_eq!(
+        [&switch["path"], &switch["reason"]],
+        ["ble", "silent"],
+        "{silent:#}"
+    );
     // On a busy computer, Bluetooth may also be silent for a moment afterwards, which is a switch of its own.
     let published = std::iter::from_fn(|| reports.recv_timeout(DEADLINE).expect("open"));
     let mut switches = published.map(|report| {
