@@ -188,7 +188,7 @@ fn keys_are_built_and_parsed() {
             "own" => keys.own(of.as_ref(), text(&input["rest"])).into(),
             "subscriptions" => {
                 let pattern = Pattern::new(text(&input["pattern"])).expect("valid pattern");
-                json!(keys.subscriptions(&pattern))
+                json!(keys.subscriptions(&pattern).map(|selected| selected.key))
             }
             _ => keys
                 .address(text(&input["key"]))

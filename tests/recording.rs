@@ -779,3 +779,53 @@ async fn a_recording_of_a_video_begins_with_a_key_frame() {
     // Without the recorder's request, one of two hundred would be a key frame.
     assert!(keys[..15].contains(&true), "{keys:?}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_robot_sends_and_is_sent_is_recorded_once() {
+    let (one, two) = pair("wombat-1", "wombat-2").await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let overlapping = ["wombat-1/**", "*/**"].map(|text| text.parse().expect("a pattern"));
+    let by_default = ["wombat-1/pose", "wombat-1/grab", "wombat-2/drive"];
+    let with_others = [&by_default[..], &["wombat-2/pose"]].concat();
+    for (name, patterns, expected) in [
+        ("default.mcap", vec![], by_default.to_vec()),
+        ("all.mcap", overlapping.to_vec(), with_others),
+    ] {
+        let options = RecordOptions {
+            patterns,
+            ..RecordOptions::default()
+        };
+        let recorder = one.record(folder.path().join(name), options).await;
+        let recorder = recorder.expect("a recorder");
+        one.wait_until_established(TIMEOUT)
+            .await
+            .expect("established");
+        two.publish("pose", Json(1)).await.expect("published");
+        two.send("wombat-1", "drive", Json(2)).await.expect("sent");
+        one.publish("pose", Json(3)).await.expect("published");
+        one.send("wombat-2", "grab", Json(4)).await.expect("sent");
+        let begun = Instant::now();
+        while recorder.progress().written < expected.len() as u64 {
+            assert!(begun.elapsed() < TIMEOUT, "{:?}", recorder.progress());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        let (files, _) = recorder.finish().await.expect("finished");
+        let (entries, error) = read(&files[0]);
+        assert!(error.is_none(), "{error:?}");
+        let messages = entries.iter().filter(|entry| !entry.is_report());
+        let mut topics: Vec<_> = messages.clone().map(|entry| entry.topic.as_str()).collect();
+        topics.sort_unstable();
+        let mut expected = expected;
+        expected.sort_unstable();
+        assert_eq!(topics, expected, "{name}");
+        for (topic, recipient) in [
+            ("wombat-1/grab", Some("wombat-2")),
+            ("wombat-2/drive", Some("wombat-1")),
+            ("wombat-1/pose", None),
+        ] {
+            let message = messages.clone().find(|entry| entry.topic == topic);
+            let message = message.expect("recorded");
+            assert_eq!(message.recipient.as_deref(), recipient, "{topic}");
+        }
+    }
+}

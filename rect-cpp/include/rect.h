@@ -419,8 +419,9 @@ typedef struct rect_publisher {
 // The settings of a recording. Fields that are 0 or NULL keep their defaults, so `rect_record_options options = {0};` are the defaults, and so is
 // NULL.
 typedef struct rect_record_options {
-    // The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish. Messages of
-    // other robots travel over the links to this robot only because they are recorded.
+    // The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish, and
+    // everything that they send to one robot or that is sent to this one. Messages of other robots travel over the links to this robot
+    // only because they are recorded.
     const char *const *patterns;
     // Number of patterns.
     size_t patterns_len;

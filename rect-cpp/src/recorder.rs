@@ -27,8 +27,9 @@ pub const PROBLEM_BYTES: usize = 256;
 /// NULL.
 #[repr(C)]
 pub struct RecordOptions {
-    /// The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish. Messages of
-    /// other robots travel over the links to this robot only because they are recorded.
+    /// The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish, and
+    /// everything that they send to one robot or that is sent to this one. Messages of other robots travel over the links to this robot
+    /// only because they are recorded.
     pub patterns: *const *const c_char,
     /// Number of patterns.
     pub patterns_len: usize,

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use pyo3::{intern, prelude::*};
-use rect::core::{key::AddressError, message::Undelivered};
+use rect::core::message::Undelivered;
 
 use crate::{
     connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,
@@ -17,7 +17,7 @@ pub struct OnMessage {
     inbound: Py<Inbound>,
     counters: Py<AtomicCounters>,
     links: Option<Py<Links>>,
-    directed: bool,
+    subscription: usize,
 }
 
 /// The callback for the requests to a service. It appends each query with its time of arrival to the queue.
@@ -39,14 +39,14 @@ impl OnMessage {
         inbound: Py<Inbound>,
         counters: Py<AtomicCounters>,
         links: Option<Py<Links>>,
-        directed: bool,
+        subscription: usize,
     ) -> Self {
         Self {
             queue,
             inbound,
             counters,
             links,
-            directed,
+            subscription,
         }
     }
 
@@ -63,7 +63,7 @@ impl OnMessage {
             &key.to_cow()?,
             attachment.transpose()?,
             priority,
-            self.directed,
+            self.subscription,
         );
         let counters = &self.counters.get().0;
         let metadata = match metadata {
@@ -72,8 +72,8 @@ impl OnMessage {
                 counters.on_expired(missed);
                 return Ok(());
             }
-            Err(Undelivered::Address(AddressError::NotForThisRobot)) => return Ok(()),
-            Err(Undelivered::Address(AddressError::InvalidTopic { .. })) => {
+            Err(Undelivered::NotSelected) => return Ok(()),
+            Err(Undelivered::InvalidTopic) => {
                 counters.on_rejected();
                 return Ok(());
             }

@@ -27,6 +27,12 @@ pub fn topic(text: &str) -> PyResult<Topic> {
     Topic::new(text).or_raise()
 }
 
+/// Validates patterns.
+pub fn patterns(texts: &[String]) -> PyResult<Vec<Pattern>> {
+    let patterns = texts.iter().map(|text| Pattern::new(text));
+    patterns.collect::<Result<_, _>>().or_raise()
+}
+
 /// Raises `InvalidNameError` unless the text is a valid name of a robot or fleet.
 #[pyfunction]
 pub fn check_name(text: &str) -> PyResult<()> {
@@ -116,13 +122,6 @@ impl KeySpace {
     fn own(&self, robot: Option<&str>, rest: &str) -> PyResult<String> {
         let robot = robot.map(name).transpose()?;
         Ok(self.0.own(robot.as_ref(), rest))
-    }
-
-    /// Returns the key expressions of a pattern: for published messages, and for messages sent to this robot.
-    fn subscriptions(&self, pattern: &str) -> PyResult<(String, String)> {
-        let pattern = Pattern::new(pattern).or_raise()?;
-        let [all, mine] = self.0.subscriptions(&pattern);
-        Ok((all, mine))
     }
 
     /// Returns the robot that a key belongs to. Returns `None` if the key is not one of this fleet.

@@ -8,12 +8,18 @@ use bytes::Bytes;
 use pyo3::prelude::*;
 use rect::core::{
     encoding::Encoding,
+    key::Selected,
     message::{self, Delivery, Message, Undelivered},
     name::Name,
     payload::Payload,
+    topic::Pattern,
 };
 
-use crate::{key_space::KeySpace, urgency};
+use crate::{
+    errors::OrRaise,
+    key_space::{self, KeySpace},
+    urgency,
+};
 
 /// The state of one subscription: the counts and the sequence numbers of its senders.
 #[pyclass(frozen, module = "rect._rect")]
@@ -25,26 +31,29 @@ pub struct MessageMetadata(Message);
 
 #[pymethods]
 impl Inbound {
+    /// Creates the state of a subscription to a pattern.
     #[new]
-    fn new(key_space: &KeySpace) -> Self {
-        Self(Mutex::new(message::Inbound::new(
-            key_space.0.clone(),
-            Instant::now(),
-        )))
+    fn new(key_space: &KeySpace, pattern: &str) -> PyResult<Self> {
+        let pattern = Pattern::new(pattern).or_raise()?;
+        let selected = key_space.0.subscriptions(&pattern);
+        Ok(Self::of(key_space, selected.into()))
     }
 
-    /// Makes a message from a sample. Returns `None` if the sample is not a message for this robot, if its topic is
-    /// invalid, if it has expired, or if another Zenoh subscriber delivers it. `directed` is whether the subscriber's key is that of
-    /// messages sent to this robot alone.
-    #[pyo3(name = "on_delivery")]
-    fn on_delivered_or_none(
-        &self,
-        key: &str,
-        attachment: Option<&[u8]>,
-        priority: u8,
-        directed: bool,
-    ) -> Option<MessageMetadata> {
-        self.on_delivery(key, attachment, priority, directed).ok()
+    /// Creates the state of the subscriptions of a recorder.
+    #[staticmethod]
+    fn of_recorder(key_space: &KeySpace, patterns: Vec<String>) -> PyResult<Self> {
+        let selected = key_space.0.recorded(&key_space::patterns(&patterns)?);
+        Ok(Self::of(key_space, selected))
+    }
+
+    /// Returns the key expressions to subscribe to. The number of one of them is that of `OnMessage`.
+    fn keys(&self) -> Vec<String> {
+        let inbound = self.inbound();
+        let keys = inbound
+            .selected()
+            .iter()
+            .map(|selected| selected.key.clone());
+        keys.collect()
     }
 
     /// Returns the number of received and missed messages of each sender.
@@ -58,13 +67,18 @@ impl Inbound {
 }
 
 impl Inbound {
+    fn of(key_space: &KeySpace, selected: Vec<Selected>) -> Self {
+        let inbound = message::Inbound::new(key_space.0.clone(), selected, Instant::now());
+        Self(Mutex::new(inbound))
+    }
+
     /// Makes a message from a sample, or returns the reason why the sample is not delivered.
     pub fn on_delivery(
         &self,
         key: &str,
         attachment: Option<&[u8]>,
         priority: u8,
-        directed: bool,
+        subscription: usize,
     ) -> Result<MessageMetadata, Undelivered> {
         let delivered = Delivery {
             key,
@@ -72,7 +86,7 @@ impl Inbound {
             payload: Payload::new(Bytes::new(), Encoding::BYTES),
             attachment,
             priority,
-            directed,
+            subscription,
         };
         let delivered = self.inbound().on_delivery(delivered, Instant::now);
         delivered.map(MessageMetadata)

@@ -10,7 +10,7 @@ use pyo3::{prelude::*, types::PyBytes};
 use rect::{
     core::{
         connection::Connection, encoding::Encoding, key, message::Message, name::Name,
-        payload::Payload, topic::Pattern,
+        payload::Payload,
     },
     recording::{
         self,
@@ -26,7 +26,7 @@ use crate::{
     codec::{parts, Parts},
     driver::lock,
     errors::{raised, OrRaise, Raised},
-    key_space::KeySpace,
+    key_space::{self, KeySpace},
     message::MessageMetadata,
 };
 
@@ -76,6 +76,7 @@ impl Recorder {
             let duration = s.map(Duration::try_from_secs_f64).transpose();
             duration.map_err(|error| raised(py, "OptionError", (name, s, error.to_string())))
         };
+        let patterns = key_space::patterns(&patterns)?;
         let settings = Settings {
             path,
             about: about(&place.0, &patterns),
@@ -218,8 +219,7 @@ impl RecordingReader {
     /// Opens a file, or the folder of a recording that runs or was interrupted. Without patterns, all messages are read.
     #[new]
     fn new(path: PathBuf, patterns: Vec<String>) -> PyResult<Self> {
-        let patterns = patterns.iter().map(|pattern| Pattern::new(pattern));
-        let patterns = patterns.collect::<Result<_, _>>().or_raise()?;
+        let patterns = key_space::patterns(&patterns)?;
         let selection = Selection {
             patterns,
             ..Selection::default()

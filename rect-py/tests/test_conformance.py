@@ -91,7 +91,7 @@ def test_keys(given: dict[str, Any], out: Any) -> None:
     elif given["do"] == "own":
         found = key_space.own(given["of"], given["rest"])
     elif given["do"] == "subscriptions":
-        found = list(key_space.subscriptions(given["pattern"]))
+        found = _rect.Inbound(key_space, given["pattern"]).keys()
     else:
         address = key_space.address(given["key"])
         found = None if address is None else dict(zip(("sender", "recipient", "topic"), address))

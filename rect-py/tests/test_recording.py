@@ -13,7 +13,7 @@ import random
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -280,6 +280,34 @@ def test_other_robots_and_stock_programs_get_parts_of_a_recording_of_the_library
     assert numbers == list(range(300))
 
 
+def test_what_a_robot_sends_and_is_sent_is_recorded_once(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    default, all_of_both = tmp_path / "default.mcap", tmp_path / "all.mcap"
+    with (
+        rect.connect("wombat-1", listen=[endpoint]) as one,
+        rect.connect("wombat-2", router=endpoint) as two,
+        one.record(default) as of_one,
+        one.record(all_of_both, "wombat-1/**", "*/**") as of_both,
+    ):
+        one.wait_until_established(timeout=DEADLINE)
+        two.publish("pose", 1)
+        two.send("wombat-1", "drive", 2)
+        one.publish("pose", 3)
+        one.send("wombat-2", "grab", 4)
+        until_recorded(of_one, 3)
+        until_recorded(of_both, 4)
+
+    def recorded(file: Path) -> set[tuple[str, str, str | None]]:
+        messages = list(rect.Recording(file))
+        found = {(message.sender, message.topic, message.recipient) for message in messages}
+        assert len(found) == len(messages), "a message was recorded twice"
+        return found
+
+    own = {("wombat-1", "pose", None), ("wombat-1", "grab", "wombat-2"), ("wombat-2", "drive", "wombat-1")}
+    assert recorded(default) == own
+    assert recorded(all_of_both) == own | {("wombat-2", "pose", None)}
+
+
 def test_requests_are_recorded_at_the_service(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with (
@@ -320,6 +348,9 @@ def test_recording_continues_when_a_full_disk_has_room(tmp_path: Path) -> None:
             time.sleep(0.01)
         assert process.stderr
         assert any("No space left on device" in line for line in process.stderr)
+        # The room that is left is used: the disk is one of that process alone.
+        parts = Path(f"/proc/{(tmp_path / 'pid').read_text().strip()}/root") / disk.relative_to("/") / "match.segments"
+        wait_until(lambda: any(parts.glob("*.mcap")))
         (tmp_path / "room").touch()
         assert any("is written again" in line for line in process.stderr)
         os.kill(int((tmp_path / "pid").read_text()), signal.SIGTERM)
@@ -346,9 +377,14 @@ def test_long_recording_is_split(tmp_path: Path) -> None:
 
 
 def until_recorded(recorder: rect.Recorder, count: int) -> None:
+    wait_until(lambda: recorder.recorded >= count)
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
     deadline = time.monotonic() + DEADLINE
-    while recorder.recorded < count:
-        assert time.monotonic() < deadline, recorder.recorded
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_recording_that_cannot_be_read_is_refused(tmp_path: Path) -> None:

@@ -22,17 +22,37 @@ pub struct KeySpace {
     pub robot: Name,
 }
 
-/// The reason why a key is not that of a message for this robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The reason why a key is not that of a message.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum AddressError {
-    /// The key belongs to another fleet, addresses another robot, or is not the key of a message.
-    NotForThisRobot,
+    /// The key belongs to another fleet, or has another form.
+    NotAMessage,
     /// The key is that of a message except for its topic, which RECT does not allow (see [`Topic`]). Only other Zenoh
     /// programs publish there.
     InvalidTopic {
-        /// Whether the message was sent to this robot alone.
-        directed: bool,
+        /// The one robot that the message was sent to.
+        recipient: Option<Name>,
     },
+}
+
+/// The robots that receive a message, as seen from one of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Audience {
+    /// All robots: the message was published.
+    All,
+    /// This robot alone.
+    ThisRobot,
+    /// Another robot alone.
+    OtherRobot,
+}
+
+/// A Zenoh subscription, one of those that deliver the messages that a program selects.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Selected {
+    /// The key expression.
+    pub key: String,
+    /// The robots to which the messages were sent that this subscription delivers. Its key expression may match other messages, too.
+    pub audience: Audience,
 }
 
 /// The parts of a message's key.
@@ -73,16 +93,50 @@ impl KeySpace {
         format!("{}/{robot}/{OWN}/{rest}", self.fleet)
     }
 
-    /// Returns the two key expressions that a pattern subscribes to: published messages, and messages to this robot
-    /// alone.
-    pub fn subscriptions(&self, pattern: &Pattern) -> [String; 2] {
-        let Self { fleet, robot } = self;
+    /// Returns the subscriptions of a pattern: to published messages, and to messages to this robot alone.
+    pub fn subscriptions(&self, pattern: &Pattern) -> [Selected; 2] {
         let from = pattern.robot().map_or("*", Name::as_str);
-        let topic = pattern.topic();
-        [
-            format!("{fleet}/{from}/{topic}"),
-            format!("{fleet}/{from}/{TO}/{robot}/{topic}"),
-        ]
+        [Audience::All, Audience::ThisRobot]
+            .map(|audience| self.selected(from, audience, pattern.topic()))
+    }
+
+    /// Returns the subscriptions of a recorder: to what [`subscriptions`](Self::subscriptions) selects, and to messages that
+    /// this robot sends to another one alone. Without patterns, to everything that this robot publishes, and that is sent by it
+    /// or to it.
+    pub fn recorded(&self, patterns: &[Pattern]) -> Vec<Selected> {
+        let own = self.robot.as_str();
+        if patterns.is_empty() {
+            return vec![
+                self.selected(own, Audience::All, "**"),
+                self.selected("*", Audience::ThisRobot, "**"),
+                self.selected(own, Audience::OtherRobot, "**"),
+            ];
+        }
+        let selected = patterns.iter().flat_map(|pattern| {
+            let is_sent = pattern.robot().is_none_or(|robot| *robot == self.robot);
+            let sent = is_sent.then(|| self.selected(own, Audience::OtherRobot, pattern.topic()));
+            self.subscriptions(pattern).into_iter().chain(sent)
+        });
+        selected.collect()
+    }
+
+    fn selected(&self, from: &str, audience: Audience, topic: &str) -> Selected {
+        let Self { fleet, robot } = self;
+        let key = match audience {
+            Audience::All => format!("{fleet}/{from}/{topic}"),
+            Audience::ThisRobot => format!("{fleet}/{from}/{TO}/{robot}/{topic}"),
+            Audience::OtherRobot => format!("{fleet}/{from}/{TO}/*/{topic}"),
+        };
+        Selected { key, audience }
+    }
+
+    /// Returns the audience of messages to `recipient`, or to all robots (`None`).
+    pub fn audience(&self, recipient: Option<&Name>) -> Audience {
+        match recipient {
+            None => Audience::All,
+            Some(robot) if *robot == self.robot => Audience::ThisRobot,
+            Some(_) => Audience::OtherRobot,
+        }
     }
 
     /// Returns the robot that a key of this fleet belongs to, be it a message's key or an internal one.
@@ -95,37 +149,36 @@ impl KeySpace {
     /// Returns the address that a key contains. `None` if the key is not that of a message, or is that of a message to
     /// another robot alone, which a subscription to `**` also receives.
     pub fn address(&self, key: &str) -> Option<Address> {
-        self.parse(key).ok()
+        let address = self.parse(key).ok()?;
+        (self.audience(address.recipient.as_ref()) != Audience::OtherRobot).then_some(address)
     }
 
-    /// Parses a key that a subscription delivered.
+    /// Parses the key of a message of this fleet.
     ///
     /// # Errors
-    /// Returns an [`AddressError`] if the key is not that of a message of this fleet that was published, or that was
-    /// sent to this robot.
+    /// Returns an [`AddressError`] if the key is not one.
     pub fn parse(&self, key: &str) -> Result<Address, AddressError> {
-        let sender = self.robot_of(key).ok_or(AddressError::NotForThisRobot)?;
+        let sender = self.robot_of(key).ok_or(AddressError::NotAMessage)?;
         let rest = &key[self.fleet.as_str().len() + sender.as_str().len() + 2..];
         let directed = rest
             .strip_prefix(TO)
             .and_then(|rest| rest.strip_prefix('/'));
         let (recipient, topic) = match directed {
             Some(rest) => {
-                let (to, topic) = rest.split_once('/').ok_or(AddressError::NotForThisRobot)?;
-                if self.robot != to {
-                    return Err(AddressError::NotForThisRobot);
-                }
-                (Some(self.robot.clone()), topic)
+                let (to, topic) = rest.split_once('/').ok_or(AddressError::NotAMessage)?;
+                let to = Name::new(to).map_err(|_| AddressError::NotAMessage)?;
+                (Some(to), topic)
             }
             None => (None, rest),
         };
-        let directed = recipient.is_some();
-        let topic = Topic::new(topic).map_err(|_| AddressError::InvalidTopic { directed })?;
-        Ok(Address {
-            sender,
-            recipient,
-            topic,
-        })
+        match Topic::new(topic) {
+            Ok(topic) => Ok(Address {
+                sender,
+                recipient,
+                topic,
+            }),
+            Err(_) => Err(AddressError::InvalidTopic { recipient }),
+        }
     }
 }
 
@@ -185,6 +238,7 @@ mod tests {
     fn a_pattern_subscribes_to_published_and_direct_messages() {
         let pattern = Pattern::new("*/arm/*").expect("valid pattern");
         let expected = ["rect/*/arm/*", "rect/*/to/wombat-1/arm/*"];
-        assert_eq!(keys().subscriptions(&pattern), expected);
+        let selected = keys().subscriptions(&pattern);
+        assert_eq!(selected.map(|selected| selected.key), expected);
     }
 }

@@ -1,11 +1,13 @@
 //! Defines [`Message`], and [`Inbound`], which turns Zenoh samples into messages.
 use std::time::{Duration, Instant};
 
+use zenoh_keyexpr::keyexpr;
+
 use super::{
     attachment::{Attachment, Sent},
     codec::CodecError,
     gaps::{Gaps, SenderCounts},
-    key::{Address, AddressError, KeySpace},
+    key::{Address, AddressError, Audience, KeySpace, Selected},
     name::Name,
     payload::Payload,
     topic::Topic,
@@ -68,16 +70,17 @@ pub struct Delivery<'a> {
     pub attachment: Option<&'a [u8]>,
     /// Zenoh's priority, 1 to 7.
     pub priority: u8,
-    /// Whether it arrived through the subscription to messages for this robot alone, rather than the one to published
-    /// messages.
-    pub directed: bool,
+    /// The number of the subscription through which it arrived, among those of [`Inbound::new`].
+    pub subscription: usize,
 }
 
 /// Why a sample is not delivered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Undelivered {
-    /// Its key is not that of a message to this robot, or the pattern's other subscription delivers the sample.
-    Address(AddressError),
+    /// Its key is not that of a message that is selected, or another subscription delivers it.
+    NotSelected,
+    /// The key is that of a message except for its topic, which RECT does not allow.
+    InvalidTopic,
     /// The message has expired.
     Expired {
         /// The number of messages directly before it that did not arrive.
@@ -85,20 +88,22 @@ pub enum Undelivered {
     },
 }
 
-/// Turns the samples of one subscription into messages, and counts those that did not arrive.
+/// Turns the samples of several Zenoh subscriptions into messages, each once, and counts those that did not arrive.
 #[derive(Debug)]
 pub struct Inbound {
     keys: KeySpace,
+    selected: Vec<Selected>,
     gaps: Gaps,
-    /// The key of the last message and its parts: most subscriptions receive few keys.
-    last: Option<(String, Address)>,
+    /// The key of the last message, its parts, and the subscription that delivers it: most subscriptions receive few keys.
+    last: Option<(String, Address, usize)>,
 }
 
 impl Inbound {
-    /// Creates the state of a new subscription by a program of the robot of `keys`.
-    pub fn new(keys: KeySpace, now: Instant) -> Self {
+    /// Creates the state of new subscriptions by a program of the robot of `keys`.
+    pub fn new(keys: KeySpace, selected: impl Into<Vec<Selected>>, now: Instant) -> Self {
         Self {
             keys,
+            selected: selected.into(),
             gaps: Gaps::new(now),
             last: None,
         }
@@ -113,15 +118,7 @@ impl Inbound {
         delivered: Delivery<'_>,
         now: impl FnOnce() -> Instant,
     ) -> Result<Message, Undelivered> {
-        let address = match self.parse(delivered.key) {
-            Ok(address) if address.recipient.is_some() == delivered.directed => address,
-            Err(AddressError::InvalidTopic { directed }) if directed == delivered.directed => {
-                return Err(Undelivered::Address(AddressError::InvalidTopic {
-                    directed,
-                }));
-            }
-            _ => return Err(Undelivered::Address(AddressError::NotForThisRobot)),
-        };
+        let address = self.parse(delivered.key, delivered.subscription)?;
         let attachment = delivered.attachment.and_then(Attachment::decode);
         let mut message = Message {
             sender: address.sender,
@@ -166,15 +163,48 @@ impl Inbound {
         Ok(message)
     }
 
-    fn parse(&mut self, key: &str) -> Result<Address, AddressError> {
-        match &self.last {
-            Some((last, address)) if last == key => Ok(address.clone()),
+    /// Returns the subscriptions.
+    pub fn selected(&self) -> &[Selected] {
+        &self.selected
+    }
+
+    fn parse(&mut self, key: &str, subscription: usize) -> Result<Address, Undelivered> {
+        let (address, delivers) = match &self.last {
+            Some((last, address, delivers)) if last == key => (Ok(address.clone()), *delivers),
             _ => {
-                let address = self.keys.parse(key)?;
-                self.last = Some((key.to_owned(), address.clone()));
-                Ok(address)
+                let address = self.keys.parse(key);
+                let recipient = match &address {
+                    Ok(address) => address.recipient.as_ref(),
+                    Err(AddressError::InvalidTopic { recipient }) => recipient.as_ref(),
+                    Err(AddressError::NotAMessage) => return Err(Undelivered::NotSelected),
+                };
+                let delivers = self.delivers(key, self.keys.audience(recipient));
+                let delivers = delivers.ok_or(Undelivered::NotSelected)?;
+                if let Ok(address) = &address {
+                    self.last = Some((key.to_owned(), address.clone(), delivers));
+                }
+                (address, delivers)
             }
+        };
+        if delivers != subscription {
+            return Err(Undelivered::NotSelected);
         }
+        address.map_err(|_| Undelivered::InvalidTopic)
+    }
+
+    /// Returns the first of the subscriptions that select a message of that key to that audience.
+    fn delivers(&self, key: &str, audience: Audience) -> Option<usize> {
+        let numbered = self.selected.iter().enumerate();
+        let mut alike = numbered.filter(|(_, selected)| selected.audience == audience);
+        let (first, _) = alike.next()?;
+        if alike.next().is_none() {
+            return Some(first);
+        }
+        let key = keyexpr::new(key).ok()?;
+        self.selected.iter().position(|selected| {
+            let matches = keyexpr::new(&selected.key).is_ok_and(|selected| selected.includes(key));
+            selected.audience == audience && matches
+        })
     }
 
     /// Returns how many messages of each robot were received and missed.
@@ -186,13 +216,18 @@ impl Inbound {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::encoding::Encoding;
+    use crate::core::{encoding::Encoding, topic::Pattern};
 
     fn inbound() -> Inbound {
         let name = |text| Name::new(text).expect("valid name");
         let (fleet, robot) = (name("rect"), name("wombat-1"));
-        Inbound::new(KeySpace { fleet, robot }, Instant::now())
+        let keys = KeySpace { fleet, robot };
+        let selected = keys.subscriptions(&Pattern::new("*/**").expect("valid pattern"));
+        Inbound::new(keys, selected, Instant::now())
     }
+
+    const PUBLISHED: usize = 0;
+    const TO_THIS_ROBOT: usize = 1;
 
     fn delivered<'a>(key: &'a str, attachment: Option<&'a [u8]>) -> Delivery<'a> {
         Delivery {
@@ -200,7 +235,7 @@ mod tests {
             payload: Payload::new("1", Encoding::JSON),
             attachment,
             priority: 5,
-            directed: key.contains("/to/"),
+            subscription: usize::from(key.contains("/to/")),
         }
     }
 
@@ -287,29 +322,69 @@ mod tests {
     #[test]
     fn delivers_a_message_once_if_both_subscriptions_match() {
         let mut twice = delivered("rect/a/to/wombat-1/x", None);
-        twice.directed = false;
+        twice.subscription = PUBLISHED;
         assert!(inbound().on_delivery(twice, Instant::now).is_err());
     }
 
     #[test]
     fn counts_an_invalid_topic_once() {
         let topic = "a\u{1b}]0;pwned\u{7}\u{1b}[2Jb\nfake/c";
-        for (key, directed) in [
-            (format!("rect/a/{topic}"), false),
-            (format!("rect/a/to/wombat-1/{topic}"), true),
+        for (key, other) in [
+            (format!("rect/a/{topic}"), TO_THIS_ROBOT),
+            (format!("rect/a/to/wombat-1/{topic}"), PUBLISHED),
         ] {
             let mut inbound = inbound();
-            let rejected = Undelivered::Address(AddressError::InvalidTopic { directed });
             let first = inbound.on_delivery(delivered(&key, None), Instant::now);
-            assert_eq!(first.expect_err("rejected"), rejected);
+            assert_eq!(first.expect_err("rejected"), Undelivered::InvalidTopic);
             let mut twice = delivered(&key, None);
-            twice.directed = !directed;
+            twice.subscription = other;
             let second = inbound.on_delivery(twice, Instant::now);
-            assert_eq!(
-                second.expect_err("rejected"),
-                Undelivered::Address(AddressError::NotForThisRobot)
-            );
+            assert_eq!(second.expect_err("rejected"), Undelivered::NotSelected);
             assert_eq!(inbound.counts_by_sender().count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_recorder_receives_each_message_once() {
+        let name = |text| Name::new(text).expect("valid name");
+        let (fleet, robot) = (name("rect"), name("wombat-1"));
+        let keys = KeySpace { fleet, robot };
+        let delivering = |patterns: &[&str], key: &str| {
+            let patterns = patterns.iter().map(|text| Pattern::new(text));
+            let patterns: Vec<_> = patterns.map(|new| new.expect("valid pattern")).collect();
+            let selected = keys.recorded(&patterns);
+            let sample = keyexpr::new(key).expect("a key");
+            let mut inbound = Inbound::new(keys.clone(), selected.clone(), Instant::now());
+            let matching = selected.iter().enumerate().filter(|(_, selected)| {
+                let selected = keyexpr::new(&selected.key).expect("a key expression");
+                selected.includes(sample)
+            });
+            let delivered = matching.filter(|(subscription, _)| {
+                let mut delivered = delivered(key, None);
+                delivered.subscription = *subscription;
+                inbound.on_delivery(delivered, Instant::now).is_ok()
+            });
+            delivered.count()
+        };
+        let own = [
+            "rect/wombat-1/x/y",
+            "rect/wombat-1/to/wombat-2/x",
+            "rect/wombat-1/to/wombat-1/x",
+            "rect/wombat-2/to/wombat-1/x",
+        ];
+        let others = ["rect/wombat-2/x", "rect/wombat-2/to/wombat-3/x"];
+        for (patterns, key, count) in [
+            own.map(|key| (&[][..], key, 1)).as_slice(),
+            &others.map(|key| (&[][..], key, 0)),
+            &own.map(|key| (&["*/**", "wombat-1/**", "*/x"][..], key, 1)),
+            &[(&["*/**"], "rect/wombat-2/x", 1)],
+            &[(&["*/**"], "rect/wombat-2/to/wombat-3/x", 0)],
+            &[(&["wombat-2/**"], "rect/wombat-1/to/wombat-2/x", 0)],
+            &[(&["wombat-1/**"], "rect/wombat-2/to/wombat-1/x", 0)],
+        ]
+        .concat()
+        {
+            assert_eq!(delivering(patterns, key), count, "{patterns:?} {key}");
         }
     }
 }

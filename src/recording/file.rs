@@ -15,7 +15,7 @@ use super::{
     picture::{self, Kind},
     schema::Schema,
 };
-use crate::core::key::KeySpace;
+use crate::core::{key::KeySpace, topic::Pattern};
 
 /// The ending of a complete file.
 pub const COMPLETE: &str = "mcap";
@@ -32,17 +32,29 @@ const MAX_CHANNELS: usize = 60_000;
 /// The description of a recording: names and values.
 pub type About = BTreeMap<String, String>;
 
+/// The entry of [`About`] that says what was recorded.
+const PATTERNS: &str = "patterns";
+
 /// Returns the description of a recording by a program of the robot of `place`.
-pub fn about(place: &KeySpace, patterns: &[impl ToString]) -> About {
-    let patterns: Vec<_> = patterns.iter().map(ToString::to_string).collect();
+pub fn about(place: &KeySpace, patterns: &[Pattern]) -> About {
+    let robot = &place.robot;
+    let patterns = match patterns {
+        [] => format!("{robot}/** and messages to {robot}"),
+        some => Vec::from_iter(some.iter().map(ToString::to_string)).join(", "),
+    };
     [
-        ("robot", place.robot.to_string()),
+        ("robot", robot.to_string()),
         ("fleet", place.fleet.to_string()),
-        ("patterns", patterns.join(" ")),
+        (PATTERNS, patterns),
         ("rect", env!("CARGO_PKG_VERSION").to_owned()),
     ]
     .map(|(name, value)| (name.to_owned(), value))
     .into()
+}
+
+/// Returns what is recorded, according to the description of the recording.
+pub fn patterns(about: &About) -> &str {
+    about.get(PATTERNS).map_or("", String::as_str)
 }
 
 /// An MCAP file that is being written.

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::core::{message::Message, name::Name};
 
-/// How many messages of each pattern wait for the recorder at most.
+/// How many messages wait for the recorder at most.
 pub const CAPACITY: usize = 4096;
 /// How many bytes wait for the disk at most.
 const BACKLOG_BYTES: usize = 8 * 1024 * 1024;

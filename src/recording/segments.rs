@@ -15,6 +15,8 @@ use super::{
 pub const SEGMENT: Duration = Duration::from_secs(5);
 /// The number of bytes after which that happens earlier: they are kept in memory until then, in case the disk is full.
 pub const SEGMENT_BYTES: usize = 8 * 1024 * 1024;
+/// The number of bytes after which a file is completed on a disk that is nearly full: whole files use the room that is left.
+const LEAST_SEGMENT_BYTES: usize = 64 * 1024;
 /// The number of channels after which that happens, so that a flood of topics does not exhaust the ids of a file.
 const SEGMENT_CHANNELS: usize = 10_000;
 /// The interval at which a chunk is ended. An unfinished file can be read up to its last chunk.
@@ -30,6 +32,9 @@ pub struct Segments {
     next: u32,
     open: Option<Open>,
     complete: VecDeque<Complete>,
+    /// The number of bytes after which a file is completed: half as many after each failure, and twice as many after each
+    /// success.
+    segment_bytes: usize,
     /// The entries of a file that could not be completed.
     returned: Vec<Entry>,
     /// How much of the past to keep. `None`: everything.
@@ -66,6 +71,7 @@ impl Segments {
             next: 1,
             open: None,
             complete: VecDeque::new(),
+            segment_bytes: SEGMENT_BYTES,
             returned: Vec::new(),
             keep,
         })
@@ -115,7 +121,7 @@ impl Segments {
             return Ok(());
         };
         if now.saturating_sub(open.started) >= SEGMENT
-            || open.bytes >= SEGMENT_BYTES
+            || open.bytes >= self.segment_bytes
             || open.file.channels() >= SEGMENT_CHANNELS
         {
             return self.finish(now);
@@ -151,12 +157,15 @@ impl Segments {
         }) = self.open.take()
         {
             match file.finish() {
-                Ok(path) => self.complete.push_back(Complete {
-                    bytes: fs::metadata(&path)?.len(),
-                    path,
-                    started,
-                    ended: now,
-                }),
+                Ok(path) => {
+                    self.segment_bytes = (self.segment_bytes * 2).min(SEGMENT_BYTES);
+                    self.complete.push_back(Complete {
+                        bytes: fs::metadata(&path)?.len(),
+                        path,
+                        started,
+                        ended: now,
+                    });
+                }
                 Err(error) => {
                     self.returned = entries;
                     return Err(error);
@@ -196,6 +205,7 @@ impl Segments {
 
     /// Removes the unfinished file, which the disk did not take, and returns its entries.
     pub fn abandon(&mut self) -> Vec<Entry> {
+        self.segment_bytes = (self.segment_bytes / 2).max(LEAST_SEGMENT_BYTES);
         match self.open.take() {
             Some(open) => {
                 open.file.abandon();

@@ -20,16 +20,17 @@ use crate::{
     core::{encoding::Encoding, payload::Payload, topic::Pattern, urgency::Urgency},
     error::Error,
     recording::{
-        file::about, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress,
-        Recorder, Settings, Split,
+        file, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder,
+        Settings, Split,
     },
 };
 
 /// The settings of [`Robot::record`].
 #[derive(Clone, Debug, Default)]
 pub struct RecordOptions {
-    /// The messages; default: everything that the programs of this robot publish. Messages of other robots travel over the links
-    /// to this robot only because they are recorded.
+    /// The messages; a message that matches several patterns is recorded once. Default: everything that the programs of this robot
+    /// publish, and everything that they send to one robot or that is sent to this one. Messages of other robots travel over the
+    /// links to this robot only because they are recorded.
     pub patterns: Vec<Pattern>,
     /// How much of the past to keep; default: everything.
     pub keep: Option<Duration>,
@@ -40,8 +41,7 @@ pub struct RecordOptions {
 /// A recording that runs; created by [`Robot::record`]. Dropping it leaves a folder, which `rect recording merge` makes a file of.
 pub struct RobotRecorder {
     recorder: Arc<Recorder>,
-    patterns: Vec<Pattern>,
-    subscribers: Vec<Arc<Subscriber>>,
+    subscriber: Arc<Subscriber>,
     messages: JoinSet<()>,
     reports: JoinSet<()>,
     requests: Queryable<()>,
@@ -76,27 +76,20 @@ impl Robot {
         path: impl Into<PathBuf>,
         options: RecordOptions,
     ) -> Result<RobotRecorder, Error> {
-        let patterns = match options.patterns.is_empty() {
-            true => vec![Pattern::of(Some(self.name().clone()), "**")?],
-            false => options.patterns,
-        };
+        let place = &self.inner.place;
         let recorder = Arc::new(Recorder::start(Settings {
             path: path.into(),
-            about: about(&self.inner.place, &patterns),
+            about: file::about(place, &options.patterns),
             keep: options.keep,
             split: options.split,
         })?);
-        let mut subscribers = Vec::new();
+        let queue = QueueOptions {
+            capacity: CAPACITY,
+            ..QueueOptions::default()
+        };
+        let subscriber = Arc::new(self.select(place.recorded(&options.patterns), queue)?);
         let (mut messages, mut reports) = (JoinSet::new(), JoinSet::new());
-        for pattern in &patterns {
-            let queue = QueueOptions {
-                capacity: CAPACITY,
-                ..QueueOptions::default()
-            };
-            let subscriber = Arc::new(self.subscribe_with(pattern, queue).await?);
-            subscribers.push(subscriber.clone());
-            messages.spawn(forward(subscriber, self.clone(), recorder.clone()));
-        }
+        messages.spawn(forward(subscriber.clone(), self.clone(), recorder.clone()));
         let events = self.events().await?;
         let events = forward_events(events, self.clone(), recorder.clone());
         reports.spawn(events);
@@ -110,8 +103,7 @@ impl Robot {
             recorder,
             requests,
             queries,
-            patterns,
-            subscribers,
+            subscriber,
             messages,
             reports,
         })
@@ -119,22 +111,16 @@ impl Robot {
 }
 
 impl RobotRecorder {
-    /// Returns the messages that are recorded.
-    pub fn patterns(&self) -> &[Pattern] {
-        &self.patterns
+    /// Returns what is recorded, for people: the patterns, or what is recorded without patterns.
+    pub fn patterns(&self) -> &str {
+        file::patterns(self.recorder.about())
     }
 
     /// Returns how the recording goes.
     pub fn progress(&self) -> Progress {
         let mut progress = self.recorder.progress();
-        progress.dropped += self.unread();
+        progress.dropped += self.subscriber.dropped();
         progress
-    }
-
-    /// Returns how many messages were dropped before the recorder received them.
-    fn unread(&self) -> u64 {
-        let unread = self.subscribers.iter().map(|messages| messages.dropped());
-        unread.sum()
     }
 
     /// Waits until the session has ended.
@@ -148,12 +134,10 @@ impl RobotRecorder {
     /// [`Error::Recording`] if the disk fails; then the folder remains, and can be read.
     pub async fn finish(mut self) -> Result<(Vec<PathBuf>, Progress), Error> {
         self.reports.shutdown().await;
-        for subscriber in &self.subscribers {
-            subscriber.close();
-        }
+        self.subscriber.close();
         // Until what has arrived is recorded.
         self.ended().await;
-        let unread = self.unread();
+        let unread = self.subscriber.dropped();
         drop(self.requests);
         self.queries.close().await;
         let recorder = self.recorder;

@@ -25,7 +25,7 @@ use crate::{
     core::{
         counters::AtomicCounters,
         gaps::SenderCounts,
-        key::AddressError,
+        key::Selected,
         message::{Delivery, Inbound, Message, Undelivered},
         name::Name,
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
@@ -67,11 +67,10 @@ pub struct Subscriber {
     counting: Arc<AtomicCounters>,
     /// The pending read of the [`Stream`]. The mutex only makes the type `Sync`; it is never locked.
     next: Mutex<Option<Next>>,
-    _declared: Declared,
+    _declared: Vec<zenoh::pubsub::Subscriber<()>>,
 }
 
 type Next = Pin<Box<dyn std::future::Future<Output = Option<Message>> + Send>>;
-type Declared = [zenoh::pubsub::Subscriber<()>; 2];
 
 /// A subscription with a callback; created by [`Robot::on_message`] and [`Robot::on_event`]. Dropping it ends the
 /// subscription.
@@ -119,22 +118,29 @@ impl Robot {
     }
 
     fn subscribed(&self, pattern: &Pattern, queue: QueueOptions) -> Result<Subscriber, Error> {
-        let place = &self.inner.place;
+        self.select(self.inner.place.subscriptions(pattern).into(), queue)
+    }
+
+    /// Receives each selected message once.
+    pub(super) fn select(
+        &self,
+        selected: Vec<Selected>,
+        queue: QueueOptions,
+    ) -> Result<Subscriber, Error> {
+        let place = self.inner.place.clone();
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
-        let inbound = Arc::new(Mutex::new(Inbound::new(place.clone(), Instant::now())));
-        let [all, mine] = place.subscriptions(pattern);
-        let declare = |key: String, directed: bool| {
+        let inbound = Inbound::new(place, selected.clone(), Instant::now());
+        let inbound = Arc::new(Mutex::new(inbound));
+        let declare = |(subscription, Selected { key, .. })| {
             let (writer, inbound) = (QueueWriter::new(&queue), inbound.clone());
             let counting = self.inner.counting.clone();
             let links = self.inner.router_links.as_ref().map(RouterLinks::table);
             let on_sample = move |sample: Sample| {
-                let mut message = match on_sample(&inbound, &sample, directed) {
+                let mut message = match on_sample(&inbound, &sample, subscription) {
                     Ok(message) => message,
                     Err(Undelivered::Expired { missed }) => return counting.on_expired(missed),
-                    Err(Undelivered::Address(AddressError::NotForThisRobot)) => return,
-                    Err(Undelivered::Address(AddressError::InvalidTopic { .. })) => {
-                        return counting.on_rejected()
-                    }
+                    Err(Undelivered::NotSelected) => return,
+                    Err(Undelivered::InvalidTopic) => return counting.on_rejected(),
                 };
                 let links = links.as_ref();
                 message.method = links.and_then(|links| links.method(&message.sender));
@@ -150,14 +156,14 @@ impl Robot {
                 .wait()
                 .map_err(Error::zenoh("cannot declare the subscriber"))
         };
-        let declared = [declare(all, false)?, declare(mine, true)?];
+        let declared = selected.into_iter().enumerate().map(declare);
         Ok(Subscriber {
+            _declared: declared.collect::<Result<_, _>>()?,
             queue,
             inbound,
             decoder: self.inner.decoder.clone(),
             counting: self.inner.counting.clone(),
             next: Mutex::default(),
-            _declared: declared,
         })
     }
 
@@ -337,7 +343,7 @@ impl fmt::Debug for Subscriber {
 fn on_sample(
     inbound: &Mutex<Inbound>,
     sample: &Sample,
-    directed: bool,
+    subscription: usize,
 ) -> Result<Message, Undelivered> {
     let attachment = sample.attachment().map(ZBytes::to_bytes);
     let delivery = Delivery {
@@ -345,7 +351,7 @@ fn on_sample(
         payload: payload(sample.payload(), sample.encoding()),
         attachment: attachment.as_deref(),
         priority: sample.priority() as u8,
-        directed,
+        subscription,
     };
     lock(inbound).on_delivery(delivery, Instant::now)
 }

@@ -16,8 +16,9 @@ inline namespace RECT_ABI {
 
 /// The settings of a recording. Fields that are empty or 0 keep their defaults.
 struct RecordOptions {
-    /// The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish. Messages of
-    /// other robots travel over the links to this robot only because they are recorded.
+    /// The messages, as `<robot>/<topic>` with wildcards. Default: everything that the programs of this robot publish, and
+    /// everything that they send to one robot or that is sent to this one. Messages of other robots travel over the links to this robot
+    /// only because they are recorded.
     std::vector<std::string> patterns{};
     /// How much of the past to keep. Default: everything.
     std::chrono::milliseconds keep{0};

@@ -474,7 +474,7 @@ class Subscriber(_Source[Message]):
     """Receives the messages of a pattern, for `async for`; see `rect.Subscriber`."""
 
     def __init__(self, subscriber: BlockingSubscriber) -> None:
-        super().__init__(subscriber, f"message {subscriber._pattern}", self._take)
+        super().__init__(subscriber, f"message {subscriber._description}", self._take)
         self._subscriber = subscriber
 
     async def next(self, timeout: float | None = None) -> Message:

@@ -16,7 +16,6 @@ from rect import _rect, registry
 from rect.errors import Closed, NoService, PayloadError, RectError
 from rect.events import Event, Events
 from rect.message import Message
-from rect.options import text
 from rect.recording_queries import RecordingQueries
 from rect.subscriber import Subscriber, Subscription
 from rect.values import Payload
@@ -49,23 +48,22 @@ class Recorder:
     ) -> None:
         place = session.key_space
         self._session = session
-        patterns = patterns or (f"{place.robot}/**",)
         self._recorder = _rect.Recorder(os.fspath(path), place, patterns, keep, split_after, split_bytes)
         self._counts = (0, 0)
         self._closing = threading.Event()
         try:
-            self._subscriptions: list[Subscription[Any]] = [self._subscribe(session, pattern) for pattern in patterns]
-            self._subscriptions.append(Subscription(Events(session), self._add_event, "events"))
+            inbound = _rect.Inbound.of_recorder(place, patterns)
+            messages = Subscriber(session, inbound, "to record", _rect.RECORDER_CAPACITY, "drop_oldest")
+            self._subscriptions: list[Subscription[Any]] = [
+                Subscription(messages, self._add, "recorder"),
+                Subscription(Events(session), self._add_event, "events"),
+            ]
             self._queries = RecordingQueries(session, self._recorder)
         except BaseException:
             self._recorder.finish()
             raise
         if not session.is_direct:
             threading.Thread(target=self._record_links, name="rect links", daemon=True).start()
-
-    def _subscribe(self, session: Session, pattern: str) -> Subscription[Message]:
-        subscriber = Subscriber(session, text("pattern", pattern), _rect.RECORDER_CAPACITY, "drop_oldest")
-        return Subscription(subscriber, self._add, pattern)
 
     def _add(self, message: Message) -> None:
         request = self._recorder.add(message._metadata, message.payload.bytes, message.payload.encoding)

@@ -203,7 +203,8 @@ class Robot:
         """
         callable_or_none(callback)
         self._session.check()
-        subscriber = Subscriber(self._session, text("pattern", pattern), capacity, when_full)
+        inbound = _rect.Inbound(self._session.key_space, text("pattern", pattern))
+        subscriber = Subscriber(self._session, inbound, pattern, capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
 
     def publisher(
@@ -553,8 +554,9 @@ class Robot:
         recorded, too.
 
         - `path`: the file, such as `match.mcap`.
-        - `patterns`: for example `wombat-1/arm/*`. Default: everything that this robot publishes. Messages of other
-          robots travel over their links to this robot only because they are recorded.
+        - `patterns`: for example `wombat-1/arm/*`. Default: everything that this robot publishes, and everything that
+          it sends to one robot or that is sent to it. Messages of other robots travel over their links to this robot
+          only because they are recorded.
         - `keep`: only about this many seconds of the past are kept. Default: everything.
         - `split_after`, `split_bytes`: the recording continues in another file, whose name has a number, after this
           many seconds, or when the file has that number of bytes. Default: never.

@@ -54,15 +54,16 @@ class Subscriber:
 
     _HANDLE = "subscriber"
 
-    def __init__(self, session: Session, pattern: str, capacity: int, when_full: str) -> None:
+    def __init__(
+        self, session: Session, inbound: _rect.Inbound, description: str, capacity: int, when_full: str
+    ) -> None:
         self._session = session
-        self._pattern = pattern
+        self._description = description
         self._queue: ReceiveQueue[_Arrived] = ReceiveQueue(capacity, when_full)
-        self._inbound = _rect.Inbound(session.key_space)
-        keys = session.key_space.subscriptions(pattern)
+        self._inbound = inbound
         self._declared = Declared(session, self._queue)
-        for key, directed in zip(keys, (False, True)):
-            on_message = _rect.OnMessage(self._queue.queue, self._inbound, session.counters, session.links, directed)
+        for subscription, key in enumerate(inbound.keys()):
+            on_message = _rect.OnMessage(self._queue.queue, inbound, session.counters, session.links, subscription)
             try:
                 with session.calls:
                     self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
@@ -83,7 +84,7 @@ class Subscriber:
         except Ended:
             raise self._session.closed_error(self._HANDLE) from None
         except TimeoutError:
-            raise TimedOut(f"message {self._pattern}", timeout or 0) from None
+            raise TimedOut(f"message {self._description}", timeout or 0) from None
 
     def __iter__(self) -> Iterator[Message]:
         return self
@@ -115,7 +116,7 @@ class Subscriber:
         self.close()
 
     def __repr__(self) -> str:
-        return f"Subscriber({self._pattern}, dropped={self.dropped})"
+        return f"Subscriber({self._description}, dropped={self.dropped})"
 
     def _take(self, timeout: float | None) -> Message:
         """Waits for the next message that has not expired."""

@@ -47,7 +47,7 @@ pub struct DashboardArguments {
     /// Show a Stop button, which sends an urgent request to this service of all robots
     #[arg(long, value_name = "SERVICE")]
     stop: Option<Topic>,
-    /// Show a Record button, which records what this robot publishes to files in this folder
+    /// Show a Record button, which records this robot's messages to files in this folder
     #[arg(long, value_name = "FOLDER")]
     record: Option<PathBuf>,
     /// Let the page neither publish nor change anything

@@ -51,7 +51,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
   rect stream watch wombat-2 camera        # receives a stream of pictures
   rect transfer send wombat-2 map.bin      # sends a file of any size
-  rect record                              # records what this robot publishes; `rect replay` plays it
+  rect record                              # records this robot's messages; `rect replay` plays them
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection
   rect bench wombat-2                      # measures the link (run `rect bench --serve` on wombat-2)
   rect survey wombat-2                     # measures the radios, step by step, and writes a page with plots

@@ -31,7 +31,7 @@ const SHOWN_EVERY: Duration = Duration::from_millis(500);
 /// recording merge` makes a file of such a folder. Foxglove, Lichtblick and other viewers of MCAP open the file.
 #[derive(Args)]
 pub struct RecordArguments {
-    /// The messages to record, <robot>/<topic> with wildcards [default: everything that this robot publishes]
+    /// The messages to record, <robot>/<topic> with wildcards [default: everything that this robot publishes, and that is sent by it or to it]
     patterns: Vec<Pattern>,
     /// The file [default: <robot>-<date>-<time>.mcap]
     #[arg(short, long, value_name = "FILE", value_parser = recording_path)]
@@ -87,14 +87,9 @@ async fn record(arguments: RecordArguments) -> Done {
         split: split(&arguments.split),
     };
     let mut recording = robot.record(&path, options).await?;
-    let names: Vec<_> = recording
-        .patterns()
-        .iter()
-        .map(Pattern::to_string)
-        .collect();
     rect::errln!(
-        "rect: recording {} to {}; press Ctrl-C to stop",
-        line(&names.join(", ")),
+        "rect: recording {} in {}; press Ctrl-C to stop",
+        line(recording.patterns()),
         path.display()
     );
     tokio::select! {
