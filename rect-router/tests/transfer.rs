@@ -4,17 +4,25 @@
 mod support;
 
 use std::{
+    cell::{Cell, RefCell},
     future::{Future, IntoFuture},
+    pin::pin,
     sync::{
-        atomic::{AtomicBool, AtomicU64, Ordering},
-        Arc, Mutex,
+        atomic::{AtomicU64, Ordering},
+        Arc,
     },
     time::{Duration, Instant},
 };
 
-use rect::{ReceiveOptions, Robot, Transfers};
+use rect::{ReceiveOptions, Robot, Subscriber, Transfer, Transfers};
 use support::{joined, simulated, Air, Router, DEADLINE};
 use tokio::time::{sleep, timeout};
+
+/// The least throughput of a transfer, as a share of that of a publication of the same size. It is 0.93 for one megabyte without
+/// urgent messages; the start of a transfer takes 0.2 s.
+const LEAST_SHARE: f64 = 0.8;
+/// How many times a transfer is measured at most.
+const ROUNDS: usize = 3;
 
 /// Two linked routers, and a program at each.
 struct Pair {
@@ -74,79 +82,83 @@ fn a_transfer_uses_the_whole_link_and_urgent_messages_overtake_it() {
 async fn fill(air: &Air) {
     let pair = pair(air).await;
     let received = receiving(&pair.other).await;
-    let stops = pair
-        .other
-        .subscribe("wombat-1/stop")
-        .await
-        .expect("subscribed");
-    let puts = pair
-        .other
-        .subscribe("wombat-1/put")
-        .await
-        .expect("subscribed");
-
+    let (stops, puts) = (
+        pair.other.subscribe("wombat-1/stop"),
+        pair.other.subscribe("wombat-1/put"),
+    );
+    let (stops, puts) = (
+        stops.await.expect("subscribed"),
+        puts.await.expect("subscribed"),
+    );
     // A small transfer first, after which all links and routes exist.
-    let first = pair
-        .one
-        .transfer("wombat-2", "first", vec![1])
-        .expect("named");
-    timeout(DEADLINE, first.into_future())
-        .await
-        .expect("in time")
-        .expect("sent");
+    let first = pair.one.transfer("wombat-2", "first", vec![1]);
+    sent(first.expect("named")).await;
+    assert!(received.next().await.expect("open").is_ok());
+    // Other programs of this computer may slow a round, but not each of them.
+    let mut shares = Vec::new();
+    for _ in 0..ROUNDS {
+        let (share, p99) = round(&pair, &stops, &puts).await;
+        assert!(received.next().await.expect("open").is_ok());
+        assert!(p99 < Duration::from_millis(250), "{p99:?}");
+        shares.push(share);
+        if share > LEAST_SHARE {
+            return;
+        }
+    }
+    panic!("{shares:?}");
+}
+
+async fn sent(transfer: Transfer) {
+    let sent = timeout(DEADLINE * 2, transfer.into_future()).await;
+    sent.expect("in time").expect("sent");
+}
+
+/// Transfers a file while urgent messages are sent. Returns the transfer's throughput as a share of that of a publication of the
+/// same size, and the time within which 99 of 100 urgent messages arrived.
+async fn round(pair: &Pair, stops: &Subscriber, puts: &Subscriber) -> (f64, Duration) {
     let bytes = noise(300_000);
-    // The throughput of a single publication without other traffic.
     let bulk = pair.one.bulk();
     let start = Instant::now();
     bulk.publish("put", &bytes[..]).await.expect("published");
-    timeout(DEADLINE * 2, puts.next())
-        .await
-        .expect("in time")
-        .expect("open");
+    let put = timeout(DEADLINE * 2, puts.next()).await.expect("in time");
+    put.expect("open");
     let raw = start.elapsed();
 
-    let start = Instant::now();
-    let is_finished = Arc::new(AtomicBool::new(false));
-    let (urgent, finished) = (pair.one.urgent(), is_finished.clone());
-    let publishing = tokio::spawn(async move {
+    let (start, is_finished) = (Instant::now(), Cell::new(false));
+    let transfer = pair.one.transfer("wombat-2", "large", bytes.clone());
+    let transferring = async {
+        sent(transfer.expect("named")).await;
+        is_finished.set(true);
+        start.elapsed()
+    };
+    let urgent = pair.one.urgent();
+    let publishing = async {
         let mut published = Vec::new();
-        while !finished.load(Ordering::SeqCst) {
+        while !is_finished.get() {
             published.push(Instant::now());
-            urgent
-                .publish("stop", [published.len() as u8; 16])
-                .await
-                .expect("published");
+            let number = [published.len() as u8; 16];
+            urgent.publish("stop", number).await.expect("published");
             sleep(Duration::from_millis(50)).await;
         }
         published
-    });
-    let arrivals = Arc::new(Mutex::new(Vec::new()));
-    let recording = arrivals.clone();
-    let listening = tokio::spawn(async move {
+    };
+    let arrived = RefCell::new(Vec::new());
+    let receiving = async {
         while stops.next().await.is_some() {
-            recording.lock().expect("unpoisoned").push(Instant::now());
+            arrived.borrow_mut().push(Instant::now());
         }
-    });
-    let sent = pair
-        .one
-        .transfer("wombat-2", "large", bytes.clone())
-        .expect("named");
-    timeout(DEADLINE * 2, sent.into_future())
-        .await
-        .expect("in time")
-        .expect("sent");
-    let took = start.elapsed();
-    is_finished.store(true, Ordering::SeqCst);
-    let published = publishing.await.expect("no panic");
-    sleep(Duration::from_millis(500)).await;
-    listening.abort();
-    let arrivals = arrivals.lock().expect("unpoisoned").clone();
-    assert_eq!(published.len(), arrivals.len(), "each message arrived");
-    let mut ages: Vec<_> = published
-        .iter()
-        .zip(&arrivals)
-        .map(|(published, arrived)| *arrived - *published)
-        .collect();
+    };
+    let mut receiving = pin!(receiving);
+    let (took, published) = tokio::select! {
+        done = async { tokio::join!(transferring, publishing) } => done,
+        () = &mut receiving => panic!("closed"),
+    };
+    // The last messages may still be on the way.
+    let _ = timeout(Duration::from_millis(500), receiving).await;
+    let arrived = arrived.take();
+    assert_eq!(published.len(), arrived.len(), "each message arrived");
+    let arrivals = published.iter().zip(&arrived);
+    let mut ages: Vec<_> = arrivals.map(|(sent, arrived)| *arrived - *sent).collect();
     ages.sort();
     let (p50, p99) = (ages[ages.len() / 2], ages[ages.len() * 99 / 100]);
     let share = raw.as_secs_f64() / took.as_secs_f64();
@@ -156,12 +168,7 @@ async fn fill(air: &Air) {
         bytes.len(),
         ages.len()
     );
-    for _ in 0..2 {
-        assert!(received.next().await.expect("open").is_ok());
-    }
-    // Without urgent messages and for one megabyte, the share is 0.93; the start of a transfer takes 0.2 s.
-    assert!(share > 0.8, "{share}");
-    assert!(p99 < Duration::from_millis(250), "{p99:?}");
+    (share, p99)
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::{
     net::{Shutdown, TcpListener, TcpStream},
     sync::{
         atomic::{AtomicBool, AtomicU64, Ordering},
-        Arc, Mutex,
+        Arc, Mutex, MutexGuard, Weak,
     },
     thread,
     time::{Duration, Instant},
@@ -23,8 +23,22 @@ pub struct Wire {
 struct Shared {
     carried: AtomicU64,
     is_cut: AtomicBool,
-    streams: Mutex<Vec<TcpStream>>,
+    connections: Mutex<Vec<Weak<Connection>>>,
     rate_bytes_per_s: f64,
+}
+
+/// A relayed connection. It is closed when both of its threads have ended, so that no program waits until what it has sent is
+/// read.
+struct Connection {
+    near: TcpStream,
+    far: TcpStream,
+}
+
+impl Connection {
+    fn shut_down(&self) {
+        let _ = self.near.shutdown(Shutdown::Both);
+        let _ = self.far.shutdown(Shutdown::Both);
+    }
 }
 
 impl Wire {
@@ -42,7 +56,7 @@ impl Wire {
             for near in listener.incoming().map_while(Result::ok) {
                 let far = TcpStream::connect(&target);
                 if let (false, Ok(far)) = (this.is_cut.load(Ordering::SeqCst), far) {
-                    this.carry(near, far);
+                    this.carry(Connection { near, far });
                 }
             }
         });
@@ -57,8 +71,9 @@ impl Wire {
     /// Closes all connections, and refuses new ones for `time`.
     pub async fn cut(&self, time: Duration) {
         self.shared.is_cut.store(true, Ordering::SeqCst);
-        for stream in self.shared.streams.lock().expect("not poisoned").drain(..) {
-            let _ = stream.shutdown(Shutdown::Both);
+        let connections = std::mem::take(&mut *self.shared.connections());
+        for connection in connections.iter().filter_map(Weak::upgrade) {
+            connection.shut_down();
         }
         tokio::time::sleep(time).await;
         self.shared.is_cut.store(false, Ordering::SeqCst);
@@ -66,17 +81,27 @@ impl Wire {
 }
 
 impl Shared {
-    fn carry(self: &Arc<Self>, near: TcpStream, far: TcpStream) {
-        let clone = |stream: &TcpStream| stream.try_clone().expect("a stream");
-        let mut streams = self.streams.lock().expect("not poisoned");
-        streams.extend([clone(&near), clone(&far)]);
-        for (from, to) in [(clone(&near), clone(&far)), (far, near)] {
-            let this = self.clone();
-            thread::spawn(move || this.pump(from, to));
+    fn connections(&self) -> MutexGuard<'_, Vec<Weak<Connection>>> {
+        self.connections.lock().expect("not poisoned")
+    }
+
+    fn carry(self: &Arc<Self>, connection: Connection) {
+        let connection = Arc::new(connection);
+        self.connections().push(Arc::downgrade(&connection));
+        for is_forward in [true, false] {
+            let (this, connection) = (self.clone(), connection.clone());
+            thread::spawn(move || {
+                let Connection { near, far } = &*connection;
+                match is_forward {
+                    true => this.pump(near, far),
+                    false => this.pump(far, near),
+                }
+                connection.shut_down();
+            });
         }
     }
 
-    fn pump(&self, mut from: TcpStream, mut to: TcpStream) {
+    fn pump(&self, mut from: &TcpStream, mut to: &TcpStream) {
         // Small pieces keep the delay in this relay short. The buffers of the kernel increase it.
         let mut buffer = vec![0; ((self.rate_bytes_per_s / 200.0) as usize).clamp(128, 65536)];
         let mut free_at = Instant::now();
@@ -89,6 +114,5 @@ impl Shared {
             }
             self.carried.fetch_add(read as u64, Ordering::SeqCst);
         }
-        let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
     }
 }
