@@ -35,6 +35,7 @@ class Pairing:
 PAIRINGS = [
     Pairing("RECT", "rect", None, "zenoh"),
     Pairing("zenoh", "zenoh", None, "zenoh"),
+    Pairing("zenoh, attached", "zenoh-attached", None, "zenoh"),
     Pairing("gRPC", "grpc", None, "zenoh"),
     Pairing("RECT over rect-router", "rect", "rect-router", "zenoh over zenohd"),
     Pairing("zenoh over rect-router", "zenoh", "rect-router", "zenoh over zenohd"),
@@ -163,7 +164,9 @@ def notes() -> list[str]:
         "5 ms apart. The p99s mostly show other work of the machine.",
         "All: Rust, tokio's default runtime, messages taken by an async call, TCP_NODELAY. RECT: its defaults; for "
         "messages/s its subscriber blocks the sender (`WhenFull::Block`), while the default drops the oldest message. "
-        "zenoh: congestion control Block, as for RECT. gRPC: tonic; published messages share one stream. MQTT: 3.1.1, "
-        "QoS 1 in both directions (rumqttc and rumqttd acknowledge every message); a request is a message and its "
-        "answer, one at a time. rumqttd does not set TCP_NODELAY; here it is set.",
+        "zenoh: congestion control Block, as for RECT; `zenoh, attached`: with an attachment of 10 bytes to each "
+        "published message, as RECT has one for its number, its time and its publisher. gRPC: tonic; published "
+        "messages share one stream. MQTT: 3.1.1, QoS 1 in both directions (rumqttc and rumqttd acknowledge every "
+        "message); a request is a message and its answer, one at a time. rumqttd does not set TCP_NODELAY; here it is "
+        "set.",
     ]

@@ -19,7 +19,7 @@ use std::{
 use mcap::records::MessageHeader;
 use processor_time::processor_time;
 use rect::{
-    core::{encoding::Encoding, urgency::Urgency},
+    core::encoding::Encoding,
     recording::{Recorder, Settings, Split},
     Message, Name, Payload, Topic,
 };
@@ -165,20 +165,9 @@ fn paced(mut record: impl FnMut(Message, u32) -> Outcome<()>) -> Outcome<Duratio
 
 fn message(sender: &Name, topic: &Topic, payload: Payload, sequence: u32) -> Message {
     Message {
-        sender: sender.clone(),
-        recipient: None,
-        topic: topic.clone(),
-        payload,
-        urgency: Urgency::Normal,
-        sent_ms: None,
         sequence: Some(sequence),
         publisher: Some(1),
-        missed: 0,
-        late: false,
-        replayed: false,
-        expires_at: None,
-        problem: None,
-        method: None,
+        ..Message::new(sender.clone(), topic.clone(), payload)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Runs one side of the bench `middleware`: two programs use one of four middlewares, RECT, plain zenoh, gRPC or MQTT. One
+//! Runs one side of the bench `middleware`: two programs use one of the middlewares RECT, plain zenoh, gRPC and MQTT. One
 //! program serves, the other measures; a third can be the MQTT broker. `benches/middleware.py` starts them.
 //!
 //! ```text
@@ -65,6 +65,8 @@ struct Place {
 enum Middleware {
     Rect,
     Zenoh,
+    /// Plain zenoh, with an attachment to each message.
+    ZenohAttached,
     Grpc,
     Mqtt,
 }
@@ -107,7 +109,8 @@ async fn serve(middleware: Middleware, meeting: Meeting) -> Outcome<()> {
     let arrivals = ArrivalCounter::shared();
     match middleware {
         Middleware::Rect => rect::Rect::serve(meeting, arrivals).await,
-        Middleware::Zenoh => zenoh::Zenoh::serve(meeting, arrivals).await,
+        Middleware::Zenoh => zenoh::Zenoh::<false>::serve(meeting, arrivals).await,
+        Middleware::ZenohAttached => zenoh::Zenoh::<true>::serve(meeting, arrivals).await,
         Middleware::Grpc => grpc::Grpc::serve(meeting, arrivals).await,
         Middleware::Mqtt => mqtt::Mqtt::serve(meeting, arrivals).await,
     }
@@ -116,7 +119,8 @@ async fn serve(middleware: Middleware, meeting: Meeting) -> Outcome<()> {
 async fn measured(middleware: Middleware, job: Job, meeting: Meeting, load: Load) -> Outcome<()> {
     match middleware {
         Middleware::Rect => run::<rect::Rect>(job, meeting, load).await,
-        Middleware::Zenoh => run::<zenoh::Zenoh>(job, meeting, load).await,
+        Middleware::Zenoh => run::<zenoh::Zenoh<false>>(job, meeting, load).await,
+        Middleware::ZenohAttached => run::<zenoh::Zenoh<true>>(job, meeting, load).await,
         Middleware::Grpc => run::<grpc::Grpc>(job, meeting, load).await,
         Middleware::Mqtt => run::<mqtt::Mqtt>(job, meeting, load).await,
     }

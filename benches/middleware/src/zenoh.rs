@@ -16,19 +16,22 @@ use super::{
     peer::{About, Meeting, Outcome, Peer},
 };
 
+/// As many bytes as RECT attaches to a message that is not the first of its publisher.
+const ATTACHMENT: [u8; 10] = [0; 10];
 const ECHO: &str = "rect/client/echo";
 const FLOOD: &str = "rect/client/flood";
 const BACK: &str = "rect/server/back";
 const SERVICE: &str = "rect/server/service";
 
-pub struct Zenoh {
+/// A program that uses plain zenoh. `ATTACHES`: each published message has an attachment, as one of RECT has.
+pub struct Zenoh<const ATTACHES: bool> {
     session: Session,
     echo: Publisher<'static>,
     flood: Publisher<'static>,
     echoes: Subscriber<FifoChannelHandler<Sample>>,
 }
 
-impl Peer for Zenoh {
+impl<const ATTACHES: bool> Peer for Zenoh<ATTACHES> {
     async fn serve(meeting: Meeting, arrivals: Arc<ArrivalCounter>) -> Outcome<()> {
         let session = session(meeting, "listen").await?;
         let back = publisher(&session, BACK).await?;
@@ -51,7 +54,7 @@ impl Peer for Zenoh {
         });
         let echo = session.declare_subscriber(ECHO).await?;
         while let Ok(sample) = echo.recv_async().await {
-            back.put(sample.payload().clone()).await?;
+            put::<ATTACHES>(&back, sample.payload().clone()).await?;
         }
         Ok(())
     }
@@ -71,7 +74,7 @@ impl Peer for Zenoh {
             About::Echo => &self.echo,
             About::Flood => &self.flood,
         };
-        publisher.put(payload).await
+        put::<ATTACHES>(publisher, payload).await
     }
 
     async fn next_echo(&mut self) -> Outcome<Bytes> {
@@ -106,6 +109,17 @@ async fn session(meeting: Meeting, end: &str) -> Outcome<Session> {
 async fn publisher(session: &Session, key: &'static str) -> Outcome<Publisher<'static>> {
     let publisher = session.declare_publisher(key);
     publisher.congestion_control(CongestionControl::Block).await
+}
+
+async fn put<const ATTACHES: bool>(
+    publisher: &Publisher<'_>,
+    payload: impl Into<ZBytes>,
+) -> Outcome<()> {
+    let put = publisher.put(payload);
+    match ATTACHES {
+        true => put.attachment(ATTACHMENT).await,
+        false => put.await,
+    }
 }
 
 fn bytes(payload: &ZBytes) -> Bytes {
