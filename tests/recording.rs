@@ -169,21 +169,13 @@ fn file_that_promises_a_long_string_is_damaged() {
 }
 
 fn message(number: u32, urgency: Urgency) -> Message {
+    let (sender, topic) = (Name::new("a"), Topic::new("x"));
+    let payload = Payload::new(number.to_string(), Encoding::TEXT);
     Message {
-        sender: Name::new("a").expect("a name"),
-        recipient: None,
-        topic: Topic::new("x").expect("a topic"),
-        payload: Payload::new(number.to_string(), Encoding::TEXT),
         urgency,
-        sent_ms: None,
         sequence: Some(number),
         publisher: Some(7),
-        missed: 0,
-        late: false,
-        replayed: false,
-        expires_at: None,
-        problem: None,
-        method: None,
+        ..Message::new(sender.expect("a name"), topic.expect("a topic"), payload)
     }
 }
 

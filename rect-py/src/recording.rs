@@ -284,20 +284,12 @@ fn message(entry: &Entry) -> Option<Message> {
     let (sender, topic) = entry.address()?;
     let recipient = entry.recipient.as_deref();
     Some(Message {
-        sender,
         recipient: recipient.and_then(|name| Name::new(name).ok()),
-        topic,
-        payload: Payload::new(Bytes::new(), Encoding::BYTES),
         urgency: entry.urgency,
         sent_ms: u64::try_from(entry.sent.as_millis()).ok(),
         sequence: Some(entry.sequence),
         publisher: entry.publisher,
-        missed: 0,
-        late: false,
-        replayed: false,
-        expires_at: None,
-        problem: None,
-        method: None,
+        ..Message::new(sender, topic, Payload::new(Bytes::new(), Encoding::BYTES))
     })
 }
 

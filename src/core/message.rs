@@ -53,6 +53,26 @@ pub struct Message {
 }
 
 impl Message {
+    /// Creates a message that was published to all robots, by a sender that does not use RECT.
+    pub fn new(sender: Name, topic: Topic, payload: Payload) -> Self {
+        Self {
+            sender,
+            recipient: None,
+            topic,
+            payload,
+            urgency: Urgency::default(),
+            sent_ms: None,
+            sequence: None,
+            publisher: None,
+            missed: 0,
+            late: false,
+            replayed: false,
+            expires_at: None,
+            problem: None,
+            method: None,
+        }
+    }
+
     /// Returns whether the message has expired at that time.
     pub fn is_expired(&self, now: Instant) -> bool {
         self.expires_at.is_some_and(|at| at <= now)
@@ -121,20 +141,9 @@ impl Inbound {
         let address = self.parse(delivered.key, delivered.subscription)?;
         let attachment = delivered.attachment.and_then(Attachment::decode);
         let mut message = Message {
-            sender: address.sender,
             recipient: address.recipient,
-            topic: address.topic,
-            payload: delivered.payload,
             urgency: Urgency::from_priority(delivered.priority),
-            sent_ms: None,
-            sequence: None,
-            publisher: None,
-            missed: 0,
-            late: false,
-            replayed: false,
-            expires_at: None,
-            problem: None,
-            method: None,
+            ..Message::new(address.sender, address.topic, delivered.payload)
         };
         match attachment {
             None => self.gaps.on_unnumbered(&message.sender),

@@ -75,7 +75,7 @@ impl KeyFrames {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::{encoding::Encoding, payload::Payload, urgency::Urgency};
+    use crate::core::{encoding::Encoding, payload::Payload};
 
     const KEY: &[u8] = &[
         0, 0, 0, 1, 0x67, 1, 0, 0, 0, 1, 0x68, 1, 0, 0, 0, 1, 0x65, 1,
@@ -90,22 +90,9 @@ mod tests {
     }
 
     fn frame(topic: &str, bytes: &'static [u8]) -> Message {
-        Message {
-            sender: Name::new("wombat-1").expect("a name"),
-            recipient: None,
-            topic: Topic::new(topic).expect("a topic"),
-            payload: Payload::new(bytes, Encoding::H264),
-            urgency: Urgency::Normal,
-            sent_ms: None,
-            sequence: None,
-            publisher: None,
-            missed: 0,
-            late: false,
-            replayed: false,
-            expires_at: None,
-            problem: None,
-            method: None,
-        }
+        let (sender, topic) = (Name::new("wombat-1"), Topic::new(topic));
+        let payload = Payload::new(bytes, Encoding::H264);
+        Message::new(sender.expect("a name"), topic.expect("a topic"), payload)
     }
 
     #[test]
