@@ -2,9 +2,9 @@
 //! A batch that cannot be parsed counts as a whole message that must arrive. The result affects only how much may wait on a
 //! lane.
 use zenoh_buffers::reader::{DidntRead, HasReader, Reader};
-use zenoh_codec::{common::extension::skip, RCodec, Zenoh080, Zenoh080Condition, Zenoh080Header};
+use zenoh_codec::{RCodec, Zenoh080, Zenoh080Condition, Zenoh080Header};
 use zenoh_protocol::{
-    common::{iext, imsg},
+    common::{iext, imsg, ZExtUnknown},
     core::{CongestionControl, WireExpr},
     network::{id as network, push},
     transport::{id as transport, FragmentHeader, FrameHeader},
@@ -67,17 +67,19 @@ fn is_droppable(reader: &mut impl Reader) -> Result<bool, DidntRead> {
     }
     let is_named = imsg::has_flag(header, push::flag::N);
     let _: WireExpr<'static> = Zenoh080Condition::new(is_named).read(&mut *reader)?;
-    let mut qos = push::ext::QoSType::DEFAULT;
     let mut has_more = imsg::has_flag(header, push::flag::Z);
     while has_more {
         let extension: u8 = codec.read(&mut *reader)?;
+        let codec = Zenoh080Header::new(extension);
         if iext::eid(extension) == push::ext::QoS::ID {
-            (qos, has_more) = Zenoh080Header::new(extension).read(&mut *reader)?;
-        } else {
-            has_more = skip(reader, "Push", extension)?;
+            let (qos, _): (push::ext::QoSType, bool) = codec.read(&mut *reader)?;
+            return Ok(qos.get_congestion_control() == CongestionControl::Drop);
         }
+        // The others do not matter here, not even mandatory ones, such as the number that routers add to what they forward.
+        let (_, follows): (ZExtUnknown, bool) = codec.read(&mut *reader)?;
+        has_more = follows;
     }
-    Ok(qos.get_congestion_control() == CongestionControl::Drop)
+    Ok(push::ext::QoSType::DEFAULT.get_congestion_control() == CongestionControl::Drop)
 }
 
 #[cfg(test)]
@@ -90,11 +92,13 @@ mod tests {
 
     use super::*;
 
-    /// Returns the part of a network message that the link parses: a push to a named key, with an unknown extension before
-    /// the QoS extension.
+    /// Returns the part of a network message that the link parses: a push to a named key, with an unknown mandatory extension
+    /// before the QoS extension, and the number of a router after it.
     fn message(congestion_control: CongestionControl) -> Vec<u8> {
-        /// An extension with an unknown id and a small integer, which is followed by another extension.
-        const OTHER: [u8; 2] = [0xa7, 1];
+        /// A mandatory extension with an unknown id and a small integer, which is followed by another extension.
+        const OTHER: [u8; 2] = [0xb7, 1];
+        /// The number of a router, a mandatory extension, which is the last one.
+        const NODE: [u8; 2] = [0x33, 1];
         let (codec, mut bytes) = (Zenoh080::new(), Vec::new());
         let writer = &mut bytes;
         let header = network::PUSH | push::flag::N | push::flag::Z;
@@ -104,7 +108,9 @@ mod tests {
             .and_then(|()| codec.write(&mut *writer, &WireExpr::from("rect/wombat-1/camera")))
             .and_then(|()| codec.write(&mut *writer, OTHER[0]))
             .and_then(|()| codec.write(&mut *writer, OTHER[1]))
-            .and_then(|()| codec.write(&mut *writer, (qos, false)));
+            .and_then(|()| codec.write(&mut *writer, (qos, true)))
+            .and_then(|()| codec.write(&mut *writer, NODE[0]))
+            .and_then(|()| codec.write(&mut *writer, NODE[1]));
         assert!(written.is_ok());
         bytes
     }
