@@ -6,6 +6,7 @@ from __future__ import annotations
 import queue
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -56,6 +57,14 @@ def repeating(seconds: float, action: Callable[[], object]) -> Iterator[None]:
     finally:
         ends.set()
         thread.join()
+
+
+def until(condition: Callable[[], bool], found: Callable[[], object] = lambda: None) -> None:
+    """Waits until a condition holds. `found` is what a failure shows."""
+    deadline = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < deadline, found()
+        time.sleep(0.01)
 
 
 def until_peer(robot: rect.Robot) -> None:

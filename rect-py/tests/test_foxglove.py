@@ -6,14 +6,13 @@ import base64
 import json
 import struct
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
 import rect
-from conftest import DEADLINE, repeating, until_served
+from conftest import DEADLINE, repeating, until, until_served
 from google.protobuf import (  # type: ignore[import-untyped, unused-ignore]
     descriptor_pb2,
     descriptor_pool,
@@ -215,12 +214,6 @@ def test_topic_is_transmitted_only_while_it_is_shown(routers: Routers) -> None:
             shown.message("/wombat-1/camera")
         # A viewer that leaves shows nothing any more.
         until(lambda: sent() < pictures / 2)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE
-    while not condition():
-        assert time.monotonic() < deadline
 
 
 def test_viewer_publishes_and_sends_requests_only_if_permitted(routers: Routers) -> None:

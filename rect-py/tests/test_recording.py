@@ -13,7 +13,7 @@ import random
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ import numpy
 import pytest
 import rect
 import zenoh
-from conftest import free_port, repeating
+from conftest import free_port, repeating, until
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from programs import DEADLINE, program
@@ -350,7 +350,7 @@ def test_recording_continues_when_a_full_disk_has_room(tmp_path: Path) -> None:
         assert any("No space left on device" in line for line in process.stderr)
         # The room that is left is used: the disk is one of that process alone.
         parts = Path(f"/proc/{(tmp_path / 'pid').read_text().strip()}/root") / disk.relative_to("/") / "match.segments"
-        wait_until(lambda: any(parts.glob("*.mcap")))
+        until(lambda: any(parts.glob("*.mcap")), lambda: list(parts.iterdir()))
         (tmp_path / "room").touch()
         assert any("is written again" in line for line in process.stderr)
         os.kill(int((tmp_path / "pid").read_text()), signal.SIGTERM)
@@ -377,14 +377,7 @@ def test_long_recording_is_split(tmp_path: Path) -> None:
 
 
 def until_recorded(recorder: rect.Recorder, count: int) -> None:
-    wait_until(lambda: recorder.recorded >= count)
-
-
-def wait_until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: recorder.recorded >= count, lambda: recorder.recorded)
 
 
 def test_recording_that_cannot_be_read_is_refused(tmp_path: Path) -> None:

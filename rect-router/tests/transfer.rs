@@ -92,7 +92,7 @@ async fn fill(air: &Air) {
     );
     // A small transfer first, after which all links and routes exist.
     let first = pair.one.transfer("wombat-2", "first", vec![1]);
-    sent(first.expect("named")).await;
+    sent(first.expect("named"), DEADLINE).await;
     assert!(received.next().await.expect("open").is_ok());
     // Other programs of this computer may slow a round, but not each of them.
     let mut shares = Vec::new();
@@ -108,8 +108,8 @@ async fn fill(air: &Air) {
     panic!("{shares:?}");
 }
 
-async fn sent(transfer: Transfer) {
-    let sent = timeout(DEADLINE * 2, transfer.into_future()).await;
+async fn sent(transfer: Transfer, limit: Duration) {
+    let sent = timeout(limit, transfer.into_future()).await;
     sent.expect("in time").expect("sent");
 }
 
@@ -127,7 +127,7 @@ async fn round(pair: &Pair, stops: &Subscriber, puts: &Subscriber) -> (f64, Dura
     let (start, is_finished) = (Instant::now(), Cell::new(false));
     let transfer = pair.one.transfer("wombat-2", "large", bytes.clone());
     let transferring = async {
-        sent(transfer.expect("named")).await;
+        sent(transfer.expect("named"), DEADLINE * 2).await;
         is_finished.set(true);
         start.elapsed()
     };
