@@ -22,9 +22,9 @@ from zenoh import CongestionControl, Priority
 NEAR, FAR, PORT = "10.77.0.1", "10.77.0.2", 7460
 NETWORKS = {"100 Mbit/s": "100mbit", "unlimited": None}
 #: `tcp` with the batches of an `any` link, which Bluetooth limits.
-SMALL_BATCHES = "tcp, 8 kB"
+SMALL_BATCHES = "tcp, 16 kB"
 LINKS = ["any", "tls", "tcp", SMALL_BATCHES]
-BATCH_BYTES = 8192
+BATCH_BYTES = 16_000
 SIZES = [1000, 8000, 100_000]
 ROUNDS = 5
 SECONDS = 2.0
@@ -60,7 +60,7 @@ def run() -> Table:
         "the middle half. Stock eclipse-zenoh clients publish with congestion control Block. The routers "
         "run in two network namespaces with a pair of virtual Ethernet devices between them, limited by `tc` or not at "
         "all. The `any` link has only its network path. It is encrypted, as `tls` is; `tcp` is not. Zenoh sends "
-        "batches of at most 8 kB on an `any` link, because each takes 0.25 s if it has to travel over Bluetooth, and "
+        "batches of at most 16 kB on an `any` link, because each takes 0.5 s if it has to travel over Bluetooth, and "
         f"of 64 kB on the others, except `{SMALL_BATCHES}`. Memory: the private memory of the dialling router "
         "afterwards. Idle processor: its processor time while nothing is "
         "published.",

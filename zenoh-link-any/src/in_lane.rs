@@ -7,7 +7,7 @@ use crate::{batch_length, frame::nearest};
 /// a sender may have unacknowledged.
 pub const MAX_EARLY_BYTES: u64 = 1 << 20;
 /// Number of bytes of unread batches at which a lane is stopped, and at which it may continue.
-const HIGH_WATERMARK: usize = 65_536;
+const HIGH_WATERMARK: usize = 262_144;
 const LOW_WATERMARK: usize = HIGH_WATERMARK / 2;
 /// Memory of a batch in addition to its bytes.
 const BATCH_OVERHEAD_BYTES: usize = 24;

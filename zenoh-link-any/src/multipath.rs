@@ -49,6 +49,8 @@ const COMPARED_BYTES: usize = 16_384;
 const BETTER: f64 = 0.7;
 /// How long it has to be better.
 const BETTER_FOR: Duration = Duration::from_millis(300);
+/// The largest backlog of a lane, in bytes. More would occupy memory without making a fast network faster.
+const MAX_BACKLOG_BYTES: usize = 2_500_000;
 
 /// A path of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -308,8 +310,10 @@ impl Multipath {
                 }
             }
         }
-        if least_urgent == Lane::last() {
-            self.paths.get_mut(&id)?.on_idle();
+        let path = self.paths.get_mut(&id)?;
+        // A path without room is not idle: it waits for acknowledgements, which show its rate.
+        if least_urgent == Lane::last() && path.has_room(false) {
+            path.on_idle();
         }
         None
     }
@@ -591,7 +595,7 @@ impl Multipath {
             droppable_bytes: (droppable_rate * bounds.droppable.as_secs_f64()) as usize,
             backlog_bytes: match lane.number() {
                 0 => usize::MAX,
-                _ => backlog::limit_bytes(slowest, bounds.backlog),
+                _ => backlog::limit_bytes(slowest, bounds.backlog).min(MAX_BACKLOG_BYTES),
             },
         }
     }

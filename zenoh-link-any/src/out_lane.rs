@@ -11,7 +11,7 @@ use zenoh_link_ble::protocol::lanes::{
     report::MeanTime,
 };
 
-use crate::{batch_length, ranges::Ranges};
+use crate::{batch_length, in_lane::MAX_EARLY_BYTES, ranges::Ranges};
 
 /// The sending side of a lane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -169,7 +169,9 @@ impl OutLane {
         if self.next == self.end || self.is_stopped {
             return None;
         }
-        let mut end = self.end.min(self.next + max as u64);
+        // The receiver accepts no bytes that are farther beyond those that are missing.
+        let farthest = self.start() + MAX_EARLY_BYTES;
+        let mut end = self.end.min(self.next + max as u64).min(farthest);
         if only_copied {
             let mut copied_end = self.next;
             for batch in self.batches.range(self.index_at(self.next)..) {
@@ -258,5 +260,33 @@ impl OutLane {
     fn index_at(&self, position: u64) -> usize {
         self.batches
             .partition_point(|batch| batch.end() <= position)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_that_the_peer_does_not_accept_yet_are_not_sent() {
+        let (mut lane, now) = (OutLane::default(), Instant::now());
+        let kind = BatchKind::Whole {
+            is_droppable: false,
+        };
+        for _ in 0..100 {
+            lane.push(&[7; 20_000], kind, false, now);
+        }
+        let mut sent = Vec::new();
+        while let Some(range) = lane.next_new(16_000, false) {
+            lane.on_sent(&range);
+            sent.push(range);
+        }
+        assert_eq!(lane.next, MAX_EARLY_BYTES);
+        // A path that is slower than others has not delivered the first bytes.
+        lane.on_acked(&(sent[1].start..lane.next), now);
+        assert_eq!(lane.next_new(16_000, false), None);
+        lane.on_acked(&sent[0], now);
+        let next = MAX_EARLY_BYTES..MAX_EARLY_BYTES + 16_000;
+        assert_eq!(lane.next_new(16_000, false), Some(next));
     }
 }

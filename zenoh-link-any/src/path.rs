@@ -20,12 +20,15 @@ pub const ACK_BYTES: usize = 4096;
 /// The same on a network, where each acknowledgement wakes two tasks that would have more to do otherwise.
 const NETWORK_ACK_BYTES: usize = 32_768;
 
-/// Bounds of the number of bytes in flight on a path.
+/// Bounds of the number of bytes in flight on a path. On a network, the lower one keeps the rate up while its round trips are much
+/// longer than the shortest one.
 const MIN_IN_FLIGHT_BYTES: usize = 8_192;
+const NETWORK_MIN_IN_FLIGHT_BYTES: usize = 32_768;
 /// See [`MIN_IN_FLIGHT_BYTES`].
 pub const MAX_IN_FLIGHT_BYTES: usize = 262_144;
 /// Added to twice the round trip, within which the bytes in flight should arrive: the peer's delays.
 const IN_FLIGHT_MARGIN: Duration = Duration::from_millis(20);
+const NETWORK_IN_FLIGHT_MARGIN: Duration = Duration::from_millis(10);
 /// Number of bytes that urgent lanes may have in flight beyond that.
 const URGENT_RESERVE_BYTES: usize = 4_096;
 /// Number of bytes of copies that may wait for a path.
@@ -194,9 +197,13 @@ impl Path {
     /// Returns whether a frame of a lane may be sent, given the bytes in flight.
     pub(crate) fn has_room(&self, is_urgent: bool) -> bool {
         let (_, assumed) = self.medium.assumed();
-        let time = self.rtt.min().unwrap_or(assumed) * 2 + IN_FLIGHT_MARGIN;
+        let (min, margin) = match self.medium {
+            Medium::Bluetooth => (MIN_IN_FLIGHT_BYTES, IN_FLIGHT_MARGIN),
+            Medium::Network => (NETWORK_MIN_IN_FLIGHT_BYTES, NETWORK_IN_FLIGHT_MARGIN),
+        };
+        let time = self.rtt.min().unwrap_or(assumed) * 2 + margin;
         let bytes = (self.rate_bytes_per_s() * time.as_secs_f64()) as usize;
-        let limit = bytes.clamp(MIN_IN_FLIGHT_BYTES, MAX_IN_FLIGHT_BYTES);
+        let limit = bytes.clamp(min, MAX_IN_FLIGHT_BYTES);
         let reserve = if is_urgent { URGENT_RESERVE_BYTES } else { 0 };
         self.in_flight_bytes < limit + reserve
     }

@@ -17,7 +17,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            max_batch: 8_192,
+            max_batch: 16_000,
             bounds: Bounds {
                 bytes: 16 << 20,
                 backlog: Duration::from_millis(2500),

@@ -7,7 +7,7 @@ use rand_pcg::{
 };
 
 use super::{
-    simulation::{Conversation, World, BLUETOOTH, NETWORK},
+    simulation::{Conversation, Quality, World, BLUETOOTH, NETWORK},
     *,
 };
 use crate::path::AckError;
@@ -86,6 +86,42 @@ fn bulk_moves_to_the_network_and_returns_when_it_is_lost() {
     talk(&mut world, &mut talks, Duration::from_secs(1), true);
     assert_eq!(primary_of(&world.ends[0]), Some(Medium::Bluetooth));
     finish(&mut world, &mut talks, "lost network");
+}
+
+/// A network that carries more than the bytes in flight of a path that was not measured.
+#[test]
+fn rate_of_a_network_is_measured_and_used() {
+    let mut world = World::new();
+    let network = Quality {
+        bytes_per_s: 20_000_000.0,
+        ..NETWORK
+    };
+    world.connect(network);
+    let mut talks = Default::default();
+    talk(&mut world, &mut talks, Duration::from_secs(1), true);
+    world.carried = [0; 2];
+    talk(&mut world, &mut talks, Duration::from_secs(1), true);
+    assert!(world.carried[1] > 18_000_000, "{:?}", world.carried);
+    let (_, report) = world.ends[0].paths().next().expect("one path");
+    let rate = report.rate_bytes_per_s;
+    assert!((18e6..21e6).contains(&rate), "{rate}");
+}
+
+#[test]
+fn network_has_no_more_in_flight_than_bluetooth_carries_in_time() {
+    let mut world = World::new();
+    world.connect(BLUETOOTH);
+    let network = world.connect(NETWORK);
+    let mut talks = Default::default();
+    talk(&mut world, &mut talks, Duration::from_secs(2), true);
+    world.jam(network, Duration::from_secs(60));
+    let fault = world.now;
+    finish(&mut world, &mut talks, "network that stays silent");
+    let time = world.now - fault;
+    assert!(
+        time < Options::default().bounds.backlog + 500 * MS,
+        "{time:?}"
+    );
 }
 
 /// Returns the reason and the new medium of the last switch, and how long data had waited.

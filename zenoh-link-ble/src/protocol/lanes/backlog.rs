@@ -48,9 +48,9 @@ impl Message {
 /// How many bytes may wait on a lane before it accepts another message.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Before a message that may be dropped.
+    /// Before a message that may be dropped, of all messages.
     pub droppable_bytes: usize,
-    /// Before one that must arrive, without large messages.
+    /// Before any message, without large ones that must arrive.
     pub backlog_bytes: usize,
 }
 
@@ -105,7 +105,9 @@ impl Backlog {
             BatchKind::NextFragment => true,
             BatchKind::Whole { is_droppable } | BatchKind::FirstFragment { is_droppable } => {
                 match is_droppable {
-                    true => waiting_bytes <= limits.droppable_bytes,
+                    true => {
+                        waiting_bytes <= limits.droppable_bytes && self.bytes < limits.backlog_bytes
+                    }
                     false => self.has_room(kind, limits.backlog_bytes),
                 }
             }
@@ -283,6 +285,21 @@ mod tests {
             backlog.on_accepted(BatchKind::NextFragment, 60_000, now),
             Counting::Counts
         );
+    }
+
+    #[test]
+    fn message_that_may_be_dropped_is_not_accepted_beyond_the_backlog() {
+        let (mut backlog, now) = (Backlog::default(), Instant::now());
+        let kind = BatchKind::Whole { is_droppable: true };
+        // A fast path has carried everything, but the peer has not acknowledged it.
+        let limits = Limits {
+            droppable_bytes: 100_000,
+            backlog_bytes: 20_000,
+        };
+        backlog.on_accepted(kind, 19_999, now);
+        assert!(backlog.accepts(kind, 0, limits, now));
+        backlog.on_accepted(kind, 1, now);
+        assert!(!backlog.accepts(kind, 0, limits, now));
     }
 
     #[test]
