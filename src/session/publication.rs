@@ -4,13 +4,14 @@ use std::{
     time::Duration,
 };
 
-use tokio::runtime::Handle;
+use tokio::{runtime::Handle, task::JoinHandle};
 use zenoh::{bytes::Encoding as ZenohEncoding, pubsub::Publisher, Session, Wait};
 
 use super::{convert::now_ms, queries};
 use crate::{
     core::{
         attachment::Sent,
+        counters::AtomicCounters,
         encoding::Encoding,
         payload::Payload,
         publication::{Numbering, LARGE_BYTES},
@@ -23,6 +24,24 @@ use crate::{
 pub(super) struct Publication {
     publisher: Publisher<'static>,
     state: Mutex<State>,
+    counting: Arc<AtomicCounters>,
+}
+
+/// A message that Zenoh has taken, or that a thread waits to give it.
+#[must_use]
+pub(super) enum Put {
+    Done,
+    Waiting(JoinHandle<Result<(), Error>>),
+}
+
+impl Put {
+    /// Waits until Zenoh has taken the message. Does not need the caller's runtime.
+    pub(super) async fn done(self) -> Result<(), Error> {
+        match self {
+            Self::Done => Ok(()),
+            Self::Waiting(put) => put.await.map_err(|_| Error::Closed)?,
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -33,8 +52,14 @@ struct State {
 }
 
 impl Publication {
-    pub(super) fn declare(session: &Session, key: String, qos: Qos) -> Result<Self, Error> {
+    pub(super) fn declare(
+        session: &Session,
+        key: String,
+        qos: Qos,
+        counting: Arc<AtomicCounters>,
+    ) -> Result<Self, Error> {
         Ok(Self {
+            counting,
             publisher: queries::publisher(session, key, qos)?,
             state: Mutex::new(State {
                 numbering: Numbering::new(rand::random()),
@@ -43,20 +68,22 @@ impl Publication {
         })
     }
 
-    /// Publishes a payload, which repeats that of a message of `recorded_ms` if there is one; waits while the link has no room. Does not
-    /// need the caller's runtime.
-    pub(super) async fn put(
-        self: Arc<Self>,
+    /// Publishes a payload, which repeats that of a message of `recorded_ms` if there is one, and counts it. Waits while the link has
+    /// no room, for a large payload in another thread.
+    pub(super) fn put(
+        self: &Arc<Self>,
         payload: Payload,
         recorded_ms: Option<u64>,
         lifetime: Option<Duration>,
         runtime: &Handle,
-    ) -> Result<(), Error> {
+    ) -> Result<Put, Error> {
         if payload.bytes.len() < LARGE_BYTES {
-            return self.put_now(payload, recorded_ms, lifetime);
+            self.put_now(payload, recorded_ms, lifetime)?;
+            return Ok(Put::Done);
         }
-        let put = runtime.spawn_blocking(move || self.put_now(payload, recorded_ms, lifetime));
-        put.await.map_err(|_| Error::Closed)?
+        let publication = self.clone();
+        let put = move || publication.put_now(payload, recorded_ms, lifetime);
+        Ok(Put::Waiting(runtime.spawn_blocking(put)))
     }
 
     /// Returns the Zenoh publisher.
@@ -76,6 +103,7 @@ impl Publication {
             let same = ZenohEncoding::from(payload.encoding.as_str());
             state.encoding = (payload.encoding, same);
         }
+        let bytes = payload.bytes.len();
         let sent = recorded_ms.map_or_else(|| Sent::At(now_ms()), Sent::Replayed);
         let put = self
             .publisher
@@ -85,6 +113,7 @@ impl Publication {
         put.wait()
             .map_err(Error::zenoh("cannot send the message"))?;
         state.numbering.on_sent();
+        self.counting.on_sent(bytes);
         Ok(())
     }
 

@@ -79,8 +79,8 @@ impl Publisher {
     /// Returns the errors of [`Robot::publish`].
     pub async fn publish(&self, value: impl ToPayload) -> Result<(), Error> {
         let payload = self.robot.payload(value)?;
-        let put = (self.robot).put(&self.publication, payload, Duration::ZERO);
-        put.await
+        let put = (self.robot).put(&self.publication, payload, Duration::ZERO)?;
+        put.done().await
     }
 
     /// Returns whether at least one subscriber of another program receives the messages, on this or another robot.

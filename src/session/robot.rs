@@ -12,7 +12,7 @@ use super::{
     convert::now_ms,
     decoder::Decoder,
     executor::{Executor, Running},
-    publication::Publication,
+    publication::{Publication, Put},
     router_links::RouterLinks,
     shared::NoItems,
     urgency_sessions::UrgencySessions,
@@ -290,7 +290,7 @@ impl Robot {
         let publication = self.publication(key).await?;
         // The first message of an urgency waits for its session.
         let waited = called.map_or(Duration::ZERO, |called| called.elapsed());
-        self.put(&publication, payload, waited).await
+        self.put(&publication, payload, waited)?.done().await
     }
 
     pub(super) fn publication_key(&self, topic: Topic, recipient: Option<Name>) -> PublicationKey {
@@ -303,34 +303,18 @@ impl Robot {
     }
 
     /// Publishes a payload that has waited for that time.
-    pub(super) async fn put(
+    pub(super) fn put(
         &self,
         publication: &Arc<Publication>,
         payload: Payload,
         waited: Duration,
-    ) -> Result<(), Error> {
+    ) -> Result<Put, Error> {
         let lifetime = self.lifetime.map(|all| all.saturating_sub(waited));
         if lifetime.is_some_and(|rest| rest.is_zero()) {
             self.inner.counting.on_expired(0);
-            return Ok(());
+            return Ok(Put::Done);
         }
-        self.put_counted(publication, payload, None, lifetime).await
-    }
-
-    /// Publishes a payload, which repeats that of a message of `recorded_ms` if there is one, and counts it.
-    async fn put_counted(
-        &self,
-        publication: &Arc<Publication>,
-        payload: Payload,
-        recorded_ms: Option<u64>,
-        lifetime: Option<Duration>,
-    ) -> Result<(), Error> {
-        let bytes = payload.bytes.len();
-        let publication = publication.clone();
-        let put = publication.put(payload, recorded_ms, lifetime, &self.inner.runtime);
-        put.await?;
-        self.inner.counting.on_sent(bytes);
-        Ok(())
+        publication.put(payload, None, lifetime, &self.inner.runtime)
     }
 
     /// Publishes a message of a recording again, on its own topic or another one, with its urgency and to its recipient. Receivers
@@ -350,8 +334,8 @@ impl Robot {
         let publication = self.publication(key).await?;
         let sent_ms = u64::try_from(entry.sent.as_millis()).unwrap_or(0);
         let payload = entry.payload.sendable()?;
-        self.put_counted(&publication, payload, Some(sent_ms), None)
-            .await
+        let put = publication.put(payload, Some(sent_ms), None, &self.inner.runtime)?;
+        put.done().await
     }
 
     pub(super) async fn publication(&self, key: PublicationKey) -> Result<Arc<Publication>, Error> {
@@ -365,7 +349,8 @@ impl Robot {
             return Ok(cached.clone());
         }
         let zenoh_key = key.key(&self.inner.place);
-        let publication = Publication::declare(session, zenoh_key, key.qos())?;
+        let counting = self.inner.counting.clone();
+        let publication = Publication::declare(session, zenoh_key, key.qos(), counting)?;
         let publication = Arc::new(publication);
         publications.add(key, publication.clone());
         Ok(publication)
