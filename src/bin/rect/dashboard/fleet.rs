@@ -18,7 +18,7 @@ use tokio::{
 
 use super::{
     browsers::Browsers,
-    protocol::{RobotState, State, TimedEvent, TopicRow},
+    protocol::{RobotState, ShownConnection, State, TimedEvent, TopicRow},
 };
 use crate::{topic, Failure};
 
@@ -291,7 +291,7 @@ impl Observer {
         let robots = self.records.iter().map(|(name, record)| RobotState {
             name: name.to_string(),
             reachable: record.reachable || name == own,
-            connections: record.connections.clone(),
+            connections: shown(record.connections.as_deref()),
             version: text_of(record.status.as_ref(), "version"),
             started_s: record.started_s,
             problems: problems(record, self.connected || name != own),
@@ -312,6 +312,11 @@ impl Observer {
         let events = self.events.make_contiguous();
         self.browsers.publish("events", &State::Events { events });
     }
+}
+
+fn shown(connections: Option<&[Connection]>) -> Option<Vec<ShownConnection>> {
+    let connections = connections?.iter().cloned();
+    Some(connections.map(ShownConnection::from).collect())
 }
 
 /// Returns the errors that are new in a list of connections.

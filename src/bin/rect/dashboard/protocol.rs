@@ -220,6 +220,25 @@ pub struct TopicRow<'a> {
     pub lost: u64,
 }
 
+/// A connection, and what the page shows of its lanes.
+#[derive(Clone, Debug, Serialize)]
+pub struct ShownConnection {
+    /// The connection, as the registry reports it.
+    #[serde(flatten)]
+    pub connection: Connection,
+    /// How long an urgent message takes until the peer has acknowledged it, in milliseconds, if it was measured.
+    pub urgent_delay_ms: Option<f64>,
+}
+
+impl From<Connection> for ShownConnection {
+    fn from(connection: Connection) -> Self {
+        Self {
+            urgent_delay_ms: connection.urgent_delay_ms(),
+            connection,
+        }
+    }
+}
+
 /// A robot of the fleet, as the page shows it.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotState {
@@ -228,7 +247,7 @@ pub struct RobotState {
     /// Whether it can be reached.
     pub reachable: bool,
     /// The connections of its router; `None` until it has answered, and if it has no registry.
-    pub connections: Option<Vec<Connection>>,
+    pub connections: Option<Vec<ShownConnection>>,
     /// The version of its router.
     pub version: Option<String>,
     /// When its router was started, in seconds since 1970 by this computer's clock.

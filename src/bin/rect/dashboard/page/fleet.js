@@ -6,8 +6,6 @@ import { drawMap } from "./map.js";
 import { connectionKey, Rates } from "./rates.js";
 
 const LINKS = ["With", "By", "Signal", "Round trip", "Urgent", "Sent", "Received", "Waiting", "Lost", "Since", "State"];
-/** Zenoh's priorities that are at least as urgent as an urgent message. */
-const URGENT = ["Control", "RealTime", "InteractiveHigh"];
 
 /** Shows the fleet in `parent`, until the returned function is called. */
 export function fleet(link, parent) {
@@ -138,7 +136,7 @@ function row() {
     setText(signal, connection.rssi_dbm === null ? "–" : `${bars(connection.rssi_dbm)} ${connection.rssi_dbm} dBm`);
     setText(roundTrip, milliseconds(connection.round_trip_ms));
     const lanes = connection.lanes ?? [];
-    setText(urgent, milliseconds(urgentDelay(lanes)));
+    setText(urgent, milliseconds(connection.urgent_delay_ms));
     setText(waiting, connection.lanes ? waitingText(lanes) : "–");
     setText(lost, connection.lanes ? lostText(connection) : "–");
     setText(sent, rate ? `${bytes(rate.sent)}/s` : bytes(connection.sent?.bytes));
@@ -148,12 +146,6 @@ function row() {
     line.classList.toggle("faint", !isLinked);
   };
   return line;
-}
-
-/** Returns how long an urgent message takes until it is acknowledged, in milliseconds; null if it was not measured. */
-function urgentDelay(lanes) {
-  const measured = lanes.filter((lane) => URGENT.includes(lane.priority) && lane.delay_ms !== null);
-  return measured.at(-1)?.delay_ms ?? null;
 }
 
 /** Returns the bytes that wait on each lane. */
