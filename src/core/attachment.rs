@@ -9,6 +9,7 @@
 //! | 6 | with flags 1 and 2: the same time of the message of a recording that this one repeats |
 //! | 2 | with flag 2 alone: the low 16 bits of that time; for frames of a stream, of which only the age matters |
 //! | 1 to 5 | with flag 4: the time in milliseconds after which the message expires, LEB128 |
+use std::ops::Deref;
 
 const MARK: u8 = 0xF8;
 const TIME: u8 = 1;
@@ -18,6 +19,13 @@ const LIFETIME: u8 = 4;
 
 /// The maximum length of an attachment, in bytes.
 pub const MAX_BYTES: usize = 19;
+
+/// An encoded attachment.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Encoded {
+    bytes: [u8; MAX_BYTES],
+    length: usize,
+}
 
 /// The time at which a message was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,8 +56,8 @@ pub struct Attachment {
 
 impl Attachment {
     /// Encodes the attachment.
-    pub fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(MAX_BYTES);
+    pub fn encode(&self) -> Encoded {
+        let mut bytes = Encoded::default();
         let time = match self.sent {
             Sent::Unknown => 0,
             Sent::At(_) => TIME,
@@ -58,14 +66,15 @@ impl Attachment {
         };
         let lifetime = self.lifetime_ms.map_or(0, |_| LIFETIME);
         bytes.push(MARK | time | lifetime);
-        bytes.extend_from_slice(&self.source.to_le_bytes());
+        bytes.extend(self.source.to_le_bytes());
         write_leb128(self.sequence, &mut bytes);
         match self.sent {
             Sent::Unknown => {}
             Sent::At(at_ms) | Sent::Replayed(at_ms) => {
-                bytes.extend_from_slice(&at_ms.to_le_bytes()[..6]);
+                let [a, b, c, d, e, f, ..] = at_ms.to_le_bytes();
+                bytes.extend([a, b, c, d, e, f]);
             }
-            Sent::Low(low) => bytes.extend_from_slice(&low.to_le_bytes()),
+            Sent::Low(low) => bytes.extend(low.to_le_bytes()),
         }
         if let Some(lifetime_ms) = self.lifetime_ms {
             write_leb128(lifetime_ms, &mut bytes);
@@ -112,7 +121,28 @@ impl Attachment {
     }
 }
 
-fn write_leb128(number: u32, to: &mut Vec<u8>) {
+impl Encoded {
+    fn push(&mut self, byte: u8) {
+        self.extend([byte]);
+    }
+
+    /// Appends bytes, of which an attachment never has more than [`MAX_BYTES`].
+    fn extend<const N: usize>(&mut self, more: [u8; N]) {
+        let end = self.length + N;
+        self.bytes[self.length..end].copy_from_slice(&more);
+        self.length = end;
+    }
+}
+
+impl Deref for Encoded {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.bytes[..self.length]
+    }
+}
+
+fn write_leb128(number: u32, to: &mut Encoded) {
     let mut rest = number;
     while rest >= 0x80 {
         to.push(rest as u8 | 0x80);
@@ -162,7 +192,7 @@ mod tests {
             for cut in 0..bytes {
                 assert_eq!(Attachment::decode(&encoded[..cut]), None, "cut to {cut}");
             }
-            let longer = [encoded.as_slice(), &[0]].concat();
+            let longer = [&encoded[..], &[0]].concat();
             assert_eq!(Attachment::decode(&longer), None, "one byte too many");
         }
     }

@@ -105,6 +105,7 @@ impl Payload {
     ///
     /// # Errors
     /// Returns [`PayloadError::Encoding`] if its encoding is too long.
+    #[inline]
     pub fn sendable(self) -> Result<Self, PayloadError> {
         self.encoding.check_length()?;
         Ok(self)
@@ -244,6 +245,7 @@ impl ToPayload for Bytes {
         self.clone().into_payload()
     }
 
+    #[inline]
     fn into_payload(self) -> Result<Payload, PayloadError> {
         Ok(Payload::new(self, Encoding::BYTES))
     }

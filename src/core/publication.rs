@@ -2,7 +2,7 @@
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use super::{
-    attachment::{Attachment, Sent},
+    attachment::{Attachment, Encoded, Sent},
     key::KeySpace,
     name::Name,
     topic::Topic,
@@ -68,7 +68,7 @@ impl Numbering {
     }
 
     /// Returns the attachment of the next message. `lifetime` is the time after which the message expires, if it does.
-    pub fn attachment(&self, sent: Sent, lifetime: Option<Duration>) -> Vec<u8> {
+    pub fn attachment(&self, sent: Sent, lifetime: Option<Duration>) -> Encoded {
         let attachment = Attachment {
             source: self.source,
             sequence: self.next,

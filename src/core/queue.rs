@@ -54,7 +54,7 @@ impl<T> Queue<T> {
 
     /// Adds an item, or applies the rule of a full queue.
     pub fn push(&mut self, item: T) -> Pushed<T> {
-        if self.waiting.len() < self.capacity {
+        if !self.is_full() {
             self.waiting.push_back(item);
             return Pushed::Kept;
         }
@@ -71,6 +71,11 @@ impl<T> Queue<T> {
             }
             None => Pushed::DroppedNewest(item),
         }
+    }
+
+    /// Returns whether an item that is added now has to wait for room.
+    pub fn must_wait(&self) -> bool {
+        self.when_full == WhenFull::Block && self.is_full()
     }
 
     /// Returns whether at most half of the room is taken.

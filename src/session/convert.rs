@@ -1,5 +1,8 @@
 //! Converts between Zenoh's types and those of the core.
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::{
+    any::Any,
+    time::{SystemTime, UNIX_EPOCH},
+};
 
 use bytes::Bytes;
 use zenoh::{
@@ -7,8 +10,33 @@ use zenoh::{
     qos::{CongestionControl, Priority},
     sample::SampleKind,
 };
+use zenoh_buffers::{ZBuf, ZSliceBuffer};
 
-use crate::core::{driver::Sample, encoding::Encoding, payload::Payload, urgency::Qos};
+use crate::core::{
+    attachment::Encoded, driver::Sample, encoding::Encoding, payload::Payload, urgency::Qos,
+};
+
+/// An encoded attachment as a buffer of Zenoh's. A vector would be allocated in addition to Zenoh's own allocation.
+#[derive(Debug)]
+struct AttachmentBuffer(Encoded);
+
+impl ZSliceBuffer for AttachmentBuffer {
+    fn as_slice(&self) -> &[u8] {
+        &self.0
+    }
+
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+
+    fn as_any_mut(&mut self) -> &mut dyn Any {
+        self
+    }
+}
+
+pub(super) fn attachment(encoded: Encoded) -> ZBytes {
+    ZBuf::from(AttachmentBuffer(encoded)).into()
+}
 
 pub(super) fn priority(qos: Qos) -> Priority {
     Priority::try_from(qos.priority).unwrap_or_default()

@@ -7,7 +7,10 @@ use std::{
 use tokio::{runtime::Handle, task::JoinHandle};
 use zenoh::{bytes::Encoding as ZenohEncoding, pubsub::Publisher, Session, Wait};
 
-use super::{convert::now_ms, queries};
+use super::{
+    convert::{attachment, now_ms},
+    queries,
+};
 use crate::{
     core::{
         attachment::Sent,
@@ -109,7 +112,7 @@ impl Publication {
             .publisher
             .put(payload.bytes)
             .encoding(state.encoding.1.clone())
-            .attachment(state.numbering.attachment(sent, lifetime));
+            .attachment(attachment(state.numbering.attachment(sent, lifetime)));
         put.wait()
             .map_err(Error::zenoh("cannot send the message"))?;
         state.numbering.on_sent();

@@ -42,23 +42,19 @@ impl<T> ReceiveQueue<T> {
     /// Adds an item. If the queue is full and its rule is to block, waits for room. Returns `false` if the item was dropped
     /// or the queue is closed.
     pub(super) fn push(&self, item: T) -> bool {
-        let mut item = item;
         let mut state = self.state();
-        let kept = loop {
-            if self.is_closed() {
-                return false;
-            }
-            match state.queue.push(item) {
-                Pushed::Full(back) => {
-                    item = back;
-                    state.waiting += 1;
-                    let waited = self.taken.wait(state);
-                    state = waited.unwrap_or_else(PoisonError::into_inner);
-                }
-                Pushed::Kept | Pushed::DroppedOldest(_) => break true,
-                Pushed::DroppedNewest(_) => break false,
-            }
-        };
+        while state.queue.must_wait() && !self.is_closed() {
+            state.waiting += 1;
+            let waited = self.taken.wait(state);
+            state = waited.unwrap_or_else(PoisonError::into_inner);
+        }
+        if self.is_closed() {
+            return false;
+        }
+        let kept = matches!(
+            state.queue.push(item),
+            Pushed::Kept | Pushed::DroppedOldest(_)
+        );
         drop(state);
         self.arrived.notify_one();
         kept

@@ -101,7 +101,7 @@ impl StreamPublish {
         Action::Put {
             publisher: FRAMES[job.group.index()],
             payload,
-            attachment: Some(attachment.encode()),
+            attachment: Some(attachment.encode().to_vec()),
         }
     }
 

@@ -107,7 +107,7 @@ fn publish(
             let put = publisher.put(json!({ "degrees": degrees.round() as i64 }).to_string());
             let put = put
                 .encoding(Encoding::APPLICATION_JSON)
-                .attachment(attachment.encode());
+                .attachment(attachment.encode().to_vec());
             if put.wait().is_err() {
                 return;
             }
