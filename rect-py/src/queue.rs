@@ -190,7 +190,7 @@ impl Queue {
     fn wait_for_room(&self) {
         let mut state = self.state();
         state.waiting_for_room += 1;
-        let has_no_room = |state: &mut State| state.queue.is_full() && !state.is_closed;
+        let has_no_room = |state: &mut State| state.queue.must_wait() && !state.is_closed;
         let state = self.has_room.wait_while(state, has_no_room);
         state
             .unwrap_or_else(PoisonError::into_inner)

@@ -57,19 +57,13 @@ impl Encoding {
     ///
     /// # Errors
     /// Returns [`TooLong`] if the encoding is longer than [`MAX_BYTES`].
-    #[inline]
     pub fn check_length(&self) -> Result<(), TooLong> {
-        if self.0.len() <= MAX_BYTES {
+        let bytes = self.0.len();
+        if bytes <= MAX_BYTES {
             return Ok(());
         }
-        Err(self.too_long())
-    }
-
-    fn too_long(&self) -> TooLong {
-        TooLong {
-            beginning: self.0.chars().take(SHOWN_CHARACTERS).collect(),
-            bytes: self.0.len(),
-        }
+        let beginning = self.0.chars().take(SHOWN_CHARACTERS).collect();
+        Err(TooLong { beginning, bytes })
     }
 
     /// Returns the encoding as text.

@@ -84,11 +84,7 @@ impl Gaps {
         if self.sources >= MAX_SOURCES && !self.knows(robot, attachment.source) {
             self.make_room();
         }
-        // Most messages come from known robots, whose names need not be cloned.
-        let sender = match self.senders.get_mut(robot) {
-            Some(sender) => sender,
-            None => sender_of(&mut self.senders, &mut self.sources, robot),
-        };
+        let sender = sender_of(&mut self.senders, &mut self.sources, robot);
         let sequence = attachment.sequence;
         let mut arrival = Arrival::default();
         let source = sender.sources.entry(attachment.source).or_insert_with(|| {

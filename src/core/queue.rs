@@ -98,8 +98,7 @@ impl<T> Queue<T> {
         self.waiting.len()
     }
 
-    /// Returns whether there is no room for another item.
-    pub fn is_full(&self) -> bool {
+    fn is_full(&self) -> bool {
         self.waiting.len() >= self.capacity
     }
 
