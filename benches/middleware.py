@@ -34,10 +34,12 @@ class Pairing:
 
 PAIRINGS = [
     Pairing("RECT", "rect", None, "zenoh"),
+    Pairing("RECT, one thread", "rect-one-thread", None, "zenoh"),
     Pairing("zenoh", "zenoh", None, "zenoh"),
     Pairing("zenoh, attached", "zenoh-attached", None, "zenoh"),
     Pairing("gRPC", "grpc", None, "zenoh"),
     Pairing("RECT over rect-router", "rect", "rect-router", "zenoh over zenohd"),
+    Pairing("RECT, one thread, over rect-router", "rect-one-thread", "rect-router", "zenoh over zenohd"),
     Pairing("zenoh over rect-router", "zenoh", "rect-router", "zenoh over zenohd"),
     Pairing("zenoh over zenohd", "zenoh", "stock zenohd", "zenoh over zenohd"),
     Pairing("MQTT over rumqttd", "mqtt", "rumqttd", "zenoh over zenohd"),
@@ -164,9 +166,9 @@ def notes() -> list[str]:
         "5 ms apart. The p99s mostly show other work of the machine.",
         "All: Rust, tokio's default runtime, messages taken by an async call, TCP_NODELAY. RECT: its defaults; for "
         "messages/s its subscriber blocks the sender (`WhenFull::Block`), while the default drops the oldest message. "
-        "zenoh: congestion control Block, as for RECT; `zenoh, attached`: with an attachment of 10 bytes to each "
-        "published message, as RECT has one for its number, its time and its publisher. gRPC: tonic; published "
-        "messages share one stream. MQTT: 3.1.1, QoS 1 in both directions (rumqttc and rumqttd acknowledge every "
-        "message); a request is a message and its answer, one at a time. rumqttd does not set TCP_NODELAY; here it is "
-        "set.",
+        "One thread: both programs call `use_one_thread`, so that Zenoh works on one thread. zenoh: congestion control "
+        "Block, as for RECT; `zenoh, attached`: with an attachment of 10 bytes to each published message, as RECT has "
+        "one for its number, its time and its publisher. gRPC: tonic; published messages share one stream. MQTT: "
+        "3.1.1, QoS 1 in both directions (rumqttc and rumqttd acknowledge every message); a request is a message and "
+        "its answer, one at a time. rumqttd does not set TCP_NODELAY; here it is set.",
     ]

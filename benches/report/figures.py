@@ -50,10 +50,10 @@ class Drawing:
     benches: tuple[str, ...]
 
 
-def panels(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
-    figure, axes = pyplot.subplots(1, count, figsize=(7.6, height), squeeze=False)
+def panels(count: int, height: float = 2.6, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    figure, axes = pyplot.subplots(rows, count // rows, figsize=(7.6, height), squeeze=False)
     figure.set_layout_engine("constrained")
-    return figure, list(axes[0])
+    return figure, list(axes.flat)
 
 
 def logarithmic(axis: Axis) -> None:
@@ -223,8 +223,9 @@ def compression() -> Figure:
 
 def middleware() -> Figure:
     rows = [row for row in read("middleware").rows if row["payload, what"].startswith("64 B: ")]
-    names = [row["payload, what"].removeprefix("64 B: ").replace(" over ", "\nover\n") for row in rows]
-    figure, axes = panels(2, 2.8)
+    names = [row["payload, what"].removeprefix("64 B: ").replace(", ", ",\n") for row in rows]
+    names = [name.replace(", over", "\nover").replace(" over ", "\nover ") for name in names]
+    figure, axes = panels(2, 4.6, rows=2)
     latencies = {
         "publish": [number(row["publish p50"]) for row in rows],
         "request": [number(row["request p50"]) for row in rows],

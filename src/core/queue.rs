@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 
 /// The default number of items that a queue holds.
 pub const DEFAULT_CAPACITY: usize = 256;
+/// The number of items, taken without a wait, from which on more are expected at once.
+const BURST: usize = 16;
 
 /// The rule for a receive queue that is full when an item arrives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -39,6 +41,8 @@ pub struct Queue<T> {
     capacity: usize,
     when_full: WhenFull,
     dropped: u64,
+    /// Number of items taken since the program last waited for one.
+    taken: usize,
 }
 
 impl<T> Queue<T> {
@@ -49,6 +53,7 @@ impl<T> Queue<T> {
             capacity: capacity.max(1),
             when_full,
             dropped: 0,
+            taken: 0,
         }
     }
 
@@ -85,7 +90,21 @@ impl<T> Queue<T> {
 
     /// Removes and returns the oldest item.
     pub fn pop(&mut self) -> Option<T> {
-        self.waiting.pop_front()
+        let item = self.waiting.pop_front();
+        self.taken = self.taken.saturating_add(item.is_some().into());
+        item
+    }
+
+    /// Returns whether a program that finds the queue empty should let other threads run before it waits for an item. In a
+    /// burst they fill the queue meanwhile, so that one wake-up serves many items. Never with a rule that drops items: the other
+    /// threads may fill the queue more than once.
+    pub fn is_burst(&self) -> bool {
+        self.when_full == WhenFull::Block && self.taken >= BURST
+    }
+
+    /// Handles that the program waits for an item.
+    pub fn on_wait(&mut self) {
+        self.taken = 0;
     }
 
     /// Returns the number of items dropped so far.
@@ -131,5 +150,26 @@ mod tests {
         let (pushed, left, dropped) = filled(WhenFull::Block);
         assert_eq!(pushed, [Kept, Kept, Full(3), Full(4)]);
         assert_eq!((left, dropped), (vec![1, 2], 0));
+    }
+
+    #[test]
+    fn a_burst_begins_with_many_items_and_ends_with_a_wait() {
+        let mut queue = Queue::new(2, WhenFull::Block);
+        let take = |queue: &mut Queue<usize>, items| {
+            for n in 0..items {
+                assert_eq!(queue.push(n), Pushed::Kept);
+                assert_eq!(queue.pop(), Some(n));
+            }
+            assert_eq!(queue.pop(), None);
+        };
+        take(&mut queue, BURST - 1);
+        assert!(!queue.is_burst());
+        take(&mut queue, 1);
+        assert!(queue.is_burst());
+        queue.on_wait();
+        assert!(!queue.is_burst());
+        let mut dropping = Queue::new(2, WhenFull::DropOldest);
+        take(&mut dropping, 2 * BURST);
+        assert!(!dropping.is_burst());
     }
 }

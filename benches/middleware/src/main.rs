@@ -61,9 +61,11 @@ struct Place {
     router: bool,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Middleware {
     Rect,
+    /// RECT, with one thread for Zenoh's work.
+    RectOneThread,
     Zenoh,
     /// Plain zenoh, with an attachment to each message.
     ZenohAttached,
@@ -75,6 +77,9 @@ fn main() -> Outcome<()> {
     let role = Role::parse();
     if let Role::Broker { address } = role {
         return broker::run(address);
+    }
+    if role.middleware() == Some(Middleware::RectOneThread) {
+        ::rect::use_one_thread();
     }
     // All middlewares use the same runtime; zenoh has additional threads.
     let runtime = tokio::runtime::Runtime::new()?;
@@ -96,6 +101,15 @@ fn main() -> Outcome<()> {
     })
 }
 
+impl Role {
+    fn middleware(&self) -> Option<Middleware> {
+        match self {
+            Self::Serve { middleware, .. } | Self::Measure { middleware, .. } => Some(*middleware),
+            Self::Broker { .. } => None,
+        }
+    }
+}
+
 impl From<Place> for Meeting {
     fn from(place: Place) -> Self {
         Self {
@@ -108,7 +122,7 @@ impl From<Place> for Meeting {
 async fn serve(middleware: Middleware, meeting: Meeting) -> Outcome<()> {
     let arrivals = ArrivalCounter::shared();
     match middleware {
-        Middleware::Rect => rect::Rect::serve(meeting, arrivals).await,
+        Middleware::Rect | Middleware::RectOneThread => rect::Rect::serve(meeting, arrivals).await,
         Middleware::Zenoh => zenoh::Zenoh::<false>::serve(meeting, arrivals).await,
         Middleware::ZenohAttached => zenoh::Zenoh::<true>::serve(meeting, arrivals).await,
         Middleware::Grpc => grpc::Grpc::serve(meeting, arrivals).await,
@@ -118,7 +132,7 @@ async fn serve(middleware: Middleware, meeting: Meeting) -> Outcome<()> {
 
 async fn measured(middleware: Middleware, job: Job, meeting: Meeting, load: Load) -> Outcome<()> {
     match middleware {
-        Middleware::Rect => run::<rect::Rect>(job, meeting, load).await,
+        Middleware::Rect | Middleware::RectOneThread => run::<rect::Rect>(job, meeting, load).await,
         Middleware::Zenoh => run::<zenoh::Zenoh<false>>(job, meeting, load).await,
         Middleware::ZenohAttached => run::<zenoh::Zenoh<true>>(job, meeting, load).await,
         Middleware::Grpc => run::<grpc::Grpc>(job, meeting, load).await,
