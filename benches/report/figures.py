@@ -223,8 +223,8 @@ def compression() -> Figure:
 
 def middleware() -> Figure:
     rows = [row for row in read("middleware").rows if row["payload, what"].startswith("64 B: ")]
-    names = [row["payload, what"].removeprefix("64 B: ").replace(", ", ",\n") for row in rows]
-    names = [name.replace(", over", "\nover").replace(" over ", "\nover ") for name in names]
+    names = [row["payload, what"].removeprefix("64 B: ") for row in rows]
+    names = [name.replace(", ", ",\n").replace(" over ", "\nover ") for name in names]
     figure, axes = panels(2, 4.6, rows=2)
     latencies = {
         "publish": [number(row["publish p50"]) for row in rows],

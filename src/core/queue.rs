@@ -42,7 +42,7 @@ pub struct Queue<T> {
     when_full: WhenFull,
     dropped: u64,
     /// Number of items taken since the program last waited for one.
-    taken: usize,
+    taken_since_wait: usize,
 }
 
 impl<T> Queue<T> {
@@ -53,7 +53,7 @@ impl<T> Queue<T> {
             capacity: capacity.max(1),
             when_full,
             dropped: 0,
-            taken: 0,
+            taken_since_wait: 0,
         }
     }
 
@@ -91,7 +91,8 @@ impl<T> Queue<T> {
     /// Removes and returns the oldest item.
     pub fn pop(&mut self) -> Option<T> {
         let item = self.waiting.pop_front();
-        self.taken = self.taken.saturating_add(item.is_some().into());
+        let taken = usize::from(item.is_some());
+        self.taken_since_wait = self.taken_since_wait.saturating_add(taken);
         item
     }
 
@@ -99,12 +100,12 @@ impl<T> Queue<T> {
     /// burst they fill the queue meanwhile, so that one wake-up serves many items. Never with a rule that drops items: the other
     /// threads may fill the queue more than once.
     pub fn is_burst(&self) -> bool {
-        self.when_full == WhenFull::Block && self.taken >= BURST
+        self.when_full == WhenFull::Block && self.taken_since_wait >= BURST
     }
 
     /// Handles that the program waits for an item.
     pub fn on_wait(&mut self) {
-        self.taken = 0;
+        self.taken_since_wait = 0;
     }
 
     /// Returns the number of items dropped so far.

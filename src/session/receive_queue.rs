@@ -66,15 +66,10 @@ impl<T> ReceiveQueue<T> {
             if let Some(item) = self.try_pop() {
                 return Some(item);
             }
-            let is_burst = self.state().queue.is_burst();
-            if is_burst {
+            if self.state().queue.is_burst() {
                 // The thread yields, not only the task: what fills the queue are other threads, perhaps on the same core.
                 std::thread::yield_now();
-                if let Some(item) = self.try_pop() {
-                    return Some(item);
-                }
             }
-            self.state().queue.on_wait();
             let arrived = self.arrived.notified();
             if let Some(item) = self.try_pop() {
                 return Some(item);
@@ -82,6 +77,7 @@ impl<T> ReceiveQueue<T> {
             if self.is_closed() {
                 return None;
             }
+            self.state().queue.on_wait();
             arrived.await;
         }
     }
