@@ -184,6 +184,22 @@ def test_values_are_published_sent_and_requested(page: Page, fleet: Fleet, dashb
         expect(form.get_by_role("status")).to_contain_text("wildcard")
 
 
+def test_view_is_shown_once_so_that_typed_text_is_kept(page: Page, dashboard: str) -> None:
+    page.add_init_script("""
+        globalThis.views = 0;
+        new MutationObserver((changes) => {
+            const added = changes.flatMap(({ addedNodes }) => [...addedNodes]);
+            views += added.filter(({ nodeName }) => nodeName === "H1").length;
+        }).observe(document, { childList: true, subtree: true });
+    """)
+    page.goto(f"{dashboard}/#cameras")
+    field = page.get_by_label("Topic of the camera")
+    field.fill("wombat-2/camera")
+    expect(page.locator("header .condition")).to_have_text("live")
+    expect(field).to_have_value("wombat-2/camera")
+    assert page.evaluate("views") == 1
+
+
 def test_cameras_show_streams_with_age_and_rate(page: Page, fleet: Fleet, dashboard: str) -> None:
     with fleet.program(1) as robot, robot.stream("camera", mode="fixed") as stream:
         page.goto(f"{dashboard}/#cameras")

@@ -11,7 +11,7 @@ const FIELDS = ["name", "method", "address", "port"];
 export function connections(link, parent, notify) {
   const lines = table("Named connections", COLUMNS);
   const empty = h("p", { class: "empty" }, "No robot has a named connection. Robots also connect without: see Fleet.");
-  const isReadOnly = link.states.hello?.read_only !== false;
+  const isReadOnly = link.states.hello.read_only;
   parent.append(h("h1", {}, "Connections"), empty, lines.element);
   if (!isReadOnly) {
     parent.append(addForm(link, notify));
@@ -95,10 +95,7 @@ function fieldOf(text) {
 
 function addForm(link, notify) {
   const robot = robotField(link);
-  robot.input.value = link.states.hello?.robot ?? "";
-  link.addEventListener("hello", () => {
-    robot.input.value ||= link.states.hello.robot;
-  });
+  robot.input.value = link.states.hello.robot;
   const inputs = {
     name: h("input", { required: true, placeholder: "base", autocapitalize: "off" }),
     method: h("select", {}, ...["ble", "any", "tcp", "udp", "tls"].map((method) => h("option", {}, method))),

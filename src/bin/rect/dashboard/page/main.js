@@ -24,7 +24,7 @@ const link = new Link();
 const content = document.getElementById("content");
 const notices = document.getElementById("notices");
 let closeView = () => {};
-/** Whether the view was shown for a page that may only look; `undefined` before that is known. */
+/** Whether the view was shown for a page that may only look; `undefined` before the first view. */
 let shownReadOnly;
 
 /** Shows a message for some seconds. */
@@ -34,8 +34,12 @@ function notify(text, isError = false) {
   setTimeout(() => notice.remove(), isError ? 12_000 : 5000);
 }
 
+/** Shows the view, once it is known whether the page may only look: a view that is replaced loses what was typed into it. */
 function show() {
-  shownReadOnly = link.states.hello?.read_only;
+  if (!link.states.hello) {
+    return;
+  }
+  shownReadOnly = link.states.hello.read_only;
   const name = location.hash.slice(1).split("/")[0];
   const chosen = Object.hasOwn(VIEWS, name) ? name : "fleet";
   closeView();
@@ -127,7 +131,6 @@ const embed = new URLSearchParams(location.search).get("embed");
 if (embed === null) {
   header();
   addEventListener("hashchange", show);
-  show();
 } else {
   document.getElementById("header").remove();
   content.className = "embedded";

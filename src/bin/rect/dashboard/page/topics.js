@@ -27,7 +27,7 @@ export function topics(link, parent, notify) {
     h("h1", {}, "Topics"),
     h("div", { class: "columns" }, h("div", {}, h("div", { class: "row" }, filter, count), empty, list), chosen),
   );
-  if (link.states.hello?.read_only === false) {
+  if (!link.states.hello.read_only) {
     parent.append(sendForm(link, notify));
   }
   let rows = [];
