@@ -1,6 +1,6 @@
 """Runs the built examples, and builds and runs the programs of docs/reference/cpp.md and docs/reference/c.md.
 
-RECT_ROUTER=target/quick/rect-router pytest rect-cpp/tests --build rect-cpp/build/default
+RECT_ROUTER=target/checked/rect-router pytest rect-cpp/tests --build rect-cpp/build/default
 """
 
 from __future__ import annotations

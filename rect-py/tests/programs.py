@@ -24,10 +24,7 @@ DEADLINE = 30.0
 def program(variable: str, name: str) -> str:
     """Returns the path of a program. Fails the test if the program is not built."""
     found = os.environ.get(variable) or shutil.which(name)
-    assert found, (
-        f"{name} was not found: build it with `cargo build --profile quick -p rect-robot -p rect-router`, "
-        f"and set {variable} to its path"
-    )
+    assert found, f"{name} was not found: build it with `scripts/build-for-tests`, and set {variable} to its path"
     return found
 
 

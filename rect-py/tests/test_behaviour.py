@@ -1,6 +1,6 @@
 """Runs the behaviour scenarios in `tests/conformance/behaviour/two_robots.json`, which Rust and C++ run, too.
 
-RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_behaviour.py
+RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect-py/tests/test_behaviour.py
 """
 
 from __future__ import annotations

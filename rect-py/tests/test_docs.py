@@ -1,6 +1,6 @@
 """Runs the Python blocks of docs/reference/python.md, one after another, and the examples.
 
-RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_docs.py
+RECT_ROUTER=target/checked/rect-router pytest rect-py/tests/test_docs.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Tests connecting to a router: logins, the robot that the router serves, and the timeout.
 
-RECT_ROUTER=target/quick/rect-router pytest rect-py/tests/test_joining.py
+RECT_ROUTER=target/checked/rect-router pytest rect-py/tests/test_joining.py
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Tests two routers that are linked on the simulated air. A Python program uses one router. The `rect` tool, which uses
 the Rust library, or another Python program uses the other.
 
-RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect pytest rect-py/tests/test_routers.py
+RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect-py/tests/test_routers.py
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ use nix::{
     sys::signal::{kill, Signal},
     unistd::Pid,
 };
-use support::{built_with, skip, Router, DEADLINE};
+use support::{built, skip, Router, DEADLINE};
 
 /// A running example, killed at the end of the test.
 struct Example {
@@ -25,7 +25,7 @@ struct Example {
 
 impl Example {
     fn start(name: &str, arguments: &[&str], endpoint: &str, folder: &Path) -> Option<Self> {
-        let program = built_with("dev").join("examples").join(name);
+        let program = built().join("examples").join(name);
         if !program.exists() {
             skip("needs the examples: cargo build -p rect-robot --examples");
             return None;

@@ -157,7 +157,7 @@ fn stock_zenohd_has_the_same_configuration_for_each_flag() {
     let zenohd = cache().join("stock-zenohd/bin/zenohd");
     if !zenohd.exists() {
         return skip(&format!(
-            "no {} (cargo install zenohd --version 1.10.2 --root ...)",
+            "no {}; run scripts/build-for-tests",
             zenohd.display()
         ));
     }

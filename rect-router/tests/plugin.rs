@@ -1,15 +1,12 @@
-//! Tests of RECT as a plugin of an unmodified zenohd, on the simulated air: `cargo test -p rect-router --test plugin`
-//!
-//! Requires `RECT_PROFILE=quick scripts/build-plugins` and `scripts/build-stock-zenohd`.
+//! Tests of RECT as a plugin of an unmodified zenohd, on the simulated air. `scripts/build-for-tests` builds
+//! both: `cargo test --profile checked -p rect-router --test plugin`.
 
 mod support;
 
 use std::path::PathBuf;
 
 use serde_json::{json, Value};
-use support::{
-    answers, arrives, built_with, cache, client, free_socket, http_get, skip, Air, Router,
-};
+use support::{answers, arrives, built, cache, client, free_socket, http_get, skip, Air, Router};
 
 /// The host of RECT.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,9 +18,8 @@ use Host::{RectRouter, StockZenohd};
 
 /// Returns the paths of a stock zenohd and of the plugin, or `None` if they have not been built.
 fn zenohd_and_plugin() -> Option<(PathBuf, PathBuf)> {
-    let profile = std::env::var("RECT_PROFILE").unwrap_or_else(|_| "quick".to_owned());
     let zenohd = cache().join("stock-zenohd/bin/zenohd");
-    let plugin = built_with(&profile).join("libzenoh_plugin_rect.so");
+    let plugin = built().join("libzenoh_plugin_rect.so");
     if zenohd.exists() && plugin.exists() {
         return Some((zenohd, plugin));
     }
@@ -133,7 +129,7 @@ fn the_stock_rest_plugin_shows_the_registry() {
     };
     let folder = plugin.parent().expect("a folder").display().to_string();
     if !plugin.with_file_name("libzenoh_plugin_rest.so").exists() {
-        return skip("no REST plugin; run scripts/build-plugins");
+        return skip("no REST plugin; run scripts/build-for-tests");
     }
     let (air, socket) = (Air::new(), free_socket());
     let plugin = format!("rect:{}", plugin.display());

@@ -1,8 +1,6 @@
 //! Tests of RECT together with stock Zenoh: Zenoh's REST plugin in rect-router, and `ble/` in the published zenohd.
 //!
-//! Requires release builds by `scripts/build-plugins`, `scripts/build-stock-zenohd` and
-//! `scripts/build-stock-zenohd-with-ble`: `cargo test -p rect-router --test stock`. If the scripts were run with another
-//! RECT_PROFILE than `release`, set the same here.
+//! `scripts/build-for-tests` builds them: `cargo test --profile checked -p rect-router --test stock`.
 
 mod support;
 
@@ -12,23 +10,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-use support::{arrives, built_with, cache, client, free_socket, http_get, skip, Air, Router};
+use support::{arrives, built, cache, client, free_socket, http_get, skip, Air, Router};
 use zenoh::{bytes::Encoding, Wait};
-
-/// Returns the profile with which the router was built.
-fn profile() -> String {
-    std::env::var("RECT_PROFILE").unwrap_or_else(|_| "release".to_owned())
-}
 
 /// Returns the router and Zenoh's REST plugin that were built together, or `None` if there are none.
 fn router_and_plugin() -> Option<(PathBuf, PathBuf)> {
-    let dir = built_with(&profile());
+    let dir = built();
     let built = (dir.join("rect-router"), dir.join("libzenoh_plugin_rest.so"));
     if built.0.exists() && built.1.exists() {
         return Some(built);
     }
     skip(&format!(
-        "no {} with its router; run scripts/build-plugins",
+        "no {} with its router; run scripts/build-for-tests",
         built.1.display()
     ));
     None
@@ -129,7 +122,7 @@ fn a_published_zenohd_with_the_ble_link_communicates_with_rect_router() {
     let zenohd = cache().join("zenohd-ble/bin/zenohd");
     if !zenohd.exists() {
         return skip(&format!(
-            "no {}; run scripts/build-stock-zenohd-with-ble",
+            "no {}; run scripts/build-for-tests",
             zenohd.display()
         ));
     }
@@ -188,15 +181,13 @@ fn a_published_zenohd_with_the_ble_link_communicates_with_rect_router() {
 /// the program's text is only printed: it depends on the build and on the system's read-ahead, and can be dropped.
 #[test]
 fn idle_memory_is_at_most_1_mb_above_that_of_a_stock_zenohd() {
-    let ours = built_with(&profile()).join("rect-router");
+    let ours = built().join("rect-router");
     let stock = cache().join("stock-zenohd/bin/zenohd");
-    for (program, how) in [
-        (&ours, "cargo build --release -p rect-router"),
-        (&stock, "scripts/build-stock-zenohd"),
-    ] {
-        if !program.exists() {
-            return skip(&format!("no {}; run {how}", program.display()));
-        }
+    if !stock.exists() {
+        return skip(&format!(
+            "no {}; run scripts/build-for-tests",
+            stock.display()
+        ));
     }
     let idle = |program: &PathBuf| {
         let mut router = Router::start_program(

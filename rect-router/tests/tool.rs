@@ -10,7 +10,7 @@ use std::{
 };
 
 use serde_json::Value;
-use support::{built_with, file, skip, Air, Wombat, DEADLINE};
+use support::{built, file, skip, Air, Wombat, DEADLINE};
 use tempfile::TempDir;
 
 /// A command that is killed at the end of its test.
@@ -25,7 +25,7 @@ impl Drop for RunningCommand {
 
 /// Returns a `rect` command that connects to the router of a robot.
 fn rect(at: &Wombat, arguments: &[&str]) -> Command {
-    let mut command = Command::new(built_with("dev").join("rect"));
+    let mut command = Command::new(built().join("rect"));
     command.args(arguments).stdin(Stdio::null());
     command.env("RECT_ENDPOINT", &at.endpoint);
     command
@@ -59,7 +59,7 @@ fn wait_for(at: &Wombat, arguments: &[&str], text: &str) -> String {
 
 #[test]
 fn connects_shows_and_measures_robots() {
-    if !built_with("dev").join("rect").exists() {
+    if !built().join("rect").exists() {
         return skip("needs the tool: cargo build --workspace");
     }
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));

@@ -1,10 +1,9 @@
 """Tests the commands of rest.md and stock-zenoh.md that need programs which are built from a clone: the blocks with the
 comment `tested by: tests/docs/test_builds.py`. A block of `text` is the expected output of the block before it.
 
-RECT_ROUTER=target/quick/rect-router .venv/bin/python -m pytest tests/docs/test_builds.py
+RECT_ROUTER=target/checked/rect-router .venv/bin/python -m pytest tests/docs/test_builds.py
 
-Requires `RECT_PROFILE=quick scripts/build-plugins`, `scripts/build-stock-zenohd` and
-`scripts/build-stock-zenohd-with-ble`.
+Requires `scripts/build-for-tests`.
 """
 
 from __future__ import annotations

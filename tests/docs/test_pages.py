@@ -1,7 +1,7 @@
 """Tests the documentation: each block is run, is part of a tested file, or states why not; no page tells anyone to
 install a name that belongs to another project; the site builds, and its links lead somewhere.
 
-RECT_ROUTER=target/quick/rect-router RECT_TOOL=target/quick/rect .venv/bin/python -m pytest tests/docs
+RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect .venv/bin/python -m pytest tests/docs
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     programs = tmp_path_factory.mktemp("bin")
     for variable, name in (("RECT_ROUTER", "rect-router"), ("RECT_TOOL", "rect")):
         path = Path(os.environ[variable]).resolve()
-        assert path.exists(), f"{variable}: {path} is missing; scripts/build-plugins builds it"
+        assert path.exists(), f"{variable}: {path} is missing; scripts/build-for-tests builds it"
         (programs / name).symlink_to(path)
     for name in ("python", "python3"):
         script = programs / name

@@ -305,12 +305,11 @@ pub fn repository() -> PathBuf {
         .to_owned()
 }
 
-/// Returns the folder with the results of a build with this profile.
-pub fn built_with(profile: &str) -> PathBuf {
+/// Returns the folder of what was built with the profile of this test.
+pub fn built() -> PathBuf {
     let exe = std::env::current_exe().expect("this test is a program");
-    let folder = if profile == "dev" { "debug" } else { profile };
-    // target/debug/deps/this-test
-    exe.ancestors().nth(3).expect("cargo's layout").join(folder)
+    // target/checked/deps/this-test
+    exe.ancestors().nth(2).expect("cargo's layout").to_owned()
 }
 
 /// Returns the folder for large files that are kept between builds.
