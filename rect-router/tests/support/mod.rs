@@ -198,28 +198,36 @@ impl Router {
 
     /// Returns the current memory use of the router.
     pub fn memory(&self) -> Memory {
-        let path = format!("/proc/{}/smaps_rollup", self.child.id());
+        let path = format!("/proc/{}/smaps", self.child.id());
         let text = std::fs::read_to_string(path).expect("linux");
-        let kb = |field: &str| -> u64 {
-            let line = text.lines().find(|line| line.starts_with(field));
-            let number = line.and_then(|line| line.split_whitespace().nth(1));
-            number.expect(field).parse().expect("a number")
-        };
-        Memory {
-            // `Private_Dirty` would include the program's text until the system has written a new build to disk.
-            own_kb: kb("Anonymous:") + kb("Swap:"),
-            resident_kb: kb("Rss:"),
+        let mut memory = Memory::default();
+        let mut is_file = false;
+        for line in text.lines() {
+            let fields: Vec<&str> = line.split_whitespace().collect();
+            match fields[..] {
+                [field, kb, "kB"] => {
+                    let kb: u64 = kb.parse().expect("a number");
+                    match field {
+                        "Anonymous:" | "Swap:" if !is_file => memory.heap_and_stacks_kb += kb,
+                        "Rss:" => memory.resident_kb += kb,
+                        _ => {}
+                    }
+                }
+                // A mapping: addresses, permissions, offset, device, inode and the name, which may be missing.
+                [_, _, _, _, inode, ..] if !line.starts_with("VmFlags:") => is_file = inode != "0",
+                _ => {}
+            }
         }
+        memory
     }
 }
 
 /// Memory use of a process.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Memory {
-    /// Memory that no other process can use while it runs, in kB: heap, stacks and modified data of the program.
-    pub own_kb: u64,
-    /// Resident memory in kB. In addition to `own_kb` it includes pages of the program and its libraries, which are shared by
-    /// processes and which the system can drop and read again.
+    /// Memory in kB that the process has allocated, without the data of the program, whose size depends on the optimisation.
+    pub heap_and_stacks_kb: u64,
+    /// Resident memory in kB, which includes the program and its libraries.
     pub resident_kb: u64,
 }
 
