@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/debug
 
-.PHONY: help demo test test-kernels test-upstream check docs docs-serve python bench report soak survey-sim fuzz dist router
+.PHONY: help demo test test-all test-kernels test-upstream check docs docs-serve python bench report soak survey-sim fuzz dist router
 
 help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -13,9 +13,13 @@ demo: ## Show two simulated Wombats on Bluetooth Low Energy (half a minute after
 	@scripts/build-programs
 	@PATH="$(bin):$$PATH" .venv/bin/python examples/demo/two_wombats.py
 
-test: ## Run all jobs of CI (JOBS="unit vm": these; scripts/test --list lists them)
-	@scripts/setup test
+test: ## Run the tests that every change must pass, in 25 minutes (JOBS="unit vm": only these jobs)
+	@scripts/setup $(if $(JOBS),test-all,test)
 	@scripts/test $(JOBS)
+
+test-all: test ## Run all jobs of CI, in 45 minutes: make test, and then the rest (scripts/test --list lists both)
+	@scripts/setup test-all
+	@scripts/test --rest
 
 test-kernels: ## Run the Bluetooth tests on the kernels of Debian 11, 12 and 13
 	@scripts/setup test
@@ -59,11 +63,11 @@ survey-sim: ## Run `rect survey` on the simulated air, and write surveys/simulat
 	@PATH="$(bin):$$PATH" scripts/survey-sim
 
 fuzz: ## Run each fuzz target for 300 s (SECONDS_EACH=60: for 60 s)
-	@scripts/setup test
+	@scripts/setup test-all
 	@scripts/fuzz $(or $(SECONDS_EACH),300)
 
 dist: ## Build packages, wheels and archives for amd64 and arm64 into dist/ (an hour)
 	@scripts/dist
 
 router: ## Build only the router and the rect tool, with the release profile
-	cargo build --release -p rect-robot -p rect-router
+	cargo build --release -p rect-cli -p rect-router
