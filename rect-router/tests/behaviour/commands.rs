@@ -419,7 +419,8 @@ fn simulated_robots_answer_at_once_and_end_with_their_command() {
         assert!(row.is_some_and(|row| row.contains("1 ble")), "{status}");
     }
     let session = client(&two);
-    let battery = support::ask(&session, "rect/wombat-1/battery").expect("an answer over the air");
+    let battery =
+        crate::support::ask(&session, "rect/wombat-1/battery").expect("an answer over the air");
     assert_eq!(battery["percent"], 83);
 
     let id = nix::unistd::Pid::from_raw(i32::try_from(sim.0.id()).expect("an id"));

@@ -117,7 +117,7 @@ fn robots_base_stations_and_shared_routers_require_logins_and_access_control() {
 #[test]
 fn a_robot_does_not_start_without_its_login_file() {
     if PathBuf::from("/etc/rect/users").exists() {
-        return support::skip("this machine has a login file");
+        return crate::support::skip("this machine has a login file");
     }
     for name in WITH_LOGIN {
         let mut router = Router::start(&["-c", &file(name)]);
@@ -224,7 +224,7 @@ fn robots_get_the_fleets_data_and_no_more() {
     let all = two.declare_subscriber("**").wait().expect("a subscription");
     let config = two.declare_subscriber("rect/*/@rect/@config/**");
     let config = config.wait().expect("a subscription");
-    let deadline = std::time::Instant::now() + support::DEADLINE;
+    let deadline = std::time::Instant::now() + crate::support::DEADLINE;
     loop {
         assert!(
             std::time::Instant::now() < deadline,

@@ -276,7 +276,7 @@ fn applies_a_changed_file_without_touching_other_links() {
     for number in 0..sent {
         let arrived = loop {
             let sample = kept
-                .recv_timeout(support::DEADLINE)
+                .recv_timeout(crate::support::DEADLINE)
                 .expect("no session ends");
             let payload = sample.expect("in time").payload().to_bytes().into_owned();
             // Skip the messages of `arrives`.

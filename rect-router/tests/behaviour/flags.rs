@@ -195,7 +195,7 @@ fn the_no_timestamp_flag_disables_timestamps() {
             .declare_subscriber("stamp")
             .wait()
             .expect("a subscription");
-        let deadline = std::time::Instant::now() + support::DEADLINE;
+        let deadline = std::time::Instant::now() + crate::support::DEADLINE;
         let sample = loop {
             assert!(std::time::Instant::now() < deadline, "nothing arrives");
             from.put("stamp", "x").wait().expect("a put");
@@ -240,7 +240,7 @@ fn the_connect_flag_links_two_routers() {
     let endpoint = one.listener();
     let mut two = Router::start(&["-l", LISTEN, "-e", &endpoint, "--no-multicast-scouting"]);
     let (local, remote) = (client(&endpoint), client(&two.listener()));
-    assert!(support::arrives(&local, &remote, "rect/a/hello"));
+    assert!(crate::support::arrives(&local, &remote, "rect/a/hello"));
 }
 
 #[test]

@@ -29,3 +29,4 @@ mod stock;
 mod systemd_unit;
 mod tool;
 mod topics;
+mod zenohd_with_ble;

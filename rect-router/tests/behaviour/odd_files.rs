@@ -103,6 +103,6 @@ fn removes_leftovers_of_a_killed_router_at_the_next_start() {
         "{}",
         text_of(&checked)
     );
-    let (_router, _) = support::start(&air, &folder, "wombat-1", "fleet");
+    let (_router, _) = crate::support::start(&air, &folder, "wombat-1", "fleet");
     assert!(!left.exists());
 }

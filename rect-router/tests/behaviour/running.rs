@@ -22,7 +22,7 @@ fn routes_publications_and_queries() {
         })
         .wait()
         .expect("a queryable");
-    let deadline = std::time::Instant::now() + support::DEADLINE;
+    let deadline = std::time::Instant::now() + crate::support::DEADLINE;
     loop {
         assert!(std::time::Instant::now() < deadline, "no reply");
         let replies = local

@@ -31,8 +31,8 @@ async fn linked_programs_behave_as_the_scenarios_state() {
 fn programs_at_routers_behave_as_the_scenarios_state() {
     let document = document();
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a directory"));
-    let dials = support::file(&[support::ble("radio", "wombat-2")]);
-    let two = Wombat::start(&air, &folder, 2, &support::file(&[]));
+    let dials = crate::support::file(&[crate::support::ble("radio", "wombat-2")]);
+    let two = Wombat::start(&air, &folder, 2, &crate::support::file(&[]));
     let one = Wombat::start(&air, &folder, 1, &dials);
     // Runtimes must not be nested, and the air has one.
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");

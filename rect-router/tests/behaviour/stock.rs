@@ -1,14 +1,9 @@
-//! Tests of RECT together with stock Zenoh: Zenoh's REST plugin in rect-router, and `ble/` in the published zenohd.
-//!
+//! Tests of RECT together with stock Zenoh: Zenoh's REST plugin in rect-router, and the memory of a zenohd beside it.
 //! `scripts/build-for-tests` builds them: `cargo test --profile checked -p rect-router --test behaviour stock`.
 
-use std::{
-    path::PathBuf,
-    process::Command,
-    time::{Duration, Instant},
-};
+use std::{path::PathBuf, process::Command};
 
-use crate::support::{arrives, built, cache, client, free_socket, http_get, skip, Air, Router};
+use crate::support::{built, cache, client, free_socket, http_get, skip, Router};
 use zenoh::{bytes::Encoding, Wait};
 
 /// Returns the router and Zenoh's REST plugin that were built together, or `None` if there are none.
@@ -113,66 +108,6 @@ fn reports_an_invalid_rest_socket_without_a_panic() {
     let log = router.full_log();
     assert_eq!(status.code(), Some(1), "{log}");
     assert!(log.contains("rect-router: cannot start: "), "{log}");
-}
-
-#[test]
-fn a_published_zenohd_with_the_ble_link_communicates_with_rect_router() {
-    let zenohd = cache().join("zenohd-ble/bin/zenohd");
-    if !zenohd.exists() {
-        return skip(&format!(
-            "no {}; run scripts/build-for-tests",
-            zenohd.display()
-        ));
-    }
-    let air = Air::new();
-    let mut stock = Router::start_program_on(
-        &air,
-        &zenohd,
-        &[
-            "-l",
-            "tcp/127.0.0.1:0",
-            "-l",
-            "ble/sim-1#name=wombat-1",
-            "--no-multicast-scouting",
-        ],
-    );
-    let local = client(&stock.listener());
-    let mut ours = Router::start_on(
-        &air,
-        &[
-            "-l",
-            "tcp/127.0.0.1:0",
-            "-l",
-            "ble/sim-2#name=wombat-2",
-            "-e",
-            "ble/wombat-1#adapter=sim-2",
-            "--no-multicast-scouting",
-        ],
-    );
-    let remote = client(&ours.listener());
-    assert!(arrives(&local, &remote, "rect/wombat-1/arm/angle"));
-    assert!(arrives(&remote, &local, "rect/wombat-2/arm/angle"));
-
-    let _service = local
-        .declare_queryable("rect/wombat-1/battery")
-        .callback(|query| {
-            let _ = query.reply("rect/wombat-1/battery", "7.4").wait();
-        })
-        .wait()
-        .expect("a queryable");
-    let deadline = Instant::now() + support::DEADLINE;
-    loop {
-        assert!(Instant::now() < deadline, "no reply over ble");
-        let replies = remote
-            .get("rect/wombat-1/battery")
-            .timeout(Duration::from_secs(5))
-            .wait()
-            .expect("a query");
-        if let Some(Ok(sample)) = replies.into_iter().map(|reply| reply.into_result()).next() {
-            assert_eq!(sample.payload().to_bytes().as_ref(), b"7.4");
-            return;
-        }
-    }
 }
 
 /// The tests run a router that is not optimised, whose stacks take some 400 kB more: the limit for the released one is 1 MB, which
