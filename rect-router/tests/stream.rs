@@ -16,7 +16,7 @@ use rect::{
     Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
 };
 use support::{joined, simulated, Air, Router, DEADLINE};
-use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
+use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 const PIXELS: usize = 320 * 240;
 

@@ -12,7 +12,7 @@ use std::{
 
 use rect::Json;
 use support::{joined, simulated, Air, DEADLINE};
-use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
+use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 /// Time for which bulk messages are published as fast as the router accepts them.
 const FLOOD: Duration = Duration::from_secs(6);
