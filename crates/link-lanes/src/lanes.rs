@@ -3,7 +3,7 @@
 //! protects each SDU against loss and damage, and with a
 //! secret against everybody.
 //!
-//! The module is plain logic without I/O and is given the time; `link/traffic.rs` moves the SDUs.
+//! The module is plain logic without I/O and is given the time; `link::traffic` of `zenoh-link-ble` moves the SDUs.
 //!
 //! ```text
 //! write_all(priority) -> Lanes::push -> Scheduler: lanes by priority -> Lanes::send -> SDU -> channel
