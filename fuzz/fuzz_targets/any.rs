@@ -10,7 +10,7 @@ use zenoh_link_any::{
     offer::{self, MAX_ADDRESSES},
     path::Medium,
 };
-use zenoh_link_ble::protocol::lanes::Lane;
+use link_lanes::lanes::Lane;
 
 const OPTIONS: Options = Options {
     max_batch: 300,

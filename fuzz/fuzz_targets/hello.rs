@@ -4,11 +4,7 @@
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::protocol::{
-    hello::{HandshakeMessage, Key, MAGIC, MAX_SIZE, VERSION},
-    key_agreement::{respond, Initiator},
-    secret::Secret,
-};
+use link_lanes::{hello::{HandshakeMessage, Key, MAGIC, MAX_SIZE, VERSION}, key_agreement::{respond, Initiator}, secret::Secret};
 
 /// HELLO, ACCEPT, REFUSE, KEY, KEY ANSWER, and an unknown kind.
 const KINDS: std::ops::RangeInclusive<u8> = 1..=6;

@@ -8,15 +8,7 @@ use std::{
 };
 
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::protocol::{
-    lanes::{
-        receiver::HIGH_WATERMARK,
-        scheduler::{Bounds, RESERVED_BYTES_PER_LANE},
-        sdu::{Content, Protection, Sealer},
-        Lane, Lanes, LANES,
-    },
-    seal::LinkKeys,
-};
+use link_lanes::{lanes::{receiver::HIGH_WATERMARK, scheduler::{Bounds, RESERVED_BYTES_PER_LANE}, sdu::{Content, Protection, Sealer}, Lane, Lanes, LANES}, seal::LinkKeys};
 
 /// Largest batch, in bytes.
 const MTU: usize = 300;

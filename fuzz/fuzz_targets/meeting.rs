@@ -8,10 +8,7 @@ use tokio::{
     runtime::{Builder, Runtime},
 };
 use zenoh_link_any::meeting::{accept, dial};
-use zenoh_link_ble::protocol::{
-    hello::{Hello, NodeId, PathOf, MAGIC, VERSION},
-    secret::Secret,
-};
+use link_lanes::{hello::{Hello, NodeId, PathOf, MAGIC, VERSION}, secret::Secret};
 
 /// HELLO, ACCEPT, REFUSE, KEY, KEY ANSWER, and an unknown kind.
 const KINDS: std::ops::RangeInclusive<u8> = 1..=6;

@@ -4,10 +4,7 @@
 use std::convert::Infallible;
 
 use libfuzzer_sys::fuzz_target;
-use zenoh_link_ble::protocol::{
-    lanes::{batch_kind::BatchKind, sdu::Protection},
-    seal::LinkKeys,
-};
+use link_lanes::{lanes::{batch_kind::BatchKind, sdu::Protection}, seal::LinkKeys};
 
 fuzz_target!(|sdu: &[u8]| {
     let _ = Protection::checks().into.open(&mut sdu.to_vec());

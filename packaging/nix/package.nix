@@ -35,10 +35,8 @@ let
         ../../src
         ../../examples
         ../../tests
-        ../../zenoh-link
-        ../../zenoh-link-any
+        ../../crates
         ../../zenoh-link-ble
-        ../../zenoh-link-placeholder
         ../../rect-router
         ../../rect-cpp
         ../../rect-py

@@ -23,6 +23,8 @@ impl Program {
     pub fn connect(options: Options) -> Result<Self, Failure> {
         let cannot_start = |source| rect::Error::Thread { source };
         let runtime = Arc::new(Runtime::start().map_err(cannot_start)?);
+        // An address of the options may be one of Bluetooth.
+        rect_links::register();
         let robot = runtime.wait(options.connect())?;
         Ok(Self { robot, runtime })
     }

@@ -12,10 +12,8 @@ use serde_json::Value;
 use validated_struct::InsertionError;
 use zenoh::{config::WhatAmI, Config};
 use zenoh_config::{EndPoint, EndPoints, ModeDependent, ModeDependentValue, PermissionsConf};
-use zenoh_link::{
-    any::locator::{self as any, is_any},
-    ble::locator::{ConnectLocator, ListenLocator},
-};
+use zenoh_link_any::locator::{self as any, is_any};
+use zenoh_link_ble::locator::{ConnectLocator, ListenLocator};
 use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 

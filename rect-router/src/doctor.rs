@@ -10,7 +10,7 @@ use std::path::Path;
 use rect::core::connection::Connection;
 use serde::Serialize;
 use serde_json::Value;
-use zenoh_link::any::locator;
+use zenoh_link_any::locator;
 
 /// The result of one check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

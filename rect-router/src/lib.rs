@@ -8,6 +8,7 @@ mod config_service;
 pub mod connections;
 pub mod doctor;
 pub mod limits;
+pub mod links;
 pub mod logging;
 pub mod memory;
 mod paths;

@@ -1,7 +1,7 @@
 //! Limits the sessions and handshakes that a router accepts: a share is reserved for robots over Bluetooth, and neither one
 //! login nor one address can use the whole remainder.
 //!
-//! `zenoh_link::admission` enforces the limits of links before Zenoh receives them. `logins` enforces the limit of a user,
+//! `zenoh_link_table::admission` enforces the limits of links before Zenoh receives them. `logins` enforces the limit of a user,
 //! which Zenoh knows only once the session is open. `docs/reference/configuration.md` documents the numbers.
 
 mod logins;
@@ -9,7 +9,7 @@ mod logins;
 use std::time::Duration;
 
 use zenoh::Config;
-use zenoh_link::admission;
+use zenoh_link_table::admission;
 
 pub use self::logins::LoginLimit;
 use crate::config::{uses_bluetooth, ConfigError, SessionSettings};

@@ -2,7 +2,7 @@
 //!
 //! This file only defines the order of the steps. The flags become a configuration (`config.rs`), the configuration becomes
 //! a running router (`router.rs`) with its threads (`threads.rs`) and memory (`memory.rs`), and a signal stops it
-//! (`signals.rs`). Before all that, the router gives up its privileges (`privileges.rs`). An error is reported once, on stderr.
+//! (`signals.rs`). Before all that, the router registers its links (`links.rs`) and gives up its privileges (`privileges.rs`). An error is reported once, on stderr.
 
 use std::process::ExitCode;
 
@@ -11,7 +11,7 @@ use rect_router::{
     args, commands,
     config::{self, SessionSettings},
     limits::SessionLimits,
-    logging, memory, privileges,
+    links, logging, memory, privileges,
     robot_services::RobotServices,
     router, threads, version,
 };
@@ -19,6 +19,7 @@ use rect_router::{
 fn main() -> ExitCode {
     threads::set();
     memory::limit_arenas();
+    links::register();
     let args = args::parse();
     if let Some(command) = &args.command {
         return commands::run(command);

@@ -1,15 +1,13 @@
 //! Describes the paths and lanes of `any` links for the registry and the admin space.
+use link_lanes::lanes::report::Count;
 use rect::core::connection::{
     LinkLane, LinkPath, LinkPathState, PathSwitch, SwitchReason, Traffic,
 };
 use serde::Serialize;
-use zenoh_link::{
-    any::{
-        multipath::SwitchReason as Reason,
-        path::{Medium, PathState},
-        status::{self, LinkStatus},
-    },
-    ble::status::Count,
+use zenoh_link_any::{
+    multipath::SwitchReason as Reason,
+    path::{Medium, PathState},
+    status::{self, LinkStatus},
 };
 
 /// A link, as the admin space reports it.

@@ -7,7 +7,7 @@ use rustix::{
     process::geteuid,
     thread::{capabilities, set_capabilities, CapabilitySet, CapabilitySets},
 };
-use zenoh_link::ble::radio::bluez::management;
+use zenoh_link_ble_bluez::management;
 
 /// Opens the socket of the management interface if this process has CAP_NET_ADMIN, and gives all capabilities up. Does
 /// nothing as root. Call it before any other thread runs, because capabilities belong to threads.

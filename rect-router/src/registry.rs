@@ -24,11 +24,10 @@ use rect::core::{
 };
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
-use zenoh_link::any::{locator::has_radio, observers};
-use zenoh_link::ble::{
-    advertisement::Advertisement, radio::bluez::management, status::DiscoveredStatus,
-    BLE_LOCATOR_PREFIX as BLE,
-};
+use zenoh_link_any::{locator::has_radio, observers};
+use zenoh_link_ble::{status::DiscoveredStatus, BLE_LOCATOR_PREFIX as BLE};
+use zenoh_link_ble_bluez::management;
+use zenoh_link_ble_radio::advertisement::Advertisement;
 
 use self::{
     document::{peers, Clock, Counts, Status},

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use rect::core::humanize;
 use zenoh::{Config, Session, Wait};
-use zenoh_link::ble;
 
 use crate::{
     config::{self, AutoConnect, Settings, MAX_AUTO_LINKS},
@@ -48,7 +47,7 @@ impl Drop for RunningServices {
 /// Zenoh's error if the session could not be closed.
 pub fn close(session: &Session, running: Option<RunningServices>) -> zenoh::Result<()> {
     drop(running);
-    ble::status::stop_dialling();
+    zenoh_link_ble::status::stop_dialling();
     session.close().wait()
 }
 

@@ -3,7 +3,7 @@
 //! decides who may read them, as for the rest of `@/**`.
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};
-use zenoh_link::ble::status::nodes;
+use zenoh_link_ble::status::nodes;
 
 use crate::paths;
 

@@ -12,7 +12,7 @@ import pytest
 from pages import REPOSITORY
 
 _PAGE = REPOSITORY / "docs" / "troubleshooting.md"
-_SOURCES = ("src", "zenoh-link/src", "zenoh-link-ble/src", "rect-router/src", "rect-py/python")
+_SOURCES = ("src", "crates", "zenoh-link-ble/src", "rect-router/src", "rect-py/python")
 #: A message of RECT in the page; those of other programs have single quotes.
 _MESSAGE = re.compile(r"^- `` (.+) ``$", re.MULTILINE)
 #: The share of a message that must be found; the rest are names, and reasons of the system.

@@ -3,7 +3,7 @@
 Noise, the derivation of the keys, and the first SDUs in both directions. It uses the package `cryptography`.
 
 usage: link_keys.py [--write]
-Compares its result with the test vectors in zenoh-link-ble/tests/vectors/version-2.json, or writes them.
+Compares its result with the test vectors in crates/link-lanes/vectors/version-2.json, or writes them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 from cryptography.hazmat.primitives.ciphers.aead import AESCCM, ChaCha20Poly1305
 
-VECTORS = Path(__file__).resolve().parents[2] / "zenoh-link-ble" / "tests" / "vectors" / "version-2.json"
+VECTORS = Path(__file__).resolve().parents[2] / "crates" / "link-lanes" / "vectors" / "version-2.json"
 NOISE = b"Noise_NNpsk2_25519_ChaChaPoly_SHA256"
 VERSION = 2
 # The head of a sealed message of the handshake.

@@ -14,11 +14,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use zenoh_link_ble::{
+use zenoh_link_ble::locator::is_simulated;
+use zenoh_link_ble_radio::{
     address::{Address, Psm},
     advertisement::Advertisement,
-    locator::is_simulated,
-    radio::{bluez, sim, Channel, ChannelOptions, Radio, RadioError, Security},
+    Channel, ChannelOptions, Radio, RadioError, Security,
 };
 
 const OPTIONS: ChannelOptions = ChannelOptions {
@@ -64,9 +64,9 @@ async fn main() -> Outcome {
 
 fn radio(name: &str) -> Result<Arc<dyn Radio>, Box<dyn Error>> {
     Ok(if is_simulated(name) {
-        sim::radio(name)?
+        zenoh_link_ble_air::radio(name)?
     } else {
-        bluez::radio(Some(name))?
+        zenoh_link_ble_bluez::radio(Some(name))?
     })
 }
 
@@ -106,7 +106,7 @@ async fn dial(radio: Arc<dyn Radio>, peer: &str) -> Result<Arc<dyn Channel>, Box
 async fn find(
     radio: &Arc<dyn Radio>,
     address: Address,
-) -> Result<(zenoh_link_ble::address::DeviceAddress, Psm), RadioError> {
+) -> Result<(zenoh_link_ble_radio::address::DeviceAddress, Psm), RadioError> {
     let mut scan = radio.scan().await?;
     loop {
         let report = scan.next().await?;

@@ -2,8 +2,9 @@
 use std::sync::Arc;
 
 use tokio::sync::Semaphore;
+use zenoh_link_ble_radio::Radio;
 
-use crate::{radio::Radio, scanner::Scanner};
+use crate::scanner::Scanner;
 
 /// A local adapter, as all listeners and dials of a node share it.
 pub(crate) struct Adapter {

@@ -2,28 +2,33 @@
 //! leaves nothing behind.
 use std::{sync::Arc, time::Duration};
 
+use link_lanes::{
+    hello::{Hello, NodeId, PathOf, Refusal, VERSION},
+    key_agreement::Exporter,
+    lanes::sdu::Protection,
+};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::{
+    address::{DeviceAddress, Psm},
+    advertisement::Advertisement,
+    interval_table::{Intervals, NewLink},
+    AdvertisingReport, Channel, ChannelOptions, RadioError, Security,
+};
 
 use crate::{
     adapter::Adapter,
-    address::{DeviceAddress, Psm},
-    advertisement::Advertisement,
     error::{BleError, DialStep},
     handshake::{agreed_mtu, channel_options, own_window, HandshakeChannel},
     link::{
-        intervals::NewLink,
+        interval_units::{from_units, to_units},
         node::{set_if_changed, Node},
         path::AgreedPath,
         table::LinkNumber,
         Framing, LinkBle, Opened,
     },
     locator::{ConnectLocator, Target},
-    protocol::hello::{Hello, Intervals, NodeId, PathOf, Refusal, VERSION},
-    protocol::key_agreement::Exporter,
-    protocol::lanes::sdu::Protection,
-    protocol::secret::Secret,
-    radio::{AdvertisingReport, Channel, ChannelOptions, RadioError, Security},
+    secret_file,
 };
 
 /// The shortest and the longest timeout of one LE connect, in milliseconds.
@@ -162,7 +167,9 @@ async fn dial_once(
         default: adapter.radio.default_interval(),
         is_central: channel.is_central().unwrap_or(true),
     };
-    let answered = peer.as_ref().and_then(|peer| peer.intervals.clone());
+    let answered = peer
+        .as_ref()
+        .and_then(|peer| from_units(peer.intervals.as_ref()?));
     let own = offered.clone();
     let interval = (node.intervals()).on_accepted(dialling.number, new_link, offered, answered);
     let agreed = |peer: &Hello| {
@@ -231,7 +238,7 @@ async fn open(
         limit += PAIRING;
     }
     let secret = match &locator.secret {
-        Some(file) => Some(Secret::read(file)?),
+        Some(file) => Some(secret_file::read(file)?),
         None => node.secret(),
     };
     let options = channel_options(locator.security, secret.as_ref())?;
@@ -266,7 +273,7 @@ async fn open(
         mtu: locator.mtu,
         window: own_window(&channel),
         name: node.name(),
-        intervals: offered.clone(),
+        intervals: offered.as_ref().map(to_units),
         path: dial.path,
     };
     if !node.link_table().on_sending_hello(dial.number) {
@@ -433,10 +440,8 @@ impl Drop for DialEntry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::radio::{
-        sim::{AirOptions, SimAir, SimRadio},
-        Radio,
-    };
+    use zenoh_link_ble_air::{AirOptions, SimAir, SimRadio};
+    use zenoh_link_ble_radio::Radio;
 
     const LISTENER: ChannelOptions = ChannelOptions {
         recv_mtu: 1024,

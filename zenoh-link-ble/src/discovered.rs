@@ -6,8 +6,7 @@
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
-
-use crate::{address::DeviceAddress, radio::AdvertisingReport};
+use zenoh_link_ble_radio::{address::DeviceAddress, AdvertisingReport};
 
 /// How long a node counts as discovered. A robot advertises ten times a second, but this node does not scan all the time.
 const EXPIRY: Duration = Duration::from_secs(60);
@@ -96,7 +95,7 @@ fn is_recent(node: &DiscoveredNode, now: Instant) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
+    use zenoh_link_ble_radio::{
         address::{Address, AddressType, Psm},
         advertisement::Advertisement,
     };

@@ -1,11 +1,10 @@
 //! Defines why a link cannot be opened or has ended, with advice for the user, and converts these errors into Zenoh's error
 //! type.
+use link_lanes::hello::Refusal;
 use std::{fmt, sync::Arc, time::Duration};
+use zenoh_link_ble_radio::{address::DeviceAddress, RadioError};
 
-use crate::{
-    address::DeviceAddress, locator::LocatorError, protocol::hello::Refusal,
-    protocol::secret::SecretError, radio::RadioError,
-};
+use crate::{locator::LocatorError, secret_file::SecretError};
 
 /// Why a link could not be opened, or has ended.
 #[derive(Debug, thiserror::Error)]

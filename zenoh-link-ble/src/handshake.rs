@@ -1,22 +1,22 @@
 //! Performs the handshake on a new channel, for the dialler and the listener. Each step has a timeout.
 //!
-//! The messages are defined in [`hello`](crate::protocol::hello), and the agreement on keys in
-//! [`key_agreement`](crate::protocol::key_agreement).
-use std::{sync::Arc, time::Duration};
-
-use crate::{
-    error::BleError,
-    protocol::hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
-    protocol::key_agreement::{respond, Exporter, Initiator},
-    protocol::lanes::{
+//! The messages are defined in [`hello`](link_lanes::hello), and the agreement on keys in
+//! [`key_agreement`](link_lanes::key_agreement).
+use link_lanes::{
+    hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
+    key_agreement::{respond, Exporter, Initiator},
+    lanes::{
         credits,
         sdu::{self, Protection},
     },
-    protocol::seal::LinkKeys,
-    protocol::sealed_message,
-    protocol::secret::Secret,
-    radio::{Channel, ChannelOptions, RadioError, Security},
+    seal::LinkKeys,
+    sealed_message,
+    secret::Secret,
 };
+use std::{sync::Arc, time::Duration};
+use zenoh_link_ble_radio::{Channel, ChannelOptions, RadioError, Security};
+
+use crate::error::BleError;
 
 /// How long the peer may take for each message: 60 of the longest connection intervals (50 ms) that Linux requests by
 /// default.

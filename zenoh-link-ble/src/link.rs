@@ -6,7 +6,7 @@
 pub(crate) mod close_once;
 pub(crate) mod history;
 pub(crate) mod interval_events;
-pub mod intervals;
+pub mod interval_units;
 pub(crate) mod node;
 mod number;
 mod open_links;
@@ -26,7 +26,13 @@ use std::{
 };
 
 use async_trait::async_trait;
+use link_lanes::{
+    hello::Hello,
+    key_agreement::Exporter,
+    lanes::{sdu::Protection, Lane},
+};
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel, Radio};
 use zenoh_link_commons::{LinkAuthId, LinkUnicastTrait};
 use zenoh_protocol::{
     core::{Locator, Priority},
@@ -37,7 +43,6 @@ use zenoh_result::ZResult;
 use crate::{
     error::{describe, into_zenoh, BleError},
     handshake::own_window,
-    interval::ConnectionInterval,
     link::{
         close_once::CloseOnce,
         interval_events::IntervalEvents,
@@ -49,15 +54,11 @@ use crate::{
         traffic::{Tasks, Traffic, TrafficOptions},
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
-    protocol::hello::Hello,
-    protocol::key_agreement::Exporter,
-    protocol::lanes::{sdu::Protection, Lane},
-    radio::{Channel, Radio},
 };
 
 /// The framing of the batches of a link.
 pub(crate) enum Framing {
-    /// On lanes: see section 4 of `PROTOCOL.md`. The windows are the numbers of bytes that each side accepts unacknowledged.
+    /// On lanes: see section 4 of `PROTOCOL.md` in `link-lanes`. The windows are the numbers of bytes that each side accepts unacknowledged.
     Lanes {
         own_window: u16,
         peer_window: u16,

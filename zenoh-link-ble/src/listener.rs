@@ -2,19 +2,25 @@
 //! after the adapter was unavailable.
 use std::{future::Future, sync::Arc, time::Duration};
 
+use link_lanes::{
+    hello::{HandshakeMessage, Hello, Refusal, VERSION},
+    secret::Secret,
+};
 use parking_lot::Mutex;
 use tokio::{task::JoinSet, time::Instant};
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::{
+    address::DeviceAddress, advertisement::Advertisement, interval_table::NewLink, AdapterState,
+    AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError, Security,
+};
 use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
 use crate::{
     adapter::Adapter,
-    address::DeviceAddress,
-    advertisement::Advertisement,
     error::{describe, BleError},
     handshake::{agreed_mtu, channel_options, own_window, FirstSdu, HandshakeChannel},
     link::{
-        intervals::NewLink,
+        interval_units::{from_units, to_units},
         node::{set_if_changed, ListenerIdentity, Node},
         path::{AgreedPath, BlePath},
         table::Verdict,
@@ -23,12 +29,7 @@ use crate::{
     locator::ListenLocator,
     name_conflict::{NameConflictCheck, NameSearch},
     pending_handshakes::{Admission, HandshakeId, PendingHandshakes, MAX_HANDSHAKES},
-    protocol::hello::{HandshakeMessage, Hello, Refusal, VERSION},
-    protocol::secret::Secret,
-    radio::{
-        AdapterState, AdvertisingGuard, Channel, ChannelListener, ChannelOptions, RadioError,
-        Security,
-    },
+    secret_file,
 };
 
 /// How often the state of the adapter is checked in addition to the radio's notifications.
@@ -65,7 +66,11 @@ impl Listener {
     ) -> Result<(Arc<Self>, Option<(BoundListener, NameSearch)>), BleError> {
         let adapter = node.adapter(Some(&locator.adapter))?;
         let name = locator.name();
-        let secret = locator.secret.as_deref().map(Secret::read).transpose()?;
+        let secret = locator
+            .secret
+            .as_deref()
+            .map(secret_file::read)
+            .transpose()?;
         let options = channel_options(locator.security, secret.as_ref())?;
         let listener = Arc::new(Self {
             node,
@@ -357,7 +362,9 @@ impl Listener {
             default: radio.default_interval(),
             is_central,
         };
-        let offered = peer.as_ref().and_then(|peer| peer.intervals.clone());
+        let offered = peer
+            .as_ref()
+            .and_then(|peer| from_units(peer.intervals.as_ref()?));
         let intervals = (self.node.intervals()).on_dialled(number, new_link, own.clone(), offered);
         set_if_changed(radio.as_ref(), device, own, intervals.requested).await;
         if let Some(peer) = &peer {
@@ -367,7 +374,7 @@ impl Listener {
                 mtu: self.locator.mtu,
                 window: own_window(&channel),
                 name: self.name.clone(),
-                intervals: Some(intervals),
+                intervals: Some(to_units(&intervals)),
                 path,
             };
             let accepted = handshake.answer(&HandshakeMessage::Accept(own)).await;
@@ -475,6 +482,6 @@ impl Drop for ListeningGuard {
 
 /// Waits until the radio reports a change, or for [`STATE_POLL_INTERVAL`], so that an event between two calls is not missed
 /// forever.
-async fn wait_for_change(radio: &dyn crate::radio::Radio) {
+async fn wait_for_change(radio: &dyn zenoh_link_ble_radio::Radio) {
     let _ = tokio::time::timeout(STATE_POLL_INTERVAL, radio.changed()).await;
 }

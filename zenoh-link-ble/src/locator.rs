@@ -2,16 +2,15 @@
 //! names the offending part.
 use std::{fmt, path::PathBuf, time::Duration};
 
+use link_lanes::{hello::MAX_NAME, lanes::scheduler::Bounds};
+use zenoh_link_ble_radio::{
+    address::{Address, AddressType, Psm},
+    Security,
+};
 use zenoh_protocol::core::EndPoint;
 
 pub use self::error::LocatorError;
 use self::options::Options;
-use crate::{
-    address::{Address, AddressType, Psm},
-    protocol::hello::MAX_NAME,
-    protocol::lanes::scheduler::Bounds,
-    radio::Security,
-};
 
 mod error;
 mod options;
@@ -100,7 +99,7 @@ pub struct ConnectLocator {
     pub security: Security,
     /// `secret=`: path of the file with the team's secret. Default: the secret of this node's listener.
     pub secret: Option<PathBuf>,
-    /// `mtu=`: the largest batch that this side accepts, in bytes; [`MIN_MTU`](crate::protocol::hello::MIN_MTU) to [`MAX_MTU`].
+    /// `mtu=`: the largest batch that this side accepts, in bytes; [`MIN_MTU`](link_lanes::hello::MIN_MTU) to [`MAX_MTU`].
     /// Default: [`DEFAULT_MTU`].
     pub mtu: u16,
     /// `queue=`, `backlog=`, `droppable=` and `linger=`.
@@ -129,7 +128,7 @@ pub struct ListenLocator {
     /// `secret=`: path of the file with the team's secret, which every peer must have. Default: none, and any peer is
     /// accepted.
     pub secret: Option<PathBuf>,
-    /// `mtu=`: the largest batch that this side accepts, in bytes; [`MIN_MTU`](crate::protocol::hello::MIN_MTU) to [`MAX_MTU`].
+    /// `mtu=`: the largest batch that this side accepts, in bytes; [`MIN_MTU`](link_lanes::hello::MIN_MTU) to [`MAX_MTU`].
     /// Default: [`DEFAULT_MTU`].
     pub mtu: u16,
     /// `queue=`, `backlog=`, `droppable=` and `linger=`.

@@ -2,10 +2,15 @@
 use std::{collections::HashMap, sync::Arc};
 
 use async_trait::async_trait;
+use link_lanes::{
+    hello::{NodeId, PathOf},
+    secret::Secret,
+};
 use tokio::{runtime::Handle, sync::Mutex};
 use tokio_util::task::AbortOnDropHandle;
+use zenoh_link_ble_radio::{Radio, RadioError};
 use zenoh_link_commons::{
-    LinkManagerUnicastTrait, LinkUnicast, LinkUnicastTrait, LocatorInspector, NewLinkChannelSender,
+    LinkManagerUnicastTrait, LinkUnicast, LinkUnicastTrait, NewLinkChannelSender,
 };
 use zenoh_protocol::core::{EndPoint, Locator};
 use zenoh_result::ZResult;
@@ -21,30 +26,8 @@ use crate::{
     },
     listener::Listener,
     locator::{is_simulated, ConnectLocator, ListenLocator, Target, BLE_LOCATOR_PREFIX},
-    protocol::hello::{NodeId, PathOf},
-    protocol::secret::Secret,
-    radio::{bluez, sim, Radio, RadioError},
     status,
 };
-
-/// Describes `ble` links to Zenoh: they are unicast and reliable.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct BleLocatorInspector;
-
-#[async_trait]
-impl LocatorInspector for BleLocatorInspector {
-    fn protocol(&self) -> &str {
-        BLE_LOCATOR_PREFIX
-    }
-
-    async fn is_multicast(&self, _locator: &Locator) -> ZResult<bool> {
-        Ok(false)
-    }
-
-    fn is_reliable(&self, _locator: &Locator) -> ZResult<bool> {
-        Ok(true)
-    }
-}
 
 /// The identity of a node for its peers.
 #[derive(Clone, Debug)]
@@ -258,8 +241,8 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastBle {
 
 fn open_radio(name: Option<&str>) -> Result<Arc<dyn Radio>, RadioError> {
     match name {
-        Some(name) if is_simulated(name) => sim::radio(name),
-        name => bluez::radio(name),
+        Some(name) if is_simulated(name) => zenoh_link_ble_air::radio(name),
+        name => zenoh_link_ble_bluez::radio(name),
     }
 }
 

@@ -2,8 +2,9 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio_util::task::AbortOnDropHandle;
+use zenoh_link_ble_radio::address::DeviceAddress;
 
-use crate::{adapter::Adapter, address::DeviceAddress, error::BleError};
+use crate::{adapter::Adapter, error::BleError};
 
 /// How long to scan for another robot with the same name before this node dials: several of RECT's advertising
 /// intervals (`config/bluetooth.conf`), but short, because dialling waits for the result.

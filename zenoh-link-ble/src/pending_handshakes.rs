@@ -9,8 +9,9 @@
 use std::time::{Duration, Instant};
 
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::address::DeviceAddress;
 
-use crate::{address::DeviceAddress, rejected_peers::RejectedPeers};
+use crate::rejected_peers::RejectedPeers;
 
 /// Largest number of handshakes in progress at the same time.
 pub(crate) const MAX_HANDSHAKES: usize = 8;
@@ -137,7 +138,7 @@ struct LimitReached;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::address::{Address, AddressType};
+    use zenoh_link_ble_radio::address::{Address, AddressType};
 
     fn device(number: u8) -> DeviceAddress {
         DeviceAddress {

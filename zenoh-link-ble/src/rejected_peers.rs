@@ -6,8 +6,7 @@ use std::{
     collections::VecDeque,
     time::{Duration, Instant},
 };
-
-use crate::address::DeviceAddress;
+use zenoh_link_ble_radio::address::DeviceAddress;
 
 /// How long a device is remembered. It is short enough that a device which has been given the right secret is soon dialled
 /// again.
@@ -44,7 +43,7 @@ impl RejectedPeers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::address::{Address, AddressType};
+    use zenoh_link_ble_radio::address::{Address, AddressType};
 
     fn device(number: u8) -> DeviceAddress {
         DeviceAddress {

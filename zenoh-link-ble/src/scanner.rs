@@ -3,11 +3,11 @@ use std::{sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
 use tokio::{sync::broadcast, time::Instant};
+use zenoh_link_ble_radio::{AdvertisingReport, Radio, RadioError};
 
 use crate::{
     discovered::{DiscoveredNodes, DiscoveredStatus},
     error::describe,
-    radio::{AdvertisingReport, Radio, RadioError},
 };
 
 /// Number of advertising reports that a slow search may lag behind before it misses some. A search needs only a recent one.
@@ -187,7 +187,7 @@ impl Scanner {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::address::{Address, AddressType, DeviceAddress};
+    use zenoh_link_ble_radio::address::{Address, AddressType, DeviceAddress};
 
     fn report(n: u8, rssi_dbm: i16) -> AdvertisingReport {
         let address = Address([0xc0, 0, 0, 0, 0, n]);

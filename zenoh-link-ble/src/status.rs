@@ -5,13 +5,13 @@ use std::sync::{Arc, Weak};
 use parking_lot::Mutex;
 
 use crate::link::node::Node;
+
 pub use crate::{
     discovered::DiscoveredStatus,
     link::{
         history::{Event, PeerStatus},
         status::{LaneStatus, LanesStatus, LinkStatus, NodeStatus},
     },
-    protocol::lanes::report::Count,
 };
 
 static NODES: Mutex<Vec<Weak<Node>>> = Mutex::new(Vec::new());

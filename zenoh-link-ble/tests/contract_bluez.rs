@@ -14,7 +14,6 @@ use std::{process::Command, time::Duration};
 
 use contract::{channel, flooding, handshake, handshake_flood, link, misbehaving, secret, World};
 use shared::peer::within;
-use zenoh_link_ble::radio::bluez;
 
 /// Returns the names of the two adapters.
 fn adapters() -> Option<(String, String)> {
@@ -31,8 +30,8 @@ fn adapters() -> Option<(String, String)> {
 fn world(a: &str, b: &str) -> World {
     let (one, both) = (a.to_owned(), [a.to_owned(), b.to_owned()]);
     World {
-        a: bluez::radio(Some(a)).expect("opens"),
-        b: bluez::radio(Some(b)).expect("opens"),
+        a: zenoh_link_ble_bluez::radio(Some(a)).expect("opens"),
+        b: zenoh_link_ble_bluez::radio(Some(b)).expect("opens"),
         is_simulated: false,
         lose_links: Box::new(move || run("room", &["drop", &one])),
         set_pace: Box::new(move |bytes_per_s| {

@@ -15,7 +15,7 @@ use std::{
 };
 
 use rect::core::humanize;
-use rect_router::{config::Settings, threads};
+use rect_router::{config::Settings, links, threads};
 use zenoh::{
     internal::{
         plugins::{Response, RunningPlugin, RunningPluginTrait, ZenohPlugin},
@@ -46,8 +46,9 @@ impl Plugin for RectPlugin {
     const PLUGIN_LONG_VERSION: &'static str = plugin_long_version!();
 
     fn start(name: &str, host: &DynamicRuntime) -> ZResult<RunningPlugin> {
-        // This library contains its own copy of Zenoh, with its own threads and without a log.
+        // This library contains its own copy of Zenoh, with its own threads and links, and without a log.
         threads::set();
+        links::register();
         zenoh::try_init_log_from_env();
         let given = host.get_config().get_plugin_config(name)?;
         let settings = Settings::parse(given)?;

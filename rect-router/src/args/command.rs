@@ -6,7 +6,7 @@ use rect::core::{
     endpoint, login,
     name::{Name, NameError},
 };
-use zenoh_link::ble::radio::sim::Condition;
+use zenoh_link_ble_air::Condition;
 
 /// The commands. Without one, the program runs a router.
 #[derive(Debug, Subcommand)]

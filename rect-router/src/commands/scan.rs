@@ -4,11 +4,8 @@ use std::{collections::BTreeMap, time::Duration};
 use rect::terminal::{self, Table};
 use serde_json::{json, Value};
 use tokio::time::{timeout_at, Instant};
-use zenoh_link::ble::{
-    advertisement::Advertisement,
-    locator::is_simulated,
-    radio::{bluez, sim, AdvertisingReport, Radio, RadioError},
-};
+use zenoh_link_ble::locator::is_simulated;
+use zenoh_link_ble_radio::{advertisement::Advertisement, AdvertisingReport, Radio, RadioError};
 
 use super::Failure;
 use crate::args::ScanArgs;
@@ -51,8 +48,8 @@ pub fn run(args: &ScanArgs) -> Result<(), Failure> {
 /// Scans for robots and returns each one once, with its latest advertisement, sorted by address.
 async fn discovered(args: &ScanArgs) -> Result<Vec<Value>, RadioError> {
     let radio = match &args.adapter {
-        adapter if is_simulated(adapter) => sim::radio(adapter)?,
-        adapter => bluez::radio(Some(adapter))?,
+        adapter if is_simulated(adapter) => zenoh_link_ble_air::radio(adapter)?,
+        adapter => zenoh_link_ble_bluez::radio(Some(adapter))?,
     };
     let mut scan = radio.scan().await?;
     let end = Instant::now() + Duration::from_secs(args.seconds);

@@ -5,10 +5,7 @@ use tokio::{
     runtime::{Builder, Runtime},
     signal::unix::{signal, SignalKind},
 };
-use zenoh_link::{
-    any::wifi::{self, Wifi, WifiOptions, WifiState},
-    ble::radio::sim,
-};
+use zenoh_link_any::wifi::{self, Wifi, WifiOptions, WifiState};
 
 use super::Failure;
 use crate::args::WifiArgs;
@@ -18,7 +15,10 @@ use crate::args::WifiArgs;
 /// # Errors
 /// Fails if the socket cannot be opened, or if there is no simulated Wi-Fi to control.
 pub fn run(args: &WifiArgs) -> Result<(), Failure> {
-    let air = args.socket.clone().unwrap_or_else(sim::socket_path);
+    let air = args
+        .socket
+        .clone()
+        .unwrap_or_else(zenoh_link_ble_air::socket_path);
     let socket = wifi::socket_beside(&air);
     let runtime = Builder::new_current_thread().enable_all().build()?;
     match WifiState::parse(&args.action) {

@@ -2,7 +2,8 @@
 
 use std::{io, path::PathBuf};
 
-use zenoh_link::{any::locator::LocatorError as AnyLocatorError, ble::locator::LocatorError};
+use zenoh_link_any::locator::LocatorError as AnyLocatorError;
+use zenoh_link_ble::locator::LocatorError;
 
 /// An error in the flags or the configuration file.
 #[derive(Debug, thiserror::Error)]

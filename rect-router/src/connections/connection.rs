@@ -7,11 +7,11 @@ use std::{
 use async_trait::async_trait;
 use parking_lot::Mutex;
 use rect::core::connection::Traffic;
-use zenoh_link::{
+use zenoh_link_placeholder::Dial;
+use zenoh_link_table::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,
 };
-use zenoh_link_placeholder::Dial;
 use zenoh_result::ZResult;
 
 use super::{

@@ -3,8 +3,8 @@ use std::sync::Arc;
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
-use zenoh_link::{EndPoint, LinkUnicast, NewLinkChannelSender};
 use zenoh_link_placeholder::{Dial, Placeholders};
+use zenoh_link_table::{EndPoint, LinkUnicast, NewLinkChannelSender};
 use zenoh_result::ZResult;
 
 use super::connection::link;

@@ -2,15 +2,13 @@
 use std::{collections::BTreeMap, fmt, net::IpAddr};
 
 use zenoh_config::EndPoint;
-use zenoh_link::{
-    any::{
-        locator::{has_radio, ConnectLocator as AnyConnectLocator},
-        ANY_LOCATOR_PREFIX as ANY,
-    },
-    ble::locator::ConnectLocator,
-    LinkKind,
+use zenoh_link_any::{
+    locator::{has_radio, ConnectLocator as AnyConnectLocator},
+    ANY_LOCATOR_PREFIX as ANY,
 };
+use zenoh_link_ble::locator::ConnectLocator;
 use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
+use zenoh_link_table::LinkKind;
 
 /// Maximum length of a name in bytes.
 pub const MAX_NAME: usize = 64;
@@ -161,8 +159,8 @@ fn check_name(name: &str) -> Result<(), SpecError> {
 }
 
 fn check_method(method: &str) -> Result<(), SpecError> {
-    let is_known = !LinkKind::new_supported_links([method].into_iter()).is_empty();
-    if is_known && method != PLACEHOLDER_LOCATOR_PREFIX {
+    let is_zenohs = !LinkKind::new_supported_links([method].into_iter()).is_empty();
+    if [ANY, BLE].contains(&method) || is_zenohs && method != PLACEHOLDER_LOCATOR_PREFIX {
         return Ok(());
     }
     let problem = "a method is any, ble, tcp, udp or another of Zenoh's protocols (tls, quic, ws, unixsock-stream)";

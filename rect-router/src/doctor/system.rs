@@ -4,15 +4,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use zenoh_link::ble::radio::bluez;
-
 use super::Finding;
 
 /// Runs all checks. `root` is the root of the file system, which tests replace.
 pub fn findings(root: &Path) -> Vec<Finding> {
     let system = System { root };
     let mut findings = vec![system.kernel()];
-    let adapters = bluez::adapters(root);
+    let adapters = zenoh_link_ble_bluez::adapters(root);
     let has_adapter = !adapters.is_empty();
     findings.push(system.adapter(&adapters));
     findings.extend(system.rfkill());
@@ -165,7 +163,7 @@ impl System<'_> {
         const ABOUT: &str = "timing";
         let not_set = adapters
             .iter()
-            .find(|adapter| !bluez::is_timing_configured(self.root, adapter));
+            .find(|adapter| !zenoh_link_ble_bluez::is_timing_configured(self.root, adapter));
         let Some(adapter) = not_set else {
             return Finding::good(ABOUT, "connection interval and supervision timeout are set");
         };

@@ -4,7 +4,8 @@ use std::{any::Any, collections::HashMap, sync::Arc, time::Duration, time::Insta
 
 use parking_lot::Mutex;
 use zenoh::{internal::runtime::ZRuntime, Result as ZResult};
-use zenoh_link::{any::locator::has_radio, Link};
+use zenoh_link_any::locator::has_radio;
+use zenoh_link_table::Link;
 use zenoh_protocol::network::NetworkMessageMut;
 use zenoh_transport::{
     multicast::TransportMulticast, unicast::TransportUnicast, TransportEventHandler,

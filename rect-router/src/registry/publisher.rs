@@ -134,7 +134,7 @@ impl PublishedPeers {
 #[cfg(test)]
 mod tests {
     use rect::core::connection::PeerId;
-    use zenoh_link::ble::BLE_LOCATOR_PREFIX as BLE;
+    use zenoh_link_ble::BLE_LOCATOR_PREFIX as BLE;
 
     use super::*;
 

@@ -2,14 +2,12 @@
 use rect::core::connection::{LinkLane, LinkPath, PathSwitch};
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
-use zenoh_link::{
-    any::{
-        locator::has_radio,
-        status::{self as any, LinkStatus as AnyStatus},
-        ANY_LOCATOR_PREFIX as ANY,
-    },
-    ble::status::{nodes, DiscoveredStatus, LanesStatus, LinkStatus},
+use zenoh_link_any::{
+    locator::has_radio,
+    status::{self as any, LinkStatus as AnyStatus},
+    ANY_LOCATOR_PREFIX as ANY,
 };
+use zenoh_link_ble::status::{nodes, DiscoveredStatus, LanesStatus, LinkStatus};
 
 use super::LinkTraffic;
 use crate::paths::{self, traffic};

@@ -16,7 +16,7 @@ use zenoh::{
     handlers::FifoChannelHandler, pubsub::Subscriber, qos::CongestionControl, sample::Sample,
     Session, Wait,
 };
-use zenoh_link::any::wifi::{self, Wifi, WifiOptions, WifiState};
+use zenoh_link_any::wifi::{self, Wifi, WifiOptions, WifiState};
 
 /// A robot with a listener for links over several paths.
 struct Robot {

@@ -11,7 +11,7 @@ use std::{
 use crate::support::{answers, client, init, program, rect_router, simulated, start, text_of, Air};
 use serde_json::{json, Value};
 use zenoh::{Session, Wait};
-use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
+use zenoh_link_ble_air::SOCKET_VARIABLE;
 
 #[test]
 fn robots_of_one_team_connect_and_a_robot_of_another_team_is_rejected() {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::support::{ble, file, Air, Wombat, DEADLINE};
 use rect::{blocking::Robot, ConnectionState, Event, Json, NamedConnection, Options, Urgency};
 use serde_json::json;
-use zenoh_link::ble::radio::sim::{control, Control};
+use zenoh_link_ble_air::{control, Control};
 
 /// Connects a program to the router of a robot.
 fn program(wombat: &Wombat, name: &str) -> Robot {

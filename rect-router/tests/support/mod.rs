@@ -21,7 +21,7 @@ use nix::{
     unistd::Pid,
 };
 use serde_json::Value;
-use zenoh_link::ble::radio::sim::{AirOptions, AirServer, SimAir, SOCKET_VARIABLE};
+use zenoh_link_ble_air::{AirOptions, AirServer, SimAir, SOCKET_VARIABLE};
 
 pub use self::{
     program::joined,

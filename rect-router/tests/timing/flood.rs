@@ -14,7 +14,7 @@ use zenoh::{
     qos::{CongestionControl, Priority},
     Wait,
 };
-use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
+use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 /// Duration of the flood. At a few megabytes per second, the link would need much longer to send it.
 const FLOOD: Duration = Duration::from_secs(4);

@@ -14,7 +14,7 @@ use rect::{
     core::stream::ladder::{Coding, Step, PICTURES},
     Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
 };
-use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
+use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 const PIXELS: usize = 320 * 240;
 

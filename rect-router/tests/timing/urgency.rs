@@ -10,7 +10,7 @@ use std::{
 
 use crate::support::{joined, simulated, Air, DEADLINE};
 use rect::Json;
-use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
+use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 /// Time for which bulk messages are published as fast as the router accepts them.
 const FLOOD: Duration = Duration::from_secs(6);

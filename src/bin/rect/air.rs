@@ -12,9 +12,8 @@ use rect::{
     terminal::{self, Table},
 };
 use tokio::signal::unix::{signal, SignalKind};
-use zenoh_link_ble::radio::sim::{
-    self, AirOptions, AirServer, AirStatus, Condition, Control, ControlError, LlPayload, Phy,
-    ServeError,
+use zenoh_link_ble_air::{
+    AirOptions, AirServer, AirStatus, Condition, Control, ControlError, LlPayload, Phy, ServeError,
 };
 
 const EXAMPLE: &str = "\
@@ -197,12 +196,12 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
 }
 
 async fn control(socket: SocketArgument, command: Control) -> Result<(), AirError> {
-    sim::control(&socket.path(), command).await?;
+    zenoh_link_ble_air::control(&socket.path(), command).await?;
     Ok(())
 }
 
 async fn status(socket: SocketArgument, json: bool) -> Result<(), AirError> {
-    let Some(status) = sim::control(&socket.path(), Control::Status).await? else {
+    let Some(status) = zenoh_link_ble_air::control(&socket.path(), Control::Status).await? else {
         return Ok(());
     };
     if json {
@@ -255,6 +254,6 @@ fn show(status: &AirStatus) {
 
 impl SocketArgument {
     fn path(self) -> PathBuf {
-        self.socket.unwrap_or_else(sim::socket_path)
+        self.socket.unwrap_or_else(zenoh_link_ble_air::socket_path)
     }
 }

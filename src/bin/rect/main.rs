@@ -117,6 +117,7 @@ type Done = Result<ExitCode, Failure>;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    rect_links::register();
     choose_colours(match arguments.color {
         When::Auto => Colours::Auto,
         When::Always => Colours::Always,

@@ -1,11 +1,9 @@
 //! Reports to the node what concerns the connection interval of one link: a message of the peer, and that the radio neglects
 //! or has lost the link.
 use std::sync::Arc;
+use zenoh_link_ble_radio::interval::ConnectionInterval;
 
-use crate::{
-    interval::ConnectionInterval,
-    link::{node::Node, table::LinkNumber},
-};
+use crate::link::{node::Node, table::LinkNumber};
 
 /// Reports the events of one link.
 pub(crate) struct IntervalEvents {

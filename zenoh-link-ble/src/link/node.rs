@@ -5,29 +5,24 @@ use std::{
     time::Duration,
 };
 
+use link_lanes::{hello::NodeId, secret::Secret};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::{sync::Notify, time::Instant};
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::{
+    address::DeviceAddress,
+    interval::ConnectionInterval,
+    interval_table::{Action, IntervalTable, Intervals},
+    Radio, RadioError,
+};
 use zenoh_link_commons::NewLinkChannelSender;
 
 use crate::{
     adapter::Adapter,
-    address::DeviceAddress,
-    interval::ConnectionInterval,
     link::{
-        history::History,
-        intervals::{Action, IntervalTable},
-        number::LinkNumber,
-        open_links::OpenLinks,
-        path::AcceptPaths,
-        reroute_holdoff::Holdoff,
-        status::NodeStatus,
-        table::LinkTable,
-        LinkBle,
+        history::History, number::LinkNumber, open_links::OpenLinks, path::AcceptPaths,
+        reroute_holdoff::Holdoff, status::NodeStatus, table::LinkTable, LinkBle,
     },
-    protocol::hello::{Intervals, NodeId},
-    protocol::secret::Secret,
-    radio::{Radio, RadioError},
     rejected_peers::RejectedPeers,
 };
 
@@ -45,7 +40,7 @@ pub(crate) struct Node {
     /// Channel on which Zenoh takes accepted links; the same for all link managers of a runtime.
     pub(crate) new_links: NewLinkChannelSender,
     link_table: Mutex<LinkTable>,
-    intervals: Mutex<IntervalTable>,
+    intervals: Mutex<IntervalTable<LinkNumber>>,
     /// Cancelled when the node must not dial any more.
     pub(crate) stop_dialling: CancellationToken,
     /// Notified whenever a link or a dial ends.
@@ -115,7 +110,7 @@ impl Node {
     }
 
     /// Locks the table of connection intervals.
-    pub(crate) fn intervals(&self) -> MutexGuard<'_, IntervalTable> {
+    pub(crate) fn intervals(&self) -> MutexGuard<'_, IntervalTable<LinkNumber>> {
         self.intervals.lock()
     }
 
@@ -132,7 +127,7 @@ impl Node {
     }
 
     /// Performs an action of the table of connection intervals, in a task of its own.
-    pub(crate) fn perform(&self, action: Option<Action>) {
+    pub(crate) fn perform(&self, action: Option<Action<LinkNumber>>) {
         let Some(Action::Change(number, interval) | Action::Request(number, interval)) = action
         else {
             return;

@@ -2,17 +2,14 @@
 //! batches.
 use std::sync::Arc;
 
+use link_lanes::{
+    hello::{NodeId, PathOf, Refusal},
+    key_agreement::Exporter,
+    lanes::Lane,
+};
 use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
-use crate::{
-    error::BleError,
-    link::LinkBle,
-    protocol::{
-        hello::{NodeId, PathOf, Refusal},
-        key_agreement::Exporter,
-        lanes::Lane,
-    },
-};
+use crate::{error::BleError, link::LinkBle};
 
 /// Takes the paths that peers open.
 pub trait AcceptPaths: Send + Sync {

@@ -2,14 +2,14 @@
 //! without lanes.
 use std::sync::Arc;
 
+use link_lanes::lanes::report::Count;
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::Channel;
 
 use crate::{
     error::BleError,
     link::traffic::{send_timed_out, SEND_TIMEOUT},
-    protocol::lanes::report::Count,
-    radio::Channel,
 };
 
 /// The batches of a link with a plain peer.

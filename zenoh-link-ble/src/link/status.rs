@@ -1,13 +1,10 @@
 //! Defines what a node reports about its links and their lanes.
 use std::time::{Duration, Instant};
 
+use link_lanes::lanes::{report::Count, Lane, Lanes};
 use serde::Serialize;
 
-use crate::{
-    discovered::DiscoveredStatus,
-    link::history::PeerStatus,
-    protocol::lanes::{report::Count, Lane, Lanes},
-};
+use crate::{discovered::DiscoveredStatus, link::history::PeerStatus};
 
 /// The `ble` links of one Zenoh runtime.
 #[derive(Clone, Debug, Serialize)]

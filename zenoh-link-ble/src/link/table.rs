@@ -9,13 +9,13 @@ use std::{
     time::{Duration, Instant},
 };
 
+use link_lanes::hello::{Hello, NodeId, Refusal};
 use tokio_util::sync::CancellationToken;
+use zenoh_link_ble_radio::address::DeviceAddress;
 
 use crate::{
-    address::DeviceAddress,
     link::reroute_holdoff::{Holdoff, RerouteHoldoff},
     locator::Target,
-    protocol::hello::{Hello, NodeId, Refusal},
 };
 
 pub use crate::link::number::LinkNumber;

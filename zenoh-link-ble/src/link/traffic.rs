@@ -2,17 +2,9 @@
 //! the kernel loses nothing and signals arrive. Zenoh's writers and readers use only the lanes.
 use std::{future::Future, sync::Arc, time::Duration};
 
-use parking_lot::Mutex;
-use tokio::{sync::Notify, time::Instant};
-use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
-
-use crate::{
-    error::{describe, BleError},
-    handshake::drain_until_closed,
-    interval::ConnectionInterval,
-    link::{close_once::CloseOnce, interval_events::IntervalEvents, status::LanesStatus},
-    protocol::goodbye::Goodbye,
-    protocol::lanes::{
+use link_lanes::{
+    goodbye::Goodbye,
+    lanes::{
         ack_timer::ACK_TIMEOUT,
         receiver::Violation,
         report::Count,
@@ -20,7 +12,16 @@ use crate::{
         sdu::Protection,
         Change, Lane, Lanes, LANES,
     },
-    radio::{Channel, RadioError},
+};
+use parking_lot::Mutex;
+use tokio::{sync::Notify, time::Instant};
+use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
+use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel, RadioError};
+
+use crate::{
+    error::{describe, BleError},
+    handshake::drain_until_closed,
+    link::{close_once::CloseOnce, interval_events::IntervalEvents, status::LanesStatus},
 };
 
 /// How long an SDU may wait for room in the controller before the link ends. Zenoh's own lease (10 s) ends a silent link

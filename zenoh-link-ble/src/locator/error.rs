@@ -1,5 +1,5 @@
 //! Defines what can be wrong with a locator, with messages for the user who wrote it.
-use crate::protocol::hello::MAX_NAME;
+use link_lanes::hello::MAX_NAME;
 
 /// Why a locator is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

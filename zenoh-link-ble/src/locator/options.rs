@@ -1,17 +1,16 @@
 //! Parses the options of a locator, with a description of the valid values for each one.
 use std::{ops::RangeInclusive, path::PathBuf, time::Duration};
 
+use link_lanes::{hello::MIN_MTU, lanes::scheduler::Bounds};
+use zenoh_link_ble_radio::{
+    address::{AddressType, Psm},
+    Security,
+};
 use zenoh_protocol::core::EndPoint;
 
 use super::{
     is_adapter, is_name, LocatorError, Queueing, DEFAULT_CONNECT_TIMEOUT, DEFAULT_MAX_LINKS,
     DEFAULT_MTU, MAX_MTU,
-};
-use crate::{
-    address::{AddressType, Psm},
-    protocol::hello::MIN_MTU,
-    protocol::lanes::scheduler::Bounds,
-    radio::Security,
 };
 
 /// The part of a locator after `#`: keys and values.

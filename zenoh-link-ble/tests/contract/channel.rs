@@ -1,9 +1,9 @@
 //! Contract of a radio's advertising, scanning and channels.
 use std::time::Duration;
 
-use zenoh_link_ble::{
+use zenoh_link_ble_radio::{
     address::{Address, AddressType, DeviceAddress, Psm},
-    radio::{ChannelOptions, RadioError, Security},
+    ChannelOptions, RadioError, Security,
 };
 
 use super::{advertisement, channel_pair, channel_pair_with, Paced, World};

@@ -1,9 +1,9 @@
 //! Limits on the memory that a peer can make this side use: a lane that is not read has a bound.
-use zenoh_link_ble::{
-    locator::DEFAULT_MTU,
-    protocol::goodbye::Goodbye,
-    protocol::lanes::{credits::cost, receiver::HIGH_WATERMARK, Lane, LANES},
+use link_lanes::{
+    goodbye::Goodbye,
+    lanes::{credits::cost, receiver::HIGH_WATERMARK, Lane, LANES},
 };
+use zenoh_link_ble::locator::DEFAULT_MTU;
 use zenoh_link_commons::LinkUnicast;
 use zenoh_protocol::core::Priority;
 

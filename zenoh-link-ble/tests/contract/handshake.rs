@@ -1,15 +1,15 @@
 //! Contract of the handshake: the response of a listener to the first SDU of a channel, and the negotiated values.
 use std::convert::Infallible;
 
-use zenoh_link_ble::{
-    protocol::hello::{HandshakeMessage, Hello, Refusal, MIN_MTU, VERSION},
-    protocol::lanes::{
+use link_lanes::{
+    hello::{HandshakeMessage, Hello, Refusal, MIN_MTU, VERSION},
+    lanes::{
         credits::MIN_WINDOW,
         sdu::{Content, Protection},
         Lane,
     },
-    radio::ChannelOptions,
 };
+use zenoh_link_ble_radio::ChannelOptions;
 
 use super::World;
 use crate::shared::{

@@ -1,5 +1,5 @@
 //! Peers that open channels without completing the handshake, or close them immediately.
-use zenoh_link_ble::protocol::hello::{HandshakeMessage, Hello, NodeId};
+use link_lanes::hello::{HandshakeMessage, Hello, NodeId};
 
 use super::World;
 use crate::shared::{

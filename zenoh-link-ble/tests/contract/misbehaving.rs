@@ -1,19 +1,18 @@
 //! Protocol violations of a peer, which must affect only its own link.
 use std::{sync::Arc, time::Duration};
 
-use tokio::time::Instant;
-use zenoh_link_ble::{
-    locator::DEFAULT_MTU,
-    protocol::goodbye::Goodbye,
-    protocol::hello::{HandshakeMessage, Hello, VERSION},
-    protocol::lanes::{
+use link_lanes::{
+    goodbye::Goodbye,
+    hello::{HandshakeMessage, Hello, VERSION},
+    lanes::{
         credits::cost,
         sdu::{Content, Sealer},
         Lane,
     },
-    radio::Channel,
-    status,
 };
+use tokio::time::Instant;
+use zenoh_link_ble::{locator::DEFAULT_MTU, status};
+use zenoh_link_ble_radio::Channel;
 use zenoh_link_commons::LinkUnicast;
 use zenoh_protocol::core::Priority;
 

@@ -1,4 +1,4 @@
-//! Defines the link contract: the tests that every radio must pass. `contract_sim.rs` runs it on the simulated air in
+//! Defines the link contract: the tests that every radio must pass. `sim/link_contract.rs` runs it on the simulated air in
 //! virtual time, `contract_bluez.rs` on the Bluetooth stack of the kernel (in the VM: `tests/vm/test`).
 pub mod channel;
 pub mod flooding;
@@ -10,10 +10,7 @@ pub mod secret;
 
 use std::sync::Arc;
 
-use zenoh_link_ble::{
-    address::Psm,
-    radio::{Channel, ChannelListener, ChannelOptions, Radio},
-};
+use zenoh_link_ble_radio::{address::Psm, Channel, ChannelListener, ChannelOptions, Radio};
 
 use crate::shared::{listener::OPTIONS, peer::within};
 
@@ -46,11 +43,11 @@ impl Drop for Paced<'_> {
 }
 
 /// Returns the advertisement of a test listener.
-pub fn advertisement(psm: Psm, name: &str) -> zenoh_link_ble::advertisement::Advertisement {
-    zenoh_link_ble::advertisement::Advertisement {
+pub fn advertisement(psm: Psm, name: &str) -> zenoh_link_ble_radio::advertisement::Advertisement {
+    zenoh_link_ble_radio::advertisement::Advertisement {
         psm,
         plain: false,
-        name_hash: zenoh_link_ble::advertisement::Advertisement::hash_of_name(name),
+        name_hash: zenoh_link_ble_radio::advertisement::Advertisement::hash_of_name(name),
         fleet_hash: 0,
         incarnation: 1,
     }

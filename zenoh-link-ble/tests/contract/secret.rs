@@ -2,17 +2,16 @@
 //! rejected. A link with a secret is encrypted, and an SDU that the peer has not sealed ends it.
 use std::sync::Arc;
 
-use tempfile::TempDir;
-use zenoh_link_ble::{
-    advertisement::Advertisement,
-    protocol::goodbye::Goodbye,
-    protocol::hello::{HandshakeMessage, Key, Refusal, VERSION},
-    protocol::key_agreement::{Initiator, KEY_MESSAGE_BYTES},
-    protocol::lanes::{sdu::Content, Lane},
-    protocol::sealed_message,
-    protocol::secret::Secret,
-    radio::Channel,
+use link_lanes::{
+    goodbye::Goodbye,
+    hello::{HandshakeMessage, Key, Refusal, VERSION},
+    key_agreement::{Initiator, KEY_MESSAGE_BYTES},
+    lanes::{sdu::Content, Lane},
+    sealed_message,
+    secret::Secret,
 };
+use tempfile::TempDir;
+use zenoh_link_ble_radio::{advertisement::Advertisement, Channel};
 
 use super::{advertisement, misbehaving::assert_link_ends, World};
 use crate::shared::{

@@ -2,7 +2,7 @@
 //! pair.
 use std::{collections::BTreeMap, fs, path::Path};
 
-use zenoh_link_ble::radio::{ChannelOptions, Security};
+use zenoh_link_ble_radio::{ChannelOptions, Security};
 
 use crate::{
     contract::{

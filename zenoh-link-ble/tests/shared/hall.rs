@@ -11,13 +11,8 @@ use std::{
 use parking_lot::Mutex;
 use rand_pcg::{rand_core::RngCore, Pcg32};
 use tokio::time::{sleep, timeout, Instant};
-use zenoh_link_ble::{
-    interval::ConnectionInterval,
-    radio::{
-        sim::{AdapterStats, AirOptions, LinkStatus, SimAir},
-        Radio,
-    },
-};
+use zenoh_link_ble_air::{AdapterStats, AirOptions, LinkStatus, SimAir};
+use zenoh_link_ble_radio::{interval::ConnectionInterval, Radio};
 use zenoh_link_commons::LinkUnicast;
 use zenoh_protocol::core::Priority;
 

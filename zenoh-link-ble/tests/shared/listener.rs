@@ -1,10 +1,7 @@
 //! Finds a listener and its PSM, for tests that open channels directly.
 use std::sync::Arc;
 
-use zenoh_link_ble::{
-    address::Psm,
-    radio::{ChannelOptions, Radio, Security},
-};
+use zenoh_link_ble_radio::{address::Psm, ChannelOptions, Radio, Security};
 
 use super::peer::within;
 

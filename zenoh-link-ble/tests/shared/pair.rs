@@ -2,13 +2,9 @@
 use std::{sync::Arc, time::Duration};
 
 use tokio::{runtime::Handle, time::Instant};
-use zenoh_link_ble::{
-    radio::{
-        sim::{AirOptions, Condition, SimAir},
-        Radio,
-    },
-    LinkCounts,
-};
+use zenoh_link_ble::LinkCounts;
+use zenoh_link_ble_air::{AirOptions, Condition, SimAir};
+use zenoh_link_ble_radio::Radio;
 use zenoh_link_commons::LinkUnicast;
 
 use crate::shared::peer::{assert_delivers, Peer};

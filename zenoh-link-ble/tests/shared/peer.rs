@@ -1,8 +1,10 @@
 //! Provides a node as Zenoh uses it: it listens, dials and accepts links. Each step has a timeout.
 use std::{cell::Cell, future::Future, sync::Arc, time::Duration};
 
+use link_lanes::hello::NodeId;
 use tokio::runtime::Handle;
-use zenoh_link_ble::{protocol::hello::NodeId, radio::Radio, LinkManagerUnicastBle};
+use zenoh_link_ble::LinkManagerUnicastBle;
+use zenoh_link_ble_radio::Radio;
 use zenoh_link_commons::{LinkManagerUnicastTrait, LinkUnicast};
 use zenoh_result::ZResult;
 

@@ -1,16 +1,16 @@
 //! Provides a peer that works directly on a channel and can violate the link protocol.
 use std::{convert::Infallible, sync::Arc};
 
-use zenoh_link_ble::{
-    locator::DEFAULT_MTU,
-    protocol::hello::{HandshakeMessage, Hello, NodeId, VERSION},
-    protocol::lanes::{
+use link_lanes::{
+    hello::{HandshakeMessage, Hello, NodeId, VERSION},
+    lanes::{
         credits::{cost, Allowance},
         sdu::{Content, Protection},
         Lane,
     },
-    radio::{Channel, ChannelOptions, Radio},
 };
+use zenoh_link_ble::locator::DEFAULT_MTU;
+use zenoh_link_ble_radio::{Channel, ChannelOptions, Radio};
 
 use super::{
     listener::{psm_of, OPTIONS},

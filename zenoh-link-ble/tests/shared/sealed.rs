@@ -1,15 +1,15 @@
 //! Provides the handshake of a raw peer with a secret.
 use std::sync::Arc;
 
-use zenoh_link_ble::{
-    protocol::hello::{HandshakeMessage, Hello, Key, VERSION},
-    protocol::key_agreement::Initiator,
-    protocol::lanes::sdu::Protection,
-    protocol::seal::LinkKeys,
-    protocol::sealed_message,
-    protocol::secret::Secret,
-    radio::{Channel, Radio},
+use link_lanes::{
+    hello::{HandshakeMessage, Hello, Key, VERSION},
+    key_agreement::Initiator,
+    lanes::sdu::Protection,
+    seal::LinkKeys,
+    sealed_message,
+    secret::Secret,
 };
+use zenoh_link_ble_radio::{Channel, Radio};
 
 use super::{
     peer::within,

@@ -2,7 +2,7 @@
 use std::path::{Path, PathBuf};
 
 use tokio::runtime::{Builder, Runtime};
-use zenoh_link::ble::radio::sim::{self, AirOptions, AirServer, Condition};
+use zenoh_link_ble_air::{AirOptions, AirServer, Condition};
 
 use super::Failure;
 
@@ -23,7 +23,7 @@ impl Air {
             .worker_threads(1)
             .enable_all()
             .build()?;
-        let (default, own) = (sim::socket_path(), folder.join("air.sock"));
+        let (default, own) = (zenoh_link_ble_air::socket_path(), folder.join("air.sock"));
         let options = || AirOptions {
             condition,
             ..AirOptions::default()
@@ -47,6 +47,6 @@ impl Air {
 
     /// Returns the path of its socket if that is not the default, so that programs need `RECT_AIR` to find it.
     pub fn non_default_socket(&self) -> Option<&Path> {
-        (self.socket != sim::socket_path()).then_some(&self.socket)
+        (self.socket != zenoh_link_ble_air::socket_path()).then_some(&self.socket)
     }
 }

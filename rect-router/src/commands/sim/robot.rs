@@ -16,7 +16,7 @@ use nix::{
 use rect::core::endpoint;
 use serde_json::json;
 use zenoh::Session;
-use zenoh_link::ble::radio::sim::SOCKET_VARIABLE;
+use zenoh_link_ble_air::SOCKET_VARIABLE;
 
 use super::{Air, Failure};
 use crate::{

@@ -11,7 +11,6 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use zenoh_link_ble::radio::bluez;
 
 /// Commands that describe the adapters, if they are installed: claimed features, PHYs and roles; chip and firmware; BlueZ.
 const COMMANDS: [&[&str]; 5] = [
@@ -62,7 +61,7 @@ impl Computer {
             .iter()
             .flat_map(|text| text.lines())
             .find_map(|line| line.strip_prefix("PRETTY_NAME="));
-        let adapters = bluez::adapters(root);
+        let adapters = zenoh_link_ble_bluez::adapters(root);
         Self {
             model: model.iter().find_map(|path| text(root, path)),
             system: system.map(|name| name.trim_matches('"').to_owned()),

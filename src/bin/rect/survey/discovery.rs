@@ -6,10 +6,8 @@ use std::{
 
 use rect::Name;
 use tokio::time::timeout;
-use zenoh_link_ble::{
-    locator::is_simulated,
-    radio::{bluez, sim, Radio, RadioError},
-};
+use zenoh_link_ble::locator::is_simulated;
+use zenoh_link_ble_radio::{Radio, RadioError};
 
 use super::document::Discovery;
 
@@ -23,8 +21,8 @@ pub async fn measure(adapter: &str, other: &Name) -> Discovery {
     let mut discovery = Discovery::default();
     let mut signals = Vec::new();
     let opened: Result<Arc<dyn Radio>, _> = match is_simulated(adapter) {
-        true => sim::radio(adapter),
-        false => bluez::radio(Some(adapter)),
+        true => zenoh_link_ble_air::radio(adapter),
+        false => zenoh_link_ble_bluez::radio(Some(adapter)),
     };
     let radio = match opened {
         Ok(radio) => radio,

@@ -1,6 +1,6 @@
 //! Derives what to expect from theory and the simulated air, and names what deviates from it.
 use serde_json::{json, Value};
-use zenoh_link_ble::radio::sim::{LlPayload, Phy};
+use zenoh_link_ble_air::{LlPayload, Phy};
 
 use super::{
     document::{Place, RoundTripSummary, Survey},

@@ -1,6 +1,7 @@
 //! Tests the table of links: `cargo test -p zenoh-link-ble --lib link::table`
+use zenoh_link_ble_radio::address::{Address, AddressType};
+
 use super::*;
-use crate::address::{Address, AddressType};
 
 const LOW: NodeId = NodeId(1);
 const HIGH: NodeId = NodeId(2);

@@ -1,0 +1,136 @@
+//! Tests of the key agreement: `cargo test -p link-lanes --lib key_agreement`
+use std::convert::Infallible;
+
+use serde::Deserialize;
+
+use super::*;
+use crate::hello::{HandshakeMessage, Key, VERSION};
+
+fn secret(text: &str) -> Secret {
+    Secret::new(text.as_bytes()).expect("long enough")
+}
+
+fn header() -> [u8; 6] {
+    Key::header(VERSION)
+}
+
+fn seal(keys: &mut LinkKeys, sdu: &[u8]) -> Vec<u8> {
+    let mut sdu = sdu.to_vec();
+    let Ok(_) = keys.sealing.seal(&mut sdu, |_| Ok::<_, Infallible>(true));
+    sdu
+}
+
+#[test]
+fn two_nodes_with_the_same_secret_agree_on_the_same_keys() {
+    let own = secret("a secret of 16 bytes");
+    let (initiator, message) = Initiator::start(&own, &header()).expect("starts");
+    let (answer, mut listener) = respond(&own, &header(), &message).expect("answers");
+    let mut dialler = initiator.finish(&answer).expect("the same secret");
+    for text in [b"\x00one", b"\x00two"] {
+        let mut there = seal(&mut dialler.keys, text);
+        assert_eq!(listener.keys.opening.open(&mut there), Ok(&text[..]));
+        let mut back = seal(&mut listener.keys, text);
+        assert_eq!(dialler.keys.opening.open(&mut back), Ok(&text[..]));
+    }
+    assert_eq!(dialler.exporter.key("path"), listener.exporter.key("path"));
+    assert_ne!(dialler.exporter.key("path"), dialler.exporter.key("other"));
+}
+
+#[test]
+fn another_secret_header_or_message_is_detected() {
+    let own = secret("a secret of 16 bytes");
+    let (ours, theirs) = (header(), Key::header(VERSION + 1));
+    for (listener, seen) in [
+        (secret("a secret of 17 bytes"), ours),
+        // A version that was changed on the way ends the handshake.
+        (own.clone(), theirs),
+    ] {
+        let (initiator, message) = Initiator::start(&own, &ours).expect("starts");
+        if let Ok((answer, _)) = respond(&listener, &seen, &message) {
+            assert!(initiator.finish(&answer).is_err());
+        }
+    }
+    for bit in 0..8 * KEY_MESSAGE_BYTES {
+        let (initiator, mut message) = Initiator::start(&own, &ours).expect("starts");
+        let (mut answer, _) = respond(&own, &ours, &message).expect("answers");
+        answer[bit / 8] ^= 1 << (bit % 8);
+        let expected = Some(KeyError::NoSharedSecret);
+        assert_eq!(initiator.finish(&answer).err(), expected, "bit {bit}");
+        let (initiator, _) = Initiator::start(&own, &ours).expect("starts");
+        message[bit / 8] ^= 1 << (bit % 8);
+        if let Ok((answer, _)) = respond(&own, &ours, &message) {
+            assert!(initiator.finish(&answer).is_err(), "bit {bit}");
+        }
+    }
+}
+
+/// A listener whose keys nobody else can compute has nothing to fear from a replayed first message.
+#[test]
+fn replayed_first_message_yields_new_keys() {
+    let own = secret("a secret of 16 bytes");
+    let (initiator, message) = Initiator::start(&own, &header()).expect("starts");
+    let (answer, _) = respond(&own, &header(), &message).expect("answers");
+    let (again, mut replayed) = respond(&own, &header(), &message).expect("answers");
+    assert_ne!(answer, again);
+    let mut dialler = initiator.finish(&answer).expect("the same secret");
+    let mut recorded = seal(&mut dialler.keys, b"\xf0RECT");
+    assert!(replayed.keys.opening.open(&mut recorded).is_err());
+}
+
+/// The values that an independent implementation (`tests/protocol/link_keys.py`) has computed.
+#[derive(Deserialize)]
+struct Vectors {
+    secret: String,
+    dialler_ephemeral: String,
+    listener_ephemeral: String,
+    pre_shared_key: String,
+    key: String,
+    key_answer: String,
+    export_path: String,
+    dialler: Vec<Sdu>,
+    listener: Vec<Sdu>,
+}
+
+/// An SDU before and after it is sealed.
+#[derive(Deserialize)]
+struct Sdu {
+    content: String,
+    sealed: String,
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    let digit = |at: usize| u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal");
+    (0..hex.len()).step_by(2).map(digit).collect()
+}
+
+fn array(hex: &str) -> Derived {
+    bytes(hex).try_into().expect("32 bytes")
+}
+
+#[test]
+fn agrees_with_an_independent_implementation() {
+    let text = include_str!("../../vectors/version-2.json");
+    let vectors: Vectors = serde_json::from_str(text).expect("valid");
+    let own = secret(&vectors.secret);
+    assert_eq!(own.pre_shared_key(), array(&vectors.pre_shared_key));
+    let ephemerals = [&vectors.dialler_ephemeral, &vectors.listener_ephemeral];
+    let [ephemeral, answering] = ephemerals.map(|hex| array(hex));
+    let started = Initiator::start_with(&own, &header(), Some(&ephemeral));
+    let (initiator, message) = started.expect("starts");
+    let version = VERSION;
+    let key = HandshakeMessage::Key(Key { version, message });
+    assert_eq!(key.encode(), bytes(&vectors.key));
+    let answered = respond_with(&own, &header(), &message, Some(&answering));
+    let (message, mut listener) = answered.expect("answers");
+    let answer = HandshakeMessage::KeyAnswer(Key { version, message });
+    assert_eq!(answer.encode(), bytes(&vectors.key_answer));
+    let mut dialler = initiator.finish(&message).expect("the same secret");
+    assert_eq!(dialler.exporter.key("path"), array(&vectors.export_path));
+    let keys = [&mut dialler.keys, &mut listener.keys];
+    for (keys, sdus) in keys.into_iter().zip([vectors.dialler, vectors.listener]) {
+        for sdu in sdus {
+            let sealed = seal(keys, &bytes(&sdu.content));
+            assert_eq!(sealed, bytes(&sdu.sealed), "{}", sdu.content);
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Reports the state of all `any` links of the process.
+use std::time::Duration;
+
+use link_lanes::lanes::{report::Count, Lane};
+
+use crate::{
+    hub::Hub,
+    multipath::{LaneReport, PathReport, Switch},
+};
+
+/// The state of a link.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkStatus {
+    /// The peer.
+    pub peer: String,
+    /// The addresses of locators at which the peer has answered.
+    pub addresses: Vec<String>,
+    /// How long the link has been open.
+    pub up: Duration,
+    /// Whether further paths can be added, and all are encrypted.
+    pub is_encrypted: bool,
+    /// Its paths.
+    pub paths: Vec<PathReport>,
+    /// The lanes that were used, the most urgent first.
+    pub lanes: Vec<(Lane, LaneReport)>,
+    /// The batches sent.
+    pub sent: Count,
+    /// The batches received.
+    pub received: Count,
+    /// How often the path that carries the bulk was replaced: by another one, or by itself after it had been silent.
+    pub switches: u64,
+    /// The last time it was.
+    pub last_switch: Option<Switch>,
+}
+
+/// Returns the state of each link.
+pub fn links() -> Vec<LinkStatus> {
+    let hubs = Hub::all();
+    let links = hubs
+        .iter()
+        .flat_map(|hub| hub.links().into_iter().map(move |link| (hub, link)));
+    links
+        .map(|(hub, link)| {
+            let (sent, received) = link.traffic();
+            let (switches, last_switch) = link.switches();
+            LinkStatus {
+                peer: link.peer.clone(),
+                addresses: hub.addresses_of(&link.peer),
+                up: link.since.elapsed(),
+                is_encrypted: link.proof.is_some(),
+                paths: link.paths(),
+                lanes: link.lanes(),
+                sent,
+                received,
+                switches,
+                last_switch,
+            }
+        })
+        .collect()
+}

@@ -1,3 +1,0 @@
-//! Scenarios of a contest hall.
-mod crowd;
-mod fleets;
