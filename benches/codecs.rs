@@ -4,10 +4,11 @@
 use std::{error::Error, hint::black_box, sync::Arc, time::Instant};
 
 use rect::core::{
-    codec::{self, dictionary::DictionaryCodec, Codec, Limits},
-    dictionary::Dictionary,
-    encoding::Encoding,
-    payload::{Cbor, Json, Payload, ToPayload},
+    codec::{self, dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec, Limits},
+    message::{
+        encoding::Encoding,
+        payload::{Cbor, Json, Payload, ToPayload},
+    },
 };
 use serde_json::{json, Value};
 

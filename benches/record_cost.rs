@@ -19,7 +19,7 @@ use std::{
 use mcap::records::MessageHeader;
 use processor_time::processor_time;
 use rect::{
-    core::encoding::Encoding,
+    core::message::encoding::Encoding,
     recording::{Recorder, Settings, Split},
     Message, Name, Payload, Topic,
 };

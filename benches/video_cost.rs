@@ -5,9 +5,12 @@
 use std::time::{Duration, Instant};
 
 use rect::core::{
-    codec::{jpeg::Jpeg, Codec, Limits},
-    payload::ToPayload,
-    picture::{Format, Picture},
+    codec::{
+        jpeg::Jpeg,
+        picture::{Format, Picture},
+        Codec, Limits,
+    },
+    message::payload::ToPayload,
     video::{Decoder, Encoder, Settings},
 };
 

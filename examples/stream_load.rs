@@ -23,8 +23,10 @@ use std::{
 
 use rect::{
     core::{
-        codec,
-        picture::{Format, Picture},
+        codec::{
+            self,
+            picture::{Format, Picture},
+        },
         stream::picture::LossyFormat,
     },
     Options, Robot, Stream, StreamOptions, ToPayload,

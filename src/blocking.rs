@@ -30,7 +30,7 @@ pub use self::{
     transfer::Transfers,
 };
 use crate::{
-    core::{codec::Codec, dictionary::Dictionary},
+    core::codec::{dictionary::Dictionary, Codec},
     session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
     QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
 };

@@ -4,15 +4,15 @@ use std::{path::PathBuf, time::Duration};
 use zenoh::session::SessionClosedError;
 
 use crate::core::{
-    codec::CodecError,
-    dictionary::DictionaryError,
-    humanize,
-    login::LoginRefused,
-    name::{Name, NameError},
-    payload::{Payload, PayloadError},
-    router::WrongRobot,
+    codec::{dictionary::DictionaryError, CodecError},
+    message::payload::{Payload, PayloadError},
+    name::{
+        topic::{Topic, TopicError},
+        Name, NameError,
+    },
+    session::{login::LoginRefused, router::WrongRobot},
     stream::options::OptionError,
-    topic::{Topic, TopicError},
+    text::humanize,
     transfer::{Fault, OfferError, Refusal},
 };
 

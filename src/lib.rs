@@ -34,17 +34,24 @@ pub use error::Error;
 pub use session::*;
 
 pub use crate::core::{
-    connection::{
-        Connection, ConnectionState, Event, Link, LinkPath, LinkPathState, PathSwitch, SwitchReason,
+    message::{
+        counters::Counters,
+        encoding::Encoding,
+        payload::{Cbor, Json, Payload, ToPayload},
+        queue::WhenFull,
+        urgency::Urgency,
+        Message,
     },
-    counters::Counters,
-    encoding::Encoding,
-    message::Message,
-    name::Name,
-    named_connection::NamedConnection,
-    payload::{Cbor, Json, Payload, ToPayload},
-    queue::WhenFull,
+    name::{
+        topic::{Pattern, Topic},
+        Name,
+    },
+    registry::{
+        connection::{
+            Connection, ConnectionState, Event, Link, LinkPath, LinkPathState, PathSwitch,
+            SwitchReason,
+        },
+        named_connection::NamedConnection,
+    },
     stream::sender::Options as StreamOptions,
-    topic::{Pattern, Topic},
-    urgency::Urgency,
 };

@@ -1,5 +1,5 @@
 //! Prints lines, colours and tables for the programs `rect` and `rect-router`. Text from other robots has to pass
-//! [`core::display`](crate::core::display) first, which replaces control characters.
+//! [`core::display`](crate::core::text::display) first, which replaces control characters.
 //!
 //! The programs use [`outln!`](crate::outln) and [`errln!`](crate::errln) instead of `println!` and `eprintln!`, which panic
 //! if the reading end of a pipe is closed.

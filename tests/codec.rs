@@ -6,11 +6,12 @@ use std::{sync::Arc, time::Duration};
 
 use pair::{pair, TIMEOUT};
 use rect::{
-    core::{
+    core::codec::{
         array::Array,
-        codec::{parse, CodecError, Limits},
         dictionary::Dictionary,
+        parse,
         picture::{Format, Picture},
+        CodecError, Limits,
     },
     Encoding, Json, Message, Payload, Robot, Subscriber,
 };

@@ -8,14 +8,21 @@
 use std::{path::PathBuf, sync::Arc};
 
 use rect::core::{
-    attachment::{Attachment, Sent},
-    codec::{self, CodecError, Limits},
-    dictionary::{Dictionaries, Dictionary},
-    encoding::Encoding,
-    key::KeySpace,
-    name::Name,
-    payload::{Payload, PayloadError},
-    topic::{Pattern, Topic},
+    codec::{
+        self,
+        dictionary::{Dictionaries, Dictionary},
+        CodecError, Limits,
+    },
+    message::{
+        attachment::{Attachment, Sent},
+        encoding::Encoding,
+        payload::{Payload, PayloadError},
+    },
+    name::{
+        key::KeySpace,
+        topic::{Pattern, Topic},
+        Name,
+    },
 };
 use serde_json::{json, Value};
 

@@ -15,12 +15,13 @@ use pair::{free_endpoint, pair, stock_client, TIMEOUT};
 use rect::{
     blocking,
     core::{
-        encoding::Encoding,
-        picture::{Format, Picture},
+        codec::picture::{Format, Picture},
+        message::encoding::Encoding,
         video::bitstream::is_key_frame,
     },
     recording::{
-        file, file::OpenFile, segments, Entry, ReadError, Reader, Recorder, Settings, Split,
+        file::{self, OpenFile},
+        segments, Entry, ReadError, Reader, Recorder, Settings, Split,
     },
     Json, Message, Name, Options, Payload, QueueOptions, RecordOptions, StreamOptions, Topic,
     Urgency, WhenFull,

@@ -13,7 +13,7 @@ use std::{
 use pair::{pair, TIMEOUT};
 use rect::{
     core::{
-        picture::{Format, Picture},
+        codec::picture::{Format, Picture},
         stream::ladder::{Coding, Step, PICTURES},
         video::bitstream::is_key_frame,
     },

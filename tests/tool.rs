@@ -284,8 +284,12 @@ fn stream_send_publishes_pictures() {
     let (a, endpoint) = robot("a");
     let folder = tempfile::tempdir().expect("a folder");
     let pixels: Vec<u8> = (0..64 * 48 * 3u32).map(|n| n as u8).collect();
-    let picture =
-        rect::core::picture::Picture::new(64, 48, rect::core::picture::Format::Rgb8, pixels);
+    let picture = rect::core::codec::picture::Picture::new(
+        64,
+        48,
+        rect::core::codec::picture::Format::Rgb8,
+        pixels,
+    );
     let raw = rect::ToPayload::to_payload(&picture.expect("a picture")).expect("a payload");
     let png = rect::core::codec::parse("png")
         .expect("a codec")
@@ -349,7 +353,7 @@ fn dictionary_is_trained_from_a_recording() {
         output_text.contains("with 1600 messages") && output_text.contains("400 other messages"),
         "{output_text}"
     );
-    rect::core::dictionary::Dictionary::read(&output).expect("a dictionary");
+    rect::core::codec::dictionary::Dictionary::read(&output).expect("a dictionary");
     let nothing = ran(&["dictionary", "train", "/none.jsonl", "-o", "/none"]);
     assert!(
         text(&nothing.stderr).contains("/none.jsonl"),

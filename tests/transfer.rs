@@ -18,7 +18,7 @@ use std::{
 use pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use rect::{
     core::{
-        encoding::Encoding,
+        message::encoding::Encoding,
         transfer::{offer::FileName, Answer, Checksum, Fault, Offer, Refusal, Request},
     },
     storage::Content,

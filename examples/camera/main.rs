@@ -5,9 +5,9 @@
 use std::time::Duration;
 
 use rect::{
-    core::{
-        codec::Limits,
+    core::codec::{
         picture::{Format, Picture},
+        Limits,
     },
     StreamOptions,
 };

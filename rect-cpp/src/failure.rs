@@ -1,8 +1,11 @@
 //! Lists the failures of the C interface: the codes that C receives, their texts and their causes.
 use rect::{
     core::{
-        codec::CodecError, dictionary::DictionaryError, humanize, name::NameError,
-        payload::PayloadError, topic::TopicError, transfer::OfferError,
+        codec::{dictionary::DictionaryError, CodecError},
+        message::payload::PayloadError,
+        name::{topic::TopicError, NameError},
+        text::humanize,
+        transfer::OfferError,
     },
     Error,
 };

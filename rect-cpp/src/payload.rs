@@ -6,7 +6,10 @@ use std::{
 
 use bytes::Bytes;
 use rect::{
-    core::{cause::Cause, encoding, payload::PayloadError},
+    core::{
+        cause::Cause,
+        message::{encoding, payload::PayloadError},
+    },
     Encoding, Payload,
 };
 

@@ -7,10 +7,11 @@ use std::{
 
 use bytes::Bytes;
 use rect::core::{
-    codec::Limits,
-    encoding,
-    payload::ToPayload,
-    picture::{Format as LibraryFormat, Picture as LibraryPicture},
+    codec::{
+        picture::{Format as LibraryFormat, Picture as LibraryPicture},
+        Limits,
+    },
+    message::{encoding, payload::ToPayload},
 };
 
 use crate::{

@@ -1,5 +1,5 @@
 //! Converts the counts of a subscriber's messages, by sender, into the form that C receives.
-use rect::{core::gaps::SenderCounts as Counts, Name};
+use rect::{core::message::gaps::SenderCounts as Counts, Name};
 
 use crate::{
     handle::{self, Object},

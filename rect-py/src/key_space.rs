@@ -2,13 +2,13 @@
 use pyo3::prelude::*;
 use rect::core::{
     codec,
-    encoding::Encoding,
-    key,
-    name::Name,
-    payload::PayloadError,
-    publication::PublicationKey,
-    topic::{Pattern, Topic},
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::PayloadError, urgency::Urgency},
+    name::{
+        key,
+        topic::{Pattern, Topic},
+        Name,
+    },
+    session::publication::PublicationKey,
 };
 
 use crate::errors::OrRaise;

@@ -2,11 +2,13 @@
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
 use rect::core::{
-    array::{Array, Element},
     cause::Cause,
-    codec::CodecError,
-    payload::ToPayload,
-    picture::{Format, Picture},
+    codec::{
+        array::{Array, Element},
+        picture::{Format, Picture},
+        CodecError,
+    },
+    message::payload::ToPayload,
 };
 
 use crate::{

@@ -9,8 +9,9 @@ use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes};
 use rect::{
     core::{
-        connection::Connection, encoding::Encoding, key, message::Message, name::Name,
-        payload::Payload,
+        message::{encoding::Encoding, payload::Payload, Message},
+        name::{key, Name},
+        registry::connection::Connection,
     },
     recording::{
         self,

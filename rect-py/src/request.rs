@@ -7,11 +7,11 @@ use pyo3::{
     types::{PyBytes, PyTuple},
 };
 use rect::core::{
-    encoding::Encoding,
-    inquiry::{self, ReplyKind},
-    payload::Payload,
-    request::error_to_payload,
-    service::{self, Requester},
+    message::{encoding::Encoding, payload::Payload, request::error_to_payload},
+    session::{
+        inquiry::{self, ReplyKind},
+        service::{self, Requester},
+    },
 };
 
 use crate::{

@@ -9,7 +9,7 @@ use pyo3::{
 };
 use rect::core::{
     cause::Cause,
-    payload::{Cbor, Json, PayloadError, ToPayload, MAX_DEPTH},
+    message::payload::{Cbor, Json, PayloadError, ToPayload, MAX_DEPTH},
 };
 use serde::{
     de::{MapAccess, SeqAccess, Visitor},

@@ -16,7 +16,7 @@ mod wifi;
 use std::{env, process::ExitCode};
 
 use rect::{
-    core::{display, humanize},
+    core::text::{display, humanize},
     terminal::{paint_err, Style},
 };
 

@@ -6,7 +6,7 @@
 
 use std::process::ExitCode;
 
-use rect::core::humanize;
+use rect::core::text::humanize;
 use rect_router::{
     args, commands,
     config::{self, SessionSettings},

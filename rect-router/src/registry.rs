@@ -19,8 +19,8 @@ use std::{
 };
 
 use rect::core::{
-    connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
-    humanize,
+    registry::connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
+    text::humanize,
 };
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};

@@ -18,7 +18,7 @@ use zenoh::{
     Config, Session, Wait,
 };
 
-use rect::core::humanize;
+use rect::core::text::humanize;
 
 use crate::{
     limits::SessionLimits,

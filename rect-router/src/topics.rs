@@ -17,8 +17,8 @@ use std::{
 
 use parking_lot::Mutex;
 use rect::core::{
-    attachment::Attachment,
-    topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
+    message::attachment::Attachment,
+    registry::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
 };
 use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 

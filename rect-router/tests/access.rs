@@ -11,7 +11,7 @@ use std::{
 use rect::{
     blocking,
     core::{
-        encoding::Encoding,
+        message::encoding::Encoding,
         name::Name,
         transfer::{offer::FileName, Checksum, Offer},
     },

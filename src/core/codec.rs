@@ -6,20 +6,26 @@
 //! |---|---|---|
 //! | `none` | any payload | the same payload |
 //! | `zstd[:level]`, 1 to 19, default 3 | any payload | `<encoding>;zstd` |
-//! | [`DictionaryCodec`](dictionary::DictionaryCodec), created from a dictionary | any payload | `<encoding>;zstd` |
+//! | [`DictionaryCodec`](dictionary_codec::DictionaryCodec), created from a dictionary | any payload | `<encoding>;zstd` |
 //! | `png` | raw pictures | `image/png` |
 //! | `jpeg[:quality]`, 1 to 100, default 80 | raw pictures | `image/jpeg` |
 //! | `webp[:quality]`, 1 to 100, default 80 | raw pictures | `image/webp` |
 //! | `quantised:<error>` | arrays of floats | `application/octet-stream;quantised` |
 use std::{fmt, sync::Arc};
 
-use super::{codec_error::damaged, dictionary::Dictionaries, encoding::Encoding, payload::Payload};
+use self::dictionary::Dictionaries;
+use super::message::{codec_error::damaged, encoding::Encoding, payload::Payload};
 
-pub use super::{codec_error::CodecError, limits::Limits};
+pub use self::limits::Limits;
+pub use super::message::codec_error::CodecError;
 
+pub mod array;
 pub mod dictionary;
+pub mod dictionary_codec;
 pub mod jpeg;
+mod limits;
 pub mod none;
+pub mod picture;
 pub mod png;
 pub mod quantised;
 mod values;

@@ -1,17 +1,30 @@
 //! Defines [`Message`], and [`Inbound`], which turns Zenoh samples into messages.
+pub mod attachment;
+pub(crate) mod codec_error;
+pub mod counters;
+pub mod encoding;
+pub mod expiry;
+pub mod gaps;
+pub mod payload;
+pub mod queue;
+pub mod request;
+pub mod urgency;
+
 use std::time::{Duration, Instant};
 
 use zenoh_keyexpr::keyexpr;
 
-use super::{
+use self::{
     attachment::{Attachment, Sent},
-    codec::CodecError,
+    codec_error::CodecError,
     gaps::{Gaps, SenderCounts},
-    key::{Address, AddressError, Audience, KeySpace, Selected},
-    name::Name,
     payload::Payload,
-    topic::Topic,
     urgency::Urgency,
+};
+use super::name::{
+    key::{Address, AddressError, Audience, KeySpace, Selected},
+    topic::Topic,
+    Name,
 };
 
 /// A message from another robot, or from another program of this robot.
@@ -225,7 +238,7 @@ impl Inbound {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::{encoding::Encoding, topic::Pattern};
+    use crate::core::{message::encoding::Encoding, name::topic::Pattern};
 
     fn inbound() -> Inbound {
         let name = |text| Name::new(text).expect("valid name");

@@ -1,4 +1,7 @@
 //! Defines the names of robots and fleets.
+pub mod key;
+pub mod topic;
+
 use std::{fmt, str::FromStr, sync::Arc};
 
 /// The maximum length of a name, in bytes: the capacity of a Bluetooth scan response.

@@ -1,16 +1,22 @@
 //! Drives questions to the registry of a router, and changes of its named connections (docs/reference/registry.md).
+pub mod connection;
+pub mod named_connection;
+pub mod observer;
+pub mod topics;
+
 use std::time::Instant;
 
+use self::named_connection::CONFIG;
 use super::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step},
-    encoding::Encoding,
-    key::KeySpace,
-    name::Name,
-    named_connection::CONFIG,
-    payload::Payload,
-    peers::{PeersQuery, TIMEOUT},
-    request::{error_from_payload, is_timeout},
-    urgency::Qos,
+    message::{
+        encoding::Encoding,
+        payload::Payload,
+        request::{error_from_payload, is_timeout},
+        urgency::Qos,
+    },
+    name::{key::KeySpace, Name},
+    session::peers::{PeersQuery, TIMEOUT},
 };
 
 const QUERY: Id = Id(100);
@@ -61,7 +67,7 @@ impl RegistryQuery {
     }
 
     /// Creates a change of the named connections of the router of `robot`: `action` is
-    /// [`ADD`](super::named_connection::ADD) or [`REMOVE`](super::named_connection::REMOVE).
+    /// [`ADD`](named_connection::ADD) or [`REMOVE`](named_connection::REMOVE).
     pub fn change(place: KeySpace, robot: Name, action: &str, argument: String) -> Self {
         let parameters = format!("{action};by={}", place.robot);
         let payload = Payload::new(argument, Encoding::BYTES);

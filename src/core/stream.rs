@@ -39,10 +39,10 @@ mod simulation;
 #[cfg(test)]
 mod tests;
 
-use super::{
+use super::name::{
     key::{KeySpace, OWN},
-    name::Name,
     topic::Topic,
+    Name,
 };
 
 /// The receivers of a stream that get the same frames.

@@ -13,7 +13,8 @@ use super::{
     recorder::Recorder,
 };
 use crate::core::{
-    encoding::Encoding, key::KeySpace, name::Name, payload::Payload, request::error_to_payload,
+    message::{encoding::Encoding, payload::Payload, request::error_to_payload},
+    name::{key::KeySpace, Name},
 };
 
 /// The part of RECT's internal keys under which a recorder answers. The key expression behind it selects `<robot>/<topic>`.

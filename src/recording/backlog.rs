@@ -2,7 +2,7 @@
 use std::collections::VecDeque;
 
 use super::entry::Entry;
-use crate::core::urgency::Urgency;
+use crate::core::message::urgency::Urgency;
 
 /// The messages that wait for the disk. When there is no room, the oldest one that is not urgent is dropped.
 #[derive(Debug)]
@@ -80,7 +80,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::core::{encoding::Encoding, payload::Payload};
+    use crate::core::message::{encoding::Encoding, payload::Payload};
 
     fn entry(sequence: u32, urgency: Urgency) -> Entry {
         Entry {

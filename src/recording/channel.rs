@@ -6,7 +6,7 @@ use super::{
     entry::Entry,
     picture::{self, Kind},
 };
-use crate::core::{encoding::Encoding, urgency::Urgency};
+use crate::core::message::{encoding::Encoding, urgency::Urgency};
 
 /// The names of MCAP for the encodings that it knows, see <https://mcap.dev/spec/registry>.
 const KNOWN: [(&str, Encoding); 2] = [("json", Encoding::JSON), ("cbor", Encoding::CBOR)];

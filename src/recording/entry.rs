@@ -2,8 +2,8 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::core::{
-    encoding::Encoding, key::OWN, message::Message, name::Name, payload::Payload, topic::Topic,
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency, Message},
+    name::{key::OWN, topic::Topic, Name},
 };
 
 /// A recorded message.

@@ -154,7 +154,7 @@ impl Excerpt {
 mod tests {
     use super::*;
     use crate::{
-        core::{encoding::Encoding, payload::Payload, urgency::Urgency},
+        core::message::{encoding::Encoding, payload::Payload, urgency::Urgency},
         recording::segments::{folder_of, Segments},
     };
 

@@ -132,7 +132,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::core::{encoding::Encoding, payload::Payload, urgency::Urgency};
+    use crate::core::message::{encoding::Encoding, payload::Payload, urgency::Urgency};
 
     fn exported(format: Format, payload: Payload) -> String {
         let mut to = Vec::new();

@@ -15,7 +15,7 @@ use super::{
     picture::{self, Kind},
     schema::Schema,
 };
-use crate::core::{key::KeySpace, topic::Pattern};
+use crate::core::name::{key::KeySpace, topic::Pattern};
 
 /// The ending of a complete file.
 pub const COMPLETE: &str = "mcap";

@@ -7,11 +7,9 @@ use std::{
 
 use super::segments::SEGMENT;
 use crate::core::{
-    key::KeySpace,
     message::Message,
-    name::Name,
+    name::{key::KeySpace, topic::Topic, Name},
     stream::{feedback::Feedback, feedback_key},
-    topic::Topic,
     video::bitstream,
 };
 
@@ -75,7 +73,7 @@ impl KeyFrames {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::{encoding::Encoding, payload::Payload};
+    use crate::core::message::{encoding::Encoding, payload::Payload};
 
     const KEY: &[u8] = &[
         0, 0, 0, 1, 0x67, 1, 0, 0, 0, 1, 0x68, 1, 0, 0, 0, 1, 0x65, 1,

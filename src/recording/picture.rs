@@ -10,7 +10,7 @@ use prost_types::{
 };
 
 use super::entry::Entry;
-use crate::core::encoding::Encoding;
+use crate::core::message::encoding::Encoding;
 
 /// MCAP's name of the encoding.
 pub const PROTOBUF: &str = "protobuf";

@@ -105,7 +105,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::core::{encoding::Encoding, payload::Payload, urgency::Urgency};
+    use crate::core::message::{encoding::Encoding, payload::Payload, urgency::Urgency};
 
     #[test]
     fn pictures_are_written_below_the_folder_only() {

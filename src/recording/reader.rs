@@ -24,7 +24,7 @@ use super::{
     file::{About, ABOUT, COMPLETE, PART},
     picture::{self, Kind},
 };
-use crate::core::payload::Payload;
+use crate::core::message::payload::Payload;
 
 /// The largest record that is read, in bytes. Recordings of RECT have chunks of about 1 MB.
 const MAX_RECORD: usize = 64 * 1024 * 1024;

@@ -5,7 +5,10 @@ use super::{
     entry::{address, Entry},
     remap::{remapped, Remap},
 };
-use crate::core::{name::Name, topic::Pattern, topic::Topic};
+use crate::core::name::{
+    topic::{Pattern, Topic},
+    Name,
+};
 
 /// The part of a recording that is replayed, exported or copied.
 #[derive(Clone, Debug, Default)]
@@ -177,7 +180,7 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Iterator for Replay<I> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::{encoding::Encoding, payload::Payload, urgency::Urgency};
+    use crate::core::message::{encoding::Encoding, payload::Payload, urgency::Urgency};
 
     fn entry(topic: &str, ms: u64) -> Result<Entry, ()> {
         Ok(Entry {

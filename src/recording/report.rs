@@ -6,11 +6,10 @@ use serde_json::Value;
 
 use super::recorder::Recorder;
 use crate::core::{
-    connection::{Connection, ConnectionState, Event, Link},
-    key::KeySpace,
-    name::Name,
-    payload::Payload,
-    service::Requester,
+    message::payload::Payload,
+    name::{key::KeySpace, Name},
+    registry::connection::{Connection, ConnectionState, Event, Link},
+    session::service::Requester,
 };
 
 /// The subject of events.

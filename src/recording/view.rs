@@ -6,7 +6,7 @@ use super::{
     picture::{self, Kind},
     schema::Schema,
 };
-use crate::core::{encoding::Encoding, payload::Payload};
+use crate::core::message::{encoding::Encoding, payload::Payload};
 
 /// The field of a value that is not an object: viewers select values by the names of fields.
 const VALUE: &str = "value";

@@ -8,7 +8,7 @@ use tokio::{
 use zenoh::{Config, Session, Wait};
 
 use crate::{
-    core::{
+    core::session::{
         router::{robot_of_router, ROBOT_TIMEOUT},
         settings::DIAGNOSIS,
     },

@@ -13,7 +13,8 @@ use zenoh::{
 use zenoh_buffers::{ZBuf, ZSliceBuffer};
 
 use crate::core::{
-    attachment::Encoded, driver::Sample, encoding::Encoding, payload::Payload, urgency::Qos,
+    driver::Sample,
+    message::{attachment::Encoded, encoding::Encoding, payload::Payload, urgency::Qos},
 };
 
 /// An encoded attachment as a buffer of Zenoh's. A vector would be allocated in addition to Zenoh's own allocation.

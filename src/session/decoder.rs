@@ -10,13 +10,10 @@ use zenoh::{query::Query, query::Queryable, Session, Wait};
 use super::{executor::Executor, shared::NoItems};
 use crate::{
     core::{
-        codec::{self, CodecError},
-        decoder,
-        dictionary::Dictionary,
-        key::KeySpace,
-        message::Message,
-        name::Name,
-        payload::Payload,
+        codec::{self, dictionary::Dictionary, CodecError},
+        message::{payload::Payload, Message},
+        name::{key::KeySpace, Name},
+        session::decoder,
     },
     error::Error,
 };

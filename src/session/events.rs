@@ -11,10 +11,11 @@ use super::{
 };
 use crate::{
     core::{
-        connection::Event,
-        counters::Counters,
-        observer::Observer,
-        queue::{Queue, WhenFull, DEFAULT_CAPACITY},
+        message::{
+            counters::Counters,
+            queue::{Queue, WhenFull, DEFAULT_CAPACITY},
+        },
+        registry::{connection::Event, observer::Observer},
     },
     error::Error,
 };

@@ -14,12 +14,13 @@ use super::{
 };
 use crate::{
     core::{
-        endpoint,
-        key::KeySpace,
-        login::{self, Login},
-        name::Name,
-        router::{JoinAttempts, JoinError},
-        settings::SessionLinks,
+        name::{key::KeySpace, Name},
+        session::{
+            endpoint,
+            login::{self, Login},
+            router::{JoinAttempts, JoinError},
+            settings::SessionLinks,
+        },
     },
     error::Error,
 };

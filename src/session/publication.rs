@@ -13,12 +13,11 @@ use super::{
 };
 use crate::{
     core::{
-        attachment::Sent,
-        counters::AtomicCounters,
-        encoding::Encoding,
-        payload::Payload,
-        publication::{Numbering, LARGE_BYTES},
-        urgency::Qos,
+        message::{
+            attachment::Sent, counters::AtomicCounters, encoding::Encoding, payload::Payload,
+            urgency::Qos,
+        },
+        session::publication::{Numbering, LARGE_BYTES},
     },
     error::Error,
 };

@@ -6,7 +6,7 @@ use zenoh::{matching::MatchingListener, Wait};
 
 use super::{publication::Publication, robot::Robot};
 use crate::{
-    core::{payload::ToPayload, publication::PublicationKey, topic::Topic},
+    core::{message::payload::ToPayload, name::topic::Topic, session::publication::PublicationKey},
     error::Error,
 };
 

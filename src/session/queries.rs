@@ -13,8 +13,7 @@ use super::convert::{self, congestion_control, priority};
 use crate::{
     core::{
         driver::{Answer, Get, Sample, Target},
-        payload::Payload,
-        urgency::Qos,
+        message::{payload::Payload, urgency::Qos},
     },
     error::Error,
 };

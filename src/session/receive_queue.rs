@@ -10,7 +10,7 @@ use std::{
 use tokio::sync::Notify;
 
 use super::shared::Sink;
-use crate::core::queue::{Pushed, Queue};
+use crate::core::message::queue::{Pushed, Queue};
 
 /// A queue between Zenoh's threads and the program.
 #[derive(Debug)]
@@ -157,7 +157,7 @@ impl<T> Drop for QueueWriter<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::queue::WhenFull;
+    use crate::core::message::queue::WhenFull;
 
     #[tokio::test]
     async fn pop_wakes_on_push_and_on_close() {

@@ -19,8 +19,8 @@ use super::{convert, queries, robot::Robot};
 use crate::{
     core::{
         driver,
+        message::request::{error_from_payload, is_timeout},
         name::Name,
-        request::{error_from_payload, is_timeout},
     },
     error::Error,
     recording::{

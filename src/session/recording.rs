@@ -17,7 +17,10 @@ use zenoh::{
 
 use super::{queries, recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
 use crate::{
-    core::{encoding::Encoding, payload::Payload, topic::Pattern, urgency::Urgency},
+    core::{
+        message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+        name::topic::Pattern,
+    },
     error::Error,
     recording::{
         file, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder,

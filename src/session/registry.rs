@@ -5,12 +5,14 @@ use serde::de::DeserializeOwned;
 use super::{executor::Executor, robot::Robot, shared::NoItems};
 use crate::{
     core::{
-        connection::Connection,
+        message::payload::Payload,
         name::Name,
-        named_connection::{NamedConnection, ADD, REMOVE},
-        payload::Payload,
-        peers::{PeersQuery, TIMEOUT},
-        registry::{RegistryError, RegistryQuery},
+        registry::{
+            connection::Connection,
+            named_connection::{NamedConnection, ADD, REMOVE},
+            RegistryError, RegistryQuery,
+        },
+        session::peers::{PeersQuery, TIMEOUT},
     },
     error::Error,
 };

@@ -19,11 +19,12 @@ use super::{
 };
 use crate::{
     core::{
-        inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
-        name::Name,
-        payload::{Payload, ToPayload},
-        queue::{Queue, WhenFull},
-        topic::Topic,
+        message::{
+            payload::{Payload, ToPayload},
+            queue::{Queue, WhenFull},
+        },
+        name::{topic::Topic, Name},
+        session::inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
     },
     error::Error,
 };

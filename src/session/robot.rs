@@ -19,16 +19,17 @@ use super::{
 };
 use crate::{
     core::{
-        codec::{dictionary::DictionaryCodec, Codec},
-        counters::AtomicCounters,
-        dictionary::Dictionary,
-        key::KeySpace,
-        name::Name,
-        payload::{Payload, ToPayload},
-        peers::DirectPresence,
-        publication::{PublicationKey, Publications},
-        topic::Topic,
-        urgency::Urgency,
+        codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec},
+        message::{
+            counters::AtomicCounters,
+            payload::{Payload, ToPayload},
+            urgency::Urgency,
+        },
+        name::{key::KeySpace, topic::Topic, Name},
+        session::{
+            peers::DirectPresence,
+            publication::{PublicationKey, Publications},
+        },
     },
     error::Error,
 };
@@ -188,7 +189,7 @@ impl Robot {
     ///
     /// ```no_run
     /// # async fn publish(robot: rect::Robot) -> Result<(), Box<dyn std::error::Error>> {
-    /// let dictionary = rect::core::dictionary::Dictionary::read("telemetry.dictionary")?;
+    /// let dictionary = rect::core::codec::dictionary::Dictionary::read("telemetry.dictionary")?;
     /// let compressed = robot.with_dictionary(dictionary.into())?;
     /// compressed.publish("telemetry", rect::Json([1, 2, 3])).await?;
     /// # Ok(()) }

@@ -10,10 +10,11 @@ use super::{
 };
 use crate::{
     core::{
-        connection::{Connection, Links},
-        key::KeySpace,
-        name::Name,
-        observer::RouterObserver,
+        name::{key::KeySpace, Name},
+        registry::{
+            connection::{Connection, Links},
+            observer::RouterObserver,
+        },
     },
     error::Error,
 };

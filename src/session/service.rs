@@ -17,12 +17,13 @@ use super::{
 use crate::{
     core::{
         driver::Answer,
-        name::Name,
-        payload::{Payload, ToPayload},
-        queue::{Queue, WhenFull},
-        request::error_to_payload,
-        service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
-        topic::Topic,
+        message::{
+            payload::{Payload, ToPayload},
+            queue::{Queue, WhenFull},
+            request::error_to_payload,
+        },
+        name::{topic::Topic, Name},
+        session::service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
     },
     error::Error,
 };

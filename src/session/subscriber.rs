@@ -23,13 +23,13 @@ use super::{
 };
 use crate::{
     core::{
-        counters::AtomicCounters,
-        gaps::SenderCounts,
-        key::Selected,
-        message::{Delivery, Inbound, Message, Undelivered},
-        name::Name,
-        queue::{Queue, WhenFull, DEFAULT_CAPACITY},
-        topic::Pattern,
+        message::{
+            counters::AtomicCounters,
+            gaps::SenderCounts,
+            queue::{Queue, WhenFull, DEFAULT_CAPACITY},
+            Delivery, Inbound, Message, Undelivered,
+        },
+        name::{key::Selected, topic::Pattern, Name},
     },
     error::Error,
 };

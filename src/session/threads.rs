@@ -1,7 +1,7 @@
 //! Chooses the threads of Zenoh.
 use std::env;
 
-use crate::core::threads::{ONE_THREAD, VARIABLE};
+use crate::core::session::threads::{ONE_THREAD, VARIABLE};
 
 /// Lets Zenoh do all its work on one thread in place of five pools, unless the environment variable `ZENOH_RUNTIME` is set.
 ///

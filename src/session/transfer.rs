@@ -17,9 +17,9 @@ pub use received::Received;
 
 use super::robot::Robot;
 use crate::{
-    core::{
-        name::Name,
+    core::name::{
         topic::{Pattern, Topic},
+        Name,
     },
     error::Error,
 };

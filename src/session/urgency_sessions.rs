@@ -7,8 +7,8 @@ use tokio::sync::OnceCell;
 use zenoh::{Config, Session};
 
 use crate::core::{
-    settings::{SessionChoice, SessionsState},
-    urgency::Urgency,
+    message::urgency::Urgency,
+    session::settings::{SessionChoice, SessionsState},
 };
 
 pub(super) struct UrgencySessions {

@@ -6,7 +6,7 @@ use crate::{
     core::{
         driver::Driver,
         name::Name,
-        peers::{EstablishedWait, PeerWait, Waited},
+        session::peers::{EstablishedWait, PeerWait, Waited},
     },
     error::Error,
 };

@@ -1,10 +1,10 @@
 //! Renders the connections of the registry as a table.
 use super::{Cell, Style, Table};
 use crate::core::{
-    connection::{
+    registry::connection::{
         Connection, ConnectionState as State, LinkPath, LinkPathState, PathSwitch, SwitchReason,
     },
-    humanize::{bytes, duration_of_s, milliseconds, short_reason},
+    text::humanize::{bytes, duration_of_s, milliseconds, short_reason},
 };
 
 /// Returns a table of the connections of several robots, each given with its name.

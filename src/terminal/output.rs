@@ -8,7 +8,7 @@ use std::{
 
 use serde::Serialize;
 
-use crate::core::display;
+use crate::core::text::display;
 
 /// The exit status after the reader of the standard output has exited: that of a program that SIGPIPE has ended.
 pub const CLOSED_PIPE: u8 = 141;

@@ -5,7 +5,7 @@ use std::io::{self, IsTerminal};
 use unicode_width::UnicodeWidthStr;
 
 use super::style::{has_colours, painted, Style};
-use crate::core::display;
+use crate::core::text::display;
 
 /// Number of spaces between two columns.
 const GAP: usize = 2;

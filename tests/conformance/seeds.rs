@@ -2,13 +2,19 @@
 use std::sync::Arc;
 
 use rect::core::{
-    array::Array,
-    attachment::{Attachment, Sent},
-    codec::{self, dictionary::DictionaryCodec, Codec},
-    dictionary::Dictionary,
-    encoding::Encoding,
-    payload::{Payload, ToPayload},
-    picture::{Format, Picture},
+    codec::{
+        self,
+        array::Array,
+        dictionary::Dictionary,
+        dictionary_codec::DictionaryCodec,
+        picture::{Format, Picture},
+        Codec,
+    },
+    message::{
+        attachment::{Attachment, Sent},
+        encoding::Encoding,
+        payload::{Payload, ToPayload},
+    },
 };
 use serde_json::{json, Value};
 

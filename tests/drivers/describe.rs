@@ -2,16 +2,16 @@
 use std::{convert::Infallible, time::Instant};
 
 use rect::core::{
-    connection::{Connection, Event, Link},
-    decoder::Fetched,
     driver::{Action, Answer, Declaration, Reaction, Step, Target},
+    message::{payload::Payload, urgency::Qos},
     name::Name,
-    payload::Payload,
-    peers::Waited,
-    registry::RegistryError,
+    registry::{
+        connection::{Connection, Event, Link},
+        RegistryError,
+    },
+    session::{decoder::Fetched, peers::Waited},
     stream::frame::ReceivedFrame,
     transfer::{push::SendError, reception::Arrival, Fault, Progress},
-    urgency::Qos,
 };
 use serde_json::{json, Value};
 

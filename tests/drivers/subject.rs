@@ -5,26 +5,30 @@ use bytes::Bytes;
 use rect::{
     core::{
         codec::CodecError,
-        decoder::Decoder,
         driver::{Driver, Event, Id, QueryId, Sample},
-        encoding::Encoding,
-        key::KeySpace,
-        name::Name,
-        observer::{Observer, RouterObserver},
-        payload::Payload,
-        peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
-        registry::RegistryQuery,
+        message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+        name::{
+            key::KeySpace,
+            topic::{Pattern, Topic},
+            Name,
+        },
+        registry::{
+            observer::{Observer, RouterObserver},
+            RegistryQuery,
+        },
+        session::{
+            decoder::Decoder,
+            peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
+        },
         stream::{
             options::{PartialOptions, Preset},
             publish::StreamPublish,
             watch::StreamWatch,
         },
-        topic::{Pattern, Topic},
         transfer::{
             admission::AdmissionRules, files::UsesFiles, offer::FileName, pull::TransferPull,
             push::TransferPush, reception::TransferReception, Checksum, Offer,
         },
-        urgency::Urgency,
     },
     storage::{Files, Source, Store},
 };

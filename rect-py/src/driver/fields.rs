@@ -8,17 +8,21 @@ use pyo3::{
     types::{PyBytes, PyTuple},
     IntoPyObjectExt,
 };
-use rect::core::{
-    connection::{Connection, Event},
-    driver::Sample,
-    name::Name,
-    payload::Payload,
-    peers::Waited,
-    registry::RegistryError,
-    stream::frame::ReceivedFrame,
-    transfer::Progress,
+use rect::{
+    core::{
+        driver::Sample,
+        message::payload::Payload,
+        name::Name,
+        registry::{
+            connection::{Connection, Event},
+            RegistryError,
+        },
+        session::peers::Waited,
+        stream::frame::ReceivedFrame,
+        transfer::Progress,
+    },
+    recording::report::EventReport,
 };
-use rect::recording::report::EventReport;
 
 use crate::codec::parts;
 

@@ -8,8 +8,7 @@ use pyo3::{
 };
 use rect::core::{
     driver::{Action, Answer, Declaration, Get, Step, Target},
-    payload::Payload,
-    urgency::Qos,
+    message::{payload::Payload, urgency::Qos},
 };
 
 use super::fields::ToPython;

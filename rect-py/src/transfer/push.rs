@@ -8,9 +8,8 @@ use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes, IntoPyObjectExt};
 use rect::{
     core::{
-        encoding::Encoding,
-        name::Name,
-        topic::Topic,
+        message::encoding::Encoding,
+        name::{topic::Topic, Name},
         transfer::{
             files::UsesFiles,
             offer::FileName,

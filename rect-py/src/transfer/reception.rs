@@ -8,7 +8,7 @@ use std::{
 use pyo3::{prelude::*, IntoPyObjectExt};
 use rect::{
     core::{
-        topic::Pattern,
+        name::topic::Pattern,
         transfer::{
             admission::AdmissionRules,
             reception::{self, Arrival},

@@ -3,8 +3,8 @@ use std::{env, path::PathBuf};
 
 use clap::{Parser, Subcommand};
 use rect::core::{
-    endpoint, login,
     name::{Name, NameError},
+    session::{endpoint, login},
 };
 use zenoh_link::ble::radio::sim::Condition;
 

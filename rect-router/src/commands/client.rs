@@ -8,8 +8,8 @@ use std::{
 
 use rect::{
     core::{
-        humanize::{self, short_reason},
-        login,
+        session::login,
+        text::humanize::{self, short_reason},
     },
     terminal::{self, Table},
 };

@@ -6,7 +6,7 @@ mod network;
 use std::{path::Path, process::ExitCode};
 
 use rect::{
-    core::display::line,
+    core::text::display::line,
     terminal::{self, paint, Style},
 };
 

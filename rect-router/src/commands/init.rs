@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rect::core::{login, name::Name};
+use rect::core::{name::Name, session::login};
 
 use super::{
     cloud,

@@ -1,6 +1,6 @@
 //! Implements `rect-router status`: shows the status of robots, one line each.
 use rect::{
-    core::humanize::duration_of_s,
+    core::text::humanize::duration_of_s,
     terminal::{Cell, Style, Table},
 };
 use serde_json::Value;

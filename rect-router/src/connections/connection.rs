@@ -6,7 +6,7 @@ use std::{
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
-use rect::core::connection::Traffic;
+use rect::core::registry::connection::Traffic;
 use zenoh_link::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,

@@ -12,7 +12,7 @@ use std::{
 
 use notify::{Event, RecommendedWatcher, RecursiveMode, Watcher};
 
-use rect::core::humanize;
+use rect::core::text::humanize;
 
 use super::Connections;
 

@@ -1,6 +1,6 @@
 //! Compares the outcome of a call with what the scenario expects.
 use rect::{
-    core::{payload::PayloadError, topic::TopicError},
+    core::{message::payload::PayloadError, name::topic::TopicError},
     Encoding, Error, Payload,
 };
 use serde_json::Value;

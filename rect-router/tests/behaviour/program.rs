@@ -7,8 +7,9 @@ use std::{
 };
 
 use rect::{
-    core::dictionary::Dictionary, storage::Content, Connection, Error, Json, Payload, Publisher,
-    ReceiveOptions, Request, Robot, Service, StreamOptions, Subscriber, ToPayload, Transfers,
+    core::codec::dictionary::Dictionary, storage::Content, Connection, Error, Json, Payload,
+    Publisher, ReceiveOptions, Request, Robot, Service, StreamOptions, Subscriber, ToPayload,
+    Transfers,
 };
 use serde_json::{json, Value};
 

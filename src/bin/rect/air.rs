@@ -8,7 +8,7 @@ use std::{
 use crate::duration::DurationArgument;
 use clap::{Args, Subcommand, ValueEnum};
 use rect::{
-    core::display::line,
+    core::text::display::line,
     terminal::{self, Table},
 };
 use tokio::signal::unix::{signal, SignalKind};

@@ -3,7 +3,7 @@ use std::{process::ExitCode, time::Duration};
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use rect::{core::display::line, Name, Robot};
+use rect::{core::text::display::line, Name, Robot};
 use serde_json::{json, Value};
 
 use crate::{

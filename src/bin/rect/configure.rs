@@ -2,7 +2,7 @@
 use std::process::ExitCode;
 
 use clap::Args;
-use rect::{core::display::line, Name, NamedConnection};
+use rect::{core::text::display::line, Name, NamedConnection};
 use serde_json::Value;
 
 use crate::{

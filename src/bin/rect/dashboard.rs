@@ -20,7 +20,7 @@ use std::{
 };
 
 use clap::Args;
-use rect::{core::login::default_file, Robot, Topic};
+use rect::{core::session::login::default_file, Robot, Topic};
 use tokio::{net::TcpListener, time::interval};
 
 use self::{
@@ -142,7 +142,9 @@ fn protection(arguments: &DashboardArguments) -> Result<Protection, Failure> {
     let file = match &arguments.logins {
         Some(file) => Some(file.clone()),
         None if arguments.listen.ip().is_loopback() => None,
-        None => Some(default_file(std::env::var(rect::core::login::FILE_VARIABLE).ok()).into()),
+        None => {
+            Some(default_file(std::env::var(rect::core::session::login::FILE_VARIABLE).ok()).into())
+        }
     };
     let logins = file.as_deref().map(Logins::read).transpose();
     let logins = logins.map_err(|error| {

@@ -8,8 +8,10 @@ use std::{
 
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
-use rect::core::{codec::dictionary::DictionaryCodec, codec::Codec as _, dictionary::Dictionary};
-use rect::{Encoding, Payload};
+use rect::{
+    core::codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec as _},
+    Encoding, Payload,
+};
 
 use crate::{Done, Failure};
 

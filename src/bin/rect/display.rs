@@ -2,7 +2,10 @@
 use std::io::{self, IsTerminal};
 
 use rect::{
-    core::{codec::Limits, display, picture::Picture},
+    core::{
+        codec::{picture::Picture, Limits},
+        text::display,
+    },
     Payload,
 };
 use serde_json::Value;

@@ -17,7 +17,7 @@ use foxglove::{
     Context, FoxgloveError, WebSocketServer,
 };
 use rect::{
-    core::topics::{Topics, KEPT},
+    core::registry::topics::{Topics, KEPT},
     Pattern,
 };
 use tokio::{sync::mpsc, task::JoinSet, time::interval};

@@ -32,7 +32,7 @@ use std::{future::Future, process::ExitCode};
 
 use clap::{Parser, Subcommand, ValueEnum};
 use rect::{
-    core::display::paragraph,
+    core::text::display::paragraph,
     terminal::{choose_colours, colours_on_stderr, paint_err, Colours, Style},
 };
 
@@ -215,6 +215,6 @@ fn report(error: &(dyn std::error::Error + 'static)) {
 }
 
 /// Parses the endpoint of a router on the command line.
-fn endpoint(text: &str) -> Result<String, rect::core::endpoint::EndpointError> {
-    rect::core::endpoint::parse(text)
+fn endpoint(text: &str) -> Result<String, rect::core::session::endpoint::EndpointError> {
+    rect::core::session::endpoint::parse(text)
 }

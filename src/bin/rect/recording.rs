@@ -10,7 +10,7 @@ use std::{
 
 use clap::{Args, Subcommand, ValueEnum};
 use rect::{
-    core::{display::line, humanize},
+    core::text::{display::line, humanize},
     recording::{
         export::{Exporter, Format},
         file::About,

@@ -3,7 +3,7 @@ use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
 use rect::{
-    core::humanize::{duration, milliseconds},
+    core::text::humanize::{duration, milliseconds},
     terminal::{self, connections_of_robot, Table},
     Connection, ConnectionState, Event, Name, Robot,
 };

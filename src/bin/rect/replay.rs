@@ -9,7 +9,7 @@ use std::{
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use rect::{
-    core::{display::line, humanize},
+    core::text::{display::line, humanize},
     recording::{
         address,
         pace::{self, Pace, RATES},

@@ -144,7 +144,7 @@ impl DeliveryArguments {
     pub fn apply(&self, robot: &Robot) -> Result<Robot, Failure> {
         let robot = robot.with_urgency(self.urgency);
         if let Some(file) = &self.dictionary {
-            let dictionary = rect::core::dictionary::Dictionary::read(file)?;
+            let dictionary = rect::core::codec::dictionary::Dictionary::read(file)?;
             return Ok(robot.with_dictionary(dictionary.into())?);
         }
         Ok(match &self.codec {

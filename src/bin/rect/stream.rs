@@ -8,10 +8,7 @@ use std::{
 
 use clap::{Args, Subcommand};
 use rect::{
-    core::{
-        codec::{jpeg::Jpeg, Codec, Limits},
-        picture::Picture,
-    },
+    core::codec::{jpeg::Jpeg, picture::Picture, Codec, Limits},
     recording::video_file::VideoFile,
     terminal, Encoding, Frame, Name, Payload, QueueOptions, StreamOptions, Topic, Watch, WhenFull,
 };

@@ -3,7 +3,7 @@ use std::{process::ExitCode, time::SystemTime};
 
 use clap::Args;
 use rect::{
-    core::display::line,
+    core::text::display::line,
     terminal::{self, paint, Style},
     Message, Name, Pattern, Robot,
 };

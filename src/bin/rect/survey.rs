@@ -19,7 +19,9 @@ use std::{
 };
 
 use clap::Args;
-use rect::{core::connection::ConnectionState, Connection, Json, LinkPathState, Name, Robot};
+use rect::{
+    core::registry::connection::ConnectionState, Connection, Json, LinkPathState, Name, Robot,
+};
 use serde_json::Value;
 use tokio::time::sleep;
 
@@ -239,7 +241,7 @@ impl Surveyor<'_> {
     async fn soak(&self, duration: Duration) -> Result<Soak, Failure> {
         say(&format!(
             "Watching the link for {}.",
-            rect::core::humanize::duration(duration)
+            rect::core::text::humanize::duration(duration)
         ));
         let measured = round_trip::measure(self.robot, self.other, duration, |_| {}).await?;
         Ok(Soak {

@@ -5,9 +5,8 @@ use std::{process::ExitCode, time::Duration};
 use clap::{Args, Subcommand};
 use rect::{
     core::{
-        display::line,
-        humanize::bytes,
-        topics::{TopicReport, Topics, KEEP, KEPT, TOPIC, TOPICS, WINDOW},
+        registry::topics::{TopicReport, Topics, KEEP, KEPT, TOPIC, TOPICS, WINDOW},
+        text::{display::line, humanize::bytes},
     },
     terminal::{self, Cell, Style, Table},
     Name, Robot,

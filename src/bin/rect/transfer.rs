@@ -10,7 +10,10 @@ use std::{
 use clap::{Args, Subcommand};
 use indicatif::{HumanBytes, ProgressBar, ProgressState, ProgressStyle};
 use rect::{
-    core::{display::line, humanize::duration, transfer::Progress},
+    core::{
+        text::{display::line, humanize::duration},
+        transfer::Progress,
+    },
     Name, Pattern, ReceiveOptions, Topic,
 };
 

@@ -10,9 +10,8 @@ use zune_jpeg::{
 use super::{damaged, number, Codec, CodecError, Limits};
 use crate::core::{
     cause::Cause,
-    encoding::Encoding,
-    payload::Payload,
-    picture::{Format, Picture},
+    codec::picture::{Format, Picture},
+    message::{encoding::Encoding, payload::Payload},
 };
 
 /// The name of the codec.
@@ -77,7 +76,7 @@ impl Codec for Jpeg {
 }
 
 /// Decodes any JPEG. A truncated picture is rejected instead of being filled with grey.
-pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
+pub(crate) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
     let side = usize::from(u16::MAX);
     let options = DecoderOptions::default()
         .set_strict_mode(true)

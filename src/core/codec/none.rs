@@ -1,6 +1,6 @@
 //! Implements the codec that leaves payloads unchanged.
 use super::{no_option, Codec, CodecError, Limits};
-use crate::core::payload::Payload;
+use crate::core::message::payload::Payload;
 
 /// The name of the codec.
 pub const NAME: &str = "none";

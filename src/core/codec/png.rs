@@ -6,9 +6,8 @@ use png::{BitDepth, ColorType, Compression, Decoder, Encoder, Transformations};
 use super::{damaged, no_option, Codec, CodecError, Limits};
 use crate::core::{
     cause::Cause,
-    encoding::Encoding,
-    payload::Payload,
-    picture::{Format, Picture},
+    codec::picture::{Format, Picture},
+    message::{encoding::Encoding, payload::Payload},
 };
 
 /// The name of the codec.
@@ -62,7 +61,7 @@ fn write(picture: &Picture) -> Result<Vec<u8>, png::EncodingError> {
 }
 
 /// Decodes any PNG. 16 bits per channel become 8, and palettes become colours.
-pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
+pub(crate) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
     let memory = png::Limits {
         bytes: limits.max_bytes,
     };

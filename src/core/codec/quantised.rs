@@ -20,10 +20,11 @@ use std::borrow::Cow;
 
 use super::{damaged, shown, zstd, Codec, CodecError, Limits};
 use crate::core::{
-    array::{self, Array, Element, MAX_DIMENSIONS},
-    dictionary::Dictionaries,
-    encoding::Encoding,
-    payload::Payload,
+    codec::{
+        array::{self, Array, Element, MAX_DIMENSIONS},
+        dictionary::Dictionaries,
+    },
+    message::{encoding::Encoding, payload::Payload},
 };
 
 mod body;
@@ -150,7 +151,7 @@ fn head<T: Float>(array: &Array, order: u8, body: u8) -> Vec<u8> {
 }
 
 /// Decodes a quantised array.
-pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, CodecError> {
+pub(crate) fn read(bytes: &[u8], limits: &Limits) -> Result<Array, CodecError> {
     let (&[first, second], mut rest) = bytes.split_first_chunk().ok_or_else(truncated)?;
     let dimensions = usize::from(first & 15);
     if first >> 4 != VERSION || second >> 5 != 0 {

@@ -3,9 +3,11 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::core::{
-    dictionary::Dictionary,
-    payload::PayloadError,
-    picture::{Format, Picture},
+    codec::{
+        dictionary::Dictionary,
+        picture::{Format, Picture},
+    },
+    message::payload::PayloadError,
 };
 
 const LIMITS: Limits = Limits {
@@ -188,13 +190,13 @@ fn incompressible_payloads_are_unchanged() {
 }
 
 fn encoding_limit() -> usize {
-    crate::core::encoding::MAX_BYTES
+    crate::core::message::encoding::MAX_BYTES
 }
 
 #[test]
 fn frames_refer_to_the_dictionary_by_its_id() {
     let dictionary = dictionary();
-    let encoded = dictionary::DictionaryCodec::new(dictionary.clone());
+    let encoded = dictionary_codec::DictionaryCodec::new(dictionary.clone());
     let json = Payload::new(telemetry(123_456), Encoding::JSON);
     let small = encoded.encode(&json).expect("encoded");
     assert_eq!(small.encoding.as_str(), "application/json;zstd");
@@ -218,7 +220,7 @@ fn truncated_and_damaged_frames_are_handled() {
     let dictionary = dictionary();
     let here = Dictionaries::of(dictionary.clone());
     let json = Payload::new(telemetry(99).repeat(3), Encoding::JSON);
-    let with = dictionary::DictionaryCodec::new(dictionary);
+    let with = dictionary_codec::DictionaryCodec::new(dictionary);
     for frame in [
         codec("zstd").encode(&json).expect("encoded"),
         with.encode(&json).expect("encoded"),

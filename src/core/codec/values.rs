@@ -1,9 +1,8 @@
 //! Reads payloads as pictures and arrays, whichever codec has encoded them.
 use super::{jpeg, png, quantised, webp, Limits};
 use crate::core::{
-    array::Array,
-    payload::{Payload, PayloadError},
-    picture::Picture,
+    codec::{array::Array, picture::Picture},
+    message::payload::{Payload, PayloadError},
 };
 
 impl Payload {

@@ -9,9 +9,8 @@ use libwebp_sys as sys;
 use super::{damaged, number, Codec, CodecError, Limits};
 use crate::core::{
     cause::Cause,
-    encoding::Encoding,
-    payload::Payload,
-    picture::{Format, Picture},
+    codec::picture::{Format, Picture},
+    message::{encoding::Encoding, payload::Payload},
 };
 
 /// The name of the codec.
@@ -70,7 +69,7 @@ impl Codec for Webp {
 }
 
 /// Decodes any WebP, lossy or lossless. Of an animation, decodes the first picture.
-pub(in crate::core) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
+pub(crate) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
     let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(invalid)?;
     let (width, height) = decoder.dimensions();
     let format = match decoder.has_alpha() {

@@ -10,9 +10,11 @@ use zstd::zstd_safe::{self, CCtx, DCtx, DParameter, InBuffer, OutBuffer};
 use super::{damaged, number, Codec, CodecError, Limits};
 use crate::core::{
     cause::Cause,
-    dictionary::{Dictionaries, Prepared},
-    encoding::{self, Encoding},
-    payload::Payload,
+    codec::dictionary::{Dictionaries, Prepared},
+    message::{
+        encoding::{self, Encoding},
+        payload::Payload,
+    },
 };
 
 /// The name of the codec, and the last part of the encoding of its output.

@@ -2,7 +2,7 @@
 use std::time::Duration;
 
 use super::{Id, QueryId};
-use crate::core::{payload::Payload, urgency::Qos};
+use crate::core::message::{payload::Payload, urgency::Qos};
 
 /// An action on a Zenoh session.
 #[derive(Clone, Debug, PartialEq)]
@@ -145,7 +145,7 @@ impl Get {
             liveliness: false,
             payload: None,
             attachment: None,
-            qos: crate::core::urgency::Urgency::Normal.qos(),
+            qos: crate::core::message::urgency::Urgency::Normal.qos(),
             target: Target::BestMatching,
             timeout,
         }

@@ -2,7 +2,7 @@
 use bytes::Bytes;
 
 use super::{Id, QueryId};
-use crate::core::payload::Payload;
+use crate::core::message::payload::Payload;
 
 /// An event on a Zenoh session.
 #[derive(Clone, Debug, PartialEq)]

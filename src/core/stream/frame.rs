@@ -1,7 +1,7 @@
 //! Defines the frames of a stream: as they arrive, and as the program reads them.
 use std::time::Duration;
 
-use crate::core::payload::Payload;
+use crate::core::message::payload::Payload;
 
 /// A frame that arrived.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,7 +6,7 @@
 //! frame of the last minute is assumed to have taken no time.
 use std::time::{Duration, Instant};
 
-use crate::core::fastest::Fastest;
+use crate::core::clock::{fastest::Fastest, MillisecondClock};
 
 /// How long the fastest frame is remembered. Longer would be wrong, because clocks drift.
 const WINDOW: Duration = Duration::from_secs(60);
@@ -14,31 +14,6 @@ const WINDOW: Duration = Duration::from_secs(60);
 const DRIFT_MS_PER_S: f64 = 0.1;
 /// A frame that is younger than this would have arrived before it was sent: the sender's clock was set.
 const IMPOSSIBLE_MS: f64 = -200.0;
-
-/// A clock of this process that counts milliseconds.
-#[derive(Clone, Copy, Debug)]
-pub struct MillisecondClock {
-    start: Instant,
-    start_ms: u64,
-}
-
-impl MillisecondClock {
-    /// Creates a clock that shows `start_ms` at `start`, and does not jump when the system's clock is set.
-    pub fn new(start: Instant, start_ms: u64) -> Self {
-        Self { start, start_ms }
-    }
-
-    /// Returns the time in milliseconds.
-    pub fn at(&self, now: Instant) -> u64 {
-        let since = now.saturating_duration_since(self.start);
-        self.start_ms.wrapping_add(since.as_millis() as u64)
-    }
-
-    /// Returns the low 16 bits of the time in milliseconds.
-    pub fn low(&self, now: Instant) -> u16 {
-        self.at(now) as u16
-    }
-}
 
 #[derive(Clone, Copy, Debug)]
 struct Reply {

@@ -7,9 +7,8 @@ use super::{
     ladder::{Coding, Step},
 };
 use crate::core::{
-    codec::{jpeg::Jpeg, png::Png, webp::Webp, Codec, CodecError},
-    payload::Payload,
-    picture::Picture,
+    codec::{jpeg::Jpeg, picture::Picture, png::Png, webp::Webp, Codec, CodecError},
+    message::payload::Payload,
     video::Encoder,
 };
 
@@ -79,7 +78,10 @@ fn encode(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::{codec::Limits, picture::Format, stream::ladder::PICTURES};
+    use crate::core::{
+        codec::{picture::Format, Limits},
+        stream::ladder::PICTURES,
+    };
 
     #[test]
     fn pictures_of_each_step_have_its_size() {

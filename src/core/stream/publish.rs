@@ -14,11 +14,8 @@ use super::{
 };
 use crate::core::{
     driver::{Action, Answer, Declaration, Driver, Event, Id, QueryId, Reaction, Step},
-    encoding::Encoding,
-    key::KeySpace,
-    payload::Payload,
-    topic::Topic,
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::{key::KeySpace, topic::Topic},
 };
 
 const FRAMES: [Id; 2] = [Id(0), Id(1)];

@@ -3,9 +3,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::frame::{Frame, ReceivedFrame};
 use crate::core::{
-    codec::Limits,
-    payload::Payload,
-    picture::Picture,
+    codec::{picture::Picture, Limits},
+    message::payload::Payload,
     video::{bitstream, pending::Pending, Decoder, IS_AVAILABLE},
 };
 
@@ -95,7 +94,7 @@ impl FrameReader {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::encoding::Encoding;
+    use crate::core::message::encoding::Encoding;
 
     #[test]
     fn counts_the_frames_that_the_program_did_not_read() {

@@ -6,7 +6,7 @@ use super::{
     feedback::Feedback, notice::Notice, offset::Offset, options::FEEDBACK_INTERVAL, Group,
 };
 use crate::core::{
-    attachment::{Attachment, Sent},
+    message::attachment::{Attachment, Sent},
     name::Name,
 };
 

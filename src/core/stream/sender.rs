@@ -11,7 +11,6 @@ use super::{
     job::Job,
     ladder::{Ladder, Step},
     notice::{Notice, MAX_NAMES},
-    offset::MillisecondClock,
     pacer::Pacer,
     rate::Rate,
     status::{in_words, GroupStatus, ReceiverStatus, Status, VideoStatus},
@@ -19,9 +18,12 @@ use super::{
     Group,
 };
 use crate::core::{
-    attachment::{Attachment, Sent},
+    clock::MillisecondClock,
+    message::{
+        attachment::{Attachment, Sent},
+        payload::Payload,
+    },
     name::Name,
-    payload::Payload,
     video::{self, bitstream},
 };
 

@@ -13,10 +13,12 @@ use super::{
     Group,
 };
 use crate::core::{
-    attachment::{Attachment, Sent},
-    encoding::Encoding,
+    message::{
+        attachment::{Attachment, Sent},
+        encoding::Encoding,
+        payload::Payload,
+    },
     name::Name,
-    payload::Payload,
 };
 
 const STEP: Duration = Duration::from_millis(1);

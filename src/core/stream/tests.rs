@@ -4,16 +4,17 @@ use std::time::Duration;
 use super::{
     feedback::Feedback,
     ladder::Coding,
-    options::Mode,
     sender::{Options, Sender, MAX_RECEIVERS, MAX_RECEIVERS_OF_ROBOT},
     simulation::{Arrival, Condition, Random, World},
     Group,
 };
 use crate::core::{
-    attachment::{Attachment, Sent},
-    encoding::Encoding,
+    message::{
+        attachment::{Attachment, Sent},
+        encoding::Encoding,
+        payload::Payload,
+    },
     name::Name,
-    payload::Payload,
 };
 
 const PIXELS: usize = 320 * 240;
@@ -600,7 +601,7 @@ fn one_robot_does_not_displace_the_receivers_of_others() {
 fn a_recorder_gets_a_key_frame_and_is_no_receiver() {
     let start = std::time::Instant::now();
     let options = Options {
-        mode: Mode::Video,
+        mode: super::options::Mode::Video,
         ..Options::default()
     };
     let mut sender = Sender::new(options, 1, 0, start);

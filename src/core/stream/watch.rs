@@ -15,14 +15,9 @@ use super::{
     Group,
 };
 use crate::core::{
-    attachment::Attachment,
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Sample, Step},
-    encoding::Encoding,
-    key::KeySpace,
-    name::Name,
-    payload::Payload,
-    topic::Topic,
-    urgency::Urgency,
+    message::{attachment::Attachment, encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::{key::KeySpace, topic::Topic, Name},
     video::{self, bitstream},
 };
 

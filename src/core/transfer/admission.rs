@@ -16,7 +16,7 @@ use super::{
     answer::{Answer, Fault, Refusal},
     offer::{Offer, TransferId},
 };
-use crate::core::{name::Name, topic::Pattern};
+use crate::core::name::{topic::Pattern, Name};
 
 /// How many finished transfers are remembered, so that a repeated offer is answered as before.
 const ENDED: usize = 256;

@@ -5,9 +5,11 @@ use sha2::{Digest, Sha256};
 
 use super::wire::{write_number, write_text, Reader};
 use crate::core::{
-    encoding::{self, Encoding},
-    name::Name,
-    topic::{self, Topic},
+    message::encoding::{self, Encoding},
+    name::{
+        topic::{self, Topic},
+        Name,
+    },
 };
 
 const VERSION: u8 = 1;

@@ -13,10 +13,8 @@ use super::{
 };
 use crate::core::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step},
-    encoding::Encoding,
-    key::KeySpace,
-    payload::Payload,
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::key::KeySpace,
 };
 
 /// The interval at which the received ranges are saved.

@@ -15,11 +15,8 @@ use crate::core::{
         Action, Answer as QueryAnswer, Declaration, Driver, Event, Get, Id, QueryId, Reaction,
         Step, Target,
     },
-    encoding::Encoding,
-    key::KeySpace,
-    name::Name,
-    payload::Payload,
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::{key::KeySpace, Name},
 };
 
 /// The maximum number of programs of a robot whose answers to one offer are considered.

@@ -13,10 +13,8 @@ use crate::core::{
     driver::{
         Action, Answer as QueryAnswer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Step,
     },
-    encoding::Encoding,
-    key::KeySpace,
-    payload::Payload,
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::key::KeySpace,
 };
 
 /// The maximum number of offers that wait for an answer. Further ones are dropped, and their senders repeat them.

@@ -7,12 +7,12 @@ use h264_reader::{
 
 #[cfg(feature = "video")]
 use super::FORMAT;
+use crate::core::message::{encoding::Encoding, payload::Payload};
 #[cfg(feature = "video")]
 use crate::core::{
-    codec_error::{damaged, CodecError},
-    limits::Limits,
+    codec::Limits,
+    message::codec_error::{damaged, CodecError},
 };
-use crate::core::{encoding::Encoding, payload::Payload};
 
 const SLICE: u8 = 1;
 const KEY_SLICE: u8 = 5;

@@ -7,8 +7,11 @@ use openh264::formats::YUVSource;
 #[cfg(feature = "video")]
 use super::{bitstream, FORMAT};
 #[cfg(feature = "video")]
-use crate::core::{codec_error::damaged, picture::Format};
-use crate::core::{codec_error::CodecError, limits::Limits, picture::Picture};
+use crate::core::{codec::picture::Format, message::codec_error::damaged};
+use crate::core::{
+    codec::{picture::Picture, Limits},
+    message::codec_error::CodecError,
+};
 
 /// Decodes the frames of one video, which come from a peer and may be damaged or hostile.
 #[derive(Default)]

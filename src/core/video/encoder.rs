@@ -14,8 +14,11 @@ use openh264::{
 #[cfg(feature = "video")]
 use super::FORMAT;
 #[cfg(feature = "video")]
-use crate::core::{cause::Cause, encoding::Encoding, picture::Format};
-use crate::core::{codec_error::CodecError, payload::Payload, picture::Picture};
+use crate::core::{cause::Cause, codec::picture::Format, message::encoding::Encoding};
+use crate::core::{
+    codec::picture::Picture,
+    message::{codec_error::CodecError, payload::Payload},
+};
 
 /// The coarsest quantiser. Beyond it, pictures are hard to recognise; [`Settings::quarters`] or the rate has to be smaller
 /// then.

@@ -4,9 +4,9 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 
 use super::{bitstream::is_key_frame, pending::Pending, *};
-use crate::core::{
-    limits::Limits,
+use crate::core::codec::{
     picture::{Format, Picture},
+    Limits,
 };
 
 const SETTINGS: Settings = Settings {

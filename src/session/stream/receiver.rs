@@ -7,14 +7,13 @@ use std::{
 
 use crate::{
     core::{
-        name::Name,
-        queue::{Queue, WhenFull},
+        message::queue::{Queue, WhenFull},
+        name::{topic::Topic, Name},
         stream::{
             frame::{Frame, ReceivedFrame},
             read::FrameReader,
             watch::StreamWatch,
         },
-        topic::Topic,
     },
     error::Error,
     session::{

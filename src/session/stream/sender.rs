@@ -7,13 +7,13 @@ use std::{
 
 use crate::{
     core::{
-        payload::{Payload, ToPayload},
-        picture::Picture,
+        codec::picture::Picture,
+        message::payload::{Payload, ToPayload},
+        name::topic::Topic,
         stream::{
             job::Job, ladder::Step, picture::PictureEncoder, publish::StreamPublish,
             sender::Options, status::Status,
         },
-        topic::Topic,
     },
     error::Error,
     session::{
@@ -113,7 +113,7 @@ impl Stream {
     /// groups of receivers to which it was sent (0 to 2), and blocks as [`send_with`](Self::send_with) does.
     ///
     /// ```no_run
-    /// # fn send(stream: rect::Stream, picture: rect::core::picture::Picture) -> Result<(), rect::Error> {
+    /// # fn send(stream: rect::Stream, picture: rect::core::codec::picture::Picture) -> Result<(), rect::Error> {
     /// stream.send_picture(&picture)?;
     /// println!("{:?}", stream.status());
     /// # Ok(()) }

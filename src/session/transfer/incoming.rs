@@ -16,7 +16,10 @@ use super::{
     receiving::Reception,
 };
 use crate::{
-    core::{key::KeySpace, topic::Pattern, transfer::admission::AdmissionRules},
+    core::{
+        name::{key::KeySpace, topic::Pattern},
+        transfer::admission::AdmissionRules,
+    },
     error::Error,
     storage::Store,
 };

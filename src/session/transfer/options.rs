@@ -2,9 +2,8 @@
 use std::{fmt, path::PathBuf, sync::Arc, time::Duration};
 
 use crate::core::{
-    encoding::Encoding,
-    name::Name,
-    topic::Topic,
+    message::encoding::Encoding,
+    name::{topic::Topic, Name},
     transfer::{Offer, Progress},
 };
 

@@ -18,11 +18,11 @@ use super::{
 };
 use crate::{
     core::{
-        encoding::Encoding,
-        key::KeySpace,
-        name::Name,
-        payload::{Payload, PayloadError},
-        topic::Topic,
+        message::{
+            encoding::Encoding,
+            payload::{Payload, PayloadError},
+        },
+        name::{key::KeySpace, topic::Topic, Name},
         transfer::Progress,
     },
     error::Error,

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     core::{
-        key::KeySpace,
+        name::key::KeySpace,
         transfer::{
             admission::AdmissionRules,
             pull::TransferPull,

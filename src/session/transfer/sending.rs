@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     core::{
-        encoding::Encoding,
+        message::encoding::Encoding,
         transfer::{
             offer::FileName,
             push::{SendError, TransferPush},

@@ -1,6 +1,10 @@
 //! Tests of the store.
 use super::*;
-use crate::core::{encoding::Encoding, name::Name, topic::Topic, transfer::offer::FileName};
+use crate::core::{
+    message::encoding::Encoding,
+    name::{topic::Topic, Name},
+    transfer::offer::FileName,
+};
 
 fn offer(name: &str, bytes: &[u8]) -> (Offer, TransferId) {
     let offer = Offer {

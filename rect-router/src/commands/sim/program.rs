@@ -6,7 +6,7 @@ use std::{
 };
 
 use rect::core::{
-    attachment::{Attachment, Sent},
+    message::attachment::{Attachment, Sent},
     name::Name,
 };
 use serde_json::json;

@@ -6,7 +6,7 @@ use std::{
 };
 
 use rect::{
-    core::topics::Topics,
+    core::registry::topics::Topics,
     recording::{entry::since_1970, report::EventReport},
     Connection, ConnectionState, Event, Events, Name, Robot,
 };

@@ -9,7 +9,7 @@ use std::{
 };
 
 use rand::{rngs::OsRng, RngCore};
-use rect::core::login::logins;
+use rect::core::session::login::logins;
 use sha2::{Digest, Sha256};
 
 /// The name of the cookie that identifies a session.

@@ -8,7 +8,7 @@ use foxglove::{
     },
     Schema,
 };
-use rect::{core::display::line, recording::view, Name, Payload, Robot, Topic};
+use rect::{core::text::display::line, recording::view, Name, Payload, Robot, Topic};
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
 use crate::{topic::RobotTopic, Failure};

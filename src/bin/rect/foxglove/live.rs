@@ -7,7 +7,7 @@ use std::{
 
 use foxglove::{websocket::ConnectionGraph, ChannelBuilder, Context, RawChannel, Schema, SinkId};
 use rect::{
-    core::{encoding::Encoding, topics::Topics},
+    core::{message::encoding::Encoding, registry::topics::Topics},
     recording::{
         entry::{since_1970, Entry},
         picture::Kind,

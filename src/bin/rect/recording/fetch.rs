@@ -8,7 +8,7 @@ use std::{
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use rect::{
-    core::humanize,
+    core::text::humanize,
     recording::{
         file::{About, OpenFile},
         Entry, RecorderError,

@@ -1,7 +1,7 @@
 //! Defines the JSON file of a survey: surveys/survey.schema.json.
 use std::time::SystemTime;
 
-use rect::{core::humanize::milliseconds, terminal::Cell, Connection, Name};
+use rect::{core::text::humanize::milliseconds, terminal::Cell, Connection, Name};
 use serde::Serialize;
 
 use super::{computer::Computer, label::Label};

@@ -214,14 +214,14 @@ fn of_place(place: &Place, found: &mut Vec<String>) {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        super::{
+    use super::*;
+    use crate::{
+        measure::goodput::Goodput,
+        survey::{
             document::{Discovery, Link, Reconnection, Survey, Switch},
             label::Label,
         },
-        *,
     };
-    use crate::measure::goodput::Goodput;
     use rect::{Connection, ConnectionState};
 
     fn survey() -> Survey {

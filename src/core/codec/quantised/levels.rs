@@ -2,7 +2,7 @@
 use std::collections::VecDeque;
 
 use super::varint;
-use crate::core::array::Number;
+use crate::core::codec::array::Number;
 
 /// The largest level; larger numbers are exceptions. Up to here, every whole number is an `f64`, and differences of
 /// differences fit 64 bits.

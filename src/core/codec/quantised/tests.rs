@@ -2,7 +2,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::core::payload::ToPayload;
+use crate::core::message::payload::ToPayload;
 
 const LIMITS: Limits = Limits {
     max_bytes: 1 << 20,

@@ -1,7 +1,7 @@
 //! Decides with which settings of Zenoh a program opens its sessions.
 use serde_json::{json, Value};
 
-use super::urgency::Urgency;
+use crate::core::message::urgency::Urgency;
 
 /// Settings with which Zenoh reports why it cannot connect. A Zenoh client reports only that it could not.
 pub const DIAGNOSIS: [(&str, &str); 5] = [

@@ -6,7 +6,7 @@
 //! no clock is compared with that of another robot.
 use std::time::{Duration, Instant};
 
-use super::{fastest::Fastest, stream::offset::MillisecondClock};
+use crate::core::clock::{fastest::Fastest, MillisecondClock};
 
 /// Number of parts of the window in which messages have arrived. After a step of the sender's clock that was not noticed, the
 /// estimate is correct again when as many new ones have passed. A time would be wrong: the fastest message from before a cut is

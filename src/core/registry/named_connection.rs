@@ -77,7 +77,7 @@ impl NamedConnection {
     }
 }
 
-/// The key of the config service, below [`own`](super::key::KeySpace::own), which reads and changes a router's
+/// The key of the config service, below [`own`](super::super::name::key::KeySpace::own), which reads and changes a router's
 /// connections. Changes are accepted from programs of the same robot, and from the clients that the router's access
 /// control lists.
 pub const CONFIG: &str = "@config/connections";

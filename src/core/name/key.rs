@@ -6,8 +6,8 @@
 //! | messages to one robot | `<fleet>/<robot>/to/<recipient>/<topic>` |
 //! | internal keys of RECT | `<fleet>/<robot>/@rect/...` |
 use super::{
-    name::Name,
     topic::{Pattern, Topic, TO},
+    Name,
 };
 
 /// The part of a key below which RECT's internal keys are. Wildcards do not match it.

@@ -6,12 +6,14 @@ use fast_image_resize::{
     FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer,
 };
 
-use super::{
+use super::limits::Limits;
+use crate::core::{
     cause::Cause,
-    codec_error::CodecError,
-    encoding::Encoding,
-    limits::Limits,
-    payload::{Payload, PayloadError, ToPayload},
+    message::{
+        codec_error::CodecError,
+        encoding::Encoding,
+        payload::{Payload, PayloadError, ToPayload},
+    },
 };
 
 const KIND: &str = "picture";
@@ -177,7 +179,7 @@ impl Picture {
         })
     }
 
-    pub(super) fn payload(self) -> Payload {
+    pub(crate) fn payload(self) -> Payload {
         let Self { width, height, .. } = self;
         let (raw, format) = (Encoding::RAW, self.format.as_str());
         let encoding = format!("{raw};{KIND};{format};{width}x{height}");

@@ -2,10 +2,10 @@
 //! fastest. They are sent with the encoding `application/octet-stream;array;f32;480x640`.
 use bytes::Bytes;
 
-use super::{
+use super::limits::Limits;
+use crate::core::message::{
     codec_error::{damaged, CodecError},
     encoding::Encoding,
-    limits::Limits,
     payload::{Payload, PayloadError, ToPayload},
 };
 

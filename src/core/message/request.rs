@@ -1,10 +1,7 @@
 //! Encodes the metadata of requests and error replies: the header of a request (sender and timeout), and the robot in
 //! an error reply, because Zenoh's error replies have no key.
-use super::{
-    encoding::Encoding,
-    name::{Name, MAX_BYTES},
-    payload::Payload,
-};
+use super::{encoding::Encoding, payload::Payload};
+use crate::core::name::{Name, MAX_BYTES};
 
 /// The first byte of a header. It differs from those of [`super::attachment`], and no text in UTF-8 begins with it.
 const MARK: u8 = 0xFC;
@@ -87,7 +84,10 @@ mod tests {
         for wrong in [&b""[..], b"text", &bytes[..5], &[MARK, 0, 0, 0, 0, b'/']] {
             assert_eq!(RequestHeader::decode(wrong), None, "{wrong:?}");
         }
-        assert_eq!(super::super::attachment::Attachment::decode(&bytes), None);
+        assert_eq!(
+            crate::core::message::attachment::Attachment::decode(&bytes),
+            None
+        );
     }
 
     #[test]

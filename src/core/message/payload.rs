@@ -2,20 +2,17 @@
 use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
-use super::{
-    cause::Cause,
-    codec_error::CodecError,
-    encoding::{Encoding, TooLong},
-};
+use super::encoding::{Encoding, TooLong};
+use crate::core::{cause::Cause, message::codec_error::CodecError};
 
 /// Bytes with their encoding. Clones share the bytes.
 ///
 /// ```
-/// use rect::core::payload::{Json, ToPayload};
+/// use rect::core::message::payload::{Json, ToPayload};
 /// let payload = Json(vec![1, 2, 3]).to_payload()?;
 /// assert_eq!(payload.encoding.as_str(), "application/json");
 /// assert_eq!(payload.value::<Vec<u8>>()?, [1, 2, 3]);
-/// # Ok::<(), rect::core::payload::PayloadError>(())
+/// # Ok::<(), rect::core::message::payload::PayloadError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Payload {
@@ -144,7 +141,7 @@ impl Payload {
         self.encoding == *encoding
     }
 
-    pub(super) fn mismatch(&self, expected: &'static str) -> PayloadError {
+    pub(crate) fn mismatch(&self, expected: &'static str) -> PayloadError {
         let found = self.encoding.clone();
         PayloadError::Mismatch { expected, found }
     }

@@ -1,14 +1,14 @@
 //! Decides how a request to services is sent, and what each reply to it means.
 use std::time::Duration;
 
-use super::{
+use crate::core::{
     driver::{Get, Sample, Target},
-    key::KeySpace,
-    name::Name,
-    payload::Payload,
-    request::{error_from_payload, is_timeout, RequestHeader},
-    topic::Topic,
-    urgency::Urgency,
+    message::{
+        payload::Payload,
+        request::{error_from_payload, is_timeout, RequestHeader},
+        urgency::Urgency,
+    },
+    name::{key::KeySpace, topic::Topic, Name},
 };
 
 /// The number of replies that may wait for the program. A service that sends more waits.

@@ -3,10 +3,8 @@ use std::{fmt, str::FromStr, sync::Arc};
 
 use zenoh_keyexpr::{canon::Canonize, keyexpr};
 
-use super::{
-    display::is_harmful,
-    name::{Name, NameError},
-};
+use super::{Name, NameError};
+use crate::core::text::display::is_harmful;
 
 /// The maximum length of a topic, in bytes. The topic is sent with every message whose key is not declared.
 pub const MAX_BYTES: usize = 200;
@@ -19,7 +17,7 @@ pub(super) const TO: &str = "to";
 /// internally), and the first part is not `to`.
 ///
 /// ```
-/// use rect::core::topic::Topic;
+/// use rect::core::name::topic::Topic;
 /// assert!(Topic::new("arm/angle").is_ok());
 /// assert!(Topic::new("arm/*").is_err());
 /// ```
@@ -33,10 +31,10 @@ pub struct Topic(Arc<str>);
 /// `wombat-2/**` (everything that wombat-2 publishes, or sends to this robot).
 ///
 /// ```
-/// use rect::core::topic::Pattern;
+/// use rect::core::name::topic::Pattern;
 /// let pattern = Pattern::new("*/arm/*")?;
 /// assert_eq!((pattern.robot(), pattern.topic()), (None, "arm/*"));
-/// # Ok::<(), rect::core::topic::TopicError>(())
+/// # Ok::<(), rect::core::name::topic::TopicError>(())
 /// ```
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Pattern {

@@ -1,7 +1,8 @@
 //! Defines [`CodecError`]: why a codec cannot be created, or cannot encode or decode a payload.
 use std::error::Error;
 
-use super::{cause::Cause, encoding::Encoding};
+use super::encoding::Encoding;
+use crate::core::cause::Cause;
 
 /// A codec cannot be created, or cannot encode or decode a payload.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -71,7 +72,7 @@ pub enum CodecError {
 }
 
 /// Returns the error for bytes that are not of `format`.
-pub(super) fn damaged(
+pub(crate) fn damaged(
     format: &'static str,
     reason: impl Into<Box<dyn Error + Send + Sync>>,
 ) -> CodecError {

@@ -1,12 +1,12 @@
 //! Drives the subscription to events of robots, links and the router, and the observation of the router's links.
 use std::{collections::VecDeque, time::Instant};
 
-use super::{
-    connection::{Connection, Event as ConnectionEvent, Link, Links, Presence},
+use super::connection::{Connection, Event as ConnectionEvent, Link, Links, Presence};
+use crate::core::{
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Sample, Step},
-    key::KeySpace,
-    payload::Payload,
-    peers::{self, TIMEOUT},
+    message::payload::Payload,
+    name::key::KeySpace,
+    session::peers::{self, TIMEOUT},
 };
 
 const LINKS: Id = Id(0);

@@ -7,16 +7,14 @@ use std::{
 
 use serde_json::json;
 
-use super::{
+use crate::core::{
+    clock::MillisecondClock,
     driver::{
         question::{Next, Question},
         Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Step, Target,
     },
-    encoding::Encoding,
-    key::KeySpace,
-    name::Name,
-    payload::Payload,
-    stream::offset::MillisecondClock,
+    message::{encoding::Encoding, payload::Payload},
+    name::{key::KeySpace, Name},
 };
 
 /// The timeout of a question to the routers. They reply at once, but a slow and busy link delays the reply.

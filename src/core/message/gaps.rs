@@ -8,9 +8,8 @@ use std::{
 use super::{
     attachment::{Attachment, Sent},
     expiry::Ages,
-    name::Name,
-    stream::offset::MillisecondClock,
 };
+use crate::core::{clock::MillisecondClock, name::Name};
 
 /// The maximum number of publishers that are tracked. Beyond it, the ones that have been inactive for longest are
 /// forgotten.

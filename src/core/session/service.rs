@@ -1,11 +1,13 @@
 //! Decides how a service handles its requests: how many wait and run, who sent them, and until when it waits for a reply.
 use std::time::Duration;
 
-use super::{
-    encoding::Encoding,
+use crate::core::{
+    message::{
+        encoding::Encoding,
+        payload::Payload,
+        request::{error_to_payload, RequestHeader, DEFAULT_TIMEOUT_MS},
+    },
     name::Name,
-    payload::Payload,
-    request::{error_to_payload, RequestHeader, DEFAULT_TIMEOUT_MS},
 };
 
 /// The number of requests that may wait for the program. Further ones are refused at once.

@@ -1,5 +1,5 @@
 //! Defines [`Limits`]: how large a decoded payload may be.
-use super::codec_error::{damaged, CodecError};
+use crate::core::message::codec_error::{damaged, CodecError};
 
 /// The limits of a decoder, which protect a receiver against malicious peers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +21,7 @@ impl Default for Limits {
 
 impl Limits {
     /// No limits, for data that is already in memory.
-    pub(super) fn any() -> Self {
+    pub(crate) fn any() -> Self {
         Self {
             max_bytes: isize::MAX as usize,
             max_pixels: usize::MAX,
@@ -29,7 +29,7 @@ impl Limits {
     }
 
     /// Returns the size in bytes of a picture of these dimensions, if the limits allow it.
-    pub(super) fn picture(
+    pub(crate) fn picture(
         &self,
         format: &'static str,
         [width, height]: [u32; 2],
@@ -50,7 +50,7 @@ impl Limits {
     }
 
     /// Returns `bytes` if the limits allow it.
-    pub(super) fn bytes(&self, format: &'static str, bytes: u64) -> Result<usize, CodecError> {
+    pub(crate) fn bytes(&self, format: &'static str, bytes: u64) -> Result<usize, CodecError> {
         match usize::try_from(bytes) {
             Ok(bytes) if bytes <= self.max_bytes => Ok(bytes),
             _ => Err(CodecError::TooLarge {

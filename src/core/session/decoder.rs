@@ -6,17 +6,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{
-    codec::{self, CodecError, Limits},
-    dictionary::{Dictionary, DictionaryError, RobotDictionaries},
+use crate::core::{
+    codec::{
+        self,
+        dictionary::{Dictionary, DictionaryError, RobotDictionaries},
+        CodecError, Limits,
+    },
     driver::{
         question::{Next, Question},
         Action, Driver, Event, Get, Id, Reaction, Step,
     },
-    key::KeySpace,
-    name::Name,
-    payload::Payload,
-    urgency::Qos,
+    message::{payload::Payload, urgency::Qos},
+    name::{key::KeySpace, Name},
 };
 
 /// The timeout for fetching a dictionary: 100 kB take 3 s at 34 kB/s, and the link carries other traffic, too.

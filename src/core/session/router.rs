@@ -2,11 +2,13 @@
 //! that the program joins as. It is given the time and Zenoh's error messages; the sessions do the I/O.
 use std::time::Duration;
 
-use super::{
-    humanize,
-    key::{KeySpace, OWN},
-    login::{Login, LoginRefused},
-    name::Name,
+use super::login::{Login, LoginRefused};
+use crate::core::{
+    name::{
+        key::{KeySpace, OWN},
+        Name,
+    },
+    text::humanize,
 };
 
 /// How long to wait for the router's answer about the robot that it serves. A router answers within a millisecond,

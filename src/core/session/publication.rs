@@ -1,12 +1,12 @@
 //! Decides how a message is published: its key, its number, and which publishers are kept.
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
-use super::{
-    attachment::{Attachment, Encoded, Sent},
-    key::KeySpace,
-    name::Name,
-    topic::Topic,
-    urgency::{Qos, Urgency},
+use crate::core::{
+    message::{
+        attachment::{Attachment, Encoded, Sent},
+        urgency::{Qos, Urgency},
+    },
+    name::{key::KeySpace, topic::Topic, Name},
 };
 
 /// The size in bytes from which a payload may have to wait for room on a link, so that a thread that must not wait does
