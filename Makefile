@@ -66,4 +66,4 @@ dist: ## Build packages, wheels and archives for amd64 and arm64 into dist/ (an 
 	@scripts/dist
 
 router: ## Build only the router and the rect tool, with the release profile
-	cargo build --release -p rect-robot -p rect-router
+	cargo build --release -p rect-cli -p rect-router

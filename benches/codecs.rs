@@ -3,7 +3,7 @@
 //!     codecs KIND TRAINING_FILE MEASURED_FILE [KIND ...]     (files: one JSON message per line)
 use std::{error::Error, hint::black_box, sync::Arc, time::Instant};
 
-use rect::core::{
+use rect_core::{
     codec::{self, dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec, Limits},
     message::{
         encoding::Encoding,

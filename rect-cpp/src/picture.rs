@@ -6,7 +6,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use rect::core::{
+use rect_core::{
     codec::{
         picture::{Format as LibraryFormat, Picture as LibraryPicture},
         Limits,

@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
-use rect::core::{
+use rect_core::{
     codec::{
         self,
         dictionary::{self, Dictionaries},

@@ -2,7 +2,7 @@
 use std::sync::Mutex;
 
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::{
     name::Name,
     registry::{connection, named_connection::NamedConnection},
 };

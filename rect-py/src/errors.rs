@@ -1,6 +1,6 @@
 //! Converts the errors of the core to the exceptions of `rect.errors`.
 use pyo3::{prelude::*, sync::PyOnceLock, types::PyModule};
-use rect::core::{
+use rect_core::{
     codec::{dictionary::DictionaryError, CodecError},
     message::payload::PayloadError,
     name::{topic::TopicError, NameError},

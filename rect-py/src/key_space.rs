@@ -1,6 +1,6 @@
 //! Validates names, topics, patterns and encodings, and makes keys from them.
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::{
     codec,
     message::{encoding::Encoding, payload::PayloadError, urgency::Urgency},
     name::{

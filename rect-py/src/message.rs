@@ -6,7 +6,7 @@ use std::{
 
 use bytes::Bytes;
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::{
     message::{self, encoding::Encoding, payload::Payload, Delivery, Message, Undelivered},
     name::{key::Selected, topic::Pattern, Name},
 };

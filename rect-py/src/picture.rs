@@ -1,7 +1,7 @@
 //! Encodes and decodes pictures and arrays of numbers.
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
-use rect::core::{
+use rect_core::{
     cause::Cause,
     codec::{
         array::{Array, Element},

@@ -6,7 +6,7 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBytes, PyTuple},
 };
-use rect::core::{
+use rect_core::{
     message::{encoding::Encoding, payload::Payload, request::error_to_payload},
     session::{
         inquiry::{self, ReplyKind},
@@ -66,7 +66,7 @@ impl Inquiry {
             Err(payload_of(&error)?)
         } else {
             let key = ok.getattr(intern!(py, "key_expr"))?.str()?.to_string();
-            Ok(rect::core::driver::Sample {
+            Ok(rect_core::driver::Sample {
                 key,
                 payload: payload_of(&ok)?,
                 attachment: None,

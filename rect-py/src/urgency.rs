@@ -1,6 +1,6 @@
 //! Converts urgencies between their names and the core's type, and to Zenoh's quality of service.
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::{
     message::urgency::Urgency,
     session::{
         publication,

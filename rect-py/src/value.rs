@@ -7,7 +7,7 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple},
 };
-use rect::core::{
+use rect_core::{
     cause::Cause,
     message::payload::{Cbor, Json, PayloadError, ToPayload, MAX_DEPTH},
 };

@@ -1,5 +1,5 @@
 //! Describes the paths and lanes of `any` links for the registry and the admin space.
-use rect::core::registry::connection::{
+use rect_core::registry::connection::{
     LinkLane, LinkPath, LinkPathState, PathSwitch, SwitchReason, Traffic,
 };
 use serde::Serialize;

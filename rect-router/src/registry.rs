@@ -18,7 +18,7 @@ use std::{
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-use rect::core::{
+use rect_core::{
     registry::connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
     text::humanize,
 };

@@ -16,7 +16,7 @@ use std::{
 };
 
 use parking_lot::Mutex;
-use rect::core::{
+use rect_core::{
     message::attachment::Attachment,
     registry::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
 };

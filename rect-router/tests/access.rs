@@ -8,14 +8,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{
-    blocking,
-    core::{
-        message::encoding::Encoding,
-        name::Name,
-        transfer::{offer::FileName, Checksum, Offer},
-    },
-    Error, Options, ReceiveOptions, Topic,
+use rect::{blocking, Error, Options, ReceiveOptions, Topic};
+use rect_core::{
+    message::encoding::Encoding,
+    name::Name,
+    transfer::{offer::FileName, Checksum, Offer},
 };
 use serde_json::{json, Value};
 use support::{

@@ -11,10 +11,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{
-    core::stream::ladder::{Coding, Step, PICTURES},
-    Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
-};
+use rect::{Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch};
+use rect_core::stream::ladder::{Coding, Step, PICTURES};
 use support::{joined, simulated, Air, Router, DEADLINE};
 use zenoh_link::ble::radio::sim::{AirOptions, LlPayload};
 

@@ -8,21 +8,19 @@ use pyo3::{
     types::{PyBytes, PyTuple},
     IntoPyObjectExt,
 };
-use rect::{
-    core::{
-        driver::Sample,
-        message::payload::Payload,
-        name::Name,
-        registry::{
-            connection::{Connection, Event},
-            RegistryError,
-        },
-        session::peers::Waited,
-        stream::frame::ReceivedFrame,
-        transfer::Progress,
+use rect_core::{
+    driver::Sample,
+    message::payload::Payload,
+    name::Name,
+    registry::{
+        connection::{Connection, Event},
+        RegistryError,
     },
-    recording::report::EventReport,
+    session::peers::Waited,
+    stream::frame::ReceivedFrame,
+    transfer::Progress,
 };
+use rect_recording::report::EventReport;
 
 use crate::codec::parts;
 

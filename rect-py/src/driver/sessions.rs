@@ -2,7 +2,7 @@
 use std::time::Duration;
 
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::{
     registry::{
         observer::{Observer, RouterObserver},
         RegistryQuery,

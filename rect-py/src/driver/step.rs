@@ -6,7 +6,7 @@ use pyo3::{
     prelude::*,
     types::{PyBytes, PyTuple},
 };
-use rect::core::{
+use rect_core::{
     driver::{Action, Answer, Declaration, Get, Step, Target},
     message::{payload::Payload, urgency::Qos},
 };

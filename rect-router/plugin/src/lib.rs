@@ -14,7 +14,7 @@ use std::{
     thread,
 };
 
-use rect::core::text::humanize;
+use rect_core::text::humanize;
 use rect_router::{config::Settings, threads};
 use zenoh::{
     internal::{

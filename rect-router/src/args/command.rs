@@ -2,7 +2,7 @@
 use std::{env, path::PathBuf};
 
 use clap::{Parser, Subcommand};
-use rect::core::{
+use rect_core::{
     name::{Name, NameError},
     session::{endpoint, login},
 };

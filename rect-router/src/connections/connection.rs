@@ -6,7 +6,7 @@ use std::{
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
-use rect::core::registry::connection::Traffic;
+use rect_core::registry::connection::Traffic;
 use zenoh_link::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,

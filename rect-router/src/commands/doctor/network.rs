@@ -1,6 +1,6 @@
 //! Checks the connections of this computer: its router, its peers and their clocks.
 
-use rect::core::{
+use rect_core::{
     registry::named_connection::CONFIG,
     text::{display, humanize::short_reason},
 };

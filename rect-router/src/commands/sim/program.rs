@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::core::{
+use rect_core::{
     message::attachment::{Attachment, Sent},
     name::Name,
 };
