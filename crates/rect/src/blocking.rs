@@ -466,7 +466,7 @@ impl Robot {
 impl Messages {
     /// Blocks until the next message; returns `None` if none arrives within `timeout`, or if the session is closed.
     ///
-    /// If the timeout expires while the dictionary of a message is fetched, that message is lost.
+    /// If the timeout expires while the dictionary of a message is fetched, the next call returns that message.
     pub fn next_timeout(&mut self, timeout: Duration) -> Option<Message> {
         let next = async { tokio::time::timeout(timeout, self.subscriber.next()).await };
         self.runtime.wait(next).ok().flatten()

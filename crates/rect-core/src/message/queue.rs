@@ -96,6 +96,11 @@ impl<T> Queue<T> {
         item
     }
 
+    /// Puts an item back that was removed and not used. It becomes the oldest one, even if the queue is full meanwhile.
+    pub fn put_back(&mut self, item: T) {
+        self.waiting.push_front(item);
+    }
+
     /// Returns whether a program that finds the queue empty should let other threads run before it waits for an item. In a
     /// burst they fill the queue meanwhile, so that one wake-up serves many items. Never with a rule that drops items: the other
     /// threads may fill the queue more than once.
@@ -172,5 +177,17 @@ mod tests {
         let mut dropping = Queue::new(2, WhenFull::DropOldest);
         take(&mut dropping, 2 * BURST);
         assert!(!dropping.is_burst());
+    }
+
+    #[test]
+    fn item_that_is_put_back_is_the_oldest() {
+        let mut queue = Queue::new(2, WhenFull::DropNewest);
+        queue.push(1);
+        let item = queue.pop().expect("queued");
+        queue.push(2);
+        queue.push(3);
+        queue.put_back(item);
+        let left: Vec<_> = std::iter::from_fn(|| queue.pop()).collect();
+        assert_eq!((left, queue.dropped()), (vec![1, 2, 3], 0));
     }
 }

@@ -1,6 +1,10 @@
 //! Opens a session with a router within a time limit, and queries the router for the name of its robot.
 use std::{thread, time::Duration};
 
+use rect_core::session::{
+    router::{robot_of_router, ROBOT_TIMEOUT},
+    settings::DIAGNOSIS,
+};
 use tokio::{
     runtime::{Handle, RuntimeFlavor},
     sync::oneshot,
@@ -8,10 +12,6 @@ use tokio::{
 use zenoh::{Config, Session, Wait};
 
 use crate::error::Error;
-use rect_core::session::{
-    router::{robot_of_router, ROBOT_TIMEOUT},
-    settings::DIAGNOSIS,
-};
 
 /// Why an attempt to open a session failed.
 pub(super) enum NotOpened {

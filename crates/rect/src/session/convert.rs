@@ -5,17 +5,16 @@ use std::{
 };
 
 use bytes::Bytes;
+use rect_core::{
+    driver::Sample,
+    message::{attachment::Encoded, encoding::Encoding, payload::Payload, urgency::Qos},
+};
 use zenoh::{
     bytes::{Encoding as ZenohEncoding, ZBytes},
     qos::{CongestionControl, Priority},
     sample::SampleKind,
 };
 use zenoh_buffers::{ZBuf, ZSliceBuffer};
-
-use rect_core::{
-    driver::Sample,
-    message::{attachment::Encoded, encoding::Encoding, payload::Payload, urgency::Qos},
-};
 
 /// An encoded attachment as a buffer of Zenoh's. A vector would be allocated in addition to Zenoh's own allocation.
 #[derive(Debug)]

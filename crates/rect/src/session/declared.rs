@@ -4,6 +4,7 @@ use std::sync::{
     Arc,
 };
 
+use rect_core::driver::{Declaration, Driver, Event, Id};
 use zenoh::{
     liveliness::LivelinessToken,
     matching::MatchingListener,
@@ -16,7 +17,6 @@ use zenoh::{
 
 use super::{convert::sample, queries, shared::Shared};
 use crate::error::Error;
-use rect_core::driver::{Declaration, Driver, Event, Id};
 
 /// Something that is declared on a Zenoh session. Dropping it undeclares it.
 pub(super) struct Declared {

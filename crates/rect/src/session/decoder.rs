@@ -5,16 +5,16 @@ use std::{
     time::Instant,
 };
 
-use zenoh::{query::Query, query::Queryable, Session, Wait};
-
-use super::{executor::Executor, shared::NoItems};
-use crate::error::Error;
 use rect_core::{
     codec::{self, dictionary::Dictionary, CodecError},
     message::{payload::Payload, Message},
     name::{key::KeySpace, Name},
     session::decoder,
 };
+use zenoh::{query::Query, query::Queryable, Session, Wait};
+
+use super::{executor::Executor, shared::NoItems};
+use crate::error::Error;
 
 /// Decodes the payloads that one program receives.
 pub(super) struct Decoder {

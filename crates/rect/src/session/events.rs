@@ -1,6 +1,13 @@
 //! Reports events of robots, links and the router to the program, and returns the program's counters.
 use std::{fmt, sync::Arc};
 
+use rect_core::{
+    message::{
+        counters::Counters,
+        queue::{Queue, WhenFull, DEFAULT_CAPACITY},
+    },
+    registry::{connection::Event, observer::Observer},
+};
 use tokio::task::JoinHandle;
 
 use super::{
@@ -10,13 +17,6 @@ use super::{
     subscriber::{call, Subscription},
 };
 use crate::error::Error;
-use rect_core::{
-    message::{
-        counters::Counters,
-        queue::{Queue, WhenFull, DEFAULT_CAPACITY},
-    },
-    registry::{connection::Event, observer::Observer},
-};
 
 /// Receives the [events](Event) of robots, links and the router; created by [`Robot::events`].
 ///
@@ -42,6 +42,9 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn events(&self) -> Result<Events, Error> {
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(DEFAULT_CAPACITY, WhenFull::DropOldest));
@@ -59,6 +62,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`events`](Self::events).
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn on_event(
         &self,
         mut callback: impl FnMut(Event) + Send + 'static,
@@ -80,6 +86,9 @@ impl Robot {
 
 impl Events {
     /// Waits for the next event; returns `None` once the session or the subscription is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no event is lost: the next call returns it.
     pub async fn next(&self) -> Option<Event> {
         self.queue.pop().await
     }

@@ -8,6 +8,11 @@ use std::{
     time::{Duration, Instant},
 };
 
+use rect_core::{
+    driver::{Action, Driver, Event, Id, Step},
+    storage::Files,
+    transfer::files::UsesFiles,
+};
 use tokio::{runtime::Handle, task::JoinHandle};
 use zenoh::Session;
 
@@ -17,11 +22,6 @@ use super::{
     shared::{Shared, Sink},
 };
 use crate::error::Error;
-use rect_core::{
-    driver::{Action, Driver, Event, Id, Step},
-    storage::Files,
-    transfer::files::UsesFiles,
-};
 
 /// Interval at which a thread that runs a driver checks whether the session was closed.
 const CHECK_EVERY: Duration = Duration::from_secs(1);

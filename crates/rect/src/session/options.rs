@@ -5,14 +5,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use serde_json::Value;
-use zenoh::{Config, Session};
-
-use super::{
-    connect::{self, NotOpened},
-    robot::Robot,
-};
-use crate::error::Error;
 use rect_core::{
     name::{key::KeySpace, Name},
     session::{
@@ -22,6 +14,14 @@ use rect_core::{
         settings::SessionLinks,
     },
 };
+use serde_json::Value;
+use zenoh::{Config, Session};
+
+use super::{
+    connect::{self, NotOpened},
+    robot::Robot,
+};
+use crate::error::Error;
 
 const DEFAULT_FLEET: &str = "rect";
 
@@ -59,6 +59,9 @@ pub struct Options {
 /// # Errors
 /// [`Error::Name`] if `robot` is not a valid name, [`Error::NoRouter`] if no router replies within 5 s, and the other errors
 /// of [`Options::connect`].
+///
+/// # Cancel safety
+/// If the future is dropped, the session is closed as soon as it has been opened.
 pub async fn connect(robot: &str) -> Result<Robot, Error> {
     Options::new(robot)?.connect().await
 }
@@ -186,6 +189,9 @@ impl Options {
     /// router rejects the login, [`Error::WrongRobot`] if it serves another robot, [`Error::Option`] if Zenoh rejects
     /// one of the options, [`Error::Runtime`] without tokio's runtime with several threads, [`Error::Thread`] if no thread
     /// can be started, and [`Error::Zenoh`] if the session ends while it is being set up.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the session is closed as soon as it has been opened.
     pub async fn connect(self) -> Result<Robot, Error> {
         connect::check_runtime()?;
         if self.links().is_direct() {

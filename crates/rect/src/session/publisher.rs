@@ -1,14 +1,14 @@
 //! Defines [`Publisher`], which publishes on one topic and knows whether there are subscribers.
 use std::{fmt, sync::Arc, time::Duration};
 
+use rect_core::{
+    message::payload::ToPayload, name::topic::Topic, session::publication::PublicationKey,
+};
 use tokio::sync::watch;
 use zenoh::{matching::MatchingListener, Wait};
 
 use super::{publication::Publication, robot::Robot};
 use crate::error::Error;
-use rect_core::{
-    message::payload::ToPayload, name::topic::Topic, session::publication::PublicationKey,
-};
 
 /// Publishes on one topic, and reports whether subscribers receive the messages; created by [`Robot::publisher`].
 ///
@@ -36,6 +36,9 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future has no effect, except that a session for the urgency of this handle may have been opened.
     pub async fn publisher<T: TryInto<Topic>>(&self, topic: T) -> Result<Publisher, Error>
     where
         Error: From<T::Error>,
@@ -77,6 +80,10 @@ impl Publisher {
     ///
     /// # Errors
     /// Returns the errors of [`Robot::publish`].
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
     pub async fn publish(&self, value: impl ToPayload) -> Result<(), Error> {
         let payload = self.robot.payload(value)?;
         let put = (self.robot).put(&self.publication, payload, Duration::ZERO)?;
@@ -92,6 +99,9 @@ impl Publisher {
     ///
     /// # Errors
     /// [`Error::TimedOut`] if there is none within `timeout`, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future ends the wait. Nothing else changes.
     pub async fn wait_for_subscriber(&self, timeout: Duration) -> Result<(), Error> {
         let mut matching = self.matching.clone();
         let found = async { matching.wait_for(|now| *now == Some(true)).await.is_ok() };

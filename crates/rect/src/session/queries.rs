@@ -1,4 +1,8 @@
 //! Declares publishers, publishes, queries and answers on a Zenoh session as the core's actions say.
+use rect_core::{
+    driver::{Answer, Get, Sample, Target},
+    message::{payload::Payload, urgency::Qos},
+};
 use zenoh::{
     bytes::{Encoding, ZBytes},
     handlers::{CallbackDrop, DefaultHandler},
@@ -11,10 +15,6 @@ use zenoh::{
 
 use super::convert::{self, congestion_control, priority};
 use crate::error::Error;
-use rect_core::{
-    driver::{Answer, Get, Sample, Target},
-    message::{payload::Payload, urgency::Qos},
-};
 
 /// Declares a publisher.
 pub(super) fn publisher(

@@ -7,10 +7,10 @@ use std::{
     },
 };
 
+use rect_core::message::queue::{Pushed, Queue};
 use tokio::sync::Notify;
 
 use super::shared::Sink;
-use rect_core::message::queue::{Pushed, Queue};
 
 /// A queue between Zenoh's threads and the program.
 #[derive(Debug)]
@@ -97,6 +97,17 @@ impl<T> ReceiveQueue<T> {
         item
     }
 
+    /// Does the same as [`pop`](Self::pop), and puts the item back if the returned guard is dropped.
+    pub(super) async fn pop_guarded(&self) -> Option<Popped<'_, T>> {
+        let item = Some(self.pop().await?);
+        Some(Popped { item, queue: self })
+    }
+
+    fn put_back(&self, item: T) {
+        self.state().queue.put_back(item);
+        self.arrived.notify_one();
+    }
+
     pub(super) fn dropped(&self) -> u64 {
         self.state().queue.dropped()
     }
@@ -117,6 +128,34 @@ impl<T> ReceiveQueue<T> {
 
     fn state(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// An item that was removed from a queue, and returns to it unless it is taken: the program may drop the future that waits for
+/// something else before it uses the item.
+pub(super) struct Popped<'a, T> {
+    /// Present until it is taken.
+    item: Option<T>,
+    queue: &'a ReceiveQueue<T>,
+}
+
+impl<T> Popped<'_, T> {
+    /// Returns the item, unless it was taken.
+    pub(super) fn item(&mut self) -> Option<&mut T> {
+        self.item.as_mut()
+    }
+
+    /// Takes the item, which does not return to the queue then.
+    pub(super) fn take(mut self) -> Option<T> {
+        self.item.take()
+    }
+}
+
+impl<T> Drop for Popped<'_, T> {
+    fn drop(&mut self) {
+        if let Some(item) = self.item.take() {
+            self.queue.put_back(item);
+        }
     }
 }
 

@@ -5,6 +5,17 @@ use std::{
     time::{Duration, UNIX_EPOCH},
 };
 
+use rect_core::{
+    driver,
+    message::request::{error_from_payload, is_timeout},
+    name::Name,
+};
+use rect_recording::{
+    answer::{busy, key, Answer, FORM, MCAP, WAITING},
+    excerpt::Excerpt,
+    file::About,
+    Entry, Recorder, RecorderError,
+};
 use tokio::{sync::mpsc, task::JoinHandle, time::timeout};
 use zenoh::{
     query::{
@@ -17,17 +28,6 @@ use zenoh::{
 
 use super::{convert, queries, robot::Robot};
 use crate::error::Error;
-use rect_core::{
-    driver,
-    message::request::{error_from_payload, is_timeout},
-    name::Name,
-};
-use rect_recording::{
-    answer::{busy, key, Answer, FORM, MCAP, WAITING},
-    excerpt::Excerpt,
-    file::About,
-    Entry, Recorder, RecorderError,
-};
 
 /// How long the end of a recording waits for the answer that is being sent.
 const SENT_WITHIN: Duration = Duration::from_secs(2);
@@ -172,6 +172,9 @@ impl Recorded {
     /// [`Error::NoService`] if no program of the robot records, [`Error::Service`] if the recorder rejects the question,
     /// [`Error::TimedOut`] if no answer arrives within 15 s, [`Error::Recording`] if the answer is damaged, and
     /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no message is lost: the next call asks for the same part again.
     pub async fn next(&mut self) -> Result<Option<Vec<Entry>>, Error> {
         if self.is_complete {
             return Ok(None);

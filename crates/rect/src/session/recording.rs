@@ -5,6 +5,14 @@ use std::{
     time::{Duration, Instant},
 };
 
+use rect_core::{
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::topic::Pattern,
+};
+use rect_recording::{
+    file, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder,
+    Settings, Split,
+};
 use tokio::{
     task::JoinSet,
     time::{interval, MissedTickBehavior},
@@ -17,14 +25,6 @@ use zenoh::{
 
 use super::{queries, recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
 use crate::error::Error;
-use rect_core::{
-    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
-    name::topic::Pattern,
-};
-use rect_recording::{
-    file, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder,
-    Settings, Split,
-};
 
 /// The settings of [`Robot::record`].
 #[derive(Clone, Debug, Default)]
@@ -72,6 +72,9 @@ impl Robot {
     /// # Errors
     /// [`Error::Recording`] if there is a recording of that name, or the folder cannot be written; [`Error::Closed`] if the session
     /// is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn record(
         &self,
         path: impl Into<PathBuf>,
@@ -125,6 +128,9 @@ impl RobotRecorder {
     }
 
     /// Waits until the session has ended.
+    ///
+    /// # Cancel safety
+    /// Dropping the future ends the wait. Nothing else changes.
     pub async fn ended(&mut self) {
         while self.messages.join_next().await.is_some() {}
     }
@@ -133,6 +139,10 @@ impl RobotRecorder {
     ///
     /// # Errors
     /// [`Error::Recording`] if the disk fails; then the folder remains, and can be read.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, recording has stopped, but there may be no single file yet: the folder of the
+    /// recording remains, and `rect recording merge` makes a file of it.
     pub async fn finish(mut self) -> Result<(Vec<PathBuf>, Progress), Error> {
         self.reports.shutdown().await;
         self.subscriber.close();

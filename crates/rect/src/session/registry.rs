@@ -1,9 +1,5 @@
 //! Queries the routers for reachable robots and connections (docs/reference/registry.md lists the keys), and changes the
 //! named connections of a router.
-use serde::de::DeserializeOwned;
-
-use super::{executor::Executor, robot::Robot, shared::NoItems};
-use crate::error::Error;
 use rect_core::{
     message::payload::Payload,
     name::Name,
@@ -14,12 +10,19 @@ use rect_core::{
     },
     session::peers::{PeersQuery, TIMEOUT},
 };
+use serde::de::DeserializeOwned;
+
+use super::{executor::Executor, robot::Robot, shared::NoItems};
+use crate::error::Error;
 
 impl Robot {
     /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
     ///
     /// # Errors
     /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
     pub async fn peers(&self) -> Result<Vec<Name>, Error> {
         let query = PeersQuery::new(self.inner.place.clone());
         Executor::new(&self.inner.session, query, NoItems)
@@ -32,6 +35,9 @@ impl Robot {
     /// # Errors
     /// [`Error::NoService`] if the robot has no router with RECT's registry, [`Error::Service`] if the router rejects the
     /// query, [`Error::TimedOut`] if no reply arrives within 5 s, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
     pub async fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.connections_of(self.name().clone(), "").await
     }
@@ -41,6 +47,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the errors of [`connections`](Self::connections), and [`Error::Name`] if `robot` is not a valid name.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
     pub async fn connections_of<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -59,6 +68,9 @@ impl Robot {
     /// # Errors
     /// Returns the errors of [`connections`](Self::connections), and [`Error::Payload`] if the reply cannot be
     /// deserialized as `T`.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
     pub async fn query_registry<T: DeserializeOwned>(
         &self,
         robot: Name,
@@ -84,6 +96,9 @@ impl Robot {
     /// [`Error::Service`] with the reason if the router rejects the connection; [`Error::NoService`] if the robot has no
     /// router whose configuration names a connections file (`plugins/rect/connections`); [`Error::TimedOut`] if no reply
     /// arrives within 5 s.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
     pub async fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
         let robot = self.name().clone();
         self.add_connection_of(robot, connection).await
@@ -94,6 +109,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the errors of [`add_connection`](Self::add_connection), and [`Error::Name`] if `robot` is not a valid name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
     pub async fn add_connection_of<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -111,6 +129,9 @@ impl Robot {
     /// # Errors
     /// [`Error::Service`] if the router has no connection of that name; [`Error::NoService`] and [`Error::TimedOut`] as
     /// for [`add_connection`](Self::add_connection).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
     pub async fn remove_connection(&self, name: &str) -> Result<(), Error> {
         let robot = self.name().clone();
         self.remove_connection_of(robot, name).await
@@ -122,6 +143,9 @@ impl Robot {
     /// # Errors
     /// Returns the errors of [`remove_connection`](Self::remove_connection), and [`Error::Name`] if `robot` is not a valid
     /// name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
     pub async fn remove_connection_of<N: TryInto<Name>>(
         &self,
         robot: N,

@@ -8,6 +8,14 @@ use std::{
     time::Duration,
 };
 
+use rect_core::{
+    message::{
+        payload::{Payload, ToPayload},
+        queue::{Queue, WhenFull},
+    },
+    name::{topic::Topic, Name},
+    session::inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
+};
 use zenoh::cancellation::CancellationToken;
 
 use super::{
@@ -18,14 +26,6 @@ use super::{
     robot::Robot,
 };
 use crate::error::Error;
-use rect_core::{
-    message::{
-        payload::{Payload, ToPayload},
-        queue::{Queue, WhenFull},
-    },
-    name::{topic::Topic, Name},
-    session::inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
-};
 
 /// The reply of a service to a request.
 #[derive(Clone, Debug)]
@@ -41,6 +41,8 @@ pub struct Replies {
     queue: Arc<ReceiveQueue<zenoh::query::Reply>>,
     decoder: Arc<Decoder>,
     inquiry: Inquiry,
+    /// The reply that is being decoded; the next call continues if the program has dropped the future of the last one.
+    undecoded: Option<Reply>,
     cancellation: CancellationToken,
 }
 
@@ -60,6 +62,10 @@ impl Robot {
     /// the topic, [`Error::TimedOut`] if no reply arrives within `timeout`; [`Error::Name`], [`Error::Topic`] or
     /// [`Error::Payload`] if an argument is invalid; [`Error::Codec`] if the codec of this handle does not support the
     /// value or the reply cannot be decoded; [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future cancels the request, whose reply is discarded. The service may have received it, and carry
+    /// it out.
     pub async fn request<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -99,6 +105,9 @@ impl Robot {
     /// # Errors
     /// [`Error::Topic`] or [`Error::Payload`] if an argument is invalid, [`Error::Codec`] if the codec of this handle
     /// does not support the value, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future cancels the request. Services may have received it, and carry it out.
     pub async fn request_all<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -137,6 +146,7 @@ impl Robot {
             queue,
             decoder: self.inner.decoder.clone(),
             inquiry,
+            undecoded: None,
             cancellation,
         })
     }
@@ -155,28 +165,38 @@ impl Replies {
     /// [`Error::Service`] if a service replied with an error, [`Error::Codec`] if a reply cannot be decoded,
     /// [`Error::TimedOut`] if the timeout expired before all services had replied, and [`Error::Zenoh`] if the key of a
     /// reply is not that of a robot. Further calls return the other replies.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no reply is lost: the next call returns it.
     pub async fn next(&mut self) -> Option<Result<Reply, Error>> {
-        // Zenoh has a timer for each request; a second one would wake a thread each time.
-        let reply = convert::reply(self.queue.pop().await?);
-        Some(match self.inquiry.on_reply(reply) {
-            ReplyKind::Answer {
-                sender,
-                mut payload,
-            } => {
-                let decoded = self.decoder.decode(&sender, &mut payload).await;
-                let reply = decoded.map(|()| Reply { sender, payload });
-                reply.map_err(Error::from)
+        if self.undecoded.is_none() {
+            // Zenoh has a timer for each request; a second one would wake a thread each time.
+            let reply = convert::reply(self.queue.pop().await?);
+            match self.inquiry.on_reply(reply) {
+                ReplyKind::Answer { sender, payload } => {
+                    self.undecoded = Some(Reply { sender, payload });
+                }
+                ReplyKind::Error { robot, payload } => {
+                    return Some(Err(Error::Service { robot, payload }));
+                }
+                ReplyKind::TimedOut => {
+                    return Some(Err(Error::TimedOut {
+                        expected: self.inquiry.expected(),
+                        timeout: self.inquiry.timeout(),
+                    }));
+                }
+                ReplyKind::NotOfARobot { key } => {
+                    return Some(Err(Error::Zenoh {
+                        operation: "the reply has no valid key of a robot",
+                        source: format!("its key is {key:?}").into(),
+                    }));
+                }
             }
-            ReplyKind::Error { robot, payload } => Err(Error::Service { robot, payload }),
-            ReplyKind::TimedOut => Err(Error::TimedOut {
-                expected: self.inquiry.expected(),
-                timeout: self.inquiry.timeout(),
-            }),
-            ReplyKind::NotOfARobot { key } => Err(Error::Zenoh {
-                operation: "the reply has no valid key of a robot",
-                source: format!("its key is {key:?}").into(),
-            }),
-        })
+        }
+        let Reply { sender, payload } = self.undecoded.as_mut()?;
+        let decoded = self.decoder.decode(sender, payload).await;
+        let reply = self.undecoded.take()?;
+        Some(decoded.map(|()| reply).map_err(Error::from))
     }
 }
 

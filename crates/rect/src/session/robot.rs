@@ -5,19 +5,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::runtime::Handle;
-use zenoh::{Config, Session};
-
-use super::{
-    convert::now_ms,
-    decoder::Decoder,
-    executor::{Executor, Running},
-    publication::{Publication, Put},
-    router_links::RouterLinks,
-    shared::NoItems,
-    urgency_sessions::UrgencySessions,
-};
-use crate::error::Error;
 use rect_core::{
     codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec},
     message::{
@@ -31,6 +18,19 @@ use rect_core::{
         publication::{PublicationKey, Publications},
     },
 };
+use tokio::runtime::Handle;
+use zenoh::{Config, Session};
+
+use super::{
+    convert::now_ms,
+    decoder::Decoder,
+    executor::{Executor, Running},
+    publication::{Publication, Put},
+    router_links::RouterLinks,
+    shared::NoItems,
+    urgency_sessions::UrgencySessions,
+};
+use crate::error::Error;
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet.
 ///
@@ -217,6 +217,10 @@ impl Robot {
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, [`Error::Payload`] if the value cannot be serialized, [`Error::Codec`] if
     /// the codec of this handle does not support it, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
     pub async fn publish<T: TryInto<Topic>>(
         &self,
         topic: T,
@@ -241,6 +245,10 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if `robot` is not a valid name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
     pub async fn send<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -264,6 +272,9 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Zenoh`] if Zenoh cannot close the session.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the session may be closed or not. Call it again.
     pub async fn close(&self) -> Result<(), Error> {
         let closed = self.inner.urgency_sessions.close().await;
         closed.map_err(Error::zenoh("cannot close the session"))
@@ -321,6 +332,10 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if the recipient is not a valid name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
     #[cfg(feature = "recording")]
     pub async fn replay(&self, topic: Topic, entry: rect_recording::Entry) -> Result<(), Error> {
         let recipient = entry.recipient.as_deref().map(Name::new).transpose()?;

@@ -1,6 +1,13 @@
 //! Keeps track of the links of this robot's router.
 use std::sync::{Arc, Mutex, PoisonError};
 
+use rect_core::{
+    name::{key::KeySpace, Name},
+    registry::{
+        connection::{Connection, Links},
+        observer::RouterObserver,
+    },
+};
 use tokio::runtime::Handle;
 use zenoh::Session;
 
@@ -9,13 +16,6 @@ use super::{
     shared::Sink,
 };
 use crate::error::Error;
-use rect_core::{
-    name::{key::KeySpace, Name},
-    registry::{
-        connection::{Connection, Links},
-        observer::RouterObserver,
-    },
-};
 
 /// The links of this robot's router, as reported by its registry. Without a registry, they remain unknown.
 pub(super) struct RouterLinks {

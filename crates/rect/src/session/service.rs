@@ -1,6 +1,16 @@
 //! Implements services: receives requests and sends the replies.
 use std::{fmt, future::Future, sync::Arc, time::Duration};
 
+use rect_core::{
+    driver::Answer,
+    message::{
+        payload::{Payload, ToPayload},
+        queue::{Queue, WhenFull},
+        request::error_to_payload,
+    },
+    name::{topic::Topic, Name},
+    session::service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
+};
 use tokio::{sync::Semaphore, task::JoinHandle, time::Instant};
 use zenoh::{
     bytes::ZBytes,
@@ -15,16 +25,6 @@ use super::{
     robot::Robot,
 };
 use crate::error::Error;
-use rect_core::{
-    driver::Answer,
-    message::{
-        payload::{Payload, ToPayload},
-        queue::{Queue, WhenFull},
-        request::error_to_payload,
-    },
-    name::{topic::Topic, Name},
-    session::service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
-};
 
 /// Receives the requests to a service; created by [`Robot::requests`]. Dropping it ends the service.
 pub struct Requests {
@@ -68,6 +68,9 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn requests<T: TryInto<Topic>>(&self, topic: T) -> Result<Requests, Error>
     where
         Error: From<T::Error>,
@@ -116,6 +119,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`requests`](Self::requests).
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn serve<T, F, A, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
     where
         T: TryInto<Topic>,
@@ -165,11 +171,18 @@ impl Robot {
 impl Requests {
     /// Waits for the next request; returns `None` once the session is closed. A request whose payload cannot be decoded
     /// is refused with the reason.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no request is lost: the next call returns it.
     pub async fn next(&self) -> Option<Request> {
         loop {
-            let mut request = self.queue.pop().await?;
+            // Decoding may wait for a dictionary, and the program may drop the future meanwhile.
+            let mut popped = self.queue.pop_guarded().await?;
+            let request = popped.item()?;
             let from = request.sender.as_ref().unwrap_or(&request.me);
-            match self.decoder.decode(from, &mut request.payload).await {
+            let decoded = self.decoder.decode(from, &mut request.payload).await;
+            let request = popped.take()?;
+            match decoded {
                 Ok(()) => return Some(request),
                 Err(error) => {
                     let _ = request.refuse(error.to_string());

@@ -5,10 +5,10 @@ use std::{
     time::Instant,
 };
 
+use rect_core::driver::{Driver, Event, Id, QueryId, MAX_OPEN_QUERIES};
 use zenoh::query::Query;
 
 use super::{queries, signal::Signal};
-use rect_core::driver::{Driver, Event, Id, QueryId, MAX_OPEN_QUERIES};
 
 /// Receives the items of a driver. Called on Zenoh's threads and on that of the driver.
 pub(super) trait Sink<I>: Send + Sync {

@@ -11,6 +11,15 @@ use std::{
 };
 
 use futures_core::Stream;
+use rect_core::{
+    message::{
+        counters::AtomicCounters,
+        gaps::SenderCounts,
+        queue::{Queue, WhenFull, DEFAULT_CAPACITY},
+        Delivery, Inbound, Message, Undelivered,
+    },
+    name::{key::Selected, topic::Pattern, Name},
+};
 use tokio::task::JoinHandle;
 use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 
@@ -22,15 +31,6 @@ use super::{
     router_links::RouterLinks,
 };
 use crate::error::Error;
-use rect_core::{
-    message::{
-        counters::AtomicCounters,
-        gaps::SenderCounts,
-        queue::{Queue, WhenFull, DEFAULT_CAPACITY},
-        Delivery, Inbound, Message, Undelivered,
-    },
-    name::{key::Selected, topic::Pattern, Name},
-};
 
 /// Settings of the receive queue, which holds messages or frames until the program reads them.
 ///
@@ -93,6 +93,9 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] if the pattern is invalid, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Subscriber, Error>
     where
         Error: From<P::Error>,
@@ -104,6 +107,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`subscribe`](Self::subscribe).
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn subscribe_with<P: TryInto<Pattern>>(
         &self,
         pattern: P,
@@ -178,6 +184,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`subscribe`](Self::subscribe).
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn on_message<P: TryInto<Pattern>>(
         &self,
         pattern: P,
@@ -209,6 +218,9 @@ impl Robot {
     /// # Errors
     /// [`Error::TimedOut`] if no message arrives within `timeout`; [`Error::Name`] or [`Error::Topic`] if an argument is
     /// invalid; [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future ends the subscription. A message that has arrived is lost with it.
     pub async fn wait_for_message<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -232,7 +244,10 @@ impl Subscriber {
     /// Waits for the next message; returns `None` once the session or the subscriber is closed.
     ///
     /// If a message is compressed with a dictionary that is not known yet, the call also waits for the dictionary, at
-    /// most 5 s. Dropping the future at that point loses the message.
+    /// most 5 s.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no message is lost: the next call returns it, and fetches its dictionary again.
     pub async fn next(&self) -> Option<Message> {
         decoded(&self.queue, &self.decoder, &self.counting).await
     }
@@ -280,13 +295,15 @@ async fn decoded(
     counting: &AtomicCounters,
 ) -> Option<Message> {
     loop {
-        let mut message = queue.pop().await?;
+        // Decoding may wait for a dictionary, and the program may drop the future meanwhile.
+        let mut popped = queue.pop_guarded().await?;
+        let message = popped.item()?;
+        if !has_expired(message) {
+            decoder.decode_message(message).await;
+        }
+        let message = popped.take()?;
         if !has_expired(&message) {
-            decoder.decode_message(&mut message).await;
-            // Decoding may wait for a dictionary.
-            if !has_expired(&message) {
-                return Some(message);
-            }
+            return Some(message);
         }
         counting.on_expired(0);
     }

@@ -14,13 +14,13 @@ pub use incoming::Transfers;
 pub use options::{Destination, IncomingTransfer, ReceiveOptions};
 pub use outgoing::{Transfer, TransferSource};
 pub use received::Received;
-
-use super::robot::Robot;
-use crate::error::Error;
 use rect_core::name::{
     topic::{Pattern, Topic},
     Name,
 };
+
+use super::robot::Robot;
+use crate::error::Error;
 
 impl Robot {
     /// Prepares a transfer of a file or buffer of any size to `robot`. It starts when the returned [`Transfer`] is awaited,
@@ -84,6 +84,9 @@ impl Robot {
     /// # Errors
     /// [`Error::Topic`] if the pattern is invalid, [`Error::File`] if the folder cannot be created, and [`Error::Closed`] if
     /// the session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn receive_transfers<P: TryInto<Pattern>>(
         &self,
         pattern: P,

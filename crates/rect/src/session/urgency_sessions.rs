@@ -3,13 +3,12 @@
 //! A router processes one TCP connection in order. If bulk messages in front wait for room on a radio link, a stop command
 //! behind them waits, too: 20 s, while 20 MB of bulk messages are in flight at 100 kB/s. Therefore urgent and bulk messages
 //! have separate sessions, which are opened on first use.
-use tokio::sync::OnceCell;
-use zenoh::{Config, Session};
-
 use rect_core::{
     message::urgency::Urgency,
     session::settings::{SessionChoice, SessionsState},
 };
+use tokio::sync::OnceCell;
+use zenoh::{Config, Session};
 
 pub(super) struct UrgencySessions {
     normal: Session,

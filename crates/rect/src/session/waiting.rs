@@ -1,13 +1,14 @@
 //! Waits until a robot is reachable, and until the other robots know the subscriptions and services of this program.
 use std::time::{Duration, Instant};
 
-use super::{executor::Executor, robot::Robot, shared::NoItems};
-use crate::error::Error;
 use rect_core::{
     driver::Driver,
     name::Name,
     session::peers::{EstablishedWait, PeerWait, Waited},
 };
+
+use super::{executor::Executor, robot::Robot, shared::NoItems};
+use crate::error::Error;
 
 impl Robot {
     /// Waits until `robot` is reachable. Returns at once if it is.
@@ -24,6 +25,9 @@ impl Robot {
     /// # Errors
     /// [`Error::TimedOut`] if the robot is not reachable within `timeout`; [`Error::Name`] if the name is invalid;
     /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future ends the wait. Nothing else changes.
     pub async fn wait_for_peer<N: TryInto<Name>>(
         &self,
         robot: N,
@@ -55,6 +59,9 @@ impl Robot {
     /// # Errors
     /// [`Error::TimedOut`] if a router does not answer within `timeout`; [`Error::Closed`] if the
     /// session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future ends the wait. Nothing else changes.
     pub async fn wait_until_established(&self, timeout: Duration) -> Result<(), Error> {
         let inner = &self.inner;
         let wait = EstablishedWait::new(&inner.place, Instant::now(), timeout);

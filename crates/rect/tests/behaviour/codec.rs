@@ -1,6 +1,12 @@
 //! Tests codecs and dictionaries between two robots, linked directly over TCP in one process:
 //! `cargo test -p rect-robot --test behaviour codec`
-use std::{sync::Arc, time::Duration};
+use std::{
+    future::{poll_fn, Future},
+    pin::pin,
+    sync::Arc,
+    task::Poll,
+    time::Duration,
+};
 
 use rect::{Encoding, Json, Message, Payload, Robot, Subscriber};
 use rect_core::codec::{
@@ -206,5 +212,34 @@ async fn dictionary_of_one_robot_does_not_decode_messages_of_another() {
             message = delivered(&encoded, &subscriber, &payload).await;
         }
         assert_eq!(message.payload, payload, "{}", message.sender);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn message_is_kept_if_the_future_is_dropped_while_its_dictionary_is_fetched() {
+    let (a, b) = pair("a", "b").await;
+    let samples: Vec<String> = (0..2000).map(|n| reading(n).to_string()).collect();
+    let dictionary = Arc::new(Dictionary::train(&samples, 4096).expect("trained"));
+    let encoded = a.with_dictionary(dictionary).expect("shared");
+    let subscriber = b.subscribe("a/x").await.expect("subscribed");
+    let publisher = encoded.publisher("x").await.expect("declared");
+    let subscribed = publisher.wait_for_subscriber(TIMEOUT).await;
+    subscribed.expect("established");
+    for n in 0..2u32 {
+        publisher.publish(reading(n)).await.expect("published");
+    }
+    while b.counters().received < 2 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    // The future takes the message, asks for the dictionary, and is dropped. The reply cannot arrive within one poll.
+    for _ in 0..3 {
+        let polled = poll_fn(|context| Poll::Ready(pin!(subscriber.next()).poll(context))).await;
+        assert!(polled.is_pending(), "{polled:?}");
+    }
+    for n in 0..2 {
+        let message = tokio::time::timeout(TIMEOUT, subscriber.next()).await;
+        let message = message.expect("not lost").expect("open");
+        assert_eq!(message.problem, None);
+        assert_eq!(message.payload.value::<Value>().expect("JSON"), reading(n));
     }
 }

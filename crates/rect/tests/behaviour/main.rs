@@ -2,6 +2,7 @@
 #[path = "../pair/mod.rs"]
 mod pair;
 
+mod blocked_link;
 mod blocking;
 mod codec;
 mod joining;

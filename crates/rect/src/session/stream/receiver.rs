@@ -5,15 +5,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{
-    error::Error,
-    session::{
-        executor::{Executor, Running},
-        receive_queue::ReceiveQueue,
-        robot::Robot,
-        subscriber::QueueOptions,
-    },
-};
 use rect_core::{
     message::queue::{Queue, WhenFull},
     name::{topic::Topic, Name},
@@ -21,6 +12,16 @@ use rect_core::{
         frame::{Frame, ReceivedFrame},
         read::FrameReader,
         watch::StreamWatch,
+    },
+};
+
+use crate::{
+    error::Error,
+    session::{
+        executor::{Executor, Running},
+        receive_queue::ReceiveQueue,
+        robot::Robot,
+        subscriber::QueueOptions,
     },
 };
 
@@ -47,6 +48,9 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn watch<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -67,6 +71,9 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`watch`](Self::watch).
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn watch_with<N: TryInto<Name>, T: TryInto<Topic>>(
         &self,
         robot: N,
@@ -108,6 +115,9 @@ impl Watch {
 
     /// Waits for the next frame, by default the newest one; returns `None` once the session or the watch is closed. Decoding a
     /// frame of a video takes a few milliseconds, during which this call blocks.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no frame is lost: the next call returns it.
     pub async fn next(&self) -> Option<Frame> {
         loop {
             let received = self.queue.pop().await?;

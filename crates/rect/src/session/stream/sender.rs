@@ -5,15 +5,6 @@ use std::{
     time::Instant,
 };
 
-use crate::{
-    error::Error,
-    session::{
-        convert::now_ms,
-        executor::{Executor, Running},
-        robot::Robot,
-        shared::NoItems,
-    },
-};
 use rect_core::{
     codec::picture::Picture,
     message::payload::{Payload, ToPayload},
@@ -21,6 +12,16 @@ use rect_core::{
     stream::{
         job::Job, ladder::Step, picture::PictureEncoder, publish::StreamPublish, sender::Options,
         status::Status,
+    },
+};
+
+use crate::{
+    error::Error,
+    session::{
+        convert::now_ms,
+        executor::{Executor, Running},
+        robot::Robot,
+        shared::NoItems,
     },
 };
 
@@ -47,6 +48,9 @@ impl Robot {
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, [`Error::Option`] if an option is out of range, and [`Error::Closed`] if the
     /// session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn stream<T: TryInto<Topic>>(
         &self,
         topic: T,

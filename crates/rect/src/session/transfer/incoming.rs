@@ -1,6 +1,11 @@
 //! Defines [`Transfers`], through which a program receives transfers.
 use std::{fmt, fs, sync::Arc, time::SystemTime};
 
+use rect_core::{
+    name::{key::KeySpace, topic::Pattern},
+    storage::Store,
+    transfer::admission::AdmissionRules,
+};
 use tokio::{
     runtime::Handle,
     sync::{
@@ -16,11 +21,6 @@ use super::{
     receiving::Reception,
 };
 use crate::error::Error;
-use rect_core::{
-    name::{key::KeySpace, topic::Pattern},
-    storage::Store,
-    transfer::admission::AdmissionRules,
-};
 
 /// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
 ///
@@ -61,6 +61,9 @@ impl Transfers {
     ///
     /// # Errors
     /// [`Error::TransferFailed`] if the transfer failed. Further calls return the other transfers.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no transfer is lost: the next call returns it.
     pub async fn next(&self) -> Option<Result<Received, Error>> {
         self.ended.lock().await.recv().await
     }

@@ -9,14 +9,6 @@ use std::{
 };
 
 use bytes::Bytes;
-use tokio::sync::oneshot;
-use zenoh::Session;
-
-use super::{
-    options::OnSendProgress,
-    stop::{Stop, StopOnDrop},
-};
-use crate::error::Error;
 use rect_core::{
     message::{
         encoding::Encoding,
@@ -25,6 +17,14 @@ use rect_core::{
     name::{key::KeySpace, topic::Topic, Name},
     transfer::Progress,
 };
+use tokio::sync::oneshot;
+use zenoh::Session;
+
+use super::{
+    options::OnSendProgress,
+    stop::{Stop, StopOnDrop},
+};
+use crate::error::Error;
 
 /// The content of a transfer: a file or a buffer.
 #[derive(Clone, Debug)]

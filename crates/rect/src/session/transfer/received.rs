@@ -1,6 +1,7 @@
 //! Defines [`Received`], a complete transfer.
-use super::options::IncomingTransfer;
 use rect_core::storage::Content;
+
+use super::options::IncomingTransfer;
 
 /// A complete transfer whose checksum was verified.
 #[derive(Clone, Debug, PartialEq, Eq)]

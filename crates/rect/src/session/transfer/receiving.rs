@@ -6,6 +6,16 @@ use std::{
     time::Instant,
 };
 
+use rect_core::{
+    name::key::KeySpace,
+    storage::{Concluded, Content, Store},
+    transfer::{
+        admission::AdmissionRules,
+        pull::TransferPull,
+        reception::{Arrival, TransferReception},
+        Fault, Offer, Progress, TransferId,
+    },
+};
 use tokio::{runtime::Handle, sync::mpsc::Sender};
 use zenoh::Session;
 
@@ -18,16 +28,6 @@ use crate::{
     session::{
         executor::Executor,
         shared::{NoItems, Shared, Sink},
-    },
-};
-use rect_core::{
-    name::key::KeySpace,
-    storage::{Concluded, Content, Store},
-    transfer::{
-        admission::AdmissionRules,
-        pull::TransferPull,
-        reception::{Arrival, TransferReception},
-        Fault, Offer, Progress, TransferId,
     },
 };
 

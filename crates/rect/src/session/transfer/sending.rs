@@ -4,15 +4,6 @@ use std::{
     time::Instant,
 };
 
-use super::{
-    options::OnSendProgress,
-    outgoing::{Transfer, TransferSource},
-    stop::Stop,
-};
-use crate::{
-    error::Error,
-    session::{executor::Executor, shared::Sink},
-};
 use rect_core::{
     message::encoding::Encoding,
     storage::Source,
@@ -21,6 +12,16 @@ use rect_core::{
         push::{SendError, TransferPush},
         Offer, Progress,
     },
+};
+
+use super::{
+    options::OnSendProgress,
+    outgoing::{Transfer, TransferSource},
+    stop::Stop,
+};
+use crate::{
+    error::Error,
+    session::{executor::Executor, shared::Sink},
 };
 
 struct ProgressSink(Mutex<Option<OnSendProgress>>);

@@ -1,8 +1,9 @@
 //! Stops an outgoing transfer.
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::session::shared::Shared;
 use rect_core::transfer::push::TransferPush;
+
+use crate::session::shared::Shared;
 
 /// Stops a transfer, also one whose thread has not begun to offer it. Clones stop the same transfer.
 #[derive(Clone, Default)]
